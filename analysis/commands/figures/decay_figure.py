@@ -30,7 +30,7 @@ def decay_figure(decays: Sequence[Decay], title: str, styles: Sequence[CurveStyl
     `decays`: one decay for each recording; `styles`: of the decays, default: of bodies 1, 2, ...
     """
     styles = styles or [body_style(number) for number in range(1, len(decays) + 1)]
-    modes = _group_modes(decays)
+    modes = group_modes(decays)
     gravity = decays[0].gravity
     with new_figure(8.2) as figure:
         rows = figure.add_gridspec(3, max(len(modes), 1), height_ratios=[1.25, 1.0, 1.0 if modes else 0.02])
@@ -84,7 +84,7 @@ def _draw_damping(
     gravity: float,
     styles: Sequence[CurveStyle],
 ) -> None:
-    """Draw the damping ratio against amplitude, one panel for each mode; `modes`: from `_group_modes`."""
+    """Draw the damping ratio against amplitude, one panel for each mode; `modes`: from `group_modes`."""
     first: Axes | None = None
     for column, decays_of_mode in enumerate(modes):
         axes = figure.add_subplot(rows[2, column], sharey=first)  # type: ignore[index]
@@ -98,7 +98,7 @@ def _draw_damping(
         set_log_scale(axes.xaxis, 5)
         axes.axvline(gravity, color="#777777", lw=0.8, ls=":")
         axes.set_xlabel("amplitude / (m/s²)")
-        axes.set_title(_frequency_title(decays_of_mode), y=1.0, fontsize=9, fontweight="normal")
+        axes.set_title(frequency_title(decays_of_mode), y=1.0, fontsize=9, fontweight="normal")
         if column == 0:
             axes.set_ylabel("damping ratio / %")
         else:
@@ -120,14 +120,14 @@ def _draw_damping(
             first.set_ylim(low, high)
 
 
-def _frequency_title(decays_of_mode: list[tuple[int, ModalDecay]]) -> str:
+def frequency_title(decays_of_mode: list[tuple[int, ModalDecay]]) -> str:
     """Return the frequency of a mode, or the range of its frequencies in the recordings."""
     frequencies = [mode.frequency for _, mode in decays_of_mode]
     low, high = (format_decimals(extreme(frequencies), 1) for extreme in (min, max))
     return f"mode at {low} Hz" if low == high else f"mode at {low} to {high} Hz"
 
 
-def _group_modes(decays: Sequence[Decay]) -> list[list[tuple[int, ModalDecay]]]:
+def group_modes(decays: Sequence[Decay]) -> list[list[tuple[int, ModalDecay]]]:
     """Group the modes of all decays by frequency; a group has pairs (index of the decay, its mode).
 
     Modes without a damping ratio are omitted.

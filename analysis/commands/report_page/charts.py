@@ -53,7 +53,9 @@ class Curve:
     low: ArrayLike | None = None  # lower bound of `y`
     high: ArrayLike | None = None  # upper bound of `y`
     style: CurveStyle = _DEFAULT_STYLE
-    draw: str = "line"  # "points" of separate tones, or the thin line "through" them, which has no value of its own
+    # "points" of separate tones, the thin line "through" them, or "crosses", "circles" or "arrows" at points; of these,
+    # only points have values in the readout
+    draw: str = "line"
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,7 @@ class Panel:
     limits: tuple[float, float] | None = None  # of the vertical axis
     ticks: Sequence[float] | None = None  # of the vertical axis
     image: dict[str, Any] | None = None  # from `level_image`
-    marks: Sequence[tuple[float, float, str]] = ()  # abscissa, value and label of peaks
+    marks: Sequence[tuple[float, float, str]] = ()  # abscissa, value and label of peaks, ascending
     strips: Sequence[tuple[float, float]] = ()  # ranges of the abscissa without a determined value
 
 
@@ -82,6 +84,7 @@ class Chart:
     x_name: str = "frequency"
     x_unit: str = "Hz"
     logarithmic: bool = False  # horizontal axis
+    x_limits: tuple[float, float] | None = None  # least extent of the horizontal axis
 
 
 @dataclass
@@ -94,7 +97,13 @@ class ChartWriter:
         """Return the HTML of a chart: a figure that the page's script fills, and its data."""
         identifier, label = f"chart-{next(self._numbers)}", f"{chart.x_name} / {_divisor(chart.x_unit)}"
         data = {
-            "x": {"label": label, "name": chart.x_name, "unit": chart.x_unit, "log": chart.logarithmic},
+            "x": {
+                "label": label,
+                "name": chart.x_name,
+                "unit": chart.x_unit,
+                "log": chart.logarithmic,
+                "range": chart.x_limits,
+            },
             "panels": [_panel(panel) for panel in chart.panels],
         }
         # The text "</script>" inside the data would end the script element.

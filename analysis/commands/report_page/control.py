@@ -7,36 +7,39 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.commands.report_page.charts import Chart, Curve, EvenlySpaced, Panel
+from analysis.commands.report_page.measurements import Measurement
 from analysis.core.decays.sensor_correction import correct_motion
 from analysis.core.responses.measurands import response_channels
-from analysis.core.signals.profile_check import ProfileCheck, profile
+from analysis.core.signals.profile_check import ProfileCheck
 from analysis.core.signals.shock_spectrum import srs
 from analysis.core.tracking.backbone import Backbone, backbone
 from analysis.core.tracking.continuation import AmplitudeCurve, continuation
 from daq.core.recording.recorded_test import shocks_of
-from rig.core.base.palette import place_style, place_styles
+from rig.core.base.palette import REFERENCE, CurveStyle, place_style, place_styles
 from rig.core.scene.excitation.profile import from_decibels
 
 if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
 
-def _profile_chart(check: ProfileCheck) -> Chart:
+def _profile_chart(check: ProfileCheck, rec: Recording) -> Chart:
     """Return a chart of control and limited channels with their bounds."""
-    ratio = 10.0 ** (check.tolerance / (10.0 if "Hz" in check.unit else 20.0))
-    styles = place_styles([f"body {k}" for k in range(1, len(check.limited) + 3)])
-    frequency = check.frequency
+    is_density = "Hz" in check.unit
+    ratio = 10.0 ** (check.tolerance / (10.0 if is_density else 20.0))
+    names = [check.channels[0].channel, *(level.channel for level in check.limited)]
+    control, *limited = place_styles([rec.channels[name].at for name in names])
+    frequency, target = check.frequency, check.profile
     curves = [
-        Curve("control", frequency, check.control, style=styles[0]),
-        Curve("profile", frequency, check.profile, check.profile / ratio, check.profile * ratio, styles[1]),
+        Curve("profile", frequency, target, target / ratio, target * ratio, CurveStyle(REFERENCE)),
+        Curve("control", frequency, check.control, style=control._replace(dashes=())),
     ]
-    for level, style in zip(check.limited, styles[2:], strict=True):
-        curves.append(Curve(level.channel, frequency, level.values, level.low, level.high, style))
-        curves.append(Curve(f"limit of {level.channel}", frequency, level.bound, style=style))
+    for level, style in zip(check.limited, limited, strict=True):
+        curves.append(Curve(level.channel, frequency, level.values, level.low, level.high, style._replace(dashes=())))
+        curves.append(Curve(f"limit of {level.channel}", frequency, level.bound, style=style._replace(dashes=(6, 3))))
     return Chart(
-        f"{check.summary()}. Band of the profile: tolerance.",
+        f"{check.summary()} Band of the profile: tolerance.",
         "Control and limited channels against the profile.",
-        [Panel("motion", check.unit, curves, height=300, logarithmic=True)],
+        [Panel("acceleration PSD" if is_density else "acceleration", check.unit, curves, height=280, logarithmic=True)],
         logarithmic=True,
     )
 
@@ -68,12 +71,13 @@ def _tracking_chart(rec: Recording) -> Chart:
     return Chart(f"{result.summary()}.", "Amplitude over the frequency of the controlled tone.", [panel])
 
 
-def control_charts(rec: Recording) -> list[Chart]:
+def control_charts(measurement: Measurement) -> list[Chart]:
     """Return the charts of the controlled motion in a recording; empty without such a test."""
+    rec = measurement.rec
     if any({"distance", "phase"} & {*mark.fields} for mark in rec.markers if mark.kind == "measure"):
         return [_tracking_chart(rec)]
-    if {"identification", "measure"} <= {mark.kind for mark in rec.markers}:
-        return [_profile_chart(profile(rec))]
+    if measurement.profile is not None:
+        return [_profile_chart(measurement.profile, rec)]
     shocks = shocks_of(rec.markers)
     if not shocks or rec.scene.test is None:
         return []
@@ -86,7 +90,8 @@ def control_charts(rec: Recording) -> list[Chart]:
     curves = [Curve(control, time, wave, style=place_style(rec.channels[control].at))]
     pulse = test.pulse((np.arange(wave.size) - center) / rec.rate)
     if pulse is not None:
-        curves.append(Curve("prescribed", time, pulse[0], pulse[0] - pulse[1], pulse[0] + pulse[1]))
+        target, tolerance = pulse
+        curves.append(Curve("prescribed", time, target, target - tolerance, target + tolerance, CurveStyle(REFERENCE)))
     waveform = Chart(
         "First shock at the control channel; band: tolerance.",
         f"Acceleration of {control} in the first shock.",
@@ -103,7 +108,7 @@ def control_charts(rec: Recording) -> list[Chart]:
     if prescribed is not None:
         frequency, values, tolerance = prescribed
         ratio = from_decibels(tolerance)
-        curves.append(Curve("prescribed", frequency, values, values / ratio, values * ratio))
+        curves.append(Curve("prescribed", frequency, values, values / ratio, values * ratio, CurveStyle(REFERENCE)))
     response = Chart(
         "Shock response spectra (maximax) of the first shock, Q = 10.",
         "Shock response spectra of the control channel and the bodies.",

@@ -6,16 +6,14 @@ from collections.abc import Iterator, Sequence
 from math import isfinite
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from analysis.commands.figures.modes_figure import is_known_shape
 from rig.core.base.escaping import escape_html
-from rig.core.base.palette import DAMPER, TABLE, place_style
+from rig.core.base.palette import DAMPER, HAMMER, TABLE, place_style, place_styles
 from rig.core.results import format_number
 from rig.core.results.uncertainty import expand
 
 if TYPE_CHECKING:
-    from analysis.core.modal.modes import BodyShapes, Modes
+    from analysis.core.modal.modes import BodyShapes
     from rig.core.scene.scene import Scene
     from rig.core.scene.shaker import Shaker
 
@@ -25,18 +23,18 @@ _BODY_HEIGHT = 54
 # Distance between two bodies, px.
 _SPACING = 48
 # Position of the left edge of the bodies, px.
-_LEFT = 190
+_LEFT = 130
+# Width of the drawing, px.
+_WIDTH = 390
 # Margin above and below the drawing, px.
-_MARGIN = 20
+_MARGIN = 24
 # Size of a body in a mode shape, px.
 _SHAPE_WIDTH = 90
 _SHAPE_HEIGHT = 26
-# Amplitude of the largest element of an animated mode shape, px.
-_MAX_AMPLITUDE = 16.0
-# Size of a stabilization diagram, and its left margin.
-_DIAGRAM_WIDTH = 640
-_DIAGRAM_HEIGHT = 200
-_DIAGRAM_LEFT = 30
+# Distance between two bodies in a mode shape, px.
+_SHAPE_SPACING = 36
+# Amplitude of the largest element of an animated mode shape, px: two bodies in antiphase do not meet.
+_MAX_AMPLITUDE = 0.45 * _SHAPE_SPACING
 # Number of zigzag corners of a drawn spring.
 _COILS = 8
 
@@ -60,11 +58,14 @@ def rig_drawing(scene: Scene) -> str:
     for number, shaker in enumerate(scene.shakers, 1):
         for body in shaker.bodies:
             elements += _shaker(shaker, tops[body - 1] + _BODY_HEIGHT / 2, number if len(scene.shakers) > 1 else None)
+    if scene.test is not None and scene.hammer is not None:
+        y = tops[scene.hammer - 1] + _BODY_HEIGHT / 2
+        elements.append(f'<text x="4" y="{y - 12:g}">hammer, {scene.test.level_text(None)}</text>{_arrow(y, HAMMER)}')
     elements += _channels(scene, tops)
     names = ", ".join(structure.labels)
     return (
-        f'<svg role="img" aria-label="Drawing of the rig: {escape_html(names)}" viewBox="0 0 620 {height}" width="620" '
-        f'height="{height}" stroke-width="1.3" fill="none">{"".join(elements)}</svg>'
+        f'<svg role="img" aria-label="Drawing of the rig: {escape_html(names)}" viewBox="0 0 {_WIDTH} {height}" '
+        f'width="{_WIDTH}" height="{height}" stroke-width="1.3" fill="none">{"".join(elements)}</svg>'
     )
 
 
@@ -76,8 +77,8 @@ def _ground(y: float) -> str:
 def _table(shaker: Shaker, y: float) -> str:
     """Draw a table that carries the structure, whose top is at `y`."""
     return (
-        f'<rect x="{_LEFT}" y="{y:g}" width="{_BODY_WIDTH}" height="14" rx="3" stroke="#009E73" fill="#009E73" '
-        f'fill-opacity="0.2"/><text x="4" y="{y + 12:g}">{escape_html(shaker.glyph.title)}</text>'
+        f'<rect x="{_LEFT}" y="{y:g}" width="{_BODY_WIDTH}" height="14" rx="3" stroke="{TABLE}" fill="{TABLE}" '
+        f'fill-opacity="0.2"/><text x="4" y="{y + 11:g}">{escape_html(shaker.glyph.title)}</text>'
     )
 
 
@@ -127,10 +128,14 @@ def _shaker(shaker: Shaker, y: float, number: int | None) -> Iterator[str]:
     if shaker.coil_spring is not None:
         coils = "".join(f"l8 {9 if k % 2 else -9}" for k in range(_COILS))
         yield f'<rect x="6" y="{y - 24:g}" width="44" height="48" rx="3" stroke="currentColor"/>'
-        yield f'<path stroke="{TABLE}" d="M50 {y:g}h26{coils}L{_LEFT} {y:g}"/>'
-        yield f'<text x="62" y="{y + 26:g}">{shaker.coil_spring / 1e3:.4g} kN/m</text>'
+        yield f'<path stroke="{TABLE}" d="M50 {y:g}h8{coils}L{_LEFT} {y:g}"/>'
+        yield f'<text x="56" y="{y + 26:g}">{shaker.coil_spring / 1e3:.4g} kN/m</text>'
     else:
-        yield f'<path stroke="{TABLE}" stroke-width="2" d="M110 {y:g}h{_LEFT - 118}m-9 -6l9 6l-9 6"/>'
+        yield _arrow(y, TABLE)
+
+
+def _arrow(y: float, color: str) -> str:
+    return f'<path stroke="{color}" stroke-width="2" d="M60 {y:g}h{_LEFT - 66}m-9 -6l9 6l-9 6"/>'
 
 
 def _channels(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
@@ -156,20 +161,23 @@ def _channels(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
                 f'<rect x="22" y="{y - 6:g}" width="12" height="12" fill="{color}"/>'
                 f'<text x="4" y="{y + 42:g}">{escape_html(", ".join(names))}</text>'
             )
-        else:
+        elif place != "hammer":
             other_channels.append(f"{', '.join(names)} ({place})")
     if other_channels:
-        yield f'<text x="4" y="{_MARGIN - 6}">Other channels: {escape_html("; ".join(other_channels))}</text>'
+        yield f'<text x="4" y="12">Other channels: {escape_html("; ".join(other_channels))}</text>'
 
 
-def mode_drawing(shapes: BodyShapes, mode: int, title: str) -> str:
-    """Draw one mode shape: each body moves by its element of the shape; dashed outlines show the bodies at rest."""
+def mode_drawing(shapes: BodyShapes, places: Sequence[str], mode: int, title: str) -> str:
+    """Draw one mode shape: each body moves by its element of the shape; dashed outlines show the bodies at rest.
+
+    `places`: of the elements, for their colors.
+    """
     count, bounds = len(shapes.names), expand(shapes.errors[:, mode])
     opacity = 1.0 if is_known_shape(bounds) else 0.4
-    height = count * (_SHAPE_HEIGHT + 22) + 30
+    height = count * (_SHAPE_HEIGHT + _SHAPE_SPACING)
     parts = []
-    for k, name in enumerate(shapes.names):
-        y = height - 30 - k * (_SHAPE_HEIGHT + 22) - _SHAPE_HEIGHT
+    for k, (name, style) in enumerate(zip(shapes.names, place_styles(places), strict=True)):
+        y = height - _SHAPE_SPACING // 2 - k * (_SHAPE_HEIGHT + _SHAPE_SPACING) - _SHAPE_HEIGHT
         element, bound = float(shapes.shapes[k, mode].real), float(bounds[k])
         bar = _MAX_AMPLITUDE * min(bound, 1.0)
         interval = f" ± {bound:.2f}" if bound >= 0.005 else ""
@@ -177,7 +185,8 @@ def mode_drawing(shapes: BodyShapes, mode: int, title: str) -> str:
         parts.append(
             f'<rect {box} stroke="currentColor" stroke-opacity="0.4" stroke-dasharray="3 3"/>'
             f'<g class="moving" style="--swing:{_MAX_AMPLITUDE * element:.2f}px">'
-            f'<rect {box} stroke="currentColor" fill="currentColor" fill-opacity="0.12"/>'
+            f'<rect {box} fill="var(--page)"/>'
+            f'<rect {box} stroke="{style.color}" fill="{style.color}" fill-opacity="0.15"/>'
             f'<text x="30" y="{y + 17}">{escape_html(name)}</text>'
             f'<path class="bound" stroke="currentColor" d="M{_SHAPE_WIDTH + 18} '
             f'{y + _SHAPE_HEIGHT / 2 - bar:.2f}v{2 * bar:.2f}m-3 0h6m0 {-2 * bar:.2f}h-6"/></g>'
@@ -187,35 +196,4 @@ def mode_drawing(shapes: BodyShapes, mode: int, title: str) -> str:
         f'<figure><svg role="img" aria-label="Mode shape at {escape_html(title)}" viewBox="0 0 210 {height}" '
         f'width="210" height="{height}" fill="none" opacity="{opacity}">{"".join(parts)}</svg>'
         f"<figcaption>{escape_html(title)}</figcaption></figure>"
-    )
-
-
-def stabilization_drawing(modes: Modes, title: str) -> str:
-    """Draw the stabilization diagram: dots for stable poles, crosses for new poles, and a line at each mode."""
-    frequency, order = (np.array([getattr(pole, name) for pole in modes.chart]) for name in ("frequency", "order"))
-    low, high = min(frequency.min(), modes.frequency.min()), max(frequency.max(), modes.frequency.max())
-    left, bottom, top = _DIAGRAM_LEFT, _DIAGRAM_HEIGHT - 34, 8
-    scale = (_DIAGRAM_WIDTH - left - 20) / max(high - low, 1e-300)
-    x = left + scale * (frequency - low)
-    y = bottom - (bottom - top) * order / order.max()
-    parts = [
-        f'<path d="M{left + scale * (natural - low):.1f} {top}V{bottom}" stroke="#D55E00"/>'
-        for natural in modes.frequency
-    ]
-    stable = np.array([pole.stable for pole in modes.chart])
-    crosses = "".join(f"M{a - 2:.1f} {b - 2:.1f}l4 4m-4 0l4-4" for a, b in zip(x[~stable], y[~stable], strict=True))
-    parts.append(f'<path d="{crosses}" stroke="currentColor" stroke-opacity="0.35"/>')
-    for a, b in zip(x[stable], y[stable], strict=True):
-        parts.append(f'<circle cx="{a:.1f}" cy="{b:.1f}" r="2" fill="currentColor"/>')
-    parts.append(f'<path d="M{left} {top}V{bottom}H{_DIAGRAM_WIDTH - 20}" stroke="currentColor"/>')
-    for value in np.linspace(low, high, 5):
-        position = left + scale * (value - low)
-        parts.append(f'<text x="{position:.1f}" y="{bottom + 14}" text-anchor="middle">{value:.4g}</text>')
-    parts.append(f'<text x="{_DIAGRAM_WIDTH / 2}" y="{bottom + 30}" text-anchor="middle">frequency / Hz</text>')
-    parts += [f'<text x="4" y="{y[order == n][0] + 4:.1f}">{n}</text>' for n in (order.min(), order.max())]
-    return (
-        f'<figure><svg role="img" aria-label="Stabilization diagram of {escape_html(title)}" '
-        f'viewBox="0 0 {_DIAGRAM_WIDTH} {_DIAGRAM_HEIGHT}" width="{_DIAGRAM_WIDTH}" fill="none">{"".join(parts)}</svg>'
-        f"<figcaption>{escape_html(title)}: poles of models of increasing order (vertical axis), stable (dots) or new "
-        "(crosses), and the identified modes (lines). A mode is a column of stable poles.</figcaption></figure>"
     )

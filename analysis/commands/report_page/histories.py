@@ -42,14 +42,16 @@ def time_histories(rec: Recording) -> Chart:
         time, rows = _extremes(rec, names)
     units = list(dict.fromkeys(rec.channels[name].unit for name in names))
     panels = []
-    styles = dict(zip(names, place_styles([rec.channels[name].at for name in names]), strict=True))
+    # Dashes would look like samples.
+    styles = [style._replace(dashes=()) for style in place_styles([rec.channels[name].at for name in names])]
     for unit in units:
         selected = [name for name in names if rec.channels[name].unit == unit]
         scale, shown_unit = (1e3, "mm") if unit == "m" else (1.0, unit.replace("^2", "²"))
-        curves = [Curve(name, time, scale * rows[names.index(name)], style=styles[name]) for name in selected]
+        places = [names.index(name) for name in selected]
+        curves = [Curve(names[k], time, scale * rows[k], style=styles[k]) for k in places]
         # The largest motion is drawn first, so that it hides no other channel.
         curves.sort(key=lambda curve: -float(np.ptp(curve.y)))
-        panels.append(Panel(rec.channels[selected[0]].quantity, shown_unit, curves, height=200))
+        panels.append(Panel(rec.channels[selected[0]].quantity, shown_unit, curves, height=170))
     resolution = "every sample" if is_complete else f"largest and smallest value of each of {_INTERVALS} intervals"
     return Chart(
         f"Time histories, {resolution}.",
@@ -103,7 +105,7 @@ def spectrograms(rec: Recording) -> list[Chart]:
                 f"Spectrogram of {name} ({info.quantity}); the colors span {IMAGE_SPAN_DB:g} dB below the highest "
                 f"level. {starts.size} Hann windows of {block / rec.rate:.3g} s.",
                 f"Spectrogram of {name} from 0 to {highest:.4g} Hz over {rec.duration:.4g} s.",
-                [Panel("frequency", "Hz", height=190, limits=band, image=image)],
+                [Panel("frequency", "Hz", height=150, limits=band, image=image)],
                 x_name="time",
                 x_unit="s",
             )

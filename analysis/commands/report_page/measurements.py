@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, ParamSpec, Self, TypeVar
@@ -27,6 +27,7 @@ from analysis.core.modal.identification import identify
 from analysis.core.modal.modes import Modes
 from analysis.core.recordings.names import OpenRecordings, has_moving_dampers, reference_label, relabel, scene_labels
 from analysis.core.responses.frequency_responses import frequency_responses
+from analysis.core.signals.profile_check import ProfileCheck, profile
 from daq.core.recording.recording import Recording
 from rig.core.base.errors import ShotrigError
 from rig.core.base.progress import CountProgress
@@ -46,16 +47,25 @@ class SweepResults:
         One frequency response for each pair of response and reference.
     modes : Modes or None
         None if the identification failed.
-    peaks : tuple
-        For each mode, the response with the highest peak near it; None if no response has a peak.
+    found : tuple
+        For each mode, the responses that have a peak near it, with their peaks.
     highest : tuple or None
         The highest peak of all frequencies, whether or not a mode was identified there.
     """
 
     frfs: list[Response]
     modes: Modes | None
-    peaks: tuple[tuple[Response, Peak] | None, ...] = ()
+    found: tuple[tuple[tuple[Response, Peak], ...], ...] = ()
     highest: tuple[Response, Peak] | None = None
+
+    @property
+    def peaks(self) -> tuple[tuple[Response, Peak] | None, ...]:
+        """For each mode, the response with the highest peak near it; None if no response has a peak."""
+        return tuple(max(inside, key=lambda pair: pair[1].value, default=None) for inside in self.found)
+
+    def peaks_of(self, frf: Response) -> list[Peak]:
+        """Return the peaks of a response near the modes."""
+        return [peak for inside in self.found for curve, peak in inside if curve is frf]
 
     @property
     def label(self) -> str:
@@ -89,6 +99,7 @@ class Measurement:
     sweeps: tuple[SweepResults, ...] = ()
     dampers: tuple[Dampers, ...] = ()
     decay: Decay | None = None
+    profile: ProfileCheck | None = None
 
 
 @dataclass
@@ -151,7 +162,12 @@ class Measurements:
             if free_decay is not None:
                 free_decay = relabel(free_decay, rec.scene.name, label)
                 self._warn(path, free_decay.warnings)
-        return Measurement(path, label, rec, sweeps, tuple(dampers or ()), free_decay)
+        check = None
+        if rec.scene.test is not None and rec.scene.test.prescription is not None:
+            check = self._attempt(path, "Controlled motion", profile, rec)
+        if check is not None:
+            check = replace(check, label=f"“{label}”")
+        return Measurement(path, label, rec, sweeps, tuple(dampers or ()), free_decay, check)
 
     def _evaluate_sweep(self, path: Path, label: str, rec: Recording, frfs: Sequence[Response]) -> SweepResults:
         frfs = [relabel(frf, rec.scene.name, label) for frf in frfs]
@@ -161,8 +177,8 @@ class Measurements:
         if modes is None:
             return SweepResults(frfs, None)
         self._warn(path, with_sweep_name(frfs[0].label, label, modes.warnings, frfs[0].warnings))
-        peaks = _highest_peaks(frfs, modes)
-        return SweepResults(frfs, modes, peaks, highest_peak(frfs, peaks))
+        found = _peaks_of_modes(frfs, modes)
+        return SweepResults(frfs, modes, found, highest_peak(frfs, [peak for inside in found for peak in inside]))
 
     def _attempt(
         self,
@@ -183,16 +199,15 @@ class Measurements:
         self.warnings += [text for text in with_recording_name(path, texts) if text not in self.warnings]
 
 
-def _highest_peaks(frfs: Sequence[Response], modes: Modes) -> tuple[tuple[Response, Peak] | None, ...]:
-    """Return the response with the highest peak near each mode, in the order of `modes`."""
+def _peaks_of_modes(frfs: Sequence[Response], modes: Modes) -> tuple[tuple[tuple[Response, Peak], ...], ...]:
+    """Return the responses that have a peak near each mode, with their peaks, in the order of `modes`."""
     _, low, high = peak_bands(modes)
-    highest: list[tuple[Response, Peak] | None] = []
+    found = []
     # The bands are in ascending order of frequency; the modes may be in another order.
     for rank in np.argsort(np.argsort(modes.frequency)):
         peaks = [(frf, resonance_peak(frf, low[rank], high[rank])) for frf in frfs]
-        inside = [(frf, frf_peak) for frf, frf_peak in peaks if frf_peak is not None and not frf_peak.at_end]
-        highest.append(max(inside, key=lambda pair: pair[1].value, default=None))
-    return tuple(highest)
+        found.append(tuple((frf, peak) for frf, peak in peaks if peak is not None and not peak.at_end))
+    return tuple(found)
 
 
 def highest_peak(
@@ -200,7 +215,7 @@ def highest_peak(
 ) -> tuple[Response, Peak] | None:
     """Return the response with the highest peak, near a mode or at another frequency.
 
-    `peaks`: the highest peak near each mode.
+    `peaks`: those near the modes.
     """
     others = [(frf, found) for frf in frfs for _, found in resonance_peaks(frf) if not found.at_end]
     return max((*filter(None, peaks), *others), key=lambda pair: pair[1].value, default=None)

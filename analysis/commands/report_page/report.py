@@ -12,10 +12,16 @@ from string import Template
 from analysis.commands.presentation.outputs import CommandOutput, check_outputs, output_stem, with_ending
 from analysis.commands.report_page.charts import ChartWriter
 from analysis.commands.report_page.control import control_charts
-from analysis.commands.report_page.drawing import mode_drawing, rig_drawing, stabilization_drawing
+from analysis.commands.report_page.drawing import mode_drawing, rig_drawing
 from analysis.commands.report_page.histories import spectrograms, time_histories
 from analysis.commands.report_page.measurements import Measurement, Measurements
-from analysis.commands.report_page.responses import damper_chart, decay_charts, force_charts, response_charts
+from analysis.commands.report_page.responses import (
+    damper_chart,
+    decay_charts,
+    force_charts,
+    response_charts,
+    stabilization_charts,
+)
 from analysis.commands.report_page.summary import summarize
 from analysis.commands.report_page.tables import (
     budget,
@@ -24,7 +30,7 @@ from analysis.commands.report_page.tables import (
     mac_table,
     resonances,
     settings,
-    test_text,
+    test_sentence,
 )
 from rig.core.base.errors import SceneError
 from rig.core.base.escaping import escape_html
@@ -81,6 +87,8 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
     sentences = summarize(results, changes)
     warnings = [f"<li>{escape_html(note)}</li>" for note in measurements.warnings]
     dampers = [(measurement, result) for measurement in results for result in measurement.dampers]
+    # The drawing shows the dampers whose effect is compared.
+    drawn = next((each for each in results if each is not first), first)
     # Title and content of each section; a section without content is omitted.
     sections = {
         "Frequency responses": [
@@ -90,17 +98,12 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
         "Results": [changes_table(changes), resonances(results), decays(results)],
         "Warnings": [f'<ul class="warnings">{"".join(warnings)}</ul>'] if warnings else [],
         "Mode shapes": [*_modes(results), *_macs(results, first)],
-        "Stabilization diagrams": [
-            stabilization_drawing(sweep.modes, sweep.modes.label)
-            for measurement in results
-            for sweep in measurement.sweeps
-            if sweep.modes is not None and sweep.modes.chart
-        ],
+        "Stabilization diagrams": [charts.write(chart) for chart in stabilization_charts(results)],
         "Dampers": [charts.write(damper_chart(measurement, result)) for measurement, result in dampers],
-        "Controlled motion": [charts.write(chart) for each in results for chart in control_charts(each.rec)],
+        "Controlled motion": [charts.write(chart) for each in results for chart in control_charts(each)],
         "Free decays": [charts.write(chart) for chart in decay_charts(results, first.label)],
         "Uncertainty": _budgets(results),
-        **{f"Recording {each.path.name}": _recording(each, charts, each is not first) for each in results},
+        **{f"Recording {each.path.name}": _recording(each, charts, each is not drawn) for each in results},
         "How to repeat this": _commands(paths, results),
     }
     filled = {title: "\n".join(filter(None, parts)) for title, parts in sections.items() if any(parts)}
@@ -109,14 +112,15 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
     tests = "".join(
         f'<p class="test">{escape_html(text)}</p>' for text in dict.fromkeys(map(_test_description, results))
     )
+    caption = f"<figcaption>Rig of “{escape_html(drawn.label)}”</figcaption>" if len(results) > 1 else ""
     body = [
+        tests,
         '<div class="first"><div>',
         '<section class="answer">',
         *(f"<p>{escape_html(text)}</p>" for text in sentences),
         "</section>",
         f'<p class="test">{escape_html(note)}</p>' if note else "",
-        tests if len(results) == 1 else f"<details><summary>{len(results)} tests</summary>{tests}</details>",
-        f'</div><figure class="rig">{rig_drawing(first.rec.scene)}</figure></div>',
+        f'</div><figure class="rig">{rig_drawing(drawn.rec.scene)}{caption}</figure></div>',
         f"<nav><ul>{links}</ul></nav>",
         *(f'<h2 id="{anchors[title]}">{escape_html(title)}</h2>\n{content}' for title, content in filled.items()),
     ]
@@ -130,7 +134,7 @@ def _recording(measurement: Measurement, charts: ChartWriter, is_drawn: bool) ->
         f"<figure>{rig_drawing(measurement.rec.scene)}</figure>" if is_drawn else "",
         charts.write(time_histories(measurement.rec)),
         settings(measurement),
-        f"<details><summary>Spectrograms</summary>{pictures}</details>" if pictures else "",
+        f'<details class="spectrograms"><summary>Spectrograms</summary>{pictures}</details>' if pictures else "",
     ]
 
 
@@ -138,8 +142,8 @@ def _test_description(measurement: Measurement) -> str:
     """Describe the test of a recording: excitation, channels, duration."""
     rec = measurement.rec
     return (
-        f"Test “{measurement.label}”: {test_text(rec.scene)}; {len(rec.channels)} channels at {rec.rate:g} Hz, "
-        f"{rec.duration:.4g} s."
+        f"“{measurement.label}”: {test_sentence(rec.scene)}; {len(rec.channels)} channels at {rec.rate:g} Hz, "
+        f"recorded for {rec.duration:.4g} s."
     )
 
 
@@ -151,8 +155,10 @@ def _modes(results: Sequence[Measurement]) -> list[str]:
             bodies = modes.of_bodies()
             if len(bodies.names) < 2 or not modes.frequency.size:
                 continue
+            sensors = zip(modes.places or modes.responses, modes.responses, strict=True)
+            places = [*dict.fromkeys(place or name for place, name in sensors)]
             drawings = [
-                mode_drawing(bodies, k, f"{modes.frequency_text(k)}, damping ratio {modes.damping_text(k)}")
+                mode_drawing(bodies, places, k, f"{modes.frequency_text(k)}, damping ratio {modes.damping_text(k)}")
                 for k in range(modes.frequency.size)
             ]
             sections += [
@@ -205,6 +211,6 @@ def _commands(paths: Sequence[Path], results: Sequence[Measurement]) -> list[str
         names = ", ".join(f"{measurement.path.stem}.yaml" for measurement in recorded)
         origin += f" Save the scene file of each recording (above) as {names}. The same seed gives the same samples."
     return [
-        f"<pre>{escape_html(chr(10).join(lines))}</pre>",
+        f'<pre class="commands">{escape_html(chr(10).join(lines))}</pre>',
         f"<p>{escape_html(origin)}</p>",
     ]

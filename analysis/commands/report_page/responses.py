@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from math import inf, isfinite
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.commands.figures.decay_figure import frequency_title, group_modes
 from analysis.commands.figures.frf_figure import MAX_POINTS, break_at_wraps, is_determined, is_smooth, phase_degrees
 from analysis.commands.report_page.charts import Chart, Curve, Panel, needs_logarithmic_axis
-from analysis.commands.report_page.measurements import Measurement
-from analysis.commands.report_page.tables import with_bound
+from analysis.commands.report_page.measurements import Measurement, SweepResults
+from analysis.core.damper_motion.comparison import Peak
 from analysis.core.damper_motion.dampers import Dampers
+from analysis.core.decays.free_decay import Decay
+from analysis.core.decays.modal_decay import ModalDecay
 from analysis.core.recordings.names import belongs_to, excitation_text
-from rig.core.base.palette import DAMPER, CurveStyle, place_style, place_styles, recording_styles
-from rig.core.results import format_percent
+from rig.core.base.palette import DAMPER, REFERENCE, CurveStyle, place_style, place_styles, recording_styles
+from rig.core.results import format_decimals, format_frequencies, format_percent
 from rig.core.results.response import Response
-from rig.core.results.uncertainty import expand
 from rig.core.scene.excitation import FORCE_TOLERANCE
 
 _REQUIRED = CurveStyle("#6E7681", (2, 2))
@@ -45,51 +48,46 @@ def response_charts(measurements: Sequence[Measurement], reference: str) -> list
         if not several and len({frf.label for frf in group}) == 1:
             names = [frf.response for frf in group]
         styles = recording_styles([belongs_to(frf.label, reference) for frf in group]) if several else None
-        chart = response_chart(group, names, styles, _peak_marks(with_responses, group, several, reference))
+        sweeps = [sweep for measurement in with_responses for sweep in measurement.sweeps]
+        peaks = [[peak for sweep in sweeps for peak in sweep.peaks_of(frf)] for frf in group]
+        baseline = next((each for each in with_responses if each.label == reference), with_responses[0]).sweeps[0]
+        chart = response_chart(group, names, styles, peaks, _mode_marks(baseline, group))
         tests = {each.label: excitation_text(each.rec) for each in with_responses}
-        levels = [text if len(tests) == 1 else f"{label}: {text}" for label, text in tests.items() if text]
-        charts.append(
-            replace(chart, caption=f"{chart.caption} Test: {'; '.join(levels)}." if levels else chart.caption)
-        )
+        equal = len(set(tests.values())) == 1
+        levels = [text if equal else f"{label}: {text}" for label, text in tests.items() if text]
+        test = "; ".join(dict.fromkeys(levels))
+        charts.append(replace(chart, caption=f"{chart.caption} Test: {test}." if test else chart.caption))
     return charts
 
 
-def _peak_marks(
-    measurements: Sequence[Measurement], frfs: Sequence[Response], several: bool, reference: str
-) -> list[tuple[float, float, str]]:
-    """Return frequency, height and label of the highest peak near each mode of a recording, if it is in a chart.
-
-    The label is the natural frequency of the table, with four digits at most. `several`: label only the `reference`.
-    """
+def _mode_marks(sweep: SweepResults, frfs: Sequence[Response]) -> list[tuple[float, float, str]]:
+    """Return frequency, height and label of each mode of a sweep; the height is that of its peak in a chart."""
+    if sweep.modes is None:
+        return []
     marks = []
-    for measurement in measurements:
-        for sweep in measurement.sweeps[:1] if not several or measurement.label == reference else ():
-            for k, found in enumerate(sweep.peaks):
-                if sweep.modes is None or found is None or not any(found[0] is frf for frf in frfs):
-                    continue
-                _, factor = found[0].shown_in
-                frequency, bound = float(sweep.modes.frequency[k]), float(expand(sweep.modes.frequency_error[k]))
-                text = float(with_bound(frequency, bound).partition(" ")[0])
-                marks.append((found[1].frequency, factor * found[1].value, f"{text:.4g} Hz"))
-    return marks
+    for frequency, found in zip(sweep.modes.frequency.tolist(), sweep.found, strict=True):
+        heights = [frf.shown_in[1] * peak.value for frf, peak in found if any(frf is each for each in frfs)]
+        marks.append((frequency, max(heights, default=inf), f"{format_decimals(frequency, 2)} Hz"))
+    return sorted(mark for mark in marks if isfinite(mark[1]))
 
 
 def response_chart(
     frfs: Sequence[Response],
     names: Sequence[str],
     styles: Sequence[CurveStyle] | None = None,
+    peaks: Sequence[Sequence[Peak]] = (),
     marks: Sequence[tuple[float, float, str]] = (),
 ) -> Chart:
     """Return a chart of magnitude with its expanded uncertainty, phase and coherence, for one input.
 
-    `styles`: of the curves; default: those of their bodies. `marks`: labels of peaks; see `Panel`.
+    `styles`: of the curves; default: those of their bodies. `peaks`: of each curve; `marks`: labels, see `Panel`.
     """
     styles = styles or place_styles([frf.outputs[0].at for frf in frfs])
     thinned = [_thinned(frf.with_gaps()) for frf in frfs]
     unit, factor = thinned[0].shown_in
     magnitude, phase, coherence, relative = [], [], [], []
     strips: list[tuple[float, float]] = []
-    for frf, name, style in zip(thinned, names, styles, strict=True):
+    for frf, name, style, found in zip(thinned, names, styles, peaks or [()] * len(thinned), strict=True):
         f, modulus, expanded = frf.frequency, factor * abs(frf.value), factor * frf.expanded()
         known = is_determined(frf) & np.isfinite(frf.value)
         low, high = (np.where(known, modulus + sign * expanded, np.nan) for sign in (-1.0, 1.0))
@@ -104,6 +102,12 @@ def response_chart(
         if draw == "points":
             through = frf.continued(np.isfinite(frf.value))
             magnitude.append(Curve(name, through[0], factor * abs(through[1]), style=style, draw="through"))
+        unsteady = np.zeros(f.size, dtype=bool) if frf.unsteady is None else frf.unsteady
+        magnitude += _symbols(name, style, "crosses", zip(f[unsteady], modulus[unsteady], strict=True))
+        # A peak of unknown height has the value of its highest point.
+        points = {peak: (peak.frequency, factor * peak.value) for peak in found}
+        magnitude += _symbols(name, style, "circles", [at for peak, at in points.items() if isfinite(peak.bound)])
+        magnitude += _symbols(name, style, "arrows", [at for peak, at in points.items() if not peak.is_determined])
         angle = np.where(known & is_smooth(frf), phase_degrees(frf.value), np.nan)
         phase.append(Curve(name, *break_at_wraps(f, angle), style=style))
         coherence.append(Curve(name, f, frf.coherence, style=style))
@@ -111,20 +115,31 @@ def response_chart(
     quantity = thinned[0].name
     outputs = ", ".join(dict.fromkeys(frf.response for frf in thinned))
     band = np.concatenate([frf.frequency for frf in thinned])
+    drawn = {curve.draw for curve in magnitude}
+    notes = [
+        "Bands and U: 95 % intervals.",
+        "Circles: interpolated peaks." * ("circles" in drawn),
+        "Arrows: the peak may be higher." * ("arrows" in drawn),
+        "Crosses: steady state not reached." * ("crosses" in drawn),
+        "Gray, with a strip at the axis: undetermined (noise, or bound above 100 %)." * bool(strips),
+    ]
     return Chart(
-        f"{quantity.capitalize()} of {outputs} / {thinned[0].input}: magnitude with 95 % intervals, phase, coherence, "
-        "and expanded uncertainty relative to the value."
-        + (" Labels: natural frequencies of the table." if marks else "")
-        + (" Gray, with a strip at the axis: undetermined (noise, or bound above 100 %)." if strips else ""),
+        f"{quantity.capitalize()} of {outputs} / {thinned[0].input}. {' '.join(filter(None, notes))}",
         f"{quantity.capitalize()} of {outputs} / {thinned[0].input} from {band.min():.4g} to {band.max():.4g} Hz.",
         [
-            Panel(f"|{quantity}|", unit, magnitude, 280, True, _limits(magnitude), marks=marks, strips=strips),
-            Panel("phase", "°", phase, height=140, limits=(-285.0, 105.0), ticks=(-270, -180, -90, 0, 90)),
-            Panel("coherence", "", coherence, height=110, limits=(0.0, 1.05)),
-            Panel("U (95 %)", "% of value", relative, height=130, logarithmic=True, limits=_percent_limits(relative)),
+            Panel(f"|{quantity}|", unit, magnitude, 240, True, _limits(magnitude), marks=marks, strips=strips),
+            Panel("phase", "°", phase, height=105, limits=(-285.0, 105.0), ticks=(-270, -180, -90, 0, 90)),
+            Panel("coherence", "", coherence, height=75, limits=(0.0, 1.05), ticks=(0.0, 0.5, 1.0)),
+            Panel("U", "%", relative, height=90, logarithmic=True, limits=_percent_limits(relative)),
         ],
         logarithmic=needs_logarithmic_axis(band),
     )
+
+
+def _symbols(name: str, style: CurveStyle, draw: str, points: Iterable[tuple[float, float]]) -> list[Curve]:
+    """Return a curve of symbols at points, if there are any."""
+    x, y = np.array([*points]).reshape(-1, 2).T
+    return [Curve(name, x, y, style=style, draw=draw)] if x.size else []
 
 
 def force_charts(measurements: Sequence[Measurement], reference: str) -> list[Chart]:
@@ -139,25 +154,63 @@ def force_charts(measurements: Sequence[Measurement], reference: str) -> list[Ch
     if not sweeps:
         return []
     styles = recording_styles([belongs_to(frf.label, reference) for _, frf in sweeps])
-    curves = []
-    for (_, measured), style in zip(sweeps, styles, strict=True):
+    curves, outside = list[Curve](), list[str]()
+    for (measurement, measured), style in zip(sweeps, styles, strict=True):
         frf = measured.sorted()
-        assert frf.amplitude is not None
+        assert frf.amplitude is not None and measurement.rec.scene.test is not None
         curves.append(Curve(frf.label, frf.frequency, frf.amplitude, style=style, draw="points"))
+        levels = np.array(measurement.rec.scene.test.levels)
+        nearest = abs(frf.amplitude[:, None] / levels - 1.0).min(axis=1)
+        is_outside = nearest > FORCE_TOLERANCE
+        curves += _symbols(
+            frf.label, style, "circles", zip(frf.frequency[is_outside], frf.amplitude[is_outside], strict=True)
+        )
+        if is_outside.any():
+            where = format_frequencies(frf.frequency.tolist(), is_outside.tolist())
+            outside.append(f"{frf.label}: {where}, by up to {format_percent(float(nearest.max()))}")
     tests = [measurement.rec.scene.test for measurement, _ in sweeps]
     frequency = np.concatenate([np.asarray(curve.x, dtype=float) for curve in curves])
     for level in sorted({level for test in tests if test is not None for level in test.levels}):
         ends, force = [frequency.min(), frequency.max()], np.full(2, level)
         low, high = ((1.0 + sign * FORCE_TOLERANCE) * force for sign in (-1.0, 1.0))
         curves.append(Curve(f"required {level:g} N", ends, force, low, high, _REQUIRED))
+    points = f"Circles, outside: {'; '.join(outside)}." if outside else "All points are within it."
     return [
         Chart(
-            f"Force at each frequency, and the required force with its tolerance of {format_percent(FORCE_TOLERANCE)}.",
+            f"Force at each frequency, and the required force with its tolerance of {format_percent(FORCE_TOLERANCE)}. "
+            + points,
             f"Force from {frequency.min():.4g} to {frequency.max():.4g} Hz.",
-            [Panel("force", "N", curves, height=150)],
+            [Panel("force", "N", curves, height=130)],
             logarithmic=needs_logarithmic_axis(frequency),
         )
     ]
+
+
+def stabilization_charts(measurements: Sequence[Measurement]) -> list[Chart]:
+    """Return the stabilization diagram of each sweep, on the frequency axis of its responses."""
+    charts = []
+    for sweep in (sweep for measurement in measurements for sweep in measurement.sweeps):
+        if sweep.modes is None or not sweep.modes.chart:
+            continue
+        poles = sorted(sweep.modes.chart, key=lambda pole: pole.frequency)
+        frequency, order, stable = np.array([(pole.frequency, pole.order, pole.stable) for pole in poles]).T
+        band, top = sweep.frfs[0].frequency, float(order.max())
+        curves = [
+            Curve("stable", frequency[stable > 0], order[stable > 0], style=CurveStyle(REFERENCE), draw="points"),
+            Curve("new", frequency[stable == 0], order[stable == 0], style=_UNDETERMINED, draw="crosses"),
+        ]
+        marks = [(natural, 0.0, f"{format_decimals(natural, 2)} Hz") for natural in sorted(sweep.modes.frequency)]
+        charts.append(
+            Chart(
+                f"{sweep.label}: poles of models of increasing order, stable (dots) or new (crosses), and the "
+                "identified modes (lines). A mode is a column of stable poles.",
+                f"Stabilization diagram of {sweep.label}.",
+                [Panel("model order", "", curves, height=150, limits=(0.0, 1.05 * top), marks=marks)],
+                logarithmic=needs_logarithmic_axis(band),
+                x_limits=(float(band.min()), float(band.max())),
+            )
+        )
+    return charts
 
 
 def _ranges(f: NDArray[np.float64], selected: NDArray[np.bool_]) -> list[tuple[float, float]]:
@@ -207,13 +260,13 @@ def damper_chart(measurement: Measurement, result: Dampers) -> Chart:
         count = np.array([sum(motion.impacts_per_period) for motion in motions])
         impacts.append(Curve(motions[0].channel, frequency[order], count[order], style=style))
     if impacts:
-        panels.append(Panel("impacts", "per period", impacts, height=170))
+        panels.append(Panel("impacts per period", "", impacts, height=150))
     energy = result.energy
     if energy is not None:
         percent, bound = (_percent(energy_part, energy.supplied) for energy_part in (energy.dampers, energy.bound))
         low, high = (percent - bound)[order], (percent + bound)[order]
         curve = Curve("dampers", frequency[order], percent[order], low, high, CurveStyle(DAMPER))
-        panels.append(Panel("share of energy", "%", [curve], height=170, limits=(-5.0, 105.0)))
+        panels.append(Panel("share of energy", "%", [curve], height=150, limits=(-5.0, 105.0)))
     level = f"drive level {result.sweep.level:.4g}"
     if measurement.rec.scene.level_key == "force":
         level = f"force {result.sweep.level:.4g} N"
@@ -238,20 +291,11 @@ def decay_charts(measurements: Sequence[Measurement], reference: str) -> list[Ch
     if not labeled_decays:
         return []
     envelopes, energies = [], []
-    damping: list[Curve] = []
     is_reference = [label == reference for label, _ in labeled_decays]
     for (label, result), style in zip(labeled_decays, recording_styles(is_reference), strict=True):
         envelopes.append(Curve(label, result.peak_time, result.peak, style=style))
         step = max(result.time.size // _INTERVALS, 1)
         energies.append(Curve(label, result.time[::step], result.energy[::step], style=style))
-        for mode in result.modes:
-            if mode.damping.size:
-                percent, expanded = mode.percent
-                name = f"{label}, {mode.center:.4g} Hz"
-                order = np.argsort(mode.amplitude)
-                low, high = (percent - expanded)[order], (percent + expanded)[order]
-                amplitude = mode.amplitude[order]
-                damping.append(Curve(name, amplitude, percent[order], low, high, style))
     channels = ", ".join(dict.fromkeys(result.channel for _, result in labeled_decays))
     charts = [
         Chart(
@@ -265,15 +309,37 @@ def decay_charts(measurements: Sequence[Measurement], reference: str) -> list[Ch
             x_unit="s",
         )
     ]
-    if damping:
-        charts.append(
-            Chart(
-                "Damping ratio against amplitude of the acceleration, with 95 % intervals.",
-                "Damping ratio of each mode against the amplitude of the acceleration.",
-                [Panel("damping ratio", "%", damping, height=240)],
-                x_name="amplitude",
-                x_unit="m/s²",
-                logarithmic=True,
-            )
-        )
+    groups = group_modes([result for _, result in labeled_decays])
+    if groups:
+        charts.append(_damping_chart(groups, labeled_decays, recording_styles(is_reference)))
     return charts
+
+
+def _damping_chart(
+    groups: Sequence[Sequence[tuple[int, ModalDecay]]],
+    labeled_decays: Sequence[tuple[str, Decay]],
+    styles: Sequence[CurveStyle],
+) -> Chart:
+    """Return a chart of damping ratio against amplitude, with a panel for each mode; `groups`: from `group_modes`."""
+    panels = []
+    for group in groups:
+        known = np.concatenate([mode.percent[0][mode.percent[0] > 0] for _, mode in group])
+        lowest, highest = (float(known.min()) / 3.0, 3.0 * float(known.max())) if known.size else (0.1, 10.0)
+        curves = []
+        for index, mode in group:
+            order = np.argsort(mode.amplitude)
+            percent, expanded = (values[order] for values in mode.percent)
+            # A logarithmic axis has no zero: the band ends at the axis.
+            low, high = np.maximum(percent - expanded, lowest), np.minimum(percent + expanded, highest)
+            curves.append(Curve(labeled_decays[index][0], mode.amplitude[order], percent, low, high, styles[index]))
+        title = frequency_title(group).removeprefix("mode ")
+        panels.append(Panel(f"ζ {title}", "%", curves, height=130, logarithmic=True, limits=(lowest, highest)))
+    return Chart(
+        "Damping ratio ζ of each mode against amplitude of the acceleration, with 95 % intervals. A band down to the "
+        "axis includes zero. Frequencies: those of the decay table.",
+        "Damping ratio of each mode against the amplitude of the acceleration.",
+        panels,
+        x_name="amplitude",
+        x_unit="m/s²",
+        logarithmic=True,
+    )

@@ -1,114 +1,104 @@
-"""Summary at the top of a report: at most three sentences, derived from the same results as its tables."""
+"""Summary at the top of a report: at most three texts, derived from the same results as its tables."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from math import inf, isfinite
+from operator import le
 
 import numpy as np
 
 from analysis.commands.presentation.damper_findings import detection_limits
 from analysis.commands.report_page.measurements import Measurement, SweepChange, SweepResults
-from analysis.commands.report_page.tables import change_interval, peak_height, with_bound
-from analysis.core.damper_motion.comparison import Peak
+from analysis.commands.report_page.tables import change_heights, change_text, peak_height, with_bound
 from analysis.core.damper_motion.dampers import Dampers
-from rig.core.results import format_decimals, format_frequencies, round_to_bound
-from rig.core.results.response import Response
+from daq.core.recording.recorded_test import shocks_of
+from rig.core.results import format_decimals, format_frequencies
 
-# Number of sentences in the summary.
-_MAX_SENTENCES = 3
+# Number of texts in the summary.
+_MAX_TEXTS = 3
 
 
 def summarize(measurements: Sequence[Measurement], changes: Sequence[SweepChange]) -> list[str]:
-    """Return sentences about decays, then peak changes (if none, resonances) and damper impacts.
+    """Return texts about control, decays, peak changes (if none, resonances) and damper impacts, a line for each fact.
 
     `measurements`: all recordings of the report; `changes`: from `Measurements.changes`.
     """
-    sentences = _decay_sentences(measurements) + _change_sentences(changes)
+    texts = [text for each in measurements for text in _control_texts(each)]
+    texts += _decay_texts(measurements) + _change_texts(changes)
     for measurement in measurements:
         if not changes:
-            sentences += _resonance_sentences(measurement)
-        sentences += [text for result in measurement.dampers for text in _impact_sentences(measurement, result)]
-    return sentences[:_MAX_SENTENCES] or ["No result: see the warnings."]
+            texts += _resonance_texts(measurement)
+        texts += [text for result in measurement.dampers for text in _impact_texts(measurement, result)]
+    return texts[:_MAX_TEXTS] or ["No result: see the warnings."]
 
 
-def _change_sentences(changes: Sequence[SweepChange]) -> list[str]:
-    """Describe, for each other recording, the change of the highest peak whose change has a bound, at all levels."""
-    sentences = []
+def _control_texts(measurement: Measurement) -> list[str]:
+    """Return the verdict on a motion that the test controls: its profile, or its shocks."""
+    if measurement.profile is not None:
+        return [measurement.profile.summary()]
+    shocks = [mark.fields for mark in shocks_of(measurement.rec.markers)]
+    if not shocks:
+        return []
+    factor, unit = (1.0, "dB") if shocks[0]["unit"] == "dB" else (100.0, f"% {shocks[0]['unit']}")
+    deviations, tolerances = ([factor * float(shock[key]) for shock in shocks] for key in ("deviation", "tolerance"))
+    within = sum(map(le, deviations, tolerances))
+    return [
+        f"“{measurement.label}”: {within} of {len(shocks)} shocks within the tolerance of {tolerances[0]:.3g} {unit}; "
+        f"largest deviation {max(deviations):.3g} {unit}."
+    ]
+
+
+def _change_texts(changes: Sequence[SweepChange]) -> list[str]:
+    """List, for each other recording and level, the change of the highest peak of each mode."""
+    texts = []
     for recording in dict.fromkeys(sweep.recording for sweep in changes):
         of_recording = [sweep for sweep in changes if sweep.recording == recording]
         first, *others = (
             [sweep for sweep in of_recording if sweep.after == label]
             for label in dict.fromkeys(sweep.after for sweep in of_recording)
         )
-        levels = "; ".join(map(_short_change, others))
-        sentences.append(_change_sentence(first) + (f" Other levels: {levels}." if levels else ""))
-    return sentences
+        levels = [f"{level[0].level}: {_change_line(_best_determined(level)[0])}" for level in others]
+        texts.append("\n".join([_change_text(first), *levels]))
+    return texts
 
 
-def _largest_bounded(changes: Sequence[SweepChange]) -> SweepChange | None:
-    """Return the change of the highest peak whose change has a bound."""
-    bounded = [sweep for sweep in changes if all(map(isfinite, sweep.change.decibel))]
-    return max(bounded, key=_initial_height, default=None)
+def _best_determined(changes: Sequence[SweepChange]) -> list[SweepChange]:
+    """Return the change of the highest peak of each mode, the best determined first, unbounded changes last."""
+    highest: dict[float, SweepChange] = {}
+    for sweep in sorted(changes, key=_initial_height):
+        highest[sweep.change.mode] = sweep
+
+    def width(sweep: SweepChange) -> tuple[bool, float]:
+        _, low, high = sweep.change.decibel
+        return not (isfinite(low) and isfinite(high)), high - low if isfinite(high - low) else -_initial_height(sweep)
+
+    return sorted(highest.values(), key=width)
 
 
-def _short_change(changes: Sequence[SweepChange]) -> str:
-    """Describe the change of the highest peak at one level, in a few words."""
-    largest = _largest_bounded(changes)
-    if largest is None:
-        return f"{changes[0].level}, not determined"
-    decimals = largest.change.decibel_decimals
-    value, low, high = (f"{limit:+.{decimals}f}" for limit in largest.change.decibel)
-    peak = f"{largest.change.response}, {format_decimals(largest.change.mode, 2)} Hz"
-    return f"{largest.level}, {value} dB ({low} to {high} dB; {peak})"
+def _change_text(changes: Sequence[SweepChange]) -> str:
+    """Describe the changes at one level: a line for each mode of the reference."""
+    lines = [f"“{changes[0].after}” compared with “{changes[0].before}”, highest peak of each mode (95 % interval):"]
+    lines += [_change_line(sweep) for sweep in _best_determined(changes)]
+    compared = {sweep.change.mode for sweep in changes}
+    lines += [
+        f"{format_decimals(mode, 2)} Hz: not compared, because its peak is not inside the common band"
+        for mode in changes[0].modes
+        if mode not in compared
+    ]
+    if not any(isfinite(limit) for sweep in changes for limit in sweep.change.decibel[1:]):
+        lines.append("Measure around the peaks with a smaller frequency step, in both directions, without overloads.")
+    return "\n".join(lines)
 
 
-def _change_sentence(changes: Sequence[SweepChange]) -> str:
-    """Describe the change of the highest peak at one level whose change has a bound."""
-    before, after = f"“{changes[0].before}”", f"“{changes[0].after}”"
-    largest = _largest_bounded(changes)
-    if largest is None:
-        return (
-            f"{after} against {before}: the measured points do not determine the change of the peaks. "
-            "Measure around the peaks with a smaller frequency step, in both directions and without overloads."
-        )
-    change = largest.change
-    change_db, low_db, high_db = change.decibel
-    decimals = change.decibel_decimals
-    peak_text = f"the peak at {format_decimals(change.mode, 2)} Hz ({change.response})"
-    if low_db <= 0.0 <= high_db:
-        interval = f"{low_db:+.{decimals}f} to {high_db:+.{decimals}f} dB"
-        text = f"{after} against {before}: no significant change of {peak_text} (95 % interval {interval})"
-    else:
-        verb = "lowers" if change_db < 0.0 else "raises"
-        smallest, largest_db = sorted((abs(low_db), abs(high_db)))
-        unit, factor = largest.shown_in
-        heights = [round_to_bound(factor * peak.value, factor * peak.bound) for peak in (change.bare, change.damped)]
-        text = (
-            f"Compared with {before}, {after} {verb} {peak_text} by {abs(change_db):.{decimals}f} dB "
-            f"(95 % interval {smallest:.{decimals}f} to {largest_db:.{decimals}f} dB), "
-            f"from {' to '.join(heights)} {unit}"
-        )
-    return f"{text}{_other_modes(changes, change.mode)}."
-
-
-def _other_modes(changes: Sequence[SweepChange], stated: float) -> str:
-    """Name the other modes of the reference: the change of the highest peak of each in dB, or why there is none."""
-    parts = []
-    highest = max(changes, key=_initial_height).change
-    if highest.mode == stated and not all(map(isfinite, highest.decibel)):
-        parts.append(f"{format_decimals(stated, 2)} Hz ({highest.response}, the highest), {change_interval(highest)}")
-    for mode in sorted({*changes[0].modes, *(sweep.change.mode for sweep in changes)} - {stated}):
-        of_mode = [sweep for sweep in changes if sweep.change.mode == mode]
-        name = f"{format_decimals(mode, 2)} Hz"
-        if not of_mode:
-            parts.append(f"{name}, not compared, because its peak is not inside the common band")
-            continue
-        highest = max(of_mode, key=_initial_height).change
-        parts.append(
-            f"{name} ({highest.response}), {change_interval(highest)}{' dB' * all(map(isfinite, highest.decibel))}"
-        )
-    return f"; other peaks, 95 % intervals of the change: {'; '.join(parts)}" if parts else ""
+def _change_line(sweep: SweepChange) -> str:
+    """Describe the change of one peak, with its heights if both are known."""
+    change = sweep.change
+    _, low, high = change.decibel
+    text = f"{format_decimals(change.mode, 2)} Hz ({change.response}): {change_text(change)}"
+    if not (isfinite(low) and isfinite(high)):
+        return text
+    return f"{text}{', not significant' if low <= 0.0 <= high else ''}, {change_heights(sweep)}"
 
 
 def _initial_height(sweep: SweepChange) -> float:
@@ -116,45 +106,50 @@ def _initial_height(sweep: SweepChange) -> float:
     return sweep.change.bare.value
 
 
-def _resonance_sentences(measurement: Measurement) -> list[str]:
+def _resonance_texts(measurement: Measurement) -> list[str]:
     """List natural frequencies and damping ratios of each sweep, and its highest compliance.
 
-    Of more sweeps than the summary has sentences, those after the first are listed with the highest compliance alone.
+    Of more sweeps than the summary has texts, those after the first are listed with the highest compliance alone.
     """
     sweeps = [sweep for sweep in measurement.sweeps if sweep.modes is not None and sweep.modes.frequency.size]
-    if len(sweeps) <= _MAX_SENTENCES:
-        return [_resonance_sentence(sweep) for sweep in sweeps]
-    others = "; ".join(
-        f"{sweep.label.removeprefix(measurement.label).removeprefix(', ')}, {_highest_compliance(*sweep.highest)}"
+    if len(sweeps) <= _MAX_TEXTS:
+        return [_resonance_text(sweep) for sweep in sweeps]
+    others = (
+        f"{sweep.label.removeprefix(measurement.label).removeprefix(', ')}, {text}"
         for sweep in sweeps[1:]
-        if sweep.highest is not None
+        if (text := _highest_compliance(sweep))
     )
-    return [f"{_resonance_sentence(sweeps[0])} Other levels: {others}."]
+    return ["\n".join([_resonance_text(sweeps[0]), *others])]
 
 
-def _resonance_sentence(sweep: SweepResults) -> str:
+def _resonance_text(sweep: SweepResults) -> str:
     """List natural frequencies and damping ratios of a sweep, and its highest compliance."""
     modes = sweep.modes
     assert modes is not None
-    listed = ", ".join(
-        f"{modes.frequency_text(k)} with a damping ratio of {modes.damping_text(k)}"
+    count = modes.frequency.size
+    lines = [
+        f"{modes.frequency_text(k)}, damping ratio {modes.damping_text(k)}"
         for k in np.argsort(modes.frequency).tolist()
-    )
-    plural = "s" * (modes.frequency.size != 1)
-    text = f"“{sweep.label}”: {modes.frequency.size} resonance{plural} at {listed}"
-    if sweep.highest is not None:
-        text += f"; {_highest_compliance(*sweep.highest)}"
-    return f"{text}."
+    ]
+    heading = f"“{sweep.label}”: {count} resonance{'s' * (count != 1)} (95 % intervals)"
+    return "\n".join(filter(None, [heading, *lines, _highest_compliance(sweep)]))
 
 
-def _highest_compliance(curve: Response, highest: Peak) -> str:
+def _highest_compliance(sweep: SweepResults) -> str:
+    """Write the highest peak, at the natural frequency of its mode if it is known; empty without a peak."""
+    if sweep.highest is None:
+        return ""
+    curve, highest = sweep.highest
+    mode = next((k for k, peak in enumerate(sweep.peaks) if peak is not None and peak[1] is highest), None)
     where = f"{curve.ratio}, {highest.frequency:.4g} Hz"
+    if mode is not None and sweep.modes is not None:
+        where = f"{curve.ratio}, mode at {format_decimals(float(sweep.modes.frequency[mode]), 2)} Hz"
     if highest.value < highest.bound < inf:
         return f"the height of the highest peak of the {curve.name} is not determined ({where})"
     return f"the highest {curve.name} is {peak_height(highest, curve.shown_in)} {curve.shown_in[0]} ({where})"
 
 
-def _impact_sentences(measurement: Measurement, result: Dampers) -> list[str]:
+def _impact_texts(measurement: Measurement, result: Dampers) -> list[str]:
     """Report the frequencies with detected impacts, and the largest dissipated fraction of the supplied energy."""
     if not result.bodies:
         return []
@@ -182,7 +177,7 @@ def _impact_sentences(measurement: Measurement, result: Dampers) -> list[str]:
     return [f"{text}."]
 
 
-def _decay_sentences(measurements: Sequence[Measurement]) -> list[str]:
+def _decay_texts(measurements: Sequence[Measurement]) -> list[str]:
     """Return one sentence with the time to fall below 1 g and the time of a fall by 6 dB, for each free decay."""
     parts = []
     for measurement in measurements:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from math import isfinite, isinf
 from typing import TYPE_CHECKING
 
 import numpy as np
-import yaml
 
 from analysis.commands.report_page.measurements import Measurement, SweepChange
 from analysis.core.damper_motion.comparison import Peak, PeakChange
@@ -17,14 +16,13 @@ from rig.core.base.escaping import escape_html
 from rig.core.results import format_decimals, format_number, format_percent, round_to_bound
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import expand
-from rig.core.scene.yaml_writer import write
 
 if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
     from rig.core.scene.damper import Damper
     from rig.core.scene.scene import Scene
 
-# Maximum number of overloads, gaps or values of a setting that are listed individually.
+# Maximum number of overloads or gaps that are listed individually.
 _MAX_LISTED = 5
 
 
@@ -42,7 +40,10 @@ def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], n
             continue
         cells = "".join(f"<td{a}>{escape_html(cell)}</td>" for a, cell in zip(align, row, strict=True))
         body += f"<tr>{cells}</tr>"
-    return f'<div class="wide"><table><caption>{escape_html(caption)}</caption><tr>{head}</tr>{body}</table></div>'
+    return (
+        f'<div class="wide"><table><caption>{escape_html(caption)}</caption>'
+        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
+    )
 
 
 def resonances(measurements: Sequence[Measurement]) -> str:
@@ -98,35 +99,46 @@ def changes_table(changes: Sequence[SweepChange]) -> str:
         pair, change = f"{sweep.before} → {sweep.after}", sweep.change
         if (pair,) not in rows:
             rows.append((pair,))
-        best, low, high = change.decibel
+        _, low, high = change.decibel
         shift, shift_low, shift_high = change.shift
         exceeds = "yes" if low > 0.0 or high < 0.0 else "no" if isfinite(low) and isfinite(high) else "not bounded"
-        decimals = change.decibel_decimals
-        decibel = f"{best:+.{decimals}f}" if isfinite(low) or isfinite(high) else "unknown"
-        interval = change_interval(change)
         decimals = change.shift_decimals
         shift_text = f"{shift:+.{decimals}f} ({shift_low:+.{decimals}f} to {shift_high:+.{decimals}f})"
         location = ", ".join(filter(None, (change.response, f"{format_decimals(change.mode, 2)} Hz", sweep.level)))
-        rows.append((location, decibel, interval, shift_text, exceeds))
-    heading = ["response, mode", "peak / dB", "95 % interval / dB", "shift / Hz", "significant"]
+        rows.append((location, change_text(change), change_heights(sweep), shift_text, exceeds))
+    heading = ["response, mode", "peak (95 % interval)", "from and to", "shift / Hz", "significant"]
     return table("Changes of the resonance peaks", heading, rows) if rows else ""
 
 
-def change_interval(change: PeakChange) -> str:
-    """Write the interval of the change of a peak, dB; a limit on one side in words."""
-    _, low, high = change.decibel
+def change_text(change: PeakChange) -> str:
+    """Write the change of a peak as a reduction or an increase with its interval, dB; a limit on one side in words."""
+    best, low, high = change.decibel
     decimals = change.decibel_decimals
-    low_text, high_text = f"{low:+.{decimals}f}", f"{high:+.{decimals}f}"
-    if isfinite(low) and isfinite(high):
-        return f"{low_text} to {high_text}"
     if not isfinite(low) and not isfinite(high):
-        return "unbounded"
+        return "not determined"
+    if isfinite(low) and isfinite(high):
+        # A reduction is positive.
+        sign, direction = (-1.0, "reduction") if best < 0.0 else (1.0, "increase")
+        ends = " to ".join(f"{limit:.{decimals}f}" for limit in sorted((sign * low, sign * high)))
+        return f"{direction} {abs(best):.{decimals}f} dB ({ends})"
     # A lower limit of the change is an upper limit of a reduction.
     limit, is_lower = (low, True) if isfinite(low) else (high, False)
     direction = "reduction" if limit < 0.0 else "increase"
     at_most = is_lower == (limit < 0.0)
     unknown = "lower" if at_most else "upper"
     return f"{direction} at {'most' if at_most else 'least'} {abs(limit):.{decimals}f} dB; {unknown} limit unknown"
+
+
+def change_heights(sweep: SweepChange) -> str:
+    """Write the heights of a peak before and after a change, with the digits of their uncertainty."""
+    unit, factor = sweep.shown_in
+    before, after = (
+        f"at least {factor * peak.low:.3g}"
+        if isinf(peak.bound)
+        else round_to_bound(factor * peak.value, factor * peak.bound)
+        for peak in (sweep.change.bare, sweep.change.damped)
+    )
+    return f"{before} to {after} {unit}"
 
 
 def mac_table(before: Modes, after: Modes) -> str:
@@ -165,7 +177,11 @@ def decays(measurements: Sequence[Measurement]) -> str:
                 frequency = with_bound(mode.frequency, float(expand(mode.frequency_error)))
             rows.append((frequency, *damping_texts))
     heading = ["natural frequency / Hz", "damping ratio / % at the largest amplitude", "at the smallest"]
-    return table("Free decay of each mode, with 95 % intervals", heading, rows) if rows else ""
+    caption = (
+        "Free decay of each mode, with 95 % intervals. The frequency is that of the best determined amplitude; moving "
+        "dampers lower it, so that it differs from the frequency of the response"
+    )
+    return table(caption, heading, rows) if rows else ""
 
 
 def budget(curve: Response, highest: Peak) -> str:
@@ -187,41 +203,14 @@ def budget(curve: Response, highest: Peak) -> str:
     )
 
 
-def test_text(scene: Scene) -> str:
-    """Describe the test with all settings that the scene states.
+def test_sentence(scene: Scene) -> str:
+    """Describe the test of a scene in words.
 
     >>> import rig
-    >>> test_text(rig.load("fig8-no-damper"))
-    'stepped sine: from 8 Hz, to 60 Hz, points 150, force 2.6 N'
+    >>> test_sentence(rig.load("fig8-no-damper"))
+    'stepped sine, 8 to 60 Hz, 2.6 N, 150 points'
     """
-    if scene.test is None:
-        return "none"
-    stated = yaml.safe_load(write(scene.test, scene.structure))
-    kind = stated.pop("kind", scene.test.kind).replace("_", " ")
-    return f"{kind}: {_on_one_line(stated)}" if stated else kind
-
-
-def _list_text(values: Sequence[object]) -> str:
-    """Return the values of a list, or the number and the ends of a long one.
-
-    >>> _list_text(["1 N", "2 N"]), _list_text([f"{k} Hz" for k in range(8, 58)])
-    ('1 N, 2 N', '50 values from 8 Hz to 57 Hz')
-    """
-    if len(values) > _MAX_LISTED:
-        return f"{len(values)} values from {values[0]} to {values[-1]}"
-    return ", ".join(map(str, values))
-
-
-def _on_one_line(settings: Mapping[str, object]) -> str:
-    """Return settings on one line; a group of settings is in parentheses."""
-    texts = []
-    for key, value in settings.items():
-        if isinstance(value, Mapping):
-            text = f"({_on_one_line(value)})"
-        else:
-            text = _list_text(value) if isinstance(value, list) else str(value)
-        texts.append(f"{key} {text}")
-    return ", ".join(texts)
+    return "none" if scene.test is None else scene.test.sentence(scene.driven_shaker)
 
 
 def settings(measurement: Measurement) -> str:
@@ -231,7 +220,7 @@ def settings(measurement: Measurement) -> str:
     facts = [
         ("recording", str(measurement.path)),
         ("scene", scene.name),
-        ("test", test_text(scene)),
+        ("test", test_sentence(scene)),
         ("shaker", ", ".join(shaker.kind for shaker in scene.shakers) or "none"),
         ("dampers", dampers or "none"),
         ("duration", f"{rec.duration:.2f} s, {rec.samples} samples at {rec.rate:g} Hz"),

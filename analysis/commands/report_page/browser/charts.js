@@ -1,25 +1,49 @@
 // Draws the charts of a report with uPlot. Each <div class="chart"> names a JSON element that describes its panels:
-// {x: {label, log}, panels: [{label, unit, log, height, range, curves: [{label, x, y, low, high, color, dash, draw}], image}]}.
+// {x: {label, log, range}, panels: [{label, unit, log, height, range, curves: [{label, x, y, low, high, color, dash, draw}], image}]}.
 "use strict";
 (function () {
-  const LIGHT = { text: "#1b1f24", grid: "#d8dde3", reference: "#404040" };
-  const DARK = { text: "#dfe4ea", grid: "#3a424c", reference: "#c0c6cd" };
+  const LIGHT = { text: "#1b1f24", grid: "#d8dde3", page: "#ffffff" };
+  const DARK = { text: "#dfe4ea", grid: "#333b44", page: "#14181d" };
   const PRINT_WIDTH = 700; // px: the printable width of A4
-  const PRINT_HEIGHT = 0.62; // of the height on screen: two charts fit on a page
+  const PRINT_HEIGHT = 0.68; // of the height on screen: two charts fit on a page
+  const MIN_CONTRAST = 4.5; // of curves on a dark page (WCAG)
+  const MIN_DECADE = 60; // px: a shorter decade has no grid lines between its ends
+  const MIN_LABEL = 16; // px between labels of decades
+  const SYMBOLS = ["crosses", "circles", "arrows"];
+  const FONT = "12px system-ui, sans-serif";
   // Anchors of a perceptually uniform color map (viridis), dark to bright.
   const MAP = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
-  const plots = [];
+  const plots = [], paints = [];
   const scheme = window.matchMedia("(prefers-color-scheme: dark)");
   let printing = false;
-  // The dark gray of a reference is light gray on a dark page.
-  const shade = (color) => (color === LIGHT.reference ? theme("reference") : color);
-  const theme = (key) => (scheme.matches && !printing ? DARK : LIGHT)[key];
+  const isDark = () => scheme.matches && !printing;
+  const theme = (key) => (isDark() ? DARK : LIGHT)[key];
+  const channels = (color) => [1, 3, 5].map((at) => parseInt(color.slice(at, at + 2), 16));
+  const luminance = (color) => channels(color).map((value) => value / 255)
+    .map((value) => (value <= 0.04045 ? value / 12.92 : ((value + 0.055) / 1.055) ** 2.4))
+    .reduce((sum, value, k) => sum + [0.2126, 0.7152, 0.0722][k] * value, 0);
+
+  // On a dark page a color is lightened until its contrast is sufficient.
+  function shade(color) {
+    while (isDark() && (luminance(color) + 0.05) / (luminance(DARK.page) + 0.05) < MIN_CONTRAST) {
+      color = `#${channels(color).map((value) => Math.round(value + 0.1 * (255 - value)).toString(16).padStart(2, "0")).join("")}`;
+    }
+    return color;
+  }
 
   function digits(value) {
     if (value == null) return "–";
     if (!isFinite(value)) return "unbounded";
     return Math.abs(value) >= 1e5 || (value !== 0 && Math.abs(value) < 1e-3)
       ? value.toExponential(2) : String(Number(value.toPrecision(4)));
+  }
+
+  // Text of a tick; large and small numbers are powers of ten, which are short.
+  function tick(value) {
+    if (value === 0 || (Math.abs(value) < 1e5 && Math.abs(value) >= 1e-3)) return digits(value);
+    const [mantissa, exponent] = value.toExponential().split("e");
+    const power = `10${[...String(Number(exponent))].map((sign) => (sign === "-" ? "⁻" : "⁰¹²³⁴⁵⁶⁷⁸⁹"[sign])).join("")}`;
+    return mantissa === "1" ? power : `${Number(Number(mantissa).toPrecision(3))}·${power}`;
   }
 
   function bytes(text) {
@@ -73,24 +97,58 @@
     context.restore();
   }
 
-  // Strips at the axis where the values are undetermined, and labels of peaks.
+  const PATHS = {
+    crosses: (context, x, y, r) => { context.moveTo(x - r, y - r); context.lineTo(x + r, y + r); context.moveTo(x - r, y + r); context.lineTo(x + r, y - r); },
+    circles: (context, x, y, r) => { context.arc(x, y, 1.2 * r, 0, 7); },
+    arrows: (context, x, y, r) => {
+      context.moveTo(x, y - 2 * r); context.lineTo(x, y - 6 * r);
+      context.moveTo(x - r, y - 4.5 * r); context.lineTo(x, y - 6 * r); context.lineTo(x + r, y - 4.5 * r);
+    },
+  };
+
+  // Strips at the axis where the values are undetermined, symbols, and labels of peaks above the axes.
   function annotate(plot, panel) {
     const context = plot.ctx, { left, top, width, height } = plot.bbox, ratio = window.devicePixelRatio || 1;
     const inside = (x) => Math.min(Math.max(x, left), left + width);
+    const position = (x, y) => [plot.valToPos(x, "x", true), plot.valToPos(y, "y", true)];
     context.save();
     context.fillStyle = "#9aa2ab";
     for (const ends of panel.strips) {
       const [low, high] = ends.map((x) => inside(plot.valToPos(x, "x", true)));
       context.fillRect(low, top + height - 5 * ratio, high - low, 5 * ratio);
     }
+    for (const curve of panel.curves.filter(({ draw }) => SYMBOLS.includes(draw))) {
+      if (plot.series.some((other) => other.label === curve.label && !other.show)) continue;
+      context.beginPath();
+      curve.x.forEach((value, i) => {
+        const [x, y] = position(value, curve.y[i]), r = (curve.draw === "circles" ? 3.2 : 3) * ratio;
+        if (curve.y[i] == null || x < left || x > left + width || y < top || y > top + height) return;
+        context.moveTo(x + 1.2 * r, y);
+        PATHS[curve.draw](context, x, y, r);
+      });
+      context.lineWidth = 1.3 * ratio;
+      context.strokeStyle = shade(curve.color);
+      context.fillStyle = theme("page");
+      if (curve.draw === "circles") context.fill();
+      context.stroke();
+    }
     context.fillStyle = theme("text");
+    context.strokeStyle = theme("text");
+    context.lineWidth = 0.6 * ratio;
     context.font = `${12 * ratio}px system-ui, sans-serif`;
+    context.textAlign = "left";
+    let free = 0;
     for (const [x, y, label] of panel.marks) {
-      const px = plot.valToPos(x, "x", true), half = context.measureText(label).width / 2;
+      const [px, py] = position(x, y), wide = context.measureText(label).width;
       if (px < left || px > left + width) continue;
-      context.textAlign = "center";
-      const at = Math.min(Math.max(px, left + half), left + width - half);
-      context.fillText(label, at, Math.max(plot.valToPos(y, "y", true) - 6 * ratio, top + 12 * ratio));
+      context.setLineDash([2 * ratio, 3 * ratio]);
+      context.beginPath();
+      context.moveTo(px, top);
+      context.lineTo(px, Math.max(py - 8 * ratio, top));
+      context.stroke();
+      const at = Math.max(Math.min(px - wide / 2, left + width - wide), left, free);
+      free = at + wide + 8 * ratio;
+      context.fillText(label, at, top - 5 * ratio);
     }
     context.restore();
   }
@@ -101,12 +159,19 @@
     return wide > 2 ? [1] : wide > 1.2 ? [1, 2, 5] : [1, 2, 3, 5, 7];
   }
 
+  // Length of a decade of a logarithmic axis, px.
+  function decade(plot, number) {
+    const { min, max } = plot.scales[plot.axes[number].scale];
+    return (number ? plot.height : plot.width) / Math.log10(max / min);
+  }
+
   // Ticks of a logarithmic axis; even steps if fewer than three of them would be labeled within a decade.
   function logarithmicTicks(plot, number, low, high) {
     const ticks = [], labeled = labeledMantissas(low, high);
+    const drawn = decade(plot, number) < MIN_DECADE ? labeled : [1, 2, 3, 4, 5, 6, 7, 8, 9];
     let count = 0;
     for (let exponent = Math.floor(Math.log10(low)); 10 ** exponent <= high; exponent++) {
-      for (let mantissa = 1; mantissa < 10; mantissa++) {
+      for (const mantissa of drawn) {
         const tick = Number(`${mantissa}e${exponent}`);
         if (tick < low || tick > high) continue;
         ticks.push(tick);
@@ -127,19 +192,24 @@
   // Labels of these ticks: the labeled mantissas, or all even steps.
   function logarithmicLabels(plot, ticks, number) {
     const scale = plot.scales[plot.axes[number].scale], labeled = labeledMantissas(scale.min, scale.max);
-    const labels = ticks.map((value) => (labeled.includes(Number(value.toExponential(3).split("e")[0])) ? value : null));
+    const every = labeled.length > 1 ? 1 : Math.ceil(MIN_LABEL / decade(plot, number));
+    const labels = ticks.map((value) => {
+      const [mantissa, exponent] = value.toExponential(3).split("e").map(Number);
+      return labeled.includes(mantissa) && exponent % every === 0 ? value : null;
+    });
     const count = labels.filter((value) => value != null).length;
     return count >= 3 || scale.max >= 10 * scale.min ? labels : ticks;
   }
 
-  function axis(label, log, size, ticks) {
+  // An axis with a title, or without title and labels if `size` is small.
+  function axis(label, log, size, space, ticks) {
     return {
       ...(log ? { filter: logarithmicLabels, splits: logarithmicTicks } : {}), ...(ticks ? { splits: () => ticks } : {}),
-      label, size, labelSize: 18, font: "12px system-ui", labelFont: "12px system-ui", gap: 3,
+      ...(label ? { label, labelSize: 18, labelFont: FONT } : {}), size, font: FONT, gap: 3,
       stroke: () => theme("text"), grid: { stroke: () => theme("grid"), width: 1 },
-      ticks: { stroke: () => theme("grid"), width: 1 },
-      values: (plot, splits) => splits.map((value) => (value == null ? "" : digits(value))),
-      space: log ? 34 : 45,
+      ticks: { stroke: () => theme("grid"), width: 1, size: label ? 6 : 0 },
+      values: (plot, splits) => splits.map((value) => (value == null || !label ? "" : tick(value))),
+      space,
     };
   }
 
@@ -152,13 +222,16 @@
     };
   }
 
+  // Symbols are drawn over the series.
+  const inSeries = (panel) => panel.curves.filter(({ draw }) => !SYMBOLS.includes(draw));
+
   function series(panel) {
     const shown = [], bands = [];
-    for (const curve of panel.curves) {
+    for (const curve of inSeries(panel)) {
       const main = shown.length + 1;
       shown.push({
         label: curve.label, stroke: () => shade(curve.color), spanGaps: false,
-        ...(curve.draw === "line" ? { dash: curve.dash.map((length) => 1.4 * length), width: 1.4 } : { width: 0.8 }),
+        ...(curve.draw === "line" ? { dash: curve.dash.map((length) => 1.5 * length), width: 1.5 } : { width: 1 }),
         ...(curve.draw === "points" ? { paths: () => null } : {}),
         points: { show: curve.draw === "points", size: 4, fill: () => shade(curve.color) },
       });
@@ -166,17 +239,18 @@
       for (const edge of ["low", "high"]) {
         shown.push({ label: `${curve.label} ${edge}`, stroke: "transparent", points: { show: false } });
       }
-      bands.push({ series: [main + 2, main + 1], fill: curve.color + "33" });
+      bands.push({ series: [main + 2, main + 1], fill: () => `${shade(curve.color)}33` });
     }
     return { shown, bands };
   }
 
-  function table(panel) {
-    const tables = panel.curves.map((curve) => {
+  function table(panel, x) {
+    const tables = inSeries(panel).map((curve) => {
       const rows = [abscissa(curve.x), column(curve.y)];
       return curve.low ? [...rows, column(curve.low), column(curve.high)] : rows;
     });
-    if (!tables.length) return [panel.image.x];
+    if (panel.image) return [panel.image.x];
+    if (x.range) tables.push([x.range]);
     return tables.length === 1 ? tables[0] : uPlot.join(tables);
   }
 
@@ -185,7 +259,7 @@
     const rows = new Map();
     chart.panels.forEach((panel, k) => {
       let series = 1;
-      for (const curve of panel.curves) {
+      for (const curve of inSeries(panel)) {
         if (!rows.has(curve.label)) rows.set(curve.label, { color: curve.color, places: [] });
         rows.get(curve.label).places.push({ k, series, bounded: Boolean(curve.low), shown: curve.draw !== "through" });
         series += curve.low ? 3 : 1;
@@ -219,13 +293,15 @@
     for (const panel of chart.panels) element(head, "td", panel.label);
     for (const [label, { color, places }] of curveRows(chart)) {
       const row = element(table, "tr"), name = element(row, "th", "", "name");
-      element(name, "span", "", "swatch").style.background = color === LIGHT.reference ? "currentColor" : color;
+      const swatch = element(name, "span", "", "swatch");
+      paints.push(() => { swatch.style.background = shade(color); });
       name.append(label);
       name.title = "Hide or show this curve";
       name.addEventListener("click", () => {
         const shown = row.classList.toggle("hidden");
         for (const { k, series, bounded } of places) {
           for (let n = series; n < series + (bounded ? 3 : 1); n++) drawn[k].setSeries(n, { show: !shown });
+          drawn[k].redraw(false, false);
         }
       });
       const cells = chart.panels.map(() => element(row, "td", "–"));
@@ -315,6 +391,13 @@
     plot.over.addEventListener("pointercancel", () => { start = null; });
   }
 
+  // Height of a panel: at least that of its title.
+  function height(plot, panel, last) {
+    plot.ctx.font = FONT;
+    const title = plot.ctx.measureText(panel.label).width + 10;
+    return Math.max(panel.height * (printing ? PRINT_HEIGHT : 1), title) + (last ? 34 : 6) + (panel.marks.length ? 18 : 0);
+  }
+
   function draw(holder, chart, number) {
     const drawn = [];
     let show = () => {};
@@ -322,41 +405,48 @@
       const last = k === chart.panels.length - 1, { shown, bands } = series(panel);
       const canvas = panel.image ? picture(panel.image) : null;
       const plot = new uPlot({
-        width: holder.clientWidth || PRINT_WIDTH, height: panel.height + (last ? 20 : 0),
+        width: holder.clientWidth || PRINT_WIDTH, height: panel.height, padding: [panel.marks.length ? 22 : 8, 16, 0, 0],
         scales: {
           x: { time: false, distr: chart.x.log ? 3 : 1, range: (u, low, high) => [low, high] },
           y: { distr: panel.log ? 3 : 1, range: range(panel.log, panel.range) },
         },
-        axes: [axis(last ? chart.x.label : "", chart.x.log, last ? 34 : 20), axis(panel.label, panel.log, 58, panel.ticks)],
+        axes: [
+          axis(last ? chart.x.label : "", chart.x.log, last ? 34 : 6, chart.x.log ? 34 : 50),
+          axis(panel.label, panel.log, 58, 24, panel.ticks),
+        ],
         series: [{ label: chart.x.name }, ...shown],
         bands,
         cursor: { sync: { key: `chart${number}`, setSeries: false, scales: ["x", null] }, drag: { x: true, y: false } },
         legend: { show: false },
         hooks: { setCursor: [(u) => show(u)], draw: [(u) => annotate(u, panel)], ...(canvas ? { drawClear: [(u) => drawImage(u, panel.image, canvas)] } : {}) },
-      }, table(panel), holder);
+      }, table(panel, chart.x), holder);
       zoomByTouch(plot);
       drawn.push(plot);
-      plots.push({ plot, holder, height: plot.height });
+      plots.push({ plot, holder, height: () => height(plot, panel, last) });
     });
-    if (chart.panels.some((panel) => panel.curves.length)) show = readout(holder, chart, drawn);
+    if (chart.panels.some((panel) => inSeries(panel).length)) show = readout(holder, chart, drawn);
     tools(holder, chart, drawn);
     holder.dataset.drawn = chart.panels.length;
   }
 
   function redraw() {
+    for (const paint of paints) paint();
     for (const { plot } of plots) plot.redraw(false, true);
   }
 
   function resize() {
     for (const { plot, holder, height } of plots) {
       const width = printing ? PRINT_WIDTH : holder.clientWidth;
-      if (width && width !== plot.width) plot.setSize({ width, height: printing ? PRINT_HEIGHT * height : height });
+      if (width && (width !== plot.width || height() !== plot.height)) plot.setSize({ width, height: height() });
     }
+    document.querySelectorAll(".wide").forEach((table) => table.classList.toggle("cut", table.scrollWidth > table.clientWidth + 1));
   }
 
   document.querySelectorAll(".chart").forEach((holder, number) => {
     draw(holder, JSON.parse(document.getElementById(holder.dataset.source).textContent), number);
   });
+  resize();
+  redraw();
   window.addEventListener("resize", resize);
   scheme.addEventListener("change", redraw);
   document.querySelectorAll("details").forEach((details) => details.addEventListener("toggle", resize));

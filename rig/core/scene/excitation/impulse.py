@@ -82,6 +82,11 @@ class Impulse(KindOfTest):
         return self.body
 
     @property
+    def details(self) -> tuple[str, ...]:
+        """Number and duration of the hits."""
+        return (f"{self.repeats} hit{'s' * (self.repeats != 1)} of {1e3 * self.width:.3g} ms",)
+
+    @property
     def shortest(self) -> float:
         """Time of all hits, s."""
         return self.repeats * self.interval

@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 from pydantic import Field
 
 from rig.core.base.arrays import Array
-from rig.core.scene.excitation.profile import Prescription
+from rig.core.scene.excitation.profile import Prescription, range_text
 from rig.core.scene.shaker import Shaker, as_tuple
 from rig.core.settings.problems import KeyPath, Problem
 from rig.core.settings.quantities import ACCELERATION, FORCE, FREQUENCY, LENGTH, RATIO, TIME, VOLTAGE
@@ -71,12 +71,13 @@ class KindOfTest(Settings):
     """A kind of test. Subclasses are the sections `test` of a scene; this class has no keys.
 
     `recorded_as`: how recordings of this kind are evaluated, a value of `daq.core.recording.recorded_test.TestKind`.
-    `level_keys`: keys of which one is the level of the test. `uses_shaker`: whether a shaker is driven. `single_tone`:
-    whether the drive is one tone at a time.
+    `level_keys`: keys of which one is the level of the test. `level_name`: what the level is, after its unit.
+    `uses_shaker`: whether a shaker is driven. `single_tone`: whether the drive is one tone at a time.
     """
 
     recorded_as: ClassVar[str]
     level_keys: ClassVar[tuple[str, ...]] = ("force", "drive")
+    level_name: ClassVar[str] = ""
     uses_shaker: ClassVar[bool] = True
     single_tone: ClassVar[bool] = False
 
@@ -95,6 +96,30 @@ class KindOfTest(Settings):
         """Levels (amplitude or root mean square of force or drive) in the order of the test, in the key's unit."""
         level = getattr(self, self.level_key) if self.level_key else ()
         return level if isinstance(level, tuple) else (level,)
+
+    @property
+    def title(self) -> str:
+        """Name of the kind in sentences."""
+        return self.kind_name().replace("_", " ")
+
+    def level_text(self, shaker: Shaker | None) -> str:
+        """Return the level with its unit, or the range of the levels; `shaker`: the driven one."""
+        unit, levels = self.level_unit(shaker).replace("^2", "²"), self.levels
+        return f"{range_text(levels, unit)} {self.level_name}".rstrip() if levels else ""
+
+    @property
+    def details(self) -> tuple[str, ...]:
+        """What else the test prescribes, in few words."""
+        return ()
+
+    def sentence(self, shaker: Shaker | None) -> str:
+        """Describe the test in words; `shaker`: the driven one."""
+        band, duration = self.band, getattr(self, "duration", None)
+        parts = (
+            self.title, "" if band is None else range_text(band, "Hz"), self.level_text(shaker), *self.details,
+            "" if duration is None else f"{duration:.4g} s",
+        )  # fmt: skip
+        return ", ".join(filter(None, parts))
 
     def at_level(self, level: float) -> Self:
         """Return the test at another level."""

@@ -27,6 +27,7 @@ class Multisine(KindOfTest):
     one_of: ClassVar = (("force", "drive"), ("lines", "period"))
     kind: Literal["multisine"] = "multisine"
     recorded_as: ClassVar = "multisine"
+    level_name: ClassVar = "rms"
     start: Start = "settled"
     from_: Frequency = Field(alias="from")
     """Lower end of the band [Hz]."""

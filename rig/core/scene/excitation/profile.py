@@ -1,6 +1,6 @@
 """Prescribed spectra of tests with profile control: breakpoints that are joined by straight lines in log-log axes."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -23,6 +23,9 @@ Ramp = tuple[Annotated[float, Quantity(LEVEL, below=0.0)], ...]
 Share = Annotated[float, Quantity(RATIO, above=0.0, below=1.0)]
 
 
+_UNITS = {"density": "(m/s²)²/Hz", "acceleration": "m/s²", "velocity": "m/s", "displacement": "m"}
+
+
 class Breakpoints(Settings):
     """Frequencies with a value each; subclasses have the keys of the values."""
 
@@ -43,6 +46,11 @@ class Breakpoints(Settings):
         if len(values) != len(self.frequencies):
             message = f"got {len(values)} values; expected {len(self.frequencies)}, one for each frequency"
             yield Problem((self.key,), message)
+
+    @property
+    def text(self) -> str:
+        """Range of the values with their unit."""
+        return range_text(getattr(self, self.key), _UNITS[self.key])
 
     def at(self, frequency: Array) -> Array:
         """Return the values at frequencies in Hz; beyond the breakpoints NaN."""
@@ -105,6 +113,24 @@ class Control(Settings):
         if self.combine == "average":
             return np.asarray(values.mean(axis=0))
         return np.asarray(values.max(axis=0) if self.combine == "maximum" else values.min(axis=0))
+
+
+def limit_texts(limits: Iterable[DensityLimit | MotionLimit]) -> tuple[str, ...]:
+    """Describe each limit."""
+    return tuple(
+        f"{limit.channel} limited to {limit.text} from {range_text(limit.frequencies, 'Hz')}" for limit in limits
+    )
+
+
+def range_text(values: Sequence[float], unit: str) -> str:
+    """Return the smallest and the largest value with their unit; lengths of less than 0.1 m in mm.
+
+    >>> range_text([2.6], "N"), range_text([8.0, 60.0], "Hz"), range_text([0.002, 0.001], "m")
+    ('2.6 N', '8 to 60 Hz', '1 to 2 mm')
+    """
+    factor, unit = (1e3, "mm") if unit == "m" and max(values) < 0.1 else (1.0, unit)
+    ends = dict.fromkeys(f"{factor * value:.3g}" for value in (min(values), max(values)))
+    return f"{' to '.join(ends)} {unit}"
 
 
 class Prescription(NamedTuple):

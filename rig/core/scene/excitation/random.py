@@ -26,6 +26,7 @@ class Random(KindOfTest):
     one_of: ClassVar = (("force", "drive"),)
     kind: Literal["random"] = "random"
     recorded_as: ClassVar = "random"
+    level_name: ClassVar = "rms"
     start: Start = "settled"
     from_: Frequency = Field(alias="from")
     """Lower end of the band [Hz]."""

@@ -17,7 +17,9 @@ from rig.core.scene.excitation.profile import (
     Ramp,
     Share,
     from_decibels,
+    limit_texts,
 )
+from rig.core.scene.shaker import Shaker
 from rig.core.settings.problems import KeyPath, Problem
 from rig.core.settings.quantities import RATIO
 from rig.core.settings.quantity_field import Quantity
@@ -64,6 +66,20 @@ class RandomControl(KindOfTest):
         if self.abort <= self.tolerance:
             message = f"got {self.abort:g} dB, which is not above the tolerance, {self.tolerance:g} dB. Give more."
             yield Problem(("abort",), message)
+
+    @property
+    def title(self) -> str:
+        """Name of the kind in sentences."""
+        return "random"
+
+    def level_text(self, shaker: Shaker | None) -> str:
+        """Return the root mean square of the profile."""
+        return f"{self.rms():.2g} m/s² rms"
+
+    @property
+    def details(self) -> tuple[str, ...]:
+        """The limits."""
+        return limit_texts(self.limits)
 
     @property
     def named_channels(self) -> Iterable[tuple[KeyPath, str]]:

@@ -9,6 +9,7 @@ from pydantic import Field
 from rig.core.base.arrays import Array
 from rig.core.scene.excitation.kind import Count, Duration, KindOfTest, ShakerNumber, Start
 from rig.core.scene.excitation.profile import Breakpoints, ChannelName, Decibels, Ramp
+from rig.core.scene.shaker import Shaker
 from rig.core.settings.problems import KeyPath, Problem
 from rig.core.settings.quantities import ACCELERATION, RATIO
 from rig.core.settings.quantity_field import Quantity
@@ -115,6 +116,22 @@ class Shock(KindOfTest):
     def highest(self) -> tuple[KeyPath, float]:
         """Key path and value of the highest frequency, Hz."""
         return ("half_sine", "width") if self.half_sine is not None else ("spectrum", "frequencies"), self.band[1]
+
+    def sentence(self, shaker: Shaker | None) -> str:
+        """Describe the test in words, without the band of its pulse."""
+        return ", ".join((self.title, *self.details))
+
+    @property
+    def details(self) -> tuple[str, ...]:
+        """The pulse or the spectrum, the control channel and the number of shocks."""
+        repeats = f"{self.repeats} shock{'s' * (self.repeats != 1)}"
+        pulse = self.half_sine
+        if pulse is not None:
+            shock = f"half sine of {pulse.peak:.3g} m/s² and {1e3 * pulse.width:.3g} ms"
+        else:
+            assert self.spectrum is not None
+            shock = f"shock response spectrum of {self.spectrum.text}"
+        return f"{shock} at {self.control}", repeats
 
     def pulse(self, time: Array) -> tuple[Array, float] | None:
         """Return the half sine and its tolerance, m/s^2."""

@@ -6,9 +6,10 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from rig.core.scene.excitation.kind import Duration, Frequency, KindOfTest, ShakerNumber, Spacing, Start
-from rig.core.scene.excitation.profile import Control, Decibels, MotionLimit, MotionProfile, Prescription
+from rig.core.scene.excitation.profile import Control, Decibels, MotionLimit, MotionProfile, Prescription, limit_texts
 from rig.core.scene.excitation.random_control import named_channels
 from rig.core.scene.excitation.swept_sine import FrequencySweep
+from rig.core.scene.shaker import Shaker
 from rig.core.settings.problems import KeyPath, Problem
 from rig.core.settings.quantities import RATIO
 from rig.core.settings.quantity_field import Quantity
@@ -57,6 +58,20 @@ class SineControl(FrequencySweep, KindOfTest):
         if self.abort <= self.tolerance:
             message = f"got {self.abort:g} dB, which is not above the tolerance, {self.tolerance:g} dB. Give more."
             yield Problem(("abort",), message)
+
+    @property
+    def title(self) -> str:
+        """Name of the kind in sentences."""
+        return "sine sweep"
+
+    def level_text(self, shaker: Shaker | None) -> str:
+        """Return the amplitudes of the profile."""
+        return self.profile.text
+
+    @property
+    def details(self) -> tuple[str, ...]:
+        """The limits."""
+        return limit_texts(self.limits)
 
     @property
     def named_channels(self) -> Iterable[tuple[KeyPath, str]]:

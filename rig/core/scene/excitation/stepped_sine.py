@@ -91,6 +91,11 @@ class SteppedTest(KindOfTest):
         return ("frequencies", len(self.frequencies) - 1), self.frequencies[-1]
 
     @property
+    def details(self) -> tuple[str, ...]:
+        """Number of frequencies, and their order."""
+        return f"{len(self.order)} points", {"up": "", "down": "downward", "both": "up and down"}[self.direction]
+
+    @property
     def dwells(self) -> tuple[float, ...]:
         """The frequencies of one level in the order of the test, Hz."""
         return self.order

@@ -37,7 +37,7 @@ def _profile_chart(check: ProfileCheck, rec: Recording) -> Chart:
         curves.append(Curve(level.channel, frequency, level.values, level.low, level.high, style._replace(dashes=())))
         curves.append(Curve(f"limit of {level.channel}", frequency, level.bound, style=style._replace(dashes=(6, 3))))
     return Chart(
-        f"{check.summary()} Band of the profile: tolerance.",
+        f"{check.summary().removesuffix('.')}. Band of the profile: tolerance.",
         "Control and limited channels against the profile.",
         [Panel("acceleration PSD" if is_density else "acceleration", check.unit, curves, height=280, logarithmic=True)],
         logarithmic=True,

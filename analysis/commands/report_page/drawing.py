@@ -19,15 +19,15 @@ if TYPE_CHECKING:
 
 # Size of a body, px.
 _BODY_WIDTH = 150
-_BODY_HEIGHT = 54
+_BODY_HEIGHT = 50
 # Distance between two bodies, px.
-_SPACING = 48
+_SPACING = 36
 # Position of the left edge of the bodies, px.
 _LEFT = 130
 # Width of the drawing, px.
 _WIDTH = 390
 # Margin above and below the drawing, px.
-_MARGIN = 24
+_MARGIN = 15
 # Size of a body in a mode shape, px.
 _SHAPE_WIDTH = 90
 _SHAPE_HEIGHT = 26
@@ -78,7 +78,8 @@ def _table(shaker: Shaker, y: float) -> str:
     """Draw a table that carries the structure, whose top is at `y`."""
     return (
         f'<rect x="{_LEFT}" y="{y:g}" width="{_BODY_WIDTH}" height="14" rx="3" stroke="{TABLE}" fill="{TABLE}" '
-        f'fill-opacity="0.2"/><text x="4" y="{y + 11:g}">{escape_html(shaker.glyph.title)}</text>'
+        f'fill-opacity="0.2"/><text x="{_LEFT - 8}" y="{y + 11:g}" text-anchor="end">'
+        f"{escape_html(shaker.glyph.title)}</text>"
     )
 
 
@@ -96,7 +97,7 @@ def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
     stiffness = None if structure.springs is None else structure.springs[body - 1]
     if stiffness:
         yield _spring(_LEFT + 24, top + _BODY_HEIGHT, top + _BODY_HEIGHT + _SPACING)
-        yield f'<text x="{_LEFT + 40}" y="{top + _BODY_HEIGHT + 28:g}">{stiffness / 1e3:.4g} kN/m</text>'
+        yield f'<text x="{_LEFT + 40}" y="{top + _BODY_HEIGHT + 22:g}">{stiffness / 1e3:.4g} kN/m</text>'
     elif stiffness is None:
         yield (f'<path stroke="currentColor" stroke-dasharray="3 4" d="M{middle} {top + _BODY_HEIGHT:g}v{_SPACING}"/>')
     dampers = [damper for damper in scene.dampers if damper.body == body]
@@ -104,8 +105,8 @@ def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
         x = _LEFT + 12 + k * (_BODY_WIDTH - 24) / max(len(dampers), 1)
         ceiling = "h-26" if isfinite(damper.clearance) else ""
         yield (
-            f'<g class="damper"><path stroke="currentColor" d="M{x:g} {top + 26:g}v22h26v-22{ceiling}"/>'
-            f'<circle cx="{x + 13:g}" cy="{top + 40:g}" r="7" fill="{DAMPER}"/></g>'
+            f'<g class="damper"><path stroke="currentColor" d="M{x:g} {top + 23:g}v22h26v-22{ceiling}"/>'
+            f'<circle cx="{x + 13:g}" cy="{top + 37:g}" r="7" fill="{DAMPER}"/></g>'
         )
         if len(dampers) == 1:
             clearance = f", {format_number(1e3 * damper.clearance)} mm" if isfinite(damper.clearance) else ", open"
@@ -113,7 +114,7 @@ def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
                 clearance = f", {damper.spring:.4g} N/m"
             mass = f"{1e3 * damper.mass:.4g} g" if damper.mass is not None else f"ratio {damper.mass_ratio:.3g}"
             locked = ", locked" if damper.locked else ""
-            yield f'<text x="{x + 32:g}" y="{top + 44:g}">{mass}{locked}{clearance}</text>'
+            yield f'<text x="{x + 32:g}" y="{top + 43:g}">{mass}{locked}{clearance}</text>'
 
 
 def _spring(x: float, top: float, bottom: float) -> str:

@@ -109,8 +109,12 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
     filled = {title: "\n".join(filter(None, parts)) for title, parts in sections.items() if any(parts)}
     anchors = {title: f"section-{number}" for number, title in enumerate(filled, 1)}
     links = "".join(f'<li><a href="#{anchors[title]}">{escape_html(title)}</a></li>' for title in filled)
+    descriptions: dict[str, list[str]] = {}
+    for each in results:
+        descriptions.setdefault(_test_description(each), []).append(f"“{each.label}”")
     tests = "".join(
-        f'<p class="test">{escape_html(text)}</p>' for text in dict.fromkeys(map(_test_description, results))
+        f'<p class="test">{escape_html(", ".join(labels))}: {escape_html(text)}</p>'
+        for text, labels in descriptions.items()
     )
     caption = f"<figcaption>Rig of “{escape_html(drawn.label)}”</figcaption>" if len(results) > 1 else ""
     body = [
@@ -142,7 +146,7 @@ def _test_description(measurement: Measurement) -> str:
     """Describe the test of a recording: excitation, channels, duration."""
     rec = measurement.rec
     return (
-        f"“{measurement.label}”: {test_sentence(rec.scene)}; {len(rec.channels)} channels at {rec.rate:g} Hz, "
+        f"{test_sentence(rec.scene)}; {len(rec.channels)} channels at {rec.rate:g} Hz, "
         f"recorded for {rec.duration:.4g} s."
     )
 

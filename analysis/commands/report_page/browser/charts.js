@@ -5,7 +5,7 @@
   const LIGHT = { text: "#1b1f24", grid: "#d8dde3", page: "#ffffff" };
   const DARK = { text: "#dfe4ea", grid: "#333b44", page: "#14181d" };
   const PRINT_WIDTH = 700; // px: the printable width of A4
-  const PRINT_HEIGHT = 0.68; // of the height on screen: two charts fit on a page
+  const PRINT_HEIGHT = 0.62; // of the height on screen: two charts fit on a page
   const MIN_CONTRAST = 4.5; // of curves on a dark page (WCAG)
   const MIN_DECADE = 60; // px: a shorter decade has no grid lines between its ends
   const MIN_LABEL = 16; // px between labels of decades

@@ -23,9 +23,9 @@ _BODY_HEIGHT = 50
 # Distance between two bodies, px.
 _SPACING = 36
 # Position of the left edge of the bodies, px.
-_LEFT = 130
+_LEFT = 145
 # Width of the drawing, px.
-_WIDTH = 390
+_WIDTH = 400
 # Margin above and below the drawing, px.
 _MARGIN = 15
 # Size of a body in a mode shape, px.

@@ -83,6 +83,12 @@ class SweepChange(NamedTuple):
     modes: tuple[float, ...] = ()  # natural frequencies of all modes of the first sweep, Hz
     shown_in: tuple[str, float] = ("µm/N", 1e6)  # unit of the peaks, and the factor to it
 
+    def peaks_of(self, label: str) -> list[Peak]:
+        """Return the peak in one of the two sweeps."""
+        return [
+            peak for name, peak in ((self.before, self.change.bare), (self.after, self.change.damped)) if name == label
+        ]
+
     @property
     def level(self) -> str:
         """Level and direction of the other sweep; empty if its recording has a single sweep."""

@@ -93,7 +93,7 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
     sections = {
         "Frequency responses": [
             charts.write(chart)
-            for chart in (*response_charts(results, first.label), *force_charts(results, first.label))
+            for chart in (*response_charts(results, first.label, changes), *force_charts(results, first.label))
         ],
         "Results": [changes_table(changes), resonances(results), decays(results)],
         "Warnings": [f'<ul class="warnings">{"".join(warnings)}</ul>'] if warnings else [],
@@ -215,6 +215,6 @@ def _commands(paths: Sequence[Path], results: Sequence[Measurement]) -> list[str
         names = ", ".join(f"{measurement.path.stem}.yaml" for measurement in recorded)
         origin += f" Save the scene file of each recording (above) as {names}. The same seed gives the same samples."
     return [
+        f'<p class="origin">{escape_html(origin)}</p>',
         f'<pre class="commands">{escape_html(chr(10).join(lines))}</pre>',
-        f"<p>{escape_html(origin)}</p>",
     ]

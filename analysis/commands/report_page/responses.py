@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from analysis.commands.figures.decay_figure import frequency_title, group_modes
 from analysis.commands.figures.frf_figure import MAX_POINTS, break_at_wraps, is_determined, is_smooth, phase_degrees
 from analysis.commands.report_page.charts import Chart, Curve, Panel, needs_logarithmic_axis
-from analysis.commands.report_page.measurements import Measurement, SweepResults
+from analysis.commands.report_page.measurements import Measurement, SweepChange, SweepResults
 from analysis.core.damper_motion.comparison import Peak
 from analysis.core.damper_motion.dampers import Dampers
 from analysis.core.decays.free_decay import Decay
@@ -31,12 +31,14 @@ _MAX_PERCENT = 100.0
 _INTERVALS = 1200
 
 
-def response_charts(measurements: Sequence[Measurement], reference: str) -> list[Chart]:
+def response_charts(
+    measurements: Sequence[Measurement], reference: str, changes: Sequence[SweepChange] = ()
+) -> list[Chart]:
     """Return charts of all frequency responses.
 
     The responses of a single recording share a chart. With several recordings each response has its own chart, so
     that the recordings can be compared. Responses to different inputs never share a chart. `reference`: label of the
-    recording with which the others are compared.
+    recording with which the others are compared; `changes`: of its peaks, which are marked.
     """
     with_responses = [measurement for measurement in measurements if measurement.sweeps]
     frfs = [frf for measurement in with_responses for sweep in measurement.sweeps for frf in sweep.frfs]
@@ -49,7 +51,11 @@ def response_charts(measurements: Sequence[Measurement], reference: str) -> list
             names = [frf.response for frf in group]
         styles = recording_styles([belongs_to(frf.label, reference) for frf in group]) if several else None
         sweeps = [sweep for measurement in with_responses for sweep in measurement.sweeps]
-        peaks = [[peak for sweep in sweeps for peak in sweep.peaks_of(frf)] for frf in group]
+        peaks = [
+            [peak for sweep in sweeps for peak in sweep.peaks_of(frf)]
+            + [peak for each in changes if each.change.response == frf.response for peak in each.peaks_of(frf.label)]
+            for frf in group
+        ]
         baseline = next((each for each in with_responses if each.label == reference), with_responses[0]).sweeps[0]
         chart = response_chart(group, names, styles, peaks, _mode_marks(baseline, group))
         tests = {each.label: excitation_text(each.rec) for each in with_responses}
@@ -180,7 +186,7 @@ def force_charts(measurements: Sequence[Measurement], reference: str) -> list[Ch
             f"Force at each frequency, and the required force with its tolerance of {format_percent(FORCE_TOLERANCE)}. "
             + points,
             f"Force from {frequency.min():.4g} to {frequency.max():.4g} Hz.",
-            [Panel("force", "N", curves, height=130)],
+            [Panel("force", "N", curves, height=150)],
             logarithmic=needs_logarithmic_axis(frequency),
         )
     ]

@@ -36,7 +36,7 @@ def summarize(measurements: Sequence[Measurement], changes: Sequence[SweepChange
 def _control_texts(measurement: Measurement) -> list[str]:
     """Return the verdict on a motion that the test controls: its profile, or its shocks."""
     if measurement.profile is not None:
-        return [measurement.profile.summary()]
+        return [f"{measurement.profile.summary()}."]
     shocks = [mark.fields for mark in shocks_of(measurement.rec.markers)]
     if not shocks:
         return []

@@ -133,7 +133,7 @@ def change_heights(sweep: SweepChange) -> str:
     """Write the heights of a peak before and after a change, with the digits of their uncertainty."""
     unit, factor = sweep.shown_in
     before, after = (
-        f"at least {factor * peak.low:.3g}"
+        f"at least {factor * peak.low:.4g}"
         if isinf(peak.bound)
         else round_to_bound(factor * peak.value, factor * peak.bound)
         for peak in (sweep.change.bare, sweep.change.damped)
@@ -238,12 +238,13 @@ def settings(measurement: Measurement) -> str:
             info.name,
             scene.structure.label(info.at),
             info.quantity,
-            f"{info.sensitivity:.5g} V per {info.unit}",
+            f"{info.sensitivity:.5g} V per {unit}",
             f"± {format_percent(tolerance(info))}" if tolerance(info) else "not stated",
-            "unlimited" if info.range is None else f"± {info.range / info.sensitivity:.4g} {info.unit}",
+            "unlimited" if info.range is None else f"± {info.range / info.sensitivity:.4g} {unit}",
             f"{abs(complex(info.response(middle))):.4f}",
         )
         for info in rec.channels.values()
+        for unit in [info.unit.replace("^2", "²")]
     ]
     heading = ["channel", "at", "quantity", "sensitivity", "tolerance", "range", f"gain at {middle:.3g} Hz"]
     return (

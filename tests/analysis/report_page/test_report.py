@@ -10,6 +10,7 @@ from dataclasses import replace
 from importlib.resources import files
 from math import inf
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,13 +24,16 @@ from analysis.commands.presentation.frf_findings import describe_frfs
 from analysis.commands.presentation.mode_findings import describe_modes
 from analysis.commands.presentation.tables import modes_table
 from analysis.commands.report_page.charts import Chart, ChartWriter, Curve, EvenlySpaced, Panel
-from analysis.commands.report_page.drawing import rig_drawing
+from analysis.commands.report_page.drawing import mode_drawing, rig_drawing
 from analysis.commands.report_page.measurements import Measurements, SweepChange, highest_peak
 from analysis.commands.report_page.report import write_report
-from analysis.commands.report_page.responses import response_chart
+from analysis.commands.report_page.responses import force_charts, response_chart, response_charts
 from analysis.commands.report_page.summary import summarize
 from analysis.commands.report_page.tables import changes_table, peak_height
+from analysis.commands.report_page.tables import test_sentence as sentence_of
 from analysis.core.damper_motion.comparison import Peak, PeakChange
+from analysis.core.modal.modes import BodyShapes
+from rig.core.base.palette import TABLE
 from rig.core.results import format_interval
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import SENSITIVITY, expand
@@ -75,7 +79,7 @@ def test_page_needs_no_network(page: Path) -> None:
 
 def test_page_contains_answer_settings_and_commands(recordings: list[Path], tmp_path: Path) -> None:
     text = write_report(recordings[:1], tmp_path).files[0].read_text("utf-8")
-    answer = text[text.index('<section class="answer">') : text.index("<nav>")]
+    answer = text[text.index("<main>") : text.index("<nav>")]
     assert "first scene" in answer and "13.04" in answer and "µm/N" in answer
     for part in (
         "Stabilization diagram of",
@@ -86,7 +90,7 @@ def test_page_contains_answer_settings_and_commands(recordings: list[Path], tmp_
         "Scene file",
     ):
         assert part in text
-    assert "sine: frequency 10 Hz, force 1 N" in answer and "daq record sweep.yaml -o" in text
+    assert "“first scene”: sine, 10 Hz, 1 N, 2 s" in answer and "daq record sweep.yaml -o" in text
 
 
 def test_highest_peak_is_reported_without_modes(recordings: list[Path]) -> None:
@@ -253,22 +257,22 @@ def test_undetermined_values_have_no_band() -> None:
     assert relative.limits is not None and relative.limits[1] == 100.0 == np.max(np.asarray(relative.curves[0].y))
 
 
-def test_headline_has_the_intervals_of_the_table() -> None:
+def test_headline_has_the_changes_of_the_table() -> None:
     before, after, unbounded = (
         Peak(*numbers, 13.0, 12.9, 13.1) for numbers in ((5e-3, 1e-5), (1e-3, 1e-5), (1e-3, inf))
     )
     changes = [
         SweepChange("a", "b", "b", PeakChange(f"body{number}", mode, 0.01, before, damped), (13.0, 35.0, 50.0, 70.0))
-        for number, (mode, damped) in enumerate([(13.0, after), (35.0, after), (50.0, unbounded)], 1)
+        for number, (mode, damped) in enumerate([(13.0, unbounded), (35.0, after), (50.0, after)], 1)
     ]
-    [sentence] = summarize([], changes)
-    intervals = [
-        row[2] for row in re.findall(r"<tr><td>(.*?)</td><td>(.*?)</td><td>(.*?)</td>", changes_table(changes))
-    ]
-    smallest, largest = sorted(abs(float(limit)) for limit in intervals[0].split(" to "))
-    assert f"95 % interval {smallest} to {largest} dB" in sentence
-    assert all(interval in sentence for interval in intervals[1:])
-    assert "reduction at most" in intervals[2] and "70.00 Hz, not compared, because" in sentence
+    [text] = summarize([], changes)
+    rows = re.findall(r"<tr><td>body\d, (.*?)</td><td>(.*?)</td>", changes_table(changes))
+    lines = dict(re.findall(r"^([\d.]+ Hz)[^:]*: (.*)$", text, re.MULTILINE))
+    assert all(lines[mode].startswith(change) for mode, change in rows)
+    # The best determined first, the unbounded last.
+    assert [*lines] == ["35.00 Hz", "50.00 Hz", "13.00 Hz", "70.00 Hz"]
+    assert lines["13.00 Hz"].startswith("reduction at most") and "not compared, because" in lines["70.00 Hz"]
+    assert lines["35.00 Hz"].startswith("reduction 13.98 dB (13.89 to 14.07)")
 
 
 def test_page_has_force_and_mac_and_note(recordings: list[Path], tmp_path: Path) -> None:
@@ -282,7 +286,78 @@ def test_peak_labels_have_the_frequencies_of_the_table(page: Path) -> None:
         label for marks in re.findall(r'"marks":(\[\[.*?\]\])', text) for label in re.findall(r'"(.*?) Hz"', marks)
     }
     table = text.partition("Resonances, with 95 % intervals")[2].partition("</table>")[0]
-    assert labels and labels <= {f"{float(frequency):.4g}" for frequency in re.findall(r">([\d.]+) ±", table)}
+    assert labels and labels <= {f"{float(frequency):.2f}" for frequency in re.findall(r">([\d.]+) ±", table)}
+
+
+def test_peak_of_the_table_is_drawn(recordings: list[Path]) -> None:
+    with Measurements(recordings[:1]) as measurements:
+        [measurement] = measurements.results
+        [chart] = response_charts([measurement], measurement.label)
+    circles = [curve for curve in chart.panels[0].curves if curve.draw == "circles"]
+    drawn = {value for curve in circles for value in np.asarray(curve.y).tolist()}
+    for found in measurement.sweeps[0].peaks:
+        assert found is not None and found[0].shown_in[1] * found[1].value in drawn
+
+
+def test_unsettled_points_and_open_peaks_are_marked() -> None:
+    f = np.linspace(10.0, 20.0, 11)
+    curve = replace(Response.curve(f, np.full(f.size, 1e-6 + 0j), "body1"), unsteady=f == 12.0)
+    chart = response_chart([curve], ["body1"], peaks=[[Peak(2e-6, inf, 15.0, 14.0, 16.0)]])
+    symbols = {curve.draw: np.asarray(curve.x).tolist() for curve in chart.panels[0].curves}
+    assert symbols["crosses"] == [12.0] and symbols["arrows"] == [15.0] and "circles" not in symbols
+    assert "Crosses" in chart.caption and "Arrows" in chart.caption
+
+
+def test_force_outside_its_tolerance_is_stated(recordings: list[Path]) -> None:
+    with Measurements(recordings[:1]) as measurements:
+        [measurement] = measurements.results
+        [sweep] = measurement.sweeps
+        amplitude = np.ones(sweep.frfs[0].frequency.size)
+        amplitude[3] = 1.02
+        frfs = [replace(frf, amplitude=amplitude, reference="force") for frf in sweep.frfs]
+        scene = rig.load("fig8-no-damper", {"test.force": "1 N"})
+        rec = SimpleNamespace(scene=scene)
+        changed = replace(measurement, sweeps=(replace(sweep, frfs=frfs),), rec=rec)  # type: ignore[arg-type]
+        [chart] = force_charts([changed], "")
+    assert f"{frfs[0].label}: {frfs[0].frequency[3]:g} Hz, by up to 2 %" in chart.caption
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("fig8-no-damper", "stepped sine, 8 to 60 Hz, 2.6 N, 150 points"),
+        ("fig10b-no-damper", "impulse, 200 N, 3 hits of 4 ms"),
+        ("shaker-table-shock", "shock, half sine of 49 m/s² and 11 ms at table, 3 shocks"),
+        (
+            "shaker-table-random",
+            "random, 5 to 200 Hz, 7.3 m/s² rms, unit limited to 1.92 (m/s²)²/Hz from 8 to 40 Hz, 120 s",
+        ),
+        (
+            "shaker-table-sine",
+            "sine sweep, 5 to 60 Hz, 0.981 to 2.94 m/s², unit limited to 14.7 m/s² from 5 to 60 Hz, 240 s",
+        ),
+    ],
+)
+def test_test_is_described_in_words(name: str, text: str) -> None:
+    assert sentence_of(rig.load(name)) == text
+
+
+def test_hammer_is_drawn_at_its_body() -> None:
+    drawing = rig_drawing(rig.load("fig10b-no-damper"))
+    assert "hammer, 200 N" in drawing and "Other channels" not in drawing
+
+
+def test_table_has_the_color_of_its_channel() -> None:
+    drawing = rig_drawing(rig.load("shaker-table-random"))
+    assert f'height="14" rx="3" stroke="{TABLE}"' in drawing
+
+
+def test_bodies_of_a_mode_shape_do_not_meet() -> None:
+    shapes = BodyShapes(("a", "b"), np.array([[1.0], [-1.0]], dtype=complex), np.zeros((2, 1)))
+    drawing = mode_drawing(shapes, ["body 1", "body 2"], 0, "13 Hz")
+    tops = [float(top) for top in re.findall(r'<rect x="24" y="([\d.]+)"[^>]*stroke-dasharray', drawing)]
+    swing = max(float(value) for value in re.findall(r"--swing:([\d.]+)px", drawing))
+    assert abs(tops[0] - tops[1]) - 26 > 2 * swing
 
 
 def test_drawing_names_bodies_and_sensors() -> None:

@@ -5,15 +5,15 @@
   const LIGHT = { text: "#1b1f24", grid: "#d8dde3", page: "#ffffff" };
   const DARK = { text: "#dfe4ea", grid: "#333b44", page: "#14181d" };
   const PRINT_WIDTH = 700; // px: the printable width of A4
-  const PRINT_HEIGHT = 0.62; // of the height on screen: two charts fit on a page
-  const MIN_CONTRAST = 4.5; // of curves on a dark page (WCAG)
+  const PRINT_HEIGHT = 0.64; // of the height on screen: two charts fit on a page
+  const MIN_CONTRAST = 6; // of curves on a dark page: they are thinner than text, for which WCAG requires 4.5
   const MIN_DECADE = 60; // px: a shorter decade has no grid lines between its ends
-  const MIN_LABEL = 16; // px between labels of decades
+  const MIN_LABEL = 14; // px between labels of decades
   const SYMBOLS = ["crosses", "circles", "arrows"];
   const FONT = "12px system-ui, sans-serif";
   // Anchors of a perceptually uniform color map (viridis), dark to bright.
   const MAP = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
-  const plots = [], paints = [];
+  const plots = [], paints = [], measure = document.createElement("canvas").getContext("2d");
   const scheme = window.matchMedia("(prefers-color-scheme: dark)");
   let printing = false;
   const isDark = () => scheme.matches && !printing;
@@ -162,7 +162,8 @@
   // Length of a decade of a logarithmic axis, px.
   function decade(plot, number) {
     const { min, max } = plot.scales[plot.axes[number].scale];
-    return (number ? plot.height : plot.width) / Math.log10(max / min);
+    const { width, height } = plot.bbox;
+    return (number ? height : width) / window.devicePixelRatio / Math.log10(max / min);
   }
 
   // Ticks of a logarithmic axis; even steps if fewer than three of them would be labeled within a decade.
@@ -204,7 +205,7 @@
   // An axis with a title, or without title and labels if `size` is small.
   function axis(label, log, size, space, ticks) {
     return {
-      ...(log ? { filter: logarithmicLabels, splits: logarithmicTicks } : {}), ...(ticks ? { splits: () => ticks } : {}),
+      ...(log ? { filter: logarithmicLabels, splits: logarithmicTicks } : {}), ...(ticks ? { splits: () => ticks.filter((_, k) => !printing || k % 2 === 0) } : {}),
       ...(label ? { label, labelSize: 18, labelFont: FONT } : {}), size, font: FONT, gap: 3,
       stroke: () => theme("text"), grid: { stroke: () => theme("grid"), width: 1 },
       ticks: { stroke: () => theme("grid"), width: 1, size: label ? 6 : 0 },
@@ -244,13 +245,22 @@
     return { shown, bands };
   }
 
+  // All panels of a chart have the axis of the last.
+  function extent(chart) {
+    const ends = chart.panels.flatMap((panel) => inSeries(panel)).flatMap(({ x }) => {
+      const values = abscissa(x);
+      return values.length ? [values[0], values[values.length - 1]] : [];
+    });
+    return ends.length ? [Math.min(...ends), Math.max(...ends)] : null;
+  }
+
   function table(panel, x) {
     const tables = inSeries(panel).map((curve) => {
       const rows = [abscissa(curve.x), column(curve.y)];
       return curve.low ? [...rows, column(curve.low), column(curve.high)] : rows;
     });
     if (panel.image) return [panel.image.x];
-    if (x.range) tables.push([x.range]);
+    if (x.range && !tables.some(([own]) => own[0] === x.range[0] && own[own.length - 1] === x.range[1])) tables.push([x.range]);
     return tables.length === 1 ? tables[0] : uPlot.join(tables);
   }
 
@@ -392,15 +402,16 @@
   }
 
   // Height of a panel: at least that of its title.
-  function height(plot, panel, last) {
-    plot.ctx.font = FONT;
-    const title = plot.ctx.measureText(panel.label).width + 10;
-    return Math.max(panel.height * (printing ? PRINT_HEIGHT : 1), title) + (last ? 34 : 6) + (panel.marks.length ? 18 : 0);
+  function height(panel, last) {
+    measure.font = FONT;
+    const title = measure.measureText(panel.label).width + 10;
+    return Math.max(panel.height * (printing ? PRINT_HEIGHT : 1), title) + (last ? 52 : 6) + (panel.marks.length ? 18 : 0);
   }
 
   function draw(holder, chart, number) {
     const drawn = [];
     let show = () => {};
+    chart.x.range = chart.x.range || extent(chart);
     chart.panels.forEach((panel, k) => {
       const last = k === chart.panels.length - 1, { shown, bands } = series(panel);
       const canvas = panel.image ? picture(panel.image) : null;
@@ -412,7 +423,7 @@
         },
         axes: [
           axis(last ? chart.x.label : "", chart.x.log, last ? 34 : 6, chart.x.log ? 34 : 50),
-          axis(panel.label, panel.log, 58, 24, panel.ticks),
+          axis(panel.label, panel.log, 58, 20, panel.ticks),
         ],
         series: [{ label: chart.x.name }, ...shown],
         bands,
@@ -422,7 +433,7 @@
       }, table(panel, chart.x), holder);
       zoomByTouch(plot);
       drawn.push(plot);
-      plots.push({ plot, holder, height: () => height(plot, panel, last) });
+      plots.push({ plot, holder, height: () => height(panel, last) });
     });
     if (chart.panels.some((panel) => inSeries(panel).length)) show = readout(holder, chart, drawn);
     tools(holder, chart, drawn);

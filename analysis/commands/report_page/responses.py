@@ -111,7 +111,7 @@ def response_chart(
         unsteady = np.zeros(f.size, dtype=bool) if frf.unsteady is None else frf.unsteady
         magnitude += _symbols(name, style, "crosses", zip(f[unsteady], modulus[unsteady], strict=True))
         # A peak of unknown height has the value of its highest point.
-        points = {peak: (peak.frequency, factor * peak.value) for peak in found}
+        points = {peak: (peak.frequency, factor * peak.value) for peak in found if not peak.at_end}
         magnitude += _symbols(name, style, "circles", [at for peak, at in points.items() if isfinite(peak.bound)])
         magnitude += _symbols(name, style, "arrows", [at for peak, at in points.items() if not peak.is_determined])
         angle = np.where(known & is_smooth(frf), phase_degrees(frf.value), np.nan)

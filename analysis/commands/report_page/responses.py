@@ -322,7 +322,7 @@ def decay_charts(measurements: Sequence[Measurement], reference: str) -> list[Ch
 
 
 def _damping_chart(
-    groups: Sequence[Sequence[tuple[int, ModalDecay]]],
+    groups: Sequence[list[tuple[int, ModalDecay]]],
     labeled_decays: Sequence[tuple[str, Decay]],
     styles: Sequence[CurveStyle],
 ) -> Chart:

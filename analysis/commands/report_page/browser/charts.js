@@ -163,7 +163,8 @@
   function decade(plot, number) {
     const { min, max } = plot.scales[plot.axes[number].scale];
     const { width, height } = plot.bbox;
-    return (number ? height : width) / window.devicePixelRatio / Math.log10(max / min);
+    const length = (number ? height : width) / window.devicePixelRatio || (number ? plot.height : plot.width);
+    return length / Math.log10(max / min);
   }
 
   // Ticks of a logarithmic axis; even steps if fewer than three of them would be labeled within a decade.
@@ -416,7 +417,7 @@
       const last = k === chart.panels.length - 1, { shown, bands } = series(panel);
       const canvas = panel.image ? picture(panel.image) : null;
       const plot = new uPlot({
-        width: holder.clientWidth || PRINT_WIDTH, height: panel.height, padding: [panel.marks.length ? 22 : 8, 16, 0, 0],
+        width: holder.clientWidth || PRINT_WIDTH, height: height(panel, last), padding: [panel.marks.length ? 22 : 8, 16, 0, 0],
         scales: {
           x: { time: false, distr: chart.x.log ? 3 : 1, range: (u, low, high) => [low, high] },
           y: { distr: panel.log ? 3 : 1, range: range(panel.log, panel.range) },
@@ -440,8 +441,10 @@
     holder.dataset.drawn = chart.panels.length;
   }
 
+  const repaint = () => paints.forEach((paint) => paint());
+
   function redraw() {
-    for (const paint of paints) paint();
+    repaint();
     for (const { plot } of plots) plot.redraw(false, true);
   }
 
@@ -457,7 +460,7 @@
     draw(holder, JSON.parse(document.getElementById(holder.dataset.source).textContent), number);
   });
   resize();
-  redraw();
+  repaint();
   window.addEventListener("resize", resize);
   scheme.addEventListener("change", redraw);
   document.querySelectorAll("details").forEach((details) => details.addEventListener("toggle", resize));

@@ -19,9 +19,15 @@ from analysis.core.recordings.slices import Slice
 from analysis.extras.formats.export import export
 from daq.core.dsp.shock_response import shock_response
 from daq.core.recording.recording import Recording
+from rig.core.results.response import Response
+from rig.core.results.uncertainty import expand
 
 BLOCK_S = 8.0  # length of the blocks of the FRF estimate
 BODIES = ("body1", "body2", "body3")
+# Recordings of other people, if they are at hand, and the bands in which their modes are compared, Hz.
+MEASURED = Path(__file__).parents[3] / "shared" / "data" / "measured"
+HAMMER_BAND = (600.0, 1300.0)
+RULER_BAND = (60.0, 450.0)
 
 
 def record(path: Path, shaker: dict[str, Any] | None, test: dict[str, Any], input_channel: dict[str, Any]) -> Recording:
@@ -81,6 +87,36 @@ def identify_modes(folder: Path) -> dict[str, np.ndarray]:
     return results
 
 
+def identify_measured() -> dict[str, np.ndarray]:
+    """Return hits and FRFs that were measured by other people, and our modes; empty if they are not at hand."""
+    results: dict[str, np.ndarray] = {}
+    hits = sorted(MEASURED.glob("pyfrf-hammer/m*.npy"))
+    if hits:
+        results["hits"] = np.stack([np.load(hit)[1:] for hit in hits])
+        force, acceleration = np.moveaxis(np.fft.rfft(results["hits"]), 1, 0)
+        h1 = np.sum(force.conj() * acceleration, axis=0) / np.sum(abs(force) ** 2, axis=0)
+        lines = np.arange(1.0, h1.size)
+        results |= _modes_of("hammer", [Response.curve(lines, h1[1:], "tip", motion="acceleration")], HAMMER_BAND)
+    for file in MEASURED.glob("pydvma-ruler/*.mat"):
+        results |= _modes_of("ruler", list(analysis.read_frfs(file, unit="m/s^2/N")), RULER_BAND)
+    return results
+
+
+def _modes_of(name: str, curves: list[Response], band: tuple[float, float]) -> dict[str, np.ndarray]:
+    """Return the accelerances of a set of curves in a band, and our three most significant modes."""
+    selected = [curve.to("acceleration").band(*band) for curve in curves]
+    modes = analysis.identify(selected, count=3)
+    return {
+        f"{name} frequency": selected[0].frequency,
+        f"{name} frf": np.stack([curve.value for curve in selected]),
+        f"{name} pole_Hz": modes.frequency,
+        f"{name} pole_damping": modes.damping,
+        f"{name} pole_Hz_expanded": expand(modes.frequency_error),
+        f"{name} pole_damping_expanded": expand(modes.damping_error),
+        f"{name} shapes": modes.shapes,
+    }
+
+
 def shock_spectrum() -> dict[str, np.ndarray]:
     """Return a half sine of 100 m/s^2 and 11 ms, and its positive and negative shock response spectra."""
     rate, width, q = 20000.0, 11e-3, 10.0
@@ -96,5 +132,5 @@ def shock_spectrum() -> dict[str, np.ndarray]:
 if __name__ == "__main__":
     folder = Path(sys.argv[1])
     folder.mkdir(parents=True, exist_ok=True)
-    results = estimate_frfs(folder) | identify_modes(folder) | shock_spectrum()
+    results = estimate_frfs(folder) | identify_modes(folder) | identify_measured() | shock_spectrum()
     np.savez(folder / "ours.npz", **results)  # type: ignore[arg-type]

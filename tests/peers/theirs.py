@@ -52,41 +52,89 @@ def compare_frfs(ours: dict[str, np.ndarray]) -> Iterator[Row]:
 
 def compare_modes(ours: dict[str, np.ndarray]) -> Iterator[Row]:
     """Compare poles and mode shapes with those of sdypy-EMA."""
-    from sdypy.EMA import Model
-
     below_70_hz = ours["hit_frequency"] <= 70.0
-    frequency, frf = ours["hit_frequency"][below_70_hz], ours["accelerance"][:, below_70_hz]
-    # sdypy-EMA assumes that the first line is at 0 Hz: shift all frequencies by that of the first line.
-    shift = float(frequency[0])
-    frequency = frequency - shift
-    peer = Model(frf, frequency, lower=8.0 - shift, upper=60.0 - shift, pol_order_high=20, frf_form="accelerance")
-    peer.get_poles(show_progress=False)
-    # From the highest order of its stabilization chart, choose the pole nearest to each of ours.
-    order = len(peer.pole_freq) - 1
-    chosen = [
-        int(np.argmin(abs(peer.pole_freq[order] + shift - f) + 1e3 * (peer.pole_xi[order] <= 0)))
-        for f in ours["pole_Hz"]
-    ]
-    peer.pole_ind = [[order, pole] for pole in chosen]
-    shifted, damping = peer.pole_freq[order][chosen], peer.pole_xi[order][chosen]
-    pole_frequency = shifted + shift
-    # The shift changes only the imaginary part of a pole.
-    damping = damping * shifted / pole_frequency
+    frequency, damping, shapes = poles_of_sdypy(
+        ours["accelerance"][:, below_70_hz], ours["hit_frequency"][below_70_hz], ours["pole_Hz"], (8.0, 60.0), 20
+    )
     # The curves include the damping of the exponential window; only our damping ratios are corrected for it.
-    for mode in range(pole_frequency.size):
+    for mode in range(frequency.size):
         yield (
-            f"mode {mode + 1}, frequency, sdypy-EMA", abs(pole_frequency[mode] / ours["pole_Hz"][mode] - 1), 2e-4,
-            f"{pole_frequency[mode]:.5f} and {ours['pole_Hz'][mode]:.5f} Hz",
+            f"mode {mode + 1}, frequency, sdypy-EMA", abs(frequency[mode] / ours["pole_Hz"][mode] - 1), 2e-4,
+            f"{frequency[mode]:.5f} and {ours['pole_Hz'][mode]:.5f} Hz",
         )  # fmt: skip
         yield (
             f"mode {mode + 1}, damping ratio, sdypy-EMA", abs(damping[mode] / ours["pole_damping"][mode] - 1), 2e-2,
             f"{100 * damping[mode]:.4f} and {100 * ours['pole_damping'][mode]:.4f} %",
         )  # fmt: skip
+    for mode in range(frequency.size):
+        value = 1.0 - mac(shapes[:, mode], ours["shapes"][:, mode])
+        yield f"mode {mode + 1}, 1 - MAC, sdypy-EMA", value, 1e-3, "shapes of both"
+
+
+def compare_measured(ours: dict[str, np.ndarray]) -> Iterator[Row]:
+    """Compare curves and modes of recordings of other people: hits on a steel part, and a grid of rulers."""
+    if "hits" in ours:
+        from pyFRF import FRF
+
+        peer = FRF(25600, exc_type="d", resp_type="d", window="none", fft_len=ours["hits"].shape[2])
+        peer.add_data(ours["hits"][:, :1], ours["hits"][:, 1:])
+        in_band = np.isin(peer.get_f_axis(), ours["hammer frequency"])
+        difference = largest(ours["hammer frf"], peer.get_H1()[0][:, in_band])
+        yield "hammer, H1, pyFRF", difference, 1e-9, "five measured hits"
+        yield from compare_poles(ours, "hammer", 40)
+    if "ruler frf" in ours:
+        yield from compare_poles(ours, "ruler", 40)
+
+
+def compare_poles(ours: dict[str, np.ndarray], name: str, order: int) -> Iterator[Row]:
+    """Compare our modes of a set of curves with those of sdypy-EMA."""
+    expected, ratio, lines = ours[f"{name} pole_Hz"], ours[f"{name} pole_damping"], ours[f"{name} frequency"]
+    band = 1.05 * lines[0], 0.95 * lines[-1]
+    frequency, damping, shapes = poles_of_sdypy(ours[f"{name} frf"], lines, expected, band, order)
+    for mode, f in enumerate(expected):
+        label, bound = f"{name} {f:.0f} Hz", ours[f"{name} pole_Hz_expanded"][mode]
+        yield (
+            f"{label}, frequency, sdypy-EMA", abs(frequency[mode] - f) / (2 * ratio[mode] * f), 0.2,
+            f"in bandwidths: {frequency[mode]:.3f} and {f:.3f} Hz ± {bound:.2g} Hz",
+        )  # fmt: skip
+        bound = ours[f"{name} pole_damping_expanded"][mode]
+        yield (
+            f"{label}, damping ratio, sdypy-EMA", abs(damping[mode] / ratio[mode] - 1.0),
+            max(0.3, 2.0 * bound / ratio[mode]),
+            f"{100 * damping[mode]:.3f} and {100 * ratio[mode]:.3f} % ± {100 * bound:.2g} %",
+        )  # fmt: skip
+        if len(shapes) > 1:
+            value = 1.0 - mac(shapes[:, mode], ours[f"{name} shapes"][:, mode])
+            yield f"{label}, 1 - MAC, sdypy-EMA", value, 0.05, f"shapes of {len(shapes)} points"
+
+
+def poles_of_sdypy(
+    frf: np.ndarray, frequency: np.ndarray, near: np.ndarray, band: tuple[float, float], order: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return frequencies, damping ratios and shapes by sdypy-EMA: the poles of its highest order nearest to `near`."""
+    from sdypy.EMA import Model
+
+    # sdypy-EMA assumes that the first line is at 0 Hz: shift all frequencies by that of the first line.
+    shift = float(frequency[0])
+    peer = Model(
+        frf, frequency - shift, lower=band[0] - shift, upper=band[1] - shift, pol_order_high=order,
+        frf_form="accelerance",
+    )  # fmt: skip
+    peer.get_poles(show_progress=False)
+    highest = len(peer.pole_freq) - 1
+    chosen = [
+        int(np.argmin(abs(peer.pole_freq[highest] + shift - f) + 1e3 * (peer.pole_xi[highest] <= 0))) for f in near
+    ]
+    peer.pole_ind = [[highest, pole] for pole in chosen]
+    shifted, damping = peer.pole_freq[highest][chosen], peer.pole_xi[highest][chosen]
     _, constants = peer.get_constants()
-    for mode in range(pole_frequency.size):
-        a, b = constants[:, mode], ours["shapes"][:, mode]
-        mac = abs(np.vdot(a, b)) ** 2 / (np.vdot(a, a).real * np.vdot(b, b).real)
-        yield f"mode {mode + 1}, 1 - MAC, sdypy-EMA", 1.0 - mac, 1e-3, "shapes of both"
+    # The shift changes only the imaginary part of a pole.
+    return shifted + shift, damping * shifted / (shifted + shift), constants
+
+
+def mac(first: np.ndarray, second: np.ndarray) -> float:
+    """Return the modal assurance criterion of two shapes."""
+    return float(abs(np.vdot(first, second)) ** 2 / (np.vdot(first, first).real * np.vdot(second, second).real))
 
 
 def compare_shock_spectrum(ours: dict[str, np.ndarray]) -> Iterator[Row]:
@@ -145,6 +193,7 @@ if __name__ == "__main__":
     rows = [
         *compare_frfs(ours),
         *compare_modes(ours),
+        *compare_measured(ours),
         *compare_shock_spectrum(ours),
         *compare_uff(ours, folder / "hits.uff"),
     ]

@@ -1,7 +1,7 @@
-"""Contribution of the choice of band and lines to the uncertainty of modes, for curves that state no errors.
+"""Contribution of the choice of lines to the uncertainty of modes, for curves that state no errors.
 
-Statistics of the residual cannot show what an error of the curves does, because its poles depend on the band. The modes
-are therefore identified again in parts of the band, and from parts of the lines.
+Statistics of the residual cannot show what an error of the curves does, because its poles depend on the lines. The
+modes are therefore identified again without the lines at either end, and from every second line.
 """
 
 from __future__ import annotations
@@ -16,16 +16,18 @@ from analysis.core.modal.order_selection import half_width
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 
-# Either limit of the band is moved inwards by this fraction.
-_SHARE_OF_LIMIT = 0.2
-# A mode closer to a limit than this fraction of its frequency may be missing in a part of the band.
-_MARGIN = 0.03
-# A mode has the same frequency as another up to this multiple of its half-width.
+# A part omits this fraction of the band at one end.
+_OMITTED_SHARE = 0.2
+# A mode closer to a limit of a part than this fraction of the part may be missing there.
+_MARGIN = 0.1
+# A mode has the same frequency as another up to this multiple of its half-width, or of the distance of the lines if
+# that is larger.
 _SAME_HALF_WIDTHS = 1.0
-# A mode that fewer parts of the band contain than this share of them is computational.
-_MIN_SHARE_OF_PARTS = 0.4
-# Ratio of a standard deviation to the median of absolute normal deviates.
-_MEDIAN_RATIO = 1.4826
+# A pole that fewer parts contain than this share of them is computational.
+_MIN_SHARE_OF_PARTS = 0.75
+# Ratio of the standard uncertainty to the root mean square of four differences. With 1, the expanded uncertainty is the
+# largest difference if the others are zero.
+_MEAN_SQUARE_RATIO = 1.2
 # Fewer lines are too few for modes.
 _MIN_LINES = 16
 
@@ -42,8 +44,8 @@ def parts_of_band(frequency: Array) -> Iterator[tuple[NDArray[np.intp], int]]:
     """Yield the lines of each part of a band, and the distance of its lines; `frequency`: ascending, Hz."""
     low, high = frequency[0], frequency[-1]
     for lines, step in (
-        (np.flatnonzero(frequency >= (1.0 + _SHARE_OF_LIMIT) * low), 1),
-        (np.flatnonzero(frequency <= (1.0 - _SHARE_OF_LIMIT) * high), 1),
+        (np.flatnonzero(frequency >= low + _OMITTED_SHARE * (high - low)), 1),
+        (np.flatnonzero(frequency <= high - _OMITTED_SHARE * (high - low)), 1),
         (np.arange(0, frequency.size, 2), 2),
         (np.arange(1, frequency.size, 2), 2),
     ):
@@ -56,8 +58,7 @@ def band_choice(
 ) -> BandChoice:
     """Compare poles with those that `identify` finds in parts of the band; `identify` takes the lines of a part.
 
-    The standard uncertainty by the choice is 1.48 times the median of the differences (type A): a part in which two
-    modes are merged, or one is split, does not determine it.
+    The standard uncertainty by the choice is 1.2 times the root mean square of the differences (type A).
     """
     natural, damping, width = abs(poles) / (2 * np.pi), -poles.real / abs(poles), half_width(poles)
     spacing = float(np.median(np.diff(frequency)))
@@ -69,19 +70,18 @@ def band_choice(
         except RecordingError:
             others = np.zeros(0, dtype=complex)
         low, high = frequency[lines[0]], frequency[lines[-1]]
-        should = (natural > (1.0 + _MARGIN) * low) & (natural < (1.0 - _MARGIN) * high)
+        margin = _MARGIN * (high - low)
+        should = (natural > low + margin) & (natural < high - margin)
         if step > 1:
             should &= 2.0 * width > step * spacing
         expected += should
         for k in np.flatnonzero(should).tolist():
             distance = abs(abs(others) / (2 * np.pi) - natural[k])
             nearest = int(np.argmin(distance)) if others.size else -1
-            if nearest >= 0 and distance[nearest] < _SAME_HALF_WIDTHS * width[k]:
+            if nearest >= 0 and distance[nearest] < _SAME_HALF_WIDTHS * max(width[k], spacing):
                 other_damping = -others[nearest].real / abs(others[nearest])
                 differences[k].append((float(distance[nearest]), float(abs(other_damping - damping[k]))))
     found = np.array([len(each) for each in differences])
-    frequency_error, damping_error = (
-        _MEDIAN_RATIO
-        * np.array([np.median(each, axis=0) if each else (0.0, 0.0) for each in differences]).reshape(-1, 2).T
-    )
+    mean_squares = [np.mean(np.square(each), axis=0) if each else np.zeros(2) for each in differences]
+    frequency_error, damping_error = _MEAN_SQUARE_RATIO * np.sqrt(np.reshape(mean_squares, (-1, 2)).T)
     return BandChoice(found >= _MIN_SHARE_OF_PARTS * expected, frequency_error, damping_error)

@@ -8,6 +8,7 @@ import numpy as np
 
 from analysis.core.modal.modes import MAX_RELATIVE_UNCERTAINTY, Modes
 from analysis.core.modal.pole_errors import LEAKAGE_FACTOR
+from analysis.core.modal.window_fits import IdentifiedPoles
 from analysis.core.responses.estimator import estimator_of
 from rig.core.base.arrays import Array
 from rig.core.results import format_percent
@@ -26,7 +27,7 @@ def mode_warnings(
     modes: Modes,
     curves: Sequence[Response],
     count: int | None,
-    rejected: Sequence[float],  # Hz: poles whose damping or peak height is not determined
+    found: IdentifiedPoles,
     uncertain_poles: Array,  # Hz: poles where the uncertainty of the curves is too large
     unmeasured: Array,  # Hz: poles around which no line was measured
     unused_responses: Sequence[str],  # responses that were not used
@@ -54,10 +55,16 @@ def mode_warnings(
                 f"Small model error: {residual_text}, more than the {expected}. "
                 "The uncertainties of the modes include it."
             )
-    if rejected:
+    if found.rejected:
         yield (
-            f"Rejected the stable poles at {_listed(np.sort(rejected))} Hz: their damping or height is below the "
+            f"Rejected the stable poles at {_listed(np.sort(found.rejected))} Hz: their damping or height is below the "
             "uncertainty of these curves. Impacts of dampers also cause such peaks, which are not modes."
+        )
+    if found.unconfirmed:
+        yield (
+            f"Rejected the poles at {_listed(np.sort(found.unconfirmed))} Hz: parts of the lines around them do not "
+            "confirm them. Leakage, double hits and a nonlinear structure cause such poles. Measure with a smaller "
+            "frequency step or more averages to identify modes there."
         )
     if uncertain_poles.size:
         listed = _listed(uncertain_poles)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.core.modal.lscf import ChartPole
-from analysis.core.modal.pole_residue import residual_terms
+from analysis.core.modal.pole_residue import modal_receptance
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
 from rig.core.results import Result, complete_style, format_percent, format_quantity
@@ -197,11 +197,8 @@ class Modes(Result):
 
     def receptance(self, frequency: Array) -> ComplexArray:
         """Compute the receptance of the modal model, m/N, shape (responses, frequencies); frequencies in Hz."""
-        s = 2j * np.pi * np.asarray(frequency, dtype=float)
-        receptance = np.column_stack([self.lower, self.upper]) @ np.stack(residual_terms(s))
-        for pole, residue in zip(self.poles, self.residue.T, strict=True):
-            receptance = receptance + residue[:, None] / (s - pole) + residue.conj()[:, None] / (s - pole.conjugate())
-        return np.asarray(receptance, dtype=complex)
+        terms = np.column_stack([self.lower, self.upper])
+        return modal_receptance(np.asarray(frequency, dtype=float), self.poles, self.residue, terms)
 
     @property
     def collinearity(self) -> Array:

@@ -27,8 +27,8 @@ _PENALTY_FACTOR = 2.0
 # A single reference resolves two poles if their distance is at least this, in mean half-power bandwidths. Several
 # references distinguish closer poles by their shapes.
 _MIN_DISTANCE_WIDTHS = 0.4
-# The same where a model error is assumed. Closer poles may represent this error, because two poles fit a peak of any
-# shape. Tuned on a measured milling tool: at 0.4 its modes depended on the band.
+# The same where a model error is assumed, or where curves state no errors. Closer poles may represent an error, because
+# two poles fit a peak of any shape. Tuned on a measured milling tool: at 0.4 its modes depended on the band.
 _MIN_ERRONEOUS_DISTANCE_WIDTHS = 0.8
 # Two poles are close up to this distance, in the same unit. Close poles are accepted only if their local misfit is at
 # noise level, because two close poles can fit the skewed peak of a nonlinear structure.
@@ -187,7 +187,8 @@ def spurious_poles(curves: Curves, model: ModalModel) -> NDArray[np.intp]:
         mean_width = width[low] + width[high]
         # The window broadens a narrow peak to less than twice the frequency resolution.
         is_same_peak = mean_width < 2.0 * curves.resolution and distance < _SAME_PEAK_RATIO * curves.resolution
-        min_distance = _MIN_ERRONEOUS_DISTANCE_WIDTHS if curves.has_model_error else _MIN_DISTANCE_WIDTHS
+        is_exact = curves.are_errors_stated and not curves.has_model_error
+        min_distance = _MIN_DISTANCE_WIDTHS if is_exact else _MIN_ERRONEOUS_DISTANCE_WIDTHS
         is_unresolved = curves.references == 1 and distance < min_distance * mean_width
         is_close = distance < _CLOSE_POLE_WIDTHS * mean_width
         if (

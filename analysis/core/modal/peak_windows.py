@@ -11,10 +11,14 @@ import scipy
 from analysis.core.modal.line_choice import scatter
 from rig.core.base.arrays import Array, ComplexArray
 
-# A peak exceeds its surroundings by at least the factor of half of the power.
-_MIN_PROMINENCE = 0.5 * float(np.log(2.0))
+# Half of the power, as a difference of logarithms of magnitudes.
+_HALF_POWER = 0.5 * float(np.log(2.0))
+# A peak exceeds its surroundings by at least this difference of logarithms.
+_MIN_PROMINENCE = 0.5 * _HALF_POWER
 # A peak exceeds the scatter of its lines by at least this factor in a curve.
 _MIN_SIGNAL_RATIO = 6.0
+# The scatter of a line is the largest among this number of lines.
+_NOISE_LINES = 31
 # A window extends to this distance from its peaks, in half-widths and at least this number of lines.
 _WINDOW_HALF_WIDTHS = 6.0
 _MIN_WINDOW_LINES = 20
@@ -41,14 +45,20 @@ def peak_windows(frequency: Array, values: Sequence[ComplexArray]) -> list[Windo
     magnitude = np.abs(np.nan_to_num(np.stack(values))) * frequency**2
     log_magnitude = np.log(np.maximum(magnitude, 1e-12 * magnitude.max(axis=1, keepdims=True))).mean(axis=0)
     peaks, properties = scipy.signal.find_peaks(log_magnitude, prominence=_MIN_PROMINENCE)
-    noise = np.stack([scatter(np.nan_to_num(value)) for value in values]) * frequency**2
+    # The scatter of the lines next to a limit of a noisy range is that of the other side.
+    noise = scipy.ndimage.maximum_filter1d(
+        [scatter(np.nan_to_num(value) * frequency**2) for value in values], _NOISE_LINES, axis=1
+    )
     is_high = (magnitude[:, peaks] > _MIN_SIGNAL_RATIO * noise[:, peaks]).any(axis=0)
     order = np.argsort(-np.where(is_high, properties["prominences"], 0.0), kind="stable")
-    peaks = np.sort(peaks[order[: min(_MAX_PEAKS, int(is_high.sum()))]])
+    chosen = np.sort(order[: min(_MAX_PEAKS, int(is_high.sum()))])
+    peaks, drops = peaks[chosen], np.minimum(0.9 * properties["prominences"][chosen], _HALF_POWER)
     if not peaks.size:
         return [Window(0, frequency.size, 0.0, np.inf)]
-    half_widths = np.array([_half_width(frequency, log_magnitude, int(peak)) for peak in peaks])
-    reach = np.array([_GROUP_HALF_WIDTHS * half_widths]).ravel()
+    half_widths = np.array(
+        [_half_width(frequency, log_magnitude, int(peak), float(drop)) for peak, drop in zip(peaks, drops, strict=True)]
+    )
+    reach = _GROUP_HALF_WIDTHS * half_widths
     splits = np.flatnonzero(np.diff(frequency[peaks]) > reach[1:] + reach[:-1]) + 1
     groups = np.split(np.arange(peaks.size), splits)
     valleys = [float(frequency[peaks[i] + np.argmin(log_magnitude[peaks[i] : peaks[i + 1]])]) for i in splits - 1]
@@ -63,9 +73,10 @@ def peak_windows(frequency: Array, values: Sequence[ComplexArray]) -> list[Windo
     return windows
 
 
-def _half_width(frequency: Array, log_magnitude: Array, peak: int) -> float:
-    """Return half of the half-power bandwidth of a peak, Hz."""
-    below = log_magnitude < log_magnitude[peak] - _MIN_PROMINENCE
+def _half_width(frequency: Array, log_magnitude: Array, peak: int, drop: float) -> float:
+    """Return half of the half-power bandwidth of a peak, Hz, from its width where the logarithm is lower by `drop`."""
+    below = log_magnitude < log_magnitude[peak] - drop
     first = peak - int(np.argmax(below[peak::-1]))
     last = peak + int(np.argmax(below[peak:]))
-    return 0.5 * float(frequency[last] - frequency[first])
+    # The magnitude of a resonance falls with sqrt(1 + x²) at a distance of x half-widths.
+    return 0.5 * float(frequency[last] - frequency[first]) / float(np.sqrt(np.expm1(2.0 * drop)))

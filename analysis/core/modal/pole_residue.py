@@ -39,6 +39,7 @@ class Curves:
     resolution: float = 0.0  # noise bandwidth of each line, Hz; 0 without leakage
     references: int = 1  # number of inputs of the responses
     has_model_error: bool = False  # whether the weights contain an assumed error of the model
+    are_errors_stated: bool = True  # False: the weights are estimated from the scatter of the lines
 
     @property
     def n_values(self) -> int:
@@ -123,6 +124,18 @@ def residual_terms(s: NDArray[np.complexfloating]) -> list[NDArray[np.complexflo
     with much noise.
     """
     return [1.0 / s**2, *(s**power for power in range(UPPER_TERMS))]
+
+
+def modal_receptance(frequency: Array, poles: ComplexArray, residue: ComplexArray, terms: Array) -> ComplexArray:
+    """Compute receptances of modes, m/N, shape (responses, frequencies); frequencies in Hz.
+
+    `terms`: factors of the residual terms, shape (responses, 1 + `UPPER_TERMS`).
+    """
+    s = 2j * np.pi * frequency
+    receptance = terms @ np.stack(residual_terms(s))
+    for pole, factors in zip(poles, residue.T, strict=True):
+        receptance = receptance + factors[:, None] / (s - pole) + factors.conj()[:, None] / (s - pole.conjugate())
+    return np.asarray(receptance, dtype=complex)
 
 
 def misfits_with(curves: Curves, poles: ComplexArray, added: ComplexArray) -> Array:

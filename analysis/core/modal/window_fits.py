@@ -1,0 +1,141 @@
+"""Identification of modes in windows of lines around peaks, for curves that state no errors.
+
+What a file does not state (leakage, double hits, a nonlinear structure) are errors of unknown size. In a model of the
+whole band they change every mode, so that the result depends on the limits of the band. A model of the lines around a
+peak is independent of the other lines; residual terms represent the other modes. A pole is physical if it contributes
+an essential part of a curve at its frequency, and if parts of the lines of its window confirm it (see `band_choice`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from analysis.core.modal.band_choice import band_choice
+from analysis.core.modal.line_choice import reduce_lines
+from analysis.core.modal.modal_fit import FittedModes, fit_modes, remove_unbounded
+from analysis.core.modal.modes import MAX_RELATIVE_UNCERTAINTY
+from analysis.core.modal.order_selection import are_in_band, are_narrower_than_resolution, half_width
+from analysis.core.modal.peak_windows import Window, peak_windows
+from analysis.core.modal.pole_errors import pole_errors, systematic_pole_errors
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.errors import RecordingError
+from rig.core.results.response import Response
+from rig.core.results.uncertainty import standard_of_limit
+
+# A mode contributes at least this part of a curve at its natural frequency. Smaller poles represent errors of the
+# curves, such as the ripple due to an echo of the force.
+_MIN_SHARE = 0.1
+# The curve at a frequency is the root mean square of this number of lines.
+_SHARE_LINES = 31
+# Smallest standard uncertainty, relative to the half-width and the damping ratio: an error of the curves that all lines
+# have in common does not appear in their differences.
+_MIN_UNCERTAINTY = 1e-3
+
+
+# Maximum number of lines of a window; of more, every second, third, ... is fitted. These are 80 lines per half-width.
+_MAX_LINES = 1000
+
+
+class IdentifiedPoles(NamedTuple):
+    """Identified poles in ascending order of frequency."""
+
+    poles: ComplexArray  # rad/s, shape (modes,)
+    residue: ComplexArray  # shape (responses, modes)
+    frequency_error: Array  # standard uncertainties, Hz
+    damping_error: Array  # standard uncertainties
+    model_error: float  # largest of the windows; 0 if noise explains the residuals
+    rejected: list[float]  # Hz, poles whose damping or height is not determined
+    unconfirmed: list[float]  # Hz, poles that parts of the lines do not confirm
+    value: ComplexArray  # fitted or measured curves, m/N, shape (responses, lines)
+
+
+def identify_windows(curves: Sequence[Response], value: ComplexArray, count: int | None) -> IdentifiedPoles:
+    """Identify the modes of curves at equal frequencies, in ascending order; at most `count`, of the highest peaks."""
+    frequency = curves[0].frequency
+    parts = [no_poles(value)]
+    for window in peak_windows(frequency, [curve.value for curve in curves]):
+        step = -(-(window.stop - window.first) // _MAX_LINES)  # rounded up
+        lines = np.arange(window.first, window.stop, step)
+        try:
+            parts.append(_identify_window([curve.at(lines) for curve in curves], window))
+        except RecordingError:
+            # Too few lines of the window have a value.
+            continue
+    poles = np.concatenate([part.poles for part in parts])
+    residue = np.concatenate([part.residue for part in parts], axis=1)
+    # Heights of the peaks of acceleration, because those of displacement favor low frequencies.
+    height = np.linalg.norm(residue, axis=0) * abs(poles) ** 2 / -poles.real
+    highest = np.argsort(-height, kind="stable")[:count]
+    chosen = highest[np.argsort(poles[highest].imag)]
+    return IdentifiedPoles(
+        poles[chosen],
+        residue[:, chosen],
+        np.concatenate([part.frequency_error for part in parts])[chosen],
+        np.concatenate([part.damping_error for part in parts])[chosen],
+        max(part.model_error for part in parts),
+        [each for part in parts for each in part.rejected],
+        [each for part in parts for each in part.unconfirmed],
+        value,
+    )
+
+
+def _identify_window(curves: Sequence[Response], window: Window) -> IdentifiedPoles:
+    """Identify the modes of a window."""
+    reduced = remove_unbounded(reduce_lines(curves))
+    fitted = fit_modes(reduced)
+    model, weighted = fitted.model, fitted.weighted
+    natural = abs(model.poles) / (2 * np.pi)
+    accepted = are_in_band(weighted, model.poles) & (natural > window.low) & (natural <= window.high)
+    rejected = [each for each in fitted.rejected if window.low < each <= window.high]
+    if not model.poles.size:
+        return no_poles(fitted.measured.value)._replace(rejected=rejected)
+    accepted &= _largest_shares(fitted) >= _MIN_SHARE
+
+    def identify(lines: NDArray[np.intp]) -> ComplexArray:
+        part = remove_unbounded(reduce_lines([curve.at(lines) for curve in curves]))
+        fitted_part = fit_modes(part, None, (fitted.assumed_error,))
+        return fitted_part.model.poles[are_in_band(fitted_part.weighted, fitted_part.model.poles)]
+
+    if not accepted.any():
+        return no_poles(fitted.measured.value)._replace(rejected=rejected)
+    choice = band_choice(curves[0].frequency, model.poles, identify)
+    systematic = [standard_of_limit(each) for each in systematic_pole_errors(reduced, model.poles)]
+    of_choice = choice.frequency_error, choice.damping_error
+    smallest = -_MIN_UNCERTAINTY * model.poles.real / np.stack([np.full(model.poles.size, 2 * np.pi), abs(model.poles)])
+    errors = np.linalg.norm([pole_errors(weighted, model), systematic, of_choice, smallest], axis=0)
+    is_determined = (errors[1] < MAX_RELATIVE_UNCERTAINTY * -model.poles.real / abs(model.poles)) & (
+        errors[0] < half_width(model.poles)
+    )
+    confirmed = choice.confirmed & (is_determined | are_narrower_than_resolution(weighted, model.poles))
+    kept = accepted & confirmed
+    return IdentifiedPoles(
+        model.poles[kept],
+        model.residue[:, kept],
+        errors[0, kept],
+        errors[1, kept],
+        fitted.model_error if kept.any() else 0.0,
+        rejected,
+        natural[accepted & ~confirmed].tolist(),
+        fitted.measured.value,
+    )
+
+
+def no_poles(value: ComplexArray) -> IdentifiedPoles:
+    """Return the result without a pole for curves, shape (responses, lines)."""
+    no_mode = np.zeros((len(value), 0), dtype=complex)
+    return IdentifiedPoles(np.zeros(0, dtype=complex), no_mode, np.zeros(0), np.zeros(0), 0.0, [], [], value)
+
+
+def _largest_shares(fitted: FittedModes) -> Array:
+    """Return the height of each mode relative to the curve around its frequency, where this ratio is largest."""
+    poles = fitted.model.poles
+    # A single line may lie in an antiresonance.
+    power = scipy.ndimage.uniform_filter1d(abs(fitted.measured.value) ** 2, _SHARE_LINES, axis=1, mode="nearest")
+    lines = np.abs(fitted.measured.frequency[:, None] - abs(poles) / (2 * np.pi)).argmin(axis=0)
+    height = abs(fitted.model.residue) / -poles.real
+    return np.asarray(np.max(height / np.sqrt(np.maximum(power[:, lines], 1e-300)), axis=0))

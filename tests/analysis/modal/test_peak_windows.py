@@ -1,0 +1,83 @@
+"""Modes of curves without stated errors come from windows around peaks, and do not depend on the rest of the band."""
+
+import numpy as np
+
+import analysis
+from analysis.core.modal.peak_windows import peak_windows
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.results.response import Response
+
+FREQUENCY = np.arange(10.0, 400.0, 0.5)
+
+
+def accelerance(frequency: Array, echo: float = 0.0) -> ComplexArray:
+    s, value = 2j * np.pi * frequency, np.zeros(frequency.size, dtype=complex)
+    for natural, damping in ((110.0, 0.01), (170.0, 0.008)):
+        omega = 2 * np.pi * natural
+        value += s**2 / (s**2 + 2 * damping * omega * s + omega**2)
+    return value * (1.0 + echo * np.exp(-0.05 * s))
+
+
+def measured(frequency: Array, echo: float = 0.0) -> Response:
+    """Return a curve as a text file gives it: with noise and without errors; noise only above 250 Hz."""
+    random = np.random.default_rng(1)
+    noise = random.standard_normal(FREQUENCY.size) + 1j * random.standard_normal(FREQUENCY.size)
+    noise *= np.where(FREQUENCY > 250.0, 3.0, 3e-3)
+    value = accelerance(FREQUENCY, echo) + noise
+    chosen = np.isin(FREQUENCY, frequency)
+    return Response.curve(FREQUENCY[chosen], value[chosen], "a1", motion="acceleration")
+
+
+def limits(frequency: Array) -> list[tuple[float, float]]:
+    curve = measured(frequency).to("displacement")
+    return [
+        (float(curve.frequency[window.first]), float(curve.frequency[window.stop - 1]))
+        for window in peak_windows(curve.frequency, [curve.value])
+    ]
+
+
+def test_each_peak_has_its_window() -> None:
+    (low, high), (other_low, other_high) = limits(FREQUENCY)
+    assert low < 110.0 < high < other_high and other_low < 170.0 < other_high
+
+
+def test_windows_do_not_depend_on_band() -> None:
+    assert limits(FREQUENCY) == limits(FREQUENCY[(FREQUENCY > 60.0) & (FREQUENCY < 230.0)])
+
+
+def test_band_without_peak_is_one_window() -> None:
+    frequency = FREQUENCY[FREQUENCY > 250.0]
+    assert limits(frequency) == [(frequency[0], frequency[-1])]
+
+
+def test_limits_far_from_peaks_leave_modes_equal() -> None:
+    all_lines, band = (
+        analysis.identify([measured(FREQUENCY[selected])])
+        for selected in (FREQUENCY > 0.0, (FREQUENCY > 60.0) & (FREQUENCY < 230.0))
+    )
+    assert all_lines.frequency.size == 2
+    np.testing.assert_array_equal(all_lines.frequency, band.frequency)
+    np.testing.assert_array_equal(all_lines.damping_error, band.damping_error)
+
+
+def test_ripple_of_echo_is_not_modes() -> None:
+    modes = analysis.identify([measured(FREQUENCY[FREQUENCY < 250.0], echo=0.03)])
+    np.testing.assert_allclose(modes.frequency, [110.0, 170.0], rtol=2e-3)
+
+
+def test_sum_of_modes_and_residual_terms_follows_curve() -> None:
+    frequency = FREQUENCY[(FREQUENCY > 60.0) & (FREQUENCY < 230.0)]
+    receptance = analysis.identify([measured(frequency)]).receptance(frequency)[0]
+    expected = accelerance(frequency) / (2j * np.pi * frequency) ** 2
+    assert np.median(abs(receptance - expected) / abs(expected)) < 0.02
+
+
+def test_count_selects_highest_peaks() -> None:
+    (frequency,) = analysis.identify([measured(FREQUENCY)], count=1).frequency
+    assert abs(frequency - 170.0) < 0.1
+
+
+def test_long_window_is_thinned() -> None:
+    frequency = np.arange(60.0, 230.0, 0.01)
+    curve = Response.curve(frequency, accelerance(frequency) + 1e-4, "a1", motion="acceleration")
+    np.testing.assert_allclose(analysis.identify([curve]).frequency, [110.0, 170.0], rtol=1e-4)

@@ -1,0 +1,163 @@
+"""Modes of random curves with rubbish at both ends, in bands that differ: ``python -m tests.gauntlet.band_stability``.
+
+Each set of curves is that of a free structure; its lines far below and far above the modes contain noise only. Modes
+are identified in a band, with either limit changed by 20 %, from every second line, and from all lines. Printed are the
+modes that are missing or added, and those that differ by more than their expanded uncertainties. Exit code 1: too many
+differ.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+import analysis
+from analysis.core.modal.modes import Modes
+from rig.core.base.arrays import Array
+from rig.core.base.errors import RecordingError
+from rig.core.results.response import Response
+
+# Fraction of the comparisons that must agree.
+MIN_AGREEMENT = 0.95
+# Modes closer to a limit of the band than this fraction of their frequency are not compared.
+_MARGIN = 0.03
+
+
+@dataclass(frozen=True)
+class RandomCurves:
+    """Curves of a free structure, and its modes."""
+
+    curves: list[Response]
+    frequency: Array  # Hz, natural frequencies
+    damping: Array  # damping ratios
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Return the limits of a band around the modes, Hz."""
+        return 0.6 * float(self.frequency[0]), 1.35 * float(self.frequency[-1])
+
+
+def draw_curves(seed: int, number: int) -> RandomCurves:
+    """Draw accelerances of two to five modes from 100 Hz on, as a text file gives them: without uncertainties."""
+    random = np.random.default_rng([seed, number])
+    n_modes, n_curves = int(random.integers(2, 6)), int(random.integers(1, 4))
+    first = float(np.exp(random.uniform(np.log(100.0), np.log(1000.0))))
+    natural = first * np.cumprod(np.append(1.0, random.uniform(1.15, 1.7, n_modes - 1)))
+    damping = np.exp(random.uniform(np.log(0.002), np.log(0.04), n_modes))
+    spacing = float(np.min(damping * natural)) / random.uniform(1.5, 5.0)
+    frequency = np.arange(spacing, 2.0 * natural[-1], spacing)
+    s, omega = 2j * np.pi * frequency, 2 * np.pi * natural[:, None]
+    shapes = random.uniform(0.3, 1.0, (n_curves, n_modes)) * random.choice([-1.0, 1.0], (n_curves, n_modes))
+    receptance = shapes @ (1.0 / (s**2 + 2.0 * damping[:, None] * omega * s + omega**2))
+    # Motion of the rigid body, and a mode above the lines.
+    receptance += random.uniform(0.5, 2.0, (n_curves, 1)) / s**2
+    receptance += random.uniform(0.5, 2.0, (n_curves, 1)) / (3.0 * omega[-1]) ** 2
+    # An echo of the force, as of a double hit or a late reflection, that the measured force does not contain.
+    delay = 1.0 / (random.uniform(5.0, 50.0) * float(np.min(damping * natural)))
+    value = receptance * s**2 * (1.0 + 10.0 ** random.uniform(-3.5, -1.5) * np.exp(-s * delay))
+    typical = np.median(abs(value))
+    noise = random.standard_normal(value.shape) + 1j * random.standard_normal(value.shape)
+    is_rubbish = (frequency < 0.1 * natural[0]) | (frequency > 1.6 * natural[-1])
+    size = np.where(is_rubbish, random.uniform(1.0, 10.0), 10.0 ** random.uniform(-3.0, -1.5))
+    value += typical * size * noise
+    curves = [
+        Response.curve(frequency, row, f"a{k}", motion="acceleration", resolution=1.5 * spacing)
+        for k, row in enumerate(value, 1)
+    ]
+    return RandomCurves(curves, natural, damping)
+
+
+def changed_bands(low: float, high: float) -> Iterator[tuple[str, float, float, int]]:
+    """Yield the name of each change, the limits of its band, Hz, and the distance of its lines."""
+    yield "low limit 20 % higher", 1.2 * low, high, 1
+    yield "low limit 20 % lower", 0.8 * low, high, 1
+    yield "high limit 20 % lower", low, 0.8 * high, 1
+    yield "high limit 20 % higher", low, 1.2 * high, 1
+    yield "every second line", low, high, 2
+    yield "all lines", 0.0, np.inf, 1
+
+
+def select(curves: list[Response], low: float, high: float, step: int = 1) -> list[Response]:
+    """Select every first, second, ... line of a band."""
+    frequency = curves[0].frequency
+    lines = np.flatnonzero((frequency >= low) & (frequency <= high))[::step]
+    return [curve.at(lines) for curve in curves]
+
+
+def compare(curves: list[Response], low: float, high: float) -> list[tuple[str, list[str]]]:
+    """Identify modes in a band; return the name of each change of the band and the differences that it causes."""
+    reference = analysis.identify(select(curves, low, high))
+    spacing = float(np.diff(curves[0].frequency[:2])[0])
+    results = []
+    for name, first, last, step in changed_bands(low, high):
+        try:
+            modes = analysis.identify(select(curves, first, last, step))
+        except RecordingError:
+            # A part of the band may contain no mode.
+            modes = replace(reference, frequency=np.zeros(0), damping=np.zeros(0))
+        limits = max(low, first), min(high, last)
+        results.append((name, differences(reference, modes, *limits, step * spacing if step > 1 else 0.0)))
+    return results
+
+
+def differences(first: Modes, second: Modes, low: float, high: float, min_width: float) -> list[str]:
+    """Describe the modes between two limits, Hz, that one result lacks or that differ beyond their uncertainties.
+
+    Peaks narrower than `min_width`, Hz, are not compared: fewer than two lines are in them.
+    """
+
+    def inside(modes: Modes) -> list[int]:
+        is_inside = (modes.frequency > (1.0 + _MARGIN) * low) & (modes.frequency < (1.0 - _MARGIN) * high)
+        is_inside &= 2.0 * modes.damping * modes.frequency > min_width
+        return [int(i) for i in np.flatnonzero(is_inside)]
+
+    texts, others = [], inside(second)
+    for i in inside(first):
+        f = first.frequency[i]
+        j = min(others, key=lambda other: abs(float(second.frequency[other] - f)), default=None)
+        if j is None or abs(second.frequency[j] - f) > max(f * first.damping[i], 4.0 * first.frequency_error[i]):
+            texts.append(f"{f:.5g} Hz is missing")
+            continue
+        others.remove(j)
+        for name in ("frequency", "damping"):
+            change = abs(getattr(first, name)[i] - getattr(second, name)[j])
+            expanded = 2.0 * max(getattr(first, f"{name}_error")[i], getattr(second, f"{name}_error")[j])
+            if change > expanded:
+                texts.append(f"{f:.5g} Hz: {name} differs by {change / expanded:.1f} expanded uncertainties")
+    return [*texts, *(f"{second.frequency[j]:.5g} Hz is added" for j in others)]
+
+
+def false_modes(modes: Modes, drawn: RandomCurves) -> list[str]:
+    """Describe the modes of the structure that are missing, and the identified modes that it does not have."""
+    is_same = abs(modes.frequency[:, None] - drawn.frequency) < drawn.damping * drawn.frequency
+    return [
+        *(f"{f:.5g} Hz is missing" for f in drawn.frequency[~is_same.any(axis=0)]),
+        *(f"{f:.5g} Hz is spurious" for f in modes.frequency[~is_same.any(axis=1)]),
+    ]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--sets", type=int, default=40, help="how many sets of curves (default: 40)")
+    parser.add_argument("--seed", type=int, default=1, help="another seed draws other curves")
+    options = parser.parse_args()
+    agreeing = total = 0
+    for number in range(options.sets):
+        drawn = draw_curves(options.seed, number)
+        results = compare(drawn.curves, *drawn.band)
+        results.append(("modes of the structure", false_modes(analysis.identify(drawn.curves), drawn)))
+        total += len(results)
+        agreeing += sum(not texts for _, texts in results)
+        for name, texts in results:
+            if texts:
+                print(f"{number} {name}: {'; '.join(texts)}")
+    print(f"{agreeing} of {total} agree")
+    return int(agreeing < MIN_AGREEMENT * total)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

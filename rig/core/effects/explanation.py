@@ -21,9 +21,9 @@ from rig.core.scene.scene import Scene
 from rig.core.scene.shaker import Shaker
 from rig.core.scene.structure import Dashpots, ModalDamping, RayleighDamping, Structure
 from rig.core.system.assembly import assemble
-from rig.core.system.hybrid_system import Element, HybridSystem
+from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.spheres import spheres_of
-from rig.core.system.structural_model import StructuralModel, structural_model
+from rig.core.system.structural_model import StructuralModel, TunedMass, structural_model
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -138,7 +138,7 @@ def explain(scene: SceneLike) -> Explanation:
         "ceilings",
         "restitution",
         "finite-duration contact",
-        "tuned mass dampers",
+        "masses on springs",
         "grains",
         "coil spring and table",
         "coil current",
@@ -214,19 +214,19 @@ def _damper_effects(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
             f"{1e3 * spheres.mass:.4g} g; position, velocity, angular velocity; "
             f"step of {1e6 * spheres.longest_step():.3g} us",
         )  # fmt: skip
-    texts = [_tuned_mass_text(element, scene.structure) for element in system.elements if not element.law.walls]
-    if texts:
-        yield Effect("motion", "tuned mass dampers", 2 * len(texts), "; ".join(texts))
+    on_springs = structural_model(scene).tuned
+    if on_springs:
+        texts = "; ".join(_spring_mass_text(mass, scene) for mass in on_springs)
+        yield Effect("motion", "masses on springs", 2 * len(on_springs), texts)
     # Dampers whose particles are modeled as one mass.
-    one_mass = ~system.grains & np.array([bool(element.law.walls) for element in system.elements])
-    if not one_mass.any():
-        return
-    bodies = scene.structure.listed(int(row) + 1 for row in system.damper_coordinate[one_mass])
-    masses = ", ".join(f"{1e3 * mass:.4g} g" for mass in system.damper_mass[one_mass])
-    yield Effect(
-        "motion", "particle dampers", 2 * int(one_mass.sum()),
-        f"in {bodies}: {masses}; height and speed of each in flight; gravity {system.gravity:.6g} m/s^2",
-    )  # fmt: skip
+    one_mass = ~system.grains & ~np.isin(system.damper_number - 1, [mass.damper for mass in on_springs])
+    if one_mass.any():
+        bodies = scene.structure.listed(int(row) + 1 for row in system.damper_coordinate[one_mass])
+        masses = ", ".join(f"{1e3 * mass:.4g} g" for mass in system.damper_mass[one_mass])
+        yield Effect(
+            "motion", "particle dampers", 2 * int(one_mass.sum()),
+            f"in {bodies}: {masses}; height and speed of each in flight; gravity {system.gravity:.6g} m/s^2",
+        )  # fmt: skip
     ceilings = np.isfinite(system.clearance) & one_mass
     if ceilings.any():
         heights = ", ".join(f"{1e3 * height:.4g} mm" for height in system.clearance[ceilings])
@@ -238,15 +238,16 @@ def _damper_effects(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
         yield Effect("motion", "finite-duration contact", 0, "; ".join(_wall_texts(system, scene.structure)))
 
 
-def _tuned_mass_text(element: Element, structure: Structure) -> str:
-    """Describe a mass on a spring, with natural frequency and damping ratio on a body at rest."""
-    [force] = element.law.forces
-    assert force is not None
-    omega = math.sqrt(-force.gap / element.mass)
+def _spring_mass_text(mass: TunedMass, scene: Scene) -> str:
+    """Describe a mass on a spring, with natural frequency and damping ratio on a body at rest, and its walls."""
+    omega = math.sqrt(mass.stiffness / mass.mass)
+    damper = scene.dampers[mass.damper]
+    distances = {"below": damper.below, "above": damper.clearance}
+    walls = [f"{1e3 * distance:.4g} mm {side}" for side, distance in distances.items() if math.isfinite(distance)]
     return (
-        f"in {structure.label(element.body + 1)}: {1e3 * element.mass:.4g} g on {-force.gap:.4g} N/m and "
-        f"{-force.speed:.4g} N s/m ({omega / (2.0 * math.pi):.4g} Hz, damping ratio "
-        f"{-50.0 * force.speed / (element.mass * omega):.3g} %)"
+        f"in {scene.structure.label(mass.body + 1)}: {1e3 * mass.mass:.4g} g on {mass.stiffness:.4g} N/m and "
+        f"{mass.damping:.4g} N s/m ({omega / (2.0 * math.pi):.4g} Hz, damping ratio "
+        f"{50.0 * mass.damping / (mass.mass * omega):.3g} %)" + (f", walls {' and '.join(walls)}" if walls else "")
     )
 
 

@@ -146,7 +146,11 @@ class FlowTables:
         contact_matrix, contact_constant = system.contact_forces(configuration)
         mass = system.mass.astype(dtype)
         constant = system.force_constant.astype(dtype) + contact_constant
+        fixed = []  # gaps at rest
         for j in system.held(configuration):
+            if not system.detached[j]:
+                fixed.append(system.gap_coordinate[j])
+                continue
             row = system.damper_coordinate[j]
             mass[row, row] += system.damper_mass[j]
             constant[row] -= dtype(system.damper_mass[j]) * dtype(system.gravity)
@@ -156,6 +160,9 @@ class FlowTables:
         force = np.zeros((nq, self.size), dtype=dtype)
         force[:, :ns] = system.force_state.astype(dtype) + contact_matrix
         force[:, ns:] = system.force_drive.astype(dtype) @ drive.output.astype(dtype)
+        mass[fixed], mass[:, fixed] = 0.0, 0.0
+        mass[fixed, fixed] = 1.0
+        force[fixed], constant[fixed] = 0.0, 0.0
         matrix[nq : 2 * nq] = _solve(mass, force)
         offset[nq : 2 * nq] = _solve(mass, constant[:, None])[:, 0]
         matrix[2 * nq : ns, :ns] = system.rate_state

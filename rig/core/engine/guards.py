@@ -64,11 +64,11 @@ def bound_by_series(
     coordinates, first_magnitude = model.first_velocity, bound.shape[0] // 2
     for lane in range(signals.indices.shape[0]):
         row_of_bound, index = signals.indices[lane, BOUND], signals.indices[lane, ENTRY]
-        if model.gap_coordinate[signals.indices[lane, ELEMENT]] >= 0:
+        has_acceleration = signals.indices[lane, ORDER] > 0
+        if model.gap_coordinate[signals.indices[lane, ELEMENT]] >= 0 and not has_acceleration:
             # With an infinite bound no guard is proven free of zeros, so that its series is always examined.
             bound[row_of_bound] = np.inf
             continue
-        has_acceleration = signals.indices[lane, ORDER] > 0
         row = index - model.first_acceleration + coordinates if has_acceleration else index
         lost_terms = 1 if has_acceleration else 0  # differentiation of velocity to acceleration loses one term
         end_value = 0.0

@@ -3,7 +3,8 @@
 The modes and exits of all elements are numbered one after another. A *lane* is the place of a signal: an element has as
 many lanes as its richest mode has signals. A signal is a sum of factors times entries of the extended state (states,
 accelerations, derivatives of the accelerations), plus a constant and, for a flying detached mass, its height. The
-holding force of a detached mass is divided by the mass: it is the acceleration of its body plus gravity.
+holding force is divided by the mass of the element: it is the acceleration of its body minus that of the other forces
+on the mass, such as gravity.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ class LawTables(NamedTuple):
     element, then their counts. stride: of each element, and force_index[m]: see `HybridSystem.strides`.
 
     wall[m]: contact in results. push[m]: direction in which this wall pushes, 1 or -1. wall_gap[m]: gap of a held mass,
-    m. is_held[m]. flies[m]: 1 for a detached mass that is not held, else 0. force[m]: factors of gap and speed, and
+    m. is_held[m]. can_hit[m]: whether the mode can end in an impact. flies[m]: 1 for a detached mass that is not held,
+    else 0. force[m]: factors of gap and speed, and
     relaxed gap.
 
     numbers, indices [m, lane of the element]: see `Signals`. exit[m, lane, end]. rounding[m, lane]: largest value per
@@ -59,6 +61,7 @@ class LawTables(NamedTuple):
     push: np.ndarray
     wall_gap: np.ndarray
     is_held: np.ndarray
+    can_hit: np.ndarray
     flies: np.ndarray
     force: np.ndarray
     numbers: np.ndarray
@@ -90,11 +93,12 @@ class SignalTerms(NamedTuple):
     rest: float
 
 
-def signal_terms(system: HybridSystem, element: Element, signal: Signal, size: int) -> SignalTerms:
+def signal_terms(system: HybridSystem, element: Element, mode: Mode, signal: Signal, size: int) -> SignalTerms:
     """Return the terms of a signal; `size`: number of states with the drive."""
     row = signal.row
     if row.hold:
-        return SignalTerms((size + element.body,), (row.hold,), 1, row.hold * system.gravity, 0.0)
+        offset = row.hold * -system.other_acceleration(element, mode.wall_gap)
+        return SignalTerms((size + element.body,), (row.hold,), 1, offset, 0.0)
     if element.gap < 0:
         return SignalTerms((element.body,), (-row.gap,), 0, 0.0, 0.0)
     terms = [(element.gap, row.gap), (system.coordinates + element.gap, row.speed)]
@@ -113,6 +117,12 @@ class BoundedSignals(NamedTuple):
     signals: list[list[dict[SignalTerms, float]]]
 
 
+def _limits(element: Element, signal: Signal) -> tuple[float, float]:
+    """Return the limits of a signal; those of a holding force per mass of the element."""
+    unit = element.mass if signal.row.hold else 1.0
+    return signal.low / unit, signal.high / unit
+
+
 def bounded_signals(system: HybridSystem, size: int) -> BoundedSignals:
     """Collect the signals that need bounds; `size`: number of states with the drive."""
     first_row, signals = [0], []
@@ -121,8 +131,9 @@ def bounded_signals(system: HybridSystem, size: int) -> BoundedSignals:
         for name, mode in element.law.modes.items():
             of_force = by_force[element.law.force_indices[name]]
             for signal in mode.signals:
-                terms = signal_terms(system, element, signal, size)
-                constants = [abs(value) for value in (terms.offset, signal.low, signal.high) if math.isfinite(value)]
+                terms = signal_terms(system, element, mode, signal, size)
+                values = (terms.offset, *_limits(element, signal))
+                constants = [abs(value) for value in values if math.isfinite(value)]
                 of_force[terms] = max(of_force.get(terms, 0.0), *constants)
         signals.append(by_force)
         first_row.append(first_row[-1] + max(map(len, by_force)))
@@ -150,7 +161,7 @@ def law_tables(system: HybridSystem, size: int) -> LawTables:
     elements = system.elements
     lanes = [max(len(mode.signals) for mode in element.law.modes.values()) for element in elements]
     terms = {
-        (m, lane): signal_terms(system, element, signal, size)
+        (m, lane): signal_terms(system, element, mode, signal, size)
         for m, (_, element, mode) in enumerate(modes)
         for lane, signal in enumerate(mode.signals)
     }
@@ -170,7 +181,7 @@ def law_tables(system: HybridSystem, size: int) -> LawTables:
         j, element, mode = modes[m]
         signal, count = mode.signals[lane], len(signal_parts.entries)
         entry = np.array(signal_parts.entries)
-        number[m, lane, [OFFSET, REST, LOWER, UPPER]] = signal_parts.offset, signal_parts.rest, signal.low, signal.high
+        number[m, lane, [OFFSET, REST, LOWER, UPPER]] = signal_parts.offset, signal_parts.rest, *_limits(element, signal)
         number[m, lane, SCALE : SCALE + count] = signal_parts.factors
         of_force = bounded.signals[j][force_index[m]]
         bound = bounded.first_row[j] + list(of_force).index(signal_parts)
@@ -198,6 +209,7 @@ def law_tables(system: HybridSystem, size: int) -> LawTables:
         push=np.array([mode.push for _, _, mode in modes]),
         wall_gap=np.array([mode.wall_gap for _, _, mode in modes]),
         is_held=np.array([force is None for force in forces], dtype=bool),
+        can_hit=np.array([mode.ends_by_impact for _, _, mode in modes], dtype=bool),
         flies=np.array([float(element.gap < 0 and mode.force is not None) for _, element, mode in modes]),
         force=np.array([[row.gap, row.speed, row.rest] if row else [0.0] * 3 for row in forces]).reshape(-1, 3),
         numbers=number,

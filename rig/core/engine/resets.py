@@ -2,8 +2,9 @@
 
 At an impact velocities jump. The masses that touch, and all *held* masses (at rest on a wall), exchange impulses. At
 any other exit only the force on the element changes. With a diagonal mass matrix and one detached mass on each body,
-every contact is independent. With a full mass matrix, or several masses on a body, an impact may separate other masses
-from their walls. Then all contacts of the instant are solved together (`rig.core.numerics.complementarity`).
+every contact is independent. With a full mass matrix, several masses on a body, or a gap that is a coordinate, an
+impact may separate other masses from their walls. Then all contacts of the instant are solved together
+(`rig.core.numerics.complementarity`).
 
 The gap is the distance from a mass to its wall, the opening speed its rate of change. A closing speed or approach speed
 is the negative of the opening speed.
@@ -13,8 +14,7 @@ rebound is below the rounding error.
 
 Function arguments: `j` is the number of an element from 0, `x` that of an exit, and `work` is scratch space. `end` is
 the end of a signal's interval (`LOW`, `HIGH`), and `push` the direction in which the wall there pushes. `state.z`
-contains displacements and velocities of the bodies, `state.height` and `state.velocity` those of detached masses in
-flight. The `multiplicity` of a zero is explained in `State`.
+contains coordinates and velocities, `state.height` and `state.velocity` those of detached masses in flight. The `multiplicity` of a zero is explained in `State`.
 
 References
 ----------
@@ -63,12 +63,16 @@ def _limit(model: Model, m: int, end: int) -> float:
 
 @inlined_kernel
 def _leave_wall(flow: Flow, model: Model, state: State, j: int, velocity: float, multiplicity: int) -> int:
-    """Change element j from rest on its wall to flight with a velocity, m/s, positive upwards; return the exit."""
+    """Change element j from rest on its wall to flight; return the exit.
+
+    `velocity`: of a detached mass, m/s, positive upwards. If the gap is a coordinate, the state already contains it.
+    """
     laws, m = model.laws, mode_number(model, state, j)
     end = LOW if laws.push[m] > 0.0 else HIGH
     x = unsigned(laws.exit[m, 0, end])
-    state.height[j] = state.z[unsigned(model.position_index[j])] + laws.wall_gap[m]
-    state.velocity[j] = velocity
+    if model.gap_coordinate[j] < 0:
+        state.height[j] = state.z[unsigned(model.position_index[j])] + laws.wall_gap[m]
+        state.velocity[j] = velocity
     state.multiplicity[laws.first_lane[j]] = multiplicity if end == LOW else -multiplicity
     change_mode(flow, model, state, j, laws.target[x, 0])
     return x
@@ -104,7 +108,9 @@ def _rebound_is_negligible(
     With a full mass matrix, other contacts also accelerate the body by an unknown amount, so an upper bound of its
     acceleration is used. A mass that is wrongly set to rest has a tensile contact force and separates immediately.
     """
-    row = unsigned(model.position_index[j])
+    row = body = unsigned(model.position_index[j])
+    if model.gap_coordinate[j] >= 0:
+        row = unsigned(model.gap_coordinate[j])
     if model.coupled:
         approach_acceleration = model.gravity
         for c in range(model.inverse_mass.shape[0]):
@@ -113,7 +119,7 @@ def _rebound_is_negligible(
         body_acceleration = force[row] * model.inverse_mass[row, row]
         approach_acceleration = push * (body_acceleration + model.gravity)
     # The gap is a difference of heights; its rounding error is proportional to the sum of their magnitudes, m.
-    height_magnitude = 2.0 * abs(state.z[row]) + abs(wall_gap)
+    height_magnitude = 2.0 * abs(state.z[body]) + abs(wall_gap)
     # A rebound at speed v reaches the height v^2 / (2 a).
     min_squared_speed = 2.0 * approach_acceleration * ROUNDING * height_magnitude
     return approach_acceleration > 0.0 and rebound_speed * rebound_speed < min_squared_speed
@@ -124,9 +130,13 @@ def _end_impact(flow: Flow, model: Model, state: State, j: int, end: int, reboun
     """Set element j in flight from the wall that it hit, or at rest on it for rebound speed 0."""
     laws, m = model.laws, mode_number(model, state, j)
     lane, push = laws.first_lane[j], _push_of(end)
-    if rebound_speed > 0.0:
+    if model.gap_coordinate[j] >= 0:
+        state.z[model.gap_coordinate[j]] = _limit(model, m, end)
+        state.z[model.first_velocity + model.gap_coordinate[j]] = push * max(rebound_speed, 0.0)
+    elif rebound_speed > 0.0:
         state.height[j] = state.z[unsigned(model.position_index[j])] + _limit(model, m, end)
         state.velocity[j] = state.z[unsigned(model.velocity_index[j])] + push * rebound_speed
+    if rebound_speed > 0.0:
         state.multiplicity[lane] = 1 if end == LOW else -1
         return
     x, candidate = unsigned(laws.exit[m, 0, end]), 0
@@ -141,10 +151,14 @@ def _touched_end(model: Model, state: State, j: int) -> int:
     """Return the end at which a flying mass touches a wall within rounding while approaching it, or NONE."""
     m = mode_number(model, state, j)
     multiplicity = state.multiplicity[model.laws.first_lane[j]]
-    position = state.z[unsigned(model.position_index[j])]
-    gap = state.height[j] - position
-    floor_approach_speed = state.z[unsigned(model.velocity_index[j])] - state.velocity[j]
-    rounding = ROUNDING * (abs(position) + abs(state.height[j]))
+    position, gap_coordinate = state.z[unsigned(model.position_index[j])], model.gap_coordinate[j]
+    if gap_coordinate >= 0:
+        gap, floor_approach_speed = state.z[gap_coordinate], -state.z[model.first_velocity + gap_coordinate]
+        rounding = ROUNDING * (abs(position) + abs(gap))
+    else:
+        gap = state.height[j] - position
+        floor_approach_speed = state.z[unsigned(model.velocity_index[j])] - state.velocity[j]
+        rounding = ROUNDING * (abs(position) + abs(state.height[j]))
     if floor_approach_speed > 0.0 and multiplicity <= 0 and gap <= _limit(model, m, LOW) + rounding:
         return LOW
     if floor_approach_speed < 0.0 and multiplicity >= 0 and gap >= _limit(model, m, HIGH) - rounding:
@@ -198,20 +212,34 @@ def _close_slow_openings(model: Model, state: State, work: ContactWorkspace, cou
         solve_active(work, count)
 
 
+@kernel
+def _set_direction(model: Model, i: int, push: float, count: int, work: ContactWorkspace) -> None:
+    """Write into row `count` of `work` how the contact of element i acts; `push`: direction of the wall's force."""
+    gap = model.gap_coordinate[i]
+    work.sign[count] = push
+    work.row[count] = gap if gap >= 0 else model.position_index[i]
+    work.direction[count] = push if gap >= 0 else -push
+    work.own[count] = 0.0 if gap >= 0 else 1.0 / model.mass[i]
+
+
 @inlined_kernel
 def _collect_contact(model: Model, state: State, i: int, end: int, count: int, work: ContactWorkspace) -> None:
     """Write the contact of element i into row `count` of `work`; it is in flight at an end of its gap, or at rest."""
     laws, m = model.laws, mode_number(model, state, i)
-    flying = laws.flies[m] > 0.0
+    flying, gap = not laws.is_held[m], model.gap_coordinate[i]
     push = _push_of(end) if flying else laws.push[m]
     wall_gap = _limit(model, m, end) if flying else laws.wall_gap[m]
     restitution = laws.restitution[laws.exit[m, 0, end]] if flying else 0.0
     work.flying[count] = flying
     work.damper[count] = i
-    work.sign[count] = push
+    _set_direction(model, i, push, count, work)
     work.wall_gap[count] = wall_gap
     work.velocity_before[count] = state.z[model.velocity_index[i]]
-    work.opening_speed[count] = push * (state.velocity[i] - work.velocity_before[count]) if flying else 0.0
+    work.opening_speed[count] = 0.0
+    if flying and gap >= 0:
+        work.opening_speed[count] = push * state.z[model.first_velocity + gap]
+    elif flying:
+        work.opening_speed[count] = push * (state.velocity[i] - work.velocity_before[count])
     rebound_speed = -restitution * work.opening_speed[count]
     if rebound_speed > 0.0 and _rebound_is_negligible(model, state, i, push, wall_gap, rebound_speed, work.force):
         rebound_speed = 0.0
@@ -223,10 +251,11 @@ def _coupled_impact(flow: Flow, model: Model, state: State, log: Log, j: int, en
     """Apply the impact of element j, with its effect through a full mass matrix on masses that touch a wall."""
     count = 0
     for i in range(model.mass.shape[0]):
-        if model.gap_coordinate[i] >= 0:
+        m = mode_number(model, state, i)
+        if not (model.laws.is_held[m] or model.laws.can_hit[m]):
             continue
         touched = LOW
-        if model.laws.flies[mode_number(model, state, i)] > 0.0:
+        if not model.laws.is_held[m]:
             touched = end if i == j else _touched_end(model, state, i)
             if touched == NONE:
                 continue
@@ -236,17 +265,19 @@ def _coupled_impact(flow: Flow, model: Model, state: State, log: Log, j: int, en
     solve_complementarity(work, count)
     _close_slow_openings(model, state, work, count)
     for a in range(count):
-        column = model.position_index[work.damper[a]]
+        column = work.row[a]
         for row in range(model.inverse_mass.shape[0]):
-            change = model.inverse_mass[row, column] * work.sign[a] * work.reaction[a]
-            state.z[model.first_velocity + row] -= change
+            change = model.inverse_mass[row, column] * work.direction[a] * work.reaction[a]
+            state.z[model.first_velocity + row] += change
     for a in range(count):
         i = work.damper[a]
-        body_velocity = state.z[model.velocity_index[i]]
+        body_velocity, gap = state.z[model.velocity_index[i]], model.gap_coordinate[i]
         if work.flying[a]:
             touched = LOW if work.sign[a] > 0.0 else HIGH
             velocity = state.velocity[i] + work.sign[a] * work.reaction[a] / model.mass[i]
             rebound_speed = work.sign[a] * (velocity - body_velocity)
+            if gap >= 0:
+                rebound_speed = work.sign[a] * state.z[model.first_velocity + gap]
             is_plastic = work.rhs[a] == work.opening_speed[a]  # the required rebound speed is zero
             if work.active[a] and is_plastic:
                 rebound_speed = 0.0
@@ -259,14 +290,20 @@ def _coupled_impact(flow: Flow, model: Model, state: State, log: Log, j: int, en
                 x = model.laws.exit[mode_number(model, state, i), 0, touched]
                 log_event(log, i, model.laws.event[x], -work.opening_speed[a])
             _end_impact(flow, model, state, i, touched, rebound_speed)
+        elif work.active[a] and gap >= 0:
+            state.z[model.first_velocity + gap] = 0.0
         elif not work.active[a]:
             opening_speed = work.sign[a] * (work.velocity_before[a] - body_velocity)
+            if gap >= 0:
+                opening_speed = work.sign[a] * state.z[model.first_velocity + gap]
             if opening_speed > ROUNDING * (abs(work.velocity_before[a]) + abs(body_velocity)):
                 x = _leave_wall(flow, model, state, i, work.velocity_before[a], 1)
                 log_event(log, i, model.laws.event[x], 0.0)
+            elif gap >= 0:
+                state.z[model.first_velocity + gap] = 0.0
     # The impact changes the velocities of walls: the rate of a gap that was zero need not be zero any more.
     for i in range(model.mass.shape[0]):
-        if model.laws.flies[mode_number(model, state, i)] > 0.0:
+        if model.laws.can_hit[mode_number(model, state, i)]:
             lane = model.laws.first_lane[i]
             state.multiplicity[lane] = min(1, max(-1, state.multiplicity[lane]))
 
@@ -299,16 +336,18 @@ def _separate_coupled(flow: Flow, model: Model, state: State, log: Log, work: Co
         m = mode_number(model, state, i)
         if not model.laws.is_held[m]:
             continue
-        row = unsigned(model.position_index[i])
+        work.damper[count] = i
+        _set_direction(model, i, model.laws.push[m], count, work)
+        row, is_detached = work.row[count], model.gap_coordinate[i] < 0
         free_acceleration = 0.0
-        magnitude = model.gravity
+        magnitude = model.gravity if is_detached else 0.0
         for c in range(model.inverse_mass.shape[0]):
             free_acceleration += model.inverse_mass[row, c] * work.force[c]
             for column in range(model.force.shape[1]):
                 magnitude += abs(model.inverse_mass[row, c] * model.force[0, column, c] * state.z[column])
-        work.damper[count] = i
-        work.sign[count] = model.laws.push[m]
-        work.rhs[count] = work.sign[count] * (-model.gravity - free_acceleration)
+        work.rhs[count] = work.direction[count] * free_acceleration
+        if is_detached:
+            work.rhs[count] = work.sign[count] * (-model.gravity - free_acceleration)
         work.magnitude[count] = magnitude
         count += 1
     contact_matrix(model, work, count)

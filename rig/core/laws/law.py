@@ -77,6 +77,12 @@ class Mode(NamedTuple):
     wall_gap: float = 0.0
 
     @property
+    def ends_by_impact(self) -> bool:
+        """Whether an exit of the mode is an impact, at which velocities jump."""
+        exits = (exit_ for signal in self.signals for _, exit_ in signal.ends)
+        return any(exit_ is not None and exit_.restitution is not None for exit_ in exits)
+
+    @property
     def push(self) -> float:
         """Direction in which the force of the touched wall acts on the element, 1 or -1."""
         return 1.0 if any(signal.low > -inf for signal in self.signals) else -1.0
@@ -91,15 +97,11 @@ class Wall(NamedTuple):
 
 
 class Law(NamedTuple):
-    """A contact law: its modes by name, the mode at the start, and its walls, the lower wall first.
-
-    `account`: entry of the energy balance (`rig.core.simulation.energy.Energy`) for the loss in its dashpots.
-    """
+    """A contact law: its modes by name, the mode at the start, and its walls, the lower wall first."""
 
     modes: dict[str, Mode]
     start: str
     walls: tuple[Wall, ...] = ()
-    account: str = "contacts"
 
     @property
     def key(self) -> tuple[object, ...]:

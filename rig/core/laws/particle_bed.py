@@ -12,18 +12,18 @@ from rig.core.laws.events import CEILING, CEILING_IMPACT, FLOOR, FLOOR_IMPACT, S
 from rig.core.laws.law import GAP, HOLD, Exit, Law, Mode, Signal, Wall
 
 
-def particle_bed(restitution: float, clearance: float) -> Law:
-    """Declare the law of a bed; `clearance`: height of its free flight, m, infinite without a ceiling."""
+def particle_bed(restitution: float, clearance: float, floor_gap: float = 0.0) -> Law:
+    """Declare the law of a bed; `clearance`: gap at the ceiling, m; a gap is infinite without this wall."""
     rebound = ("flight",) if restitution > 0.0 else ()
-    floor = Exit((*rebound, "floor"), FLOOR_IMPACT, restitution)
+    floor = Exit((*rebound, "floor"), FLOOR_IMPACT, restitution) if floor_gap > -inf else None
     ceiling = Exit((*rebound, "ceiling"), CEILING_IMPACT, restitution) if clearance < inf else None
     separation = Exit(("flight",), SEPARATION)
     return Law(
         {
-            "flight": Mode((Signal(GAP, 0.0, clearance, floor, ceiling),)),
-            "floor": Mode((Signal(HOLD, low=0.0, at_low=separation),), None, FLOOR, 0.0),
+            "flight": Mode((Signal(GAP, floor_gap, clearance, floor, ceiling),)),
+            "floor": Mode((Signal(HOLD, low=0.0, at_low=separation),), None, FLOOR, floor_gap),
             "ceiling": Mode((Signal(HOLD, high=0.0, at_high=separation),), None, CEILING, clearance),
         },
         "floor",
-        (Wall(0.0), Wall(clearance)),
+        (Wall(floor_gap), Wall(clearance)),
     )

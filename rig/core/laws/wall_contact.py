@@ -1,7 +1,7 @@
 """Finite-duration contact of a mass with floor and ceiling, which are springs with dashpots, without adhesion.
 
 While the mass overlaps a wall and the force points away from the wall, the force on it is -k (g - g_w) - c g', with
-the wall at the gap g_w: 0 for the floor, the clearance for the ceiling. The wall releases the mass when the force falls
+the wall at the gap g_w. The wall releases the mass when the force falls
 to zero; with a dashpot this is before the overlap is zero. A released mass that still overlaps the wall *recovers*: it
 touches the wall again when the force would be positive again, and is free when the overlap is zero.
 """
@@ -14,21 +14,36 @@ from rig.core.laws.events import CEILING, CEILING_TOUCH, FLOOR, FLOOR_TOUCH, REL
 from rig.core.laws.law import GAP, Exit, Law, Mode, Row, Signal, Wall
 
 
-def wall_contact(stiffness: tuple[float, float], damping: tuple[float, float], clearance: float) -> Law:
-    """Declare the law for a clearance [m], and stiffness [N/m] and damping [N s/m] of floor and ceiling."""
-    has_ceiling = clearance < inf
-    floor = Row(gap=-stiffness[0], speed=-damping[0])
+def wall_contact(
+    stiffness: tuple[float, float], damping: tuple[float, float], clearance: float, floor_gap: float = 0.0
+) -> Law:
+    """Declare the law for stiffness [N/m] and damping [N s/m] of floor and ceiling.
+
+    `clearance`, `floor_gap`: gaps at the ceiling and at the floor, m; infinite without this wall.
+    """
+    has_ceiling, has_floor = clearance < inf, floor_gap > -inf
+    floor = Row(gap=-stiffness[0], speed=-damping[0], rest=floor_gap if has_floor else 0.0)
     ceiling = Row(gap=-stiffness[1], speed=-damping[1], rest=clearance if has_ceiling else 0.0)
     touch_floor, touch_ceiling = Exit(("on floor",), FLOOR_TOUCH), Exit(("on ceiling",), CEILING_TOUCH)
     leave_floor = Exit(("recovers from floor", "free"), RELEASE)
     leave_ceiling = Exit(("recovers from ceiling", "free"), RELEASE)
     return Law(
         {
-            "free": Mode((Signal(GAP, 0.0, clearance, touch_floor, touch_ceiling if has_ceiling else None),)),
+            "free": Mode(
+                (
+                    Signal(
+                        GAP, floor_gap, clearance,
+                        touch_floor if has_floor else None, touch_ceiling if has_ceiling else None,
+                    ),
+                )
+            ),
             "on floor": Mode((Signal(floor, low=0.0, at_low=leave_floor),), floor, FLOOR),
             "on ceiling": Mode((Signal(ceiling, high=0.0, at_high=leave_ceiling),), ceiling, CEILING),
             "recovers from floor": Mode(
-                (Signal(GAP, high=0.0, at_high=Exit(("free",))), Signal(floor, high=0.0, at_high=touch_floor))
+                (
+                    Signal(GAP, high=floor_gap if has_floor else 0.0, at_high=Exit(("free",))),
+                    Signal(floor, high=0.0, at_high=touch_floor),
+                )
             ),
             "recovers from ceiling": Mode(
                 (
@@ -38,5 +53,5 @@ def wall_contact(stiffness: tuple[float, float], damping: tuple[float, float], c
             ),
         },
         "on floor",
-        (Wall(0.0, stiffness[0], damping[0]), Wall(clearance, stiffness[1], damping[1])),
+        (Wall(floor_gap, stiffness[0], damping[0]), Wall(clearance, stiffness[1], damping[1])),
     )

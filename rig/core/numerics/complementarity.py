@@ -2,9 +2,10 @@
 
 Find p >= 0 with A p + q >= 0 and p (A p + q) = 0, where
 
-    A_ik = s_i s_k (M^-1)_{b_i b_k} + delta_ik / md_i,      s = +1 floor, -1 ceiling
+    A_ik = d_i d_k (M^-1)_{r_i r_k} + delta_ik / md_i,      d = -1 floor, +1 ceiling
 
-(b_i the body of damper i, md_i its mass). At an impact p are the impulses, and A p + q are the speeds at which the
+(r_i the body of damper i, md_i its mass). If the gap of a damper is a coordinate, r_i is this coordinate, d_i has the
+opposite sign, and 1 / md_i is omitted. At an impact p are the impulses, and A p + q are the speeds at which the
 contacts open, minus their rebound speeds. Right after it p are the contact forces, and A p + q are the accelerations at
 which they open. A is positive definite, so the solution exists and is unique; Murty's least-index principal pivoting
 reaches it in finitely many steps.
@@ -32,7 +33,8 @@ MAX_PIVOTS = 100_000
 class ContactWorkspace(NamedTuple):
     """Scratch arrays of the contact laws, with one entry for each contact of the instant.
 
-    `force`: forces on all coordinates, N. `damper`: from 0. `sign`: s. `flying`: whether the damper was in flight.
+    `force`: forces on all coordinates, N. `damper`: from 0. `sign`: +1 floor, -1 ceiling. `row`: r. `direction`: d.
+    `own`: 1 / md, or 0. `flying`: whether the damper was in flight.
     `wall_gap`: gap at the wall, m. `velocity_before`: velocity of the body before the impact, m/s. `opening_speed`:
     opening speed of the gap before the impact, m/s. `magnitude`: sum of the magnitudes of the terms of the
     acceleration, m/s^2.
@@ -44,6 +46,9 @@ class ContactWorkspace(NamedTuple):
     force: np.ndarray
     damper: np.ndarray
     sign: np.ndarray
+    row: np.ndarray
+    direction: np.ndarray
+    own: np.ndarray
     flying: np.ndarray
     wall_gap: np.ndarray
     velocity_before: np.ndarray
@@ -62,6 +67,9 @@ def allocate_contact_workspace(dampers: int, forces: int) -> ContactWorkspace:
         force=np.zeros(forces),
         damper=np.zeros(dampers + 1, dtype=np.int64),
         sign=np.zeros(dampers + 1),
+        row=np.zeros(dampers + 1, dtype=np.int64),
+        direction=np.zeros(dampers + 1),
+        own=np.zeros(dampers + 1),
         flying=np.zeros(dampers + 1, dtype=np.bool_),
         wall_gap=np.zeros(dampers + 1),
         velocity_before=np.zeros(dampers + 1),
@@ -77,17 +85,12 @@ def allocate_contact_workspace(dampers: int, forces: int) -> ContactWorkspace:
 
 @kernel
 def contact_matrix(model: Any, work: ContactWorkspace, count: int) -> None:
-    """Fill `work.matrix` for the contacts listed in `work.damper` with signs `work.sign`.
-
-    `model`: inverse mass matrix of the structure, and for each damper its mass and the coordinate of its body.
-    """
+    """Fill `work.matrix` for the contacts listed in `work`; `model`: inverse mass matrix of the structure."""
     for a in range(count):
-        i = work.damper[a]
         for b in range(count):
-            k = work.damper[b]
-            coupling = model.inverse_mass[model.position_index[i], model.position_index[k]]
-            work.matrix[a, b] = work.sign[a] * work.sign[b] * coupling
-        work.matrix[a, a] += 1.0 / model.mass[i]
+            coupling = model.inverse_mass[work.row[a], work.row[b]]
+            work.matrix[a, b] = work.direction[a] * work.direction[b] * coupling
+        work.matrix[a, a] += work.own[a]
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Settings of a particle damper: its bed of particles, contact with the walls (floor, ceiling), and grains."""
+"""Settings of a damper: its mass or bed of particles, spring, contact with the walls (floor, ceiling), and grains."""
 
 import math
 from collections.abc import Iterable
@@ -94,7 +94,7 @@ class Grains(Settings):
 
 
 class Damper(Settings):
-    """A particle damper (a mass that rests on a floor, separates, hits floor and ceiling) or a tuned mass damper."""
+    """A particle damper (a mass that rests on a floor, separates, hits floor and ceiling) or a mass on a spring."""
 
     one_of: ClassVar = (("mass", "mass_ratio"),)
     required_unless: ClassVar = {"clearance": "spring"}
@@ -105,11 +105,14 @@ class Damper(Settings):
     mass_ratio: Annotated[float, Quantity(RATIO, above=0.0)] | None = None
     """Instead of `mass`: ratio of the bed's mass to the mass of its body."""
     clearance: Annotated[float, Quantity(LENGTH, at_least=0.0, infinite=True)] = math.inf
-    """Free height of the cavity above the bed [m]; infinite: no ceiling, 0: the bed cannot move. Required without
-    `spring`."""
+    """Free height of the cavity above the bed, or above the mass at rest on its spring [m]; infinite: no ceiling.
+    Without `spring` it is required, and 0 means that the bed cannot move."""
+    clearance_below: Annotated[float, Quantity(LENGTH, at_least=0.0, infinite=True)] | None = None
+    """Distance of a mass at rest on its spring from the lower wall [m]; infinite: no lower wall, None: as
+    `clearance`."""
     spring: Annotated[float, Quantity(STIFFNESS, above=0.0)] | None = None
-    """Stiffness of the spring of a tuned mass damper [N/m]. The mass then has no floor and no ceiling; its displacement
-    is measured from its position at rest."""
+    """Stiffness of the spring [N/m] on which the mass rests: an impact damper or, without walls, a tuned mass damper.
+    Its displacement is measured from its position at rest."""
     damping: Annotated[float, Quantity(DASHPOT, at_least=0.0)] | None = None
     """Damping of the dashpot next to the spring [N s/m]; None: no dashpot."""
     restitution: Annotated[float, Quantity(RATIO, at_least=0.0, below=1.0)] = 0.0
@@ -129,20 +132,36 @@ class Damper(Settings):
     @property
     def moves(self) -> bool:
         """Return whether the mass can move in its body: it is not locked and has clearance."""
-        return not self.locked and self.clearance > 0.0
+        return not self.locked and max(self.clearance, self.clearance_below or 0.0) > 0.0
+
+    @property
+    def below(self) -> float:
+        """Return the distance of a mass on a spring from its lower wall, m."""
+        return self.clearance if self.clearance_below is None else self.clearance_below
+
+    @property
+    def has_walls(self) -> bool:
+        """Return whether there is a wall: the floor of a bed, or a wall above or below a mass on a spring."""
+        return self.spring is None or min(self.clearance, self.below) < math.inf
 
     @property
     def impacts(self) -> bool:
         """Return whether the mass can hit a wall; without walls a damper is linear."""
-        return self.moves and self.spring is None
+        return self.moves and self.has_walls
 
     def check_consistency(self) -> Iterable[Problem]:
-        """Check that a mass on a spring has no walls, and that beds have one restitution, of one mass or of grains."""
+        """Check that contact has walls, and that beds have one restitution, of one mass or of grains."""
         if self.spring is None and self.damping:
-            yield Problem(("damping",), "damping is that of a tuned mass damper. Add the spring, or remove damping.")
-        for key in ("clearance", "restitution", "contact", "grains") if self.spring is not None else ():
-            if getattr(self, key) != type(self).model_fields[key].default:
-                yield Problem((key,), f"a mass on a spring has no walls. Remove {key}, or remove the spring.")
+            yield Problem(("damping",), "damping is that of a mass on a spring. Add the spring, or remove damping.")
+        if self.spring is None and self.clearance_below is not None:
+            yield Problem(
+                ("clearance_below",), "a bed rests on its floor. Remove clearance_below, or add the spring of a mass."
+            )
+        for key in ("restitution", "contact") if not self.has_walls else ():
+            if getattr(self, key):
+                yield Problem((key,), f"the mass on its spring has no walls. Add a clearance, or remove {key}.")
+        if self.spring is not None and self.grains is not None:
+            yield Problem(("grains",), "a bed of grains cannot be on a spring. Remove grains, or remove the spring.")
         if self.grains is not None and self.restitution:
             yield Problem(("restitution",), "restitution and grains are given together. Move restitution into grains.")
         if self.grains is not None and self.contact is not None:

@@ -29,7 +29,7 @@ EFFECTS: dict[str, tuple[str, int | None]] = {
     "dampers.body": ("particle dampers", 2),
     "dampers.clearance": ("ceilings", 0),
     "dampers.restitution": ("restitution", 0),
-    "dampers.spring": ("tuned mass dampers", 2),
+    "dampers.spring": ("masses on springs", 2),
     "dampers.contact": ("finite-duration contact", 0),
     "dampers.locked": ("locked dampers", 0),
     "shaker.spring": ("coil spring and table", 2),

@@ -235,7 +235,7 @@ def _integrate(
     forces = _force_numbers(tables)
     for table_index, terms, durations, _ in _steps(tables, states, table_indices, lengths, starts):
         fractions = durations / tables.step
-        dashpots = _dashpots(system, forces[table_index])
+        coordinates, damping = _dashpots(system, forces[table_index])
         for node, weight in zip(*_GAUSS_RULE, strict=True):
             at_node = _sum_series(terms, fractions * node)
             node_weights = weight * durations
@@ -243,25 +243,22 @@ def _integrate(
             lost["dissipated"] += float(node_weights @ _quadratic(forms.dissipated, at_node))
             if forms.to_grains.any():
                 to_grains += float(node_weights @ _quadratic(forms.to_grains, at_node))
-            for account, (coordinates, damping) in dashpots.items():
-                lost[account] += float(node_weights @ (at_node[:, system.coordinates + coordinates] ** 2 @ damping))
+            lost["contacts"] += float(node_weights @ (at_node[:, system.coordinates + coordinates] ** 2 @ damping))
     return work, to_grains, lost
 
 
-def _dashpots(system: HybridSystem, forces: NDArray[np.int64]) -> dict[str, tuple[NDArray[np.intp], Array]]:
-    """Return the coordinates and the damping [N s/m] of the dashpots in the elements, by entry of the balance.
+def _dashpots(system: HybridSystem, forces: NDArray[np.int64]) -> tuple[NDArray[np.intp], Array]:
+    """Return the coordinates and the damping [N s/m] of the dashpots of the walls that are touched.
 
     `forces`: number of the force of each element in its law.
     """
-    by_account: dict[str, list[tuple[int, float]]] = {}
-    for element, index in zip(system.elements, forces.tolist(), strict=True):
-        force = element.law.forces[index]
-        if force is not None and force.gap:
-            by_account.setdefault(element.law.account, []).append((element.gap, -force.speed))
-    return {
-        account: (np.array([gap for gap, _ in dashpots]), np.array([damping for _, damping in dashpots]))
-        for account, dashpots in by_account.items()
-    }
+    present = [element.law.forces[index] for element, index in zip(system.elements, forces.tolist(), strict=True)]
+    dashpots = [
+        (element.gap, -force.speed)
+        for element, force in zip(system.elements, present, strict=True)
+        if force is not None and force.gap
+    ]
+    return np.array([gap for gap, _ in dashpots], dtype=np.intp), np.array([damping for _, damping in dashpots])
 
 
 def _force_numbers(tables: FlowTables) -> NDArray[np.int64]:

@@ -100,13 +100,15 @@ def _element(equations: Equations, scene: Scene, number: int, mass: float, inver
     `mass`: of the bed, kg; `inverse_mass`: diagonal element of the inverse mass matrix of its body, 1/kg.
     """
     damper, gap = scene.dampers[number - 1], -1
-    declare: Callable[[float], Law] = partial(particle_bed, damper.restitution)
-    if damper.spring is not None:
+    if damper.spring is not None or damper.contact is not None:
         gap = _add_bed(equations, damper.body - 1, mass, scene.gravity)
-        declare = partial(spring_mass, damper.spring, damper.dashpot, mass * scene.gravity)
-    elif damper.contact is not None:
-        gap = _add_bed(equations, damper.body - 1, mass, scene.gravity)
+    declare: Callable[..., Law] = partial(particle_bed, damper.restitution)
+    if damper.contact is not None:
         declare = partial(wall_contact, *_stiffness_and_damping(damper, 1.0 / (1.0 / mass + inverse_mass)))
+    if damper.spring is not None:
+        equations.support(gap, damper.spring, damper.dashpot)
+        equations.weight[gap] = 0.0  # the gap is measured from the position in which the spring carries the weight
+        declare = partial(spring_mass, declare, damper.clearance_below)
     return Element(
         declare, damper.body - 1, gap, mass, damper.clearance, damper.restitution, number, damper.grains is not None
     )

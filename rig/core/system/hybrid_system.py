@@ -192,6 +192,8 @@ class HybridSystem:
     @property
     def coupled(self) -> bool:
         """Whether an impact of a damper instantly affects another damper in the same body, or another coordinate."""
+        if any(element.gap >= 0 and None in element.law.forces for element in self.elements):
+            return True
         coordinates = self.damper_coordinate[self.detached]
         # Without coupling, each of these rows of the mass matrix has one nonzero element, and belongs to one damper.
         return bool(np.count_nonzero(self.mass[coordinates]) > np.unique(coordinates).size)
@@ -274,6 +276,12 @@ class HybridSystem:
             if gap >= 0 and row is not None:
                 force[gap, gap], force[gap, n + gap], constant[gap] = row.gap, row.speed, -row.gap * row.rest
         return force, constant
+
+    def other_acceleration(self, element: Element, gap: float) -> float:
+        """Return the acceleration of a mass by its weight and suspension while it is held at a gap [m], m/s^2."""
+        if element.gap < 0:
+            return -self.gravity
+        return float(self.force_state[element.gap, element.gap] * gap + self.force_constant[element.gap]) / element.mass
 
     def matrix(self, configuration: int = 0) -> np.ndarray:
         """Return the state matrix (states, states) with the forces of a configuration, but without held elements."""

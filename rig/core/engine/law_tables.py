@@ -181,7 +181,8 @@ def law_tables(system: HybridSystem, size: int) -> LawTables:
         j, element, mode = modes[m]
         signal, count = mode.signals[lane], len(signal_parts.entries)
         entry = np.array(signal_parts.entries)
-        number[m, lane, [OFFSET, REST, LOWER, UPPER]] = signal_parts.offset, signal_parts.rest, *_limits(element, signal)
+        number[m, lane, [OFFSET, REST]] = signal_parts.offset, signal_parts.rest
+        number[m, lane, [LOWER, UPPER]] = _limits(element, signal)
         number[m, lane, SCALE : SCALE + count] = signal_parts.factors
         of_force = bounded.signals[j][force_index[m]]
         bound = bounded.first_row[j] + list(of_force).index(signal_parts)

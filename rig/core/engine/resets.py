@@ -14,7 +14,8 @@ rebound is below the rounding error.
 
 Function arguments: `j` is the number of an element from 0, `x` that of an exit, and `work` is scratch space. `end` is
 the end of a signal's interval (`LOW`, `HIGH`), and `push` the direction in which the wall there pushes. `state.z`
-contains coordinates and velocities, `state.height` and `state.velocity` those of detached masses in flight. The `multiplicity` of a zero is explained in `State`.
+contains coordinates and velocities, `state.height` and `state.velocity` those of detached masses in flight. The
+`multiplicity` of a zero is explained in `State`.
 
 References
 ----------

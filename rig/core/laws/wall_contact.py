@@ -32,8 +32,11 @@ def wall_contact(
             "free": Mode(
                 (
                     Signal(
-                        GAP, floor_gap, clearance,
-                        touch_floor if has_floor else None, touch_ceiling if has_ceiling else None,
+                        GAP,
+                        floor_gap,
+                        clearance,
+                        touch_floor if has_floor else None,
+                        touch_ceiling if has_ceiling else None,
                     ),
                 )
             ),

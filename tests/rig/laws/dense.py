@@ -70,7 +70,8 @@ class Equations(NamedTuple):
 class DenseMotion:
     """The motion of a system from its start; `advance` continues it.
 
-    The energy that the elements lost (`lost`) and the work of all other forces (`work`) are integrated, J.
+    The energy that the elements lost (`lost`) and the work of all other forces (`work`) are integrated, J, and the
+    magnitude of their power (`exchanged`), to which rounding errors are proportional.
     """
 
     def __init__(self, system: HybridSystem, drive: Drive, state: Array) -> None:
@@ -95,7 +96,8 @@ class DenseMotion:
                 self.mass[pair] += element.mass
                 self.force[[element.body, gap], -1] -= element.mass * system.gravity
         self.inverse_mass = np.linalg.inv(self.mass)
-        self.modes, self.time, self.lost, self.work = [law.start for law in self.laws], 0.0, 0.0, 0.0
+        self.modes, self.time, self.lost = [law.start for law in self.laws], 0.0, 0.0
+        self.work = self.exchanged = 0.0
         self.events: list[Event] = []
         self.state = np.concatenate(
             [state[:bodies], np.zeros(n - bodies), state[bodies : 2 * bodies], np.zeros(n - bodies),
@@ -198,7 +200,9 @@ class DenseMotion:
         for node, weight in zip((nodes + 1) / 2, weights / 2, strict=True):
             state = _powers(node * tau) @ terms
             velocity = state[self.n : 2 * self.n]
-            self.work += weight * tau * step * float(velocity @ self.force @ state)
+            power = float(velocity @ self.force @ state)
+            self.work += weight * tau * step * power
+            self.exchanged += weight * tau * step * abs(power)
             for j, mode in self._present_modes():
                 speed = velocity[self.gaps[j]]
                 self.lost -= weight * tau * step * (mode.force or Row()).speed * float(speed) ** 2

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from math import inf
 
 import pytest
 
 from rig.core.laws.law import GAP, HOLD, Exit, Law, Mode, Signal, faults
 from rig.core.laws.particle_bed import particle_bed
+from rig.core.laws.spring_mass import spring_mass
 from rig.core.laws.wall_contact import wall_contact
 
 STAY = Exit(("rest",))
@@ -18,6 +21,14 @@ STAY = Exit(("rest",))
 def test_laws_have_no_faults(clearance: float, restitution: float) -> None:
     assert faults(particle_bed(restitution, clearance)) == []
     assert faults(wall_contact((1e4, 2e4), (0.0, 1.0), clearance)) == []
+
+
+@pytest.mark.parametrize(("below", "above"), [(None, inf), (None, 1e-3), (0.0, inf), (inf, 1e-3)])
+@pytest.mark.parametrize("walls", [partial(particle_bed, 0.4), partial(wall_contact, (1e4, 2e4), (0.0, 1.0))])
+def test_walls_around_a_spring_have_no_faults(
+    walls: Callable[[float, float], Law], below: float | None, above: float
+) -> None:
+    assert faults(spring_mass(walls, below, above)) == []
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,6 @@ import pytest
 from numpy.typing import NDArray
 
 import rig
-from rig.core.laws.law import faults
-from rig.core.laws.spring_mass import spring_mass
 from rig.core.orbits.periodic_orbit import set_to_orbit, start_propagator
 from rig.core.orbits.problem import OrbitProblem
 from rig.core.system.assembly import assemble
@@ -43,10 +41,6 @@ def with_particle_damper(restitution: float = 0.0) -> rig.Scene:
     test = {"kind": "sine", "frequency": 49.6, "force": 3.3}
     dampers = [{"body": 3, "mass": 0.03, "spring": 2.7e3, "damping": 2.0}, MIXED | {"restitution": restitution}]
     return TUNED.replace(dampers=dampers, test=test)
-
-
-def test_declaration_has_no_faults() -> None:
-    assert faults(spring_mass(1e3, 0.5, 1.0, inf)) == []
 
 
 @pytest.mark.parametrize("damping_ratio", [0.02, 0.127, 0.5])
@@ -187,9 +181,10 @@ def test_compared_methods_reject_a_mass_on_a_spring() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"clearance": "1 mm"}, "has no walls. Remove clearance"),
-        ({"restitution": 0.3}, "Remove restitution"),
-        ({"contact": {"duration": "2 ms"}}, "Remove contact"),
+        ({"restitution": 0.3}, "no walls. Add a clearance, or remove restitution"),
+        ({"contact": {"duration": "2 ms"}}, "or remove contact"),
+        ({"clearance": "1 mm", "grains": {"diameter": "1 mm"}}, "a bed of grains cannot be on a spring"),
+        ({"spring": None, "clearance": 1e-3, "clearance_below": 1e-3}, "a bed rests on its floor"),
         ({"spring": None}, "clearance: missing"),
     ],
 )

@@ -114,13 +114,17 @@ class Law(NamedTuple):
         return self.modes[self.start].wall != FLIGHT
 
     def mode_at(self, wall: int, gap: float) -> str:
-        """Return the first mode that touches a wall, or no wall (`FLIGHT`), and contains a gap, m."""
-        return next(
+        """Return the first mode that touches a wall, or no wall (`FLIGHT`), and contains a gap, m.
+
+        If rounding puts the gap into no mode, it is the first mode at the wall.
+        """
+        at_wall = [name for name, mode in self.modes.items() if mode.wall == wall]
+        containing = [
             name
-            for name, mode in self.modes.items()
-            if mode.wall == wall
-            and all(signal.low <= gap <= signal.high for signal in mode.signals if signal.row == GAP)
-        )
+            for name in at_wall
+            if all(signal.low <= gap <= signal.high for signal in self.modes[name].signals if signal.row == GAP)
+        ]
+        return (containing or at_wall)[0]
 
     @property
     def force_indices(self) -> dict[str, int]:

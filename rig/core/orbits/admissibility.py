@@ -92,7 +92,7 @@ def _finite_contact_margins(
     examined twice in order, and only the second round determines the margins.
     """
     events, acceleration_unit = sequence.kind.shape[0], length_unit * equations.omega**2
-    clearance = equations.clearance[j]
+    floor, ceiling = equations.wall_gap[j]
     overlapped_wall = 0  # none
     segments = track.times.shape[0]
     # s: segment in `track`; k: the same in `sequence`.
@@ -116,7 +116,7 @@ def _finite_contact_margins(
         # `first_free`: first instant of the segment at which the damper does not overlap a wall.
         first_free, highest_force, previous_force, is_rising = 0, -np.inf, np.inf, False
         while overlapped_wall != 0 and first_free < guard.shape[0]:
-            sign, wall_gap = (-1.0, 0.0) if overlapped_wall == kinds.ON_FLOOR else (1.0, clearance)
+            sign, wall_gap = (-1.0, floor) if overlapped_wall == kinds.ON_FLOOR else (1.0, ceiling)
             overlap, closing_speed = sign * (guard[first_free, 0] - wall_gap), sign * guard[first_free, 1]
             if overlap <= 0.0 and first_free > 0:
                 overlapped_wall = 0
@@ -131,12 +131,13 @@ def _finite_contact_margins(
         _reduce_margin(distances, STAYS_AT_WALL, j, -highest_force / acceleration_unit)
         floor_gap, ceiling_gap = np.inf, np.inf
         if first_free < guard.shape[0]:
-            floor_gap = _lowest_minimum(track, s, j, 0.0, 1.0, first_free)
-            if np.isfinite(clearance):
-                ceiling_gap = _lowest_minimum(track, s, j, clearance, -1.0, first_free)
+            if np.isfinite(floor):
+                floor_gap = _lowest_minimum(track, s, j, -floor, 1.0, first_free)
+            if np.isfinite(ceiling):
+                ceiling_gap = _lowest_minimum(track, s, j, ceiling, -1.0, first_free)
             if not starts_with_own_event and first_free == 0:
-                floor_gap = min(floor_gap, guard[0, 0])
-                ceiling_gap = min(ceiling_gap, clearance - guard[0, 0])
+                floor_gap = min(floor_gap, guard[0, 0] - floor)
+                ceiling_gap = min(ceiling_gap, ceiling - guard[0, 0])
         _reduce_margin(distances, HITS_FLOOR, j, floor_gap / length_unit)
         _reduce_margin(distances, HITS_CEILING, j, ceiling_gap / length_unit)
 
@@ -166,18 +167,19 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             starts_with_own_event = events > 0 and sequence.damper[s] == j
             ends_with_own_event = events > 0 and sequence.damper[end_event] == j
             wall, guard = sequence.wall[k, j], track.guards[s, :, j]
-            if wall >= kinds.WITHOUT_FORCE:
+            if equations.stiffness[j, 0] > 0.0:
                 continue
-            if wall == kinds.FLYING:
-                lowest = _lowest_minimum(track, s, j, 0.0, 1.0)
-                if not starts_with_own_event:
-                    lowest = min(lowest, guard[0, 0])
-                _reduce_margin(distances, HITS_FLOOR, j, lowest / length_unit)
-                clearance = equations.clearance[j]
-                if np.isfinite(clearance):
-                    lowest = _lowest_minimum(track, s, j, clearance, -1.0)
+            if wall in (kinds.FLYING, kinds.WITHOUT_FORCE):
+                floor, ceiling = equations.wall_gap[j]
+                if np.isfinite(floor):
+                    lowest = _lowest_minimum(track, s, j, -floor, 1.0)
                     if not starts_with_own_event:
-                        lowest = min(lowest, clearance - guard[0, 0])
+                        lowest = min(lowest, guard[0, 0] - floor)
+                    _reduce_margin(distances, HITS_FLOOR, j, lowest / length_unit)
+                if np.isfinite(ceiling):
+                    lowest = _lowest_minimum(track, s, j, ceiling, -1.0)
+                    if not starts_with_own_event:
+                        lowest = min(lowest, ceiling - guard[0, 0])
                     _reduce_margin(distances, HITS_CEILING, j, lowest / length_unit)
                 continue
             sign = 1.0 if wall == kinds.RIDES_FLOOR else -1.0
@@ -188,7 +190,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             _reduce_margin(distances, LEAVES_WALL, j, lowest / acceleration_unit)
     for event in range(events):
         kind, j = sequence.kind[event], sequence.damper[event]
-        if equations.gap_coordinate[j] >= 0:
+        if kind >= kinds.TOUCH_FLOOR:
             distances[MISSES_WALL if kind != kinds.RELEASE else NOT_RELEASED, event] = _crossing_rate(
                 equations, sequence, track, event, closing_speed[event], acceleration_unit
             )
@@ -207,9 +209,10 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
         elif kind != kinds.INDUCED_SEPARATION:
             distances[MISSES_WALL, event] = min(1.0, closing_speed[event] * omega / acceleration_unit)
             # With a full mass matrix, an impact presses riding dampers on their walls or separates them.
+            column = equations.gap_coordinate[j] if equations.gap_coordinate[j] >= 0 else body_of[j]
             for i in range(nd):
                 body = body_of[i]
-                coupling = equations.inverse_mass[sequence.configuration[event], body, body_of[j]]
+                coupling = equations.inverse_mass[sequence.configuration[event], body, column]
                 if i != j and sequence.wall[event, i] in (kinds.RIDES_FLOOR, kinds.RIDES_CEILING) and coupling != 0.0:
                     velocity_change = track.motion[event, 0, nq + body] - track.motion[event - 1, -1, nq + body]
                     sign = 1.0 if sequence.wall[event, i] == kinds.RIDES_FLOOR else -1.0
@@ -226,7 +229,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             if sequence.kind[next_event] == (kinds.CEILING if at_ceiling else kinds.FLOOR):
                 _reduce_margin(distances, FLIGHT_VANISHES, j, flight_time * omega - MIN_FLIGHT_RAD)
     for j in range(nd):
-        # An element without walls has no borders.
+        # Contact has a duration.
         if equations.stiffness[j, 0] > 0.0:
             _finite_contact_margins(equations, sequence, track, j, length_unit, distances)
     return distances

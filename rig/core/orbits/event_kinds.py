@@ -7,6 +7,7 @@ SEPARATION, FLOOR, CEILING, FLOOR_BOUNCE, CEILING_BOUNCE, INDUCED_SEPARATION = 0
 # Finite-duration contact: a gap falls to zero (touch), a contact force falls to zero (release), or it rises from zero
 # again before the overlap has recovered (press). All conditions are linear in the state. Only the force law changes.
 TOUCH_FLOOR, TOUCH_CEILING, PRESS_FLOOR, PRESS_CEILING, RELEASE = 6, 7, 8, 9, 10
-# Wall state in a segment between events: in flight, or riding (at rest on a wall). With finite-duration contact:
-# without contact force, or pressed on a wall.
+# Wall state in a segment between events: in flight, or riding (at rest on a wall). If the gap is a coordinate: without
+# contact force instead of in flight, and pressed on a wall in finite-duration contact. The wall is the remainder of a
+# division by 3.
 FLYING, RIDES_FLOOR, RIDES_CEILING, WITHOUT_FORCE, ON_FLOOR, ON_CEILING = 0, 1, 2, 3, 4, 5

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rig.core.base.arrays import Array
 from rig.core.base.errors import UncoveredMotionError
 from rig.core.engine.trajectory import Trajectory
-from rig.core.laws.events import CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH, RELEASE
+from rig.core.laws.events import CEILING_IMPACT, CEILING_TOUCH, FLIGHT, FLOOR_IMPACT, FLOOR_TOUCH, RELEASE
 from rig.core.orbits import event_kinds as kinds
 from rig.core.orbits.orbit_equations import Sequence
 from rig.core.system.hybrid_system import Element, HybridSystem
@@ -165,20 +165,23 @@ def _finite_contact_kind(trajectory: Trajectory, event: int, system: HybridSyste
     )
     gaps = trajectory.state_before[:, system.gap_coordinate[damper]]
     gap, min_overlap = gaps[np.flatnonzero(is_event)[0]], MIN_RELATIVE_OVERLAP * np.abs(gaps).max()
+    floor, ceiling = system.wall_gap[damper].tolist()
     if kind == FLOOR_TOUCH:
-        return kinds.PRESS_FLOOR if gap < -min_overlap else kinds.TOUCH_FLOOR
+        return kinds.PRESS_FLOOR if gap < floor - min_overlap else kinds.TOUCH_FLOOR
     assert kind == CEILING_TOUCH
-    return kinds.PRESS_CEILING if gap > system.clearance[damper] + min_overlap else kinds.TOUCH_CEILING
+    return kinds.PRESS_CEILING if gap > ceiling + min_overlap else kinds.TOUCH_CEILING
 
 
 def walls_from_contacts(contacts: NDArray[Any], system: HybridSystem) -> NDArray[np.int64]:
     """Return the wall states of a sequence for the engine's contacts, shape (dampers,)."""
-    return np.asarray(contacts, dtype=np.int64) + np.where(system.detached, kinds.FLYING, kinds.WITHOUT_FORCE)
+    walls = np.asarray(contacts, dtype=np.int64)
+    has_force = ~system.detached & (system.finite_contact | (walls == FLIGHT))
+    return walls + np.where(has_force, kinds.WITHOUT_FORCE, kinds.FLYING)
 
 
 def _mode(element: Element, wall: int, gap: float) -> str:
     """Return the engine's mode for a wall state of a sequence and a gap, m."""
-    return element.law.mode_at(wall - (kinds.FLYING if element.gap < 0 else kinds.WITHOUT_FORCE), gap)
+    return element.law.mode_at(wall % kinds.WITHOUT_FORCE, gap)
 
 
 def modes_from_walls(walls: NDArray[np.int64], z: Array, system: HybridSystem) -> list[int]:
@@ -205,6 +208,8 @@ def make_plan(
     for kind, damper in zip(events, dampers, strict=True):
         wall = walls[-1].copy()
         wall[damper] = WALL_AFTER_EVENT[kind]
+        if wall[damper] == kinds.FLYING and not system.detached[damper]:
+            wall[damper] = kinds.WITHOUT_FORCE
         walls.append(wall)
     segment_configurations = [configuration_of(wall, system) for wall in walls]
     configurations = tuple(dict.fromkeys(segment_configurations))

@@ -24,10 +24,12 @@ class Equations(NamedTuple):
     inverse_mass: Array  # shape (configurations, coordinates, coordinates)
     body_coordinate: IndexArray  # Coordinate of each damper's body; int64, shape (dampers,)
     mass: Array
-    clearance: Array
-    restitution: Array  # mass, clearance, restitution: shape (dampers,)
+    restitution: Array  # mass, restitution: shape (dampers,)
     gap_coordinate: IndexArray
-    """Coordinate of the gap of a damper with finite-duration contact, otherwise -1; int64, shape (dampers,)."""
+    """Coordinate of the gap of a damper, -1 for a detached mass; int64, shape (dampers,)."""
+    wall_gap: Array  # Gap at floor and ceiling [m]; shape (dampers, 2)
+    hold_offset: Array
+    """Holding force per mass on floor and ceiling, minus the acceleration of the body [m/s^2]; shape (dampers, 2)."""
     stiffness: Array
     damping: Array  # stiffness, damping: of floor and ceiling for finite-duration contact; shape (dampers, 2)
     gravity: float
@@ -41,7 +43,8 @@ class EquationDerivatives(NamedTuple):
     generator: Array
     inverse_mass: Array
     mass: Array
-    clearance: Array
+    wall_gap: Array
+    hold_offset: Array
     stiffness: Array
     damping: Array
     omega: float

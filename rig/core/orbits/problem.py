@@ -225,9 +225,14 @@ class OrbitProblem:
             inverse_mass_derivative = by_factor.inverse_mass
         if parameter == "clearance":
             generator_derivative[:, nq : 2 * nq, n + 2] = matrices.clearance_input.sum(axis=2)
-        stiffness_derivative, damping_derivative = (
-            self._wall_derivatives(mass_factor) if parameter == "mass_ratio" else (self._wall_zeros, self._wall_zeros)
-        )
+        stiffness_derivative = damping_derivative = wall_gap_derivative = hold_offset_derivative = self._wall_zeros
+        if parameter == "mass_ratio":
+            stiffness_derivative, damping_derivative, hold_offset_derivative = self._wall_derivatives(mass_factor)
+        if parameter == "clearance":
+            # Both are linear in the clearance.
+            wide, none = system.with_clearance(1.0), system.with_clearance(0.0)
+            wall_gap_derivative = _finite_difference(wide.wall_gap, none.wall_gap)
+            hold_offset_derivative = _finite_difference(wide.hold_offset, none.hold_offset)
         period = plan.repetition / setting.frequency
         return Equations(
             generator=generator,
@@ -235,9 +240,10 @@ class OrbitProblem:
             inverse_mass=matrices.inverse_mass,
             body_coordinate=self._body_coordinate,
             mass=system.damper_mass,
-            clearance=system.clearance,
             restitution=system.restitution,
             gap_coordinate=self._gap_coordinate,
+            wall_gap=system.wall_gap,
+            hold_offset=system.hold_offset,
             stiffness=system.wall_stiffness,
             damping=system.wall_damping,
             gravity=float(system.gravity),
@@ -247,7 +253,8 @@ class OrbitProblem:
             generator=generator_derivative,
             inverse_mass=inverse_mass_derivative,
             mass=self.system.damper_mass if parameter == "mass_ratio" else self._damper_zeros,
-            clearance=np.ones(system.dampers) if parameter == "clearance" else self._damper_zeros,
+            wall_gap=wall_gap_derivative,
+            hold_offset=hold_offset_derivative,
             stiffness=stiffness_derivative,
             damping=damping_derivative,
             omega=2 * np.pi if parameter == "frequency" else 0.0,
@@ -287,7 +294,7 @@ class OrbitProblem:
         system = self._system_at(mass_factor)
         nq, n = system.coordinates, system.states
         mass, constant = _riding_mass_and_forces(system, configuration)
-        inverse_mass = np.asarray(np.linalg.inv(mass), dtype=np.float64)
+        inverse_mass = _inverse_with_fixed(mass, _fixed_gaps(system, configuration))
         wall_force, clearance_force = _finite_contact_forces(system, configuration)
         generator, drive_input = np.zeros((n + 3, n + 3)), np.zeros((n, len(system.inputs)))
         state_matrix = generator[:n, :n]
@@ -344,17 +351,19 @@ class OrbitProblem:
         clearance_input = inverse_mass_derivative @ clearance_force + inverse_mass @ clearance_force_derivative
         return _MatrixDerivatives(generator, drive_input, inverse_mass_derivative, clearance_input)
 
-    def _wall_derivatives(self, mass_factor: float) -> tuple[Array, Array]:
-        """Return the derivatives of wall stiffness and damping with respect to the mass factor, shape (dampers, 2).
+    def _wall_derivatives(self, mass_factor: float) -> tuple[Array, Array, Array]:
+        """Differentiate wall stiffness, wall damping and `hold_offset` with respect to the mass factor.
 
-        They are not zero if the scene gives the contact duration instead of the stiffness.
+        They have the shape (dampers, 2). They are not zero if the scene gives the contact duration instead of the
+        stiffness, or a spring that pushes a damper against a wall.
         """
-        if not self.system.finite_contact.any():
-            return np.zeros((self.system.dampers, 2)), np.zeros((self.system.dampers, 2))
+        if self.system.detached.all():
+            return self._wall_zeros, self._wall_zeros, self._wall_zeros
         above, below, step = self._around(mass_factor)
         return (
             np.asarray((above.wall_stiffness - below.wall_stiffness) / step),
             np.asarray((above.wall_damping - below.wall_damping) / step),
+            np.asarray((above.hold_offset - below.hold_offset) / step),
         )
 
     def _around(self, mass_factor: float) -> tuple[HybridSystem, HybridSystem, float]:
@@ -380,7 +389,7 @@ def _riding_mass_and_forces(system: HybridSystem, configuration: int) -> tuple[A
 
     The forces are those for a clearance of zero.
     """
-    riding = np.array(system.held(configuration), dtype=np.intp)
+    riding = np.array([j for j in system.held(configuration) if system.detached[j]], dtype=np.intp)
     rows, masses = system.damper_coordinate[riding], system.damper_mass[riding]
     added_mass = np.zeros_like(system.mass)
     np.add.at(added_mass, (rows, rows), masses)
@@ -394,7 +403,29 @@ def _finite_contact_forces(system: HybridSystem, configuration: int) -> tuple[Ar
     They have the shapes (coordinates, states) and (coordinates, dampers).
     """
     force, constant = system.with_clearance(1.0).contact_forces(configuration)
+    constant -= system.with_clearance(0.0).contact_forces(configuration)[1]
     clearance_force = np.zeros((system.coordinates, system.dampers))
     finite = np.flatnonzero(system.finite_contact)
     clearance_force[system.gap_coordinate[finite], finite] = constant[system.gap_coordinate[finite]]
     return force, clearance_force
+
+
+def _fixed_gaps(system: HybridSystem, configuration: int) -> list[int]:
+    """Return the coordinates that are gaps at rest in a configuration."""
+    return [system.elements[j].gap for j in system.held(configuration) if not system.detached[j]]
+
+
+def _inverse_with_fixed(mass: Array, fixed: list[int]) -> Array:
+    """Return the inverse of a mass matrix whose rows and columns of fixed coordinates are zero."""
+    mass = mass.copy()
+    mass[fixed], mass[:, fixed] = 0.0, 0.0
+    mass[fixed, fixed] = 1.0
+    inverse = np.asarray(np.linalg.inv(mass), dtype=np.float64)
+    inverse[fixed, fixed] = 0.0
+    return inverse
+
+
+def _finite_difference(first: Array, second: Array) -> Array:
+    """Return the difference of two arrays, 0 where a value is infinite."""
+    is_finite = np.isfinite(first) & np.isfinite(second)
+    return np.subtract(first, second, where=is_finite, out=np.zeros_like(first))

@@ -115,13 +115,18 @@ def _propagate(
 
 @cached_njit
 def _contact_force_condition(
-    equations: Equations, derivatives: EquationDerivatives, configuration: int, body: int, motion: MotionState,
+    equations: Equations, derivatives: EquationDerivatives, configuration: int, j: int, wall: int, motion: MotionState,
     time: float, row: int, jacobian: Array,
 ) -> float:  # fmt: skip
-    """Return body acceleration plus gravity [m/s^2], zero at zero contact force; write its derivatives into a row."""
+    """Return the holding force of damper j per mass [m/s^2], zero at its separation; write its derivatives into a row.
+
+    `wall`: wall state of the damper.
+    """
     n, n_unknowns, x, dx = motion.dx.shape[0], motion.dx.shape[1] - 1, motion.x, motion.dx
-    acceleration_row = equations.inverse_mass.shape[1] + body
-    force, residual = equations.generator[configuration, acceleration_row], equations.gravity
+    acceleration_row = equations.inverse_mass.shape[1] + equations.body_coordinate[j]
+    side = 1 if wall == kinds.RIDES_CEILING else 0
+    force, residual = equations.generator[configuration, acceleration_row], equations.hold_offset[j, side]
+    jacobian[row, n_unknowns] += derivatives.hold_offset[j, side]
     for m in range(n + 3):
         residual += force[m] * x[m]
         jacobian[row, n_unknowns] += derivatives.generator[configuration, acceleration_row, m] * x[m]
@@ -137,12 +142,14 @@ def _contact_force_condition(
 @cached_njit
 def _separate(equations: Equations, derivatives: EquationDerivatives, wall: int, j: int, motion: MotionState) -> None:
     """Set height and velocity of damper j at separation to those of its wall."""
+    if equations.gap_coordinate[j] >= 0:
+        return
     body, nq = equations.body_coordinate[j], equations.inverse_mass.shape[1]
     motion.height[j], motion.velocity[j] = motion.x[body], motion.x[nq + body]
     motion.dheight[j], motion.dvelocity[j] = motion.dx[body], motion.dx[nq + body]
     if wall == kinds.RIDES_CEILING:
-        motion.height[j] += equations.clearance[j]
-        motion.dheight[j, motion.dx.shape[1] - 1] += derivatives.clearance[j]
+        motion.height[j] += equations.wall_gap[j, 1]
+        motion.dheight[j, motion.dx.shape[1] - 1] += derivatives.wall_gap[j, 1]
 
 
 @cached_njit
@@ -159,7 +166,7 @@ def _apply_impact(
     x, dx, dheight, dvelocity = motion.x, motion.dx, motion.dheight, motion.dvelocity
     offset, offset_derivative = 0.0, 0.0
     if kind in (kinds.CEILING, kinds.CEILING_BOUNCE):
-        offset, offset_derivative = equations.clearance[j], derivatives.clearance[j]
+        offset, offset_derivative = equations.wall_gap[j, 1], derivatives.wall_gap[j, 1]
     gap = motion.height[j] - x[body] - offset
     one_plus_restitution = 1.0
     if kind in (kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE):
@@ -197,6 +204,35 @@ def _apply_impact(
 
 
 @cached_njit
+def _apply_impact_of_coordinate(
+    equations: Equations, derivatives: EquationDerivatives, configuration: int, kind: int, j: int,
+    motion: MotionState, row: int, jacobian: Array,
+) -> tuple[float, float]:  # fmt: skip
+    """Do the same as `_apply_impact` for a damper whose gap is a coordinate; an impulse acts on this coordinate."""
+    gap, nq, n_unknowns = equations.gap_coordinate[j], equations.inverse_mass.shape[1], motion.dx.shape[1] - 1
+    x, dx, speed = motion.x, motion.dx, motion.x[nq + gap]
+    is_ceiling = kind in (kinds.CEILING, kinds.CEILING_BOUNCE)
+    side, is_bounce = 1 if is_ceiling else 0, kind in (kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE)
+    distance = x[gap] - equations.wall_gap[j, side]
+    jacobian[row] = dx[gap]
+    jacobian[row, n_unknowns] -= derivatives.wall_gap[j, side]
+    one_plus_restitution = 1.0 + (equations.restitution[j] if is_bounce else 0.0)
+    inverse, inverse_change = equations.inverse_mass[configuration], derivatives.inverse_mass[configuration]
+    dspeed = dx[nq + gap].copy()
+    for i in range(nq):
+        ratio = one_plus_restitution * inverse[i, gap] / inverse[gap, gap]
+        change = one_plus_restitution * inverse_change[i, gap] - ratio * inverse_change[gap, gap]
+        x[nq + i] -= ratio * speed
+        dx[nq + i] -= ratio * dspeed
+        dx[nq + i, n_unknowns] -= change / inverse[gap, gap] * speed
+    x[gap], dx[gap] = equations.wall_gap[j, side], 0.0
+    dx[gap, n_unknowns] = derivatives.wall_gap[j, side]
+    if not is_bounce:
+        x[nq + gap], dx[nq + gap] = 0.0, 0.0
+    return distance, speed if is_ceiling else -speed
+
+
+@cached_njit
 def _finite_contact_condition(
     equations: Equations, derivatives: EquationDerivatives, kind: int, wall: int, j: int, motion: MotionState,
     row: int, jacobian: Array,
@@ -211,14 +247,12 @@ def _finite_contact_condition(
     ceiling = kind in (kinds.TOUCH_CEILING, kinds.PRESS_CEILING) or (kind == kinds.RELEASE and wall == kinds.ON_CEILING)
     wall_index = 1 if ceiling else 0
     gap_rate, relaxation_time = motion.x[rate_index], 0.0
-    residual = motion.x[gap_index]
+    residual = motion.x[gap_index] - equations.wall_gap[j, wall_index]
+    jacobian[row, n_unknowns] -= derivatives.wall_gap[j, wall_index]
     if kind not in (kinds.TOUCH_FLOOR, kinds.TOUCH_CEILING):
         relaxation_time = equations.damping[j, wall_index] / equations.stiffness[j, wall_index]
         damping_derivative = derivatives.damping[j, wall_index] - relaxation_time * derivatives.stiffness[j, wall_index]
         jacobian[row, n_unknowns] += gap_rate * damping_derivative / equations.stiffness[j, wall_index]
-    if ceiling:
-        residual -= equations.clearance[j]
-        jacobian[row, n_unknowns] -= derivatives.clearance[j]
     for c in range(n_unknowns + 1):
         jacobian[row, c] += motion.dx[gap_index, c] + relaxation_time * motion.dx[rate_index, c]
     closing_speed = gap_rate if ceiling else -gap_rate
@@ -279,9 +313,8 @@ def shoot(
         motion.x[n], motion.x[n + 1], motion.x[n + 2] = np.cos(omega * time), np.sin(omega * time), 1.0
         j, kind = sequence.damper[k], sequence.kind[k]
         if kind == kinds.SEPARATION:
-            body = equations.body_coordinate[j]
             residual[row] = _contact_force_condition(
-                equations, derivatives, configuration, body, motion, time, row, jacobian
+                equations, derivatives, configuration, j, sequence.wall[k, j], motion, time, row, jacobian
             )
             _separate(equations, derivatives, sequence.wall[k, j], j, motion)
         elif kind == kinds.INDUCED_SEPARATION:
@@ -293,6 +326,10 @@ def shoot(
         elif kind >= kinds.TOUCH_FLOOR:
             residual[row], closing_speed[k] = _finite_contact_condition(
                 equations, derivatives, kind, sequence.wall[k, j], j, motion, row, jacobian
+            )
+        elif equations.gap_coordinate[j] >= 0:
+            residual[row], closing_speed[k] = _apply_impact_of_coordinate(
+                equations, derivatives, configuration, kind, j, motion, row, jacobian
             )
         else:
             residual[row], closing_speed[k] = _apply_impact(

@@ -35,9 +35,8 @@ class Track(NamedTuple):
 
     times: Array  # shape (segments, steps + 1)
     motion: Array  # shape (segments, steps + 1, states)
-    # Guard of each damper, with first and second derivative; shape (segments, steps + 1, dampers, 3). It is
-    # the gap in flight [m], q'' + g of the body while riding [m/s^2], or the wall force divided by the damper mass
-    # during finite-duration contact [m/s^2].
+    # Guard of each damper, with first and second derivative; shape (segments, steps + 1, dampers, 3). It is the gap in
+    # flight [m], or the force at the wall divided by the damper mass [m/s^2].
     guards: Array
     extremes: Array  # Lowest and highest value of each coordinate; shape (coordinates, 2)
     harmonic: NDArray[np.complex128]
@@ -152,13 +151,13 @@ def _sample_guard(
             guard[i, 2] = -gravity - rate[i, nq + body]
         return
     # The guard is weights[0] x + constant; each derivative multiplies the weights by A, because x' = A x.
-    weights, constant = np.zeros((3, n + 3)), gravity
+    weights, constant = np.zeros((3, n + 3)), equations.hold_offset[j, 1 if wall == kinds.RIDES_CEILING else 0]
     if wall >= kinds.ON_FLOOR:
         sign, wall_index = (-1.0, 0) if wall == kinds.ON_FLOOR else (1.0, 1)
         gap = equations.gap_coordinate[j]
         weights[0, gap] = sign * equations.stiffness[j, wall_index] / equations.mass[j]
         weights[0, nq + gap] = sign * equations.damping[j, wall_index] / equations.mass[j]
-        constant = -equations.clearance[j] * weights[0, gap] if wall_index == 1 else 0.0
+        constant = -equations.wall_gap[j, wall_index] * weights[0, gap]
     else:
         weights[0] = a[nq + body]
     weights[1] = weights[0] @ a

@@ -167,6 +167,21 @@ class HybridSystem:
         return np.array(values, dtype=np.float64).reshape(-1, 2)
 
     @cached_property
+    def wall_gap(self) -> np.ndarray:
+        """Gap of each damper at its floor and at its ceiling, m; infinite without this wall; shape (dampers, 2)."""
+        gaps = [[wall.gap for wall in element.law.walls] or [-np.inf, np.inf] for element in self.elements]
+        return np.array(gaps, dtype=np.float64).reshape(-1, 2)
+
+    @cached_property
+    def hold_offset(self) -> np.ndarray:
+        """Holding force of each damper per mass on its floor and ceiling with its body at rest, shape (dampers, 2)."""
+        offsets = [
+            [-self.other_acceleration(element, gap) if np.isfinite(gap) else 0.0 for gap in gaps]
+            for element, gaps in zip(self.elements, self.wall_gap.tolist(), strict=True)
+        ]
+        return np.array(offsets, dtype=np.float64).reshape(-1, 2)
+
+    @cached_property
     def grains(self) -> NDArray[np.bool_]:
         """Whether each damper is a bed of grains."""
         return np.array([element.is_grains for element in self.elements], dtype=bool)

@@ -68,9 +68,13 @@ def theoretical_modes(rec: Recording, modes: Modes) -> TheoreticalModes | None:
 
 
 def _without_moving_dampers(scene: Scene) -> Scene:
-    """Return a scene without dampers, except those that add a constant mass, and without weight."""
-    locked = tuple(damper for damper in scene.dampers if not damper.impacts)
-    return scene.replace(dampers=locked, channels=None, gravity=0.0)
+    """Return a scene without dampers, except constant masses and masses on springs, without walls and weight."""
+    linear = tuple(
+        damper.without_walls() if damper.spring is not None else damper
+        for damper in scene.dampers
+        if damper.spring is not None or not damper.impacts
+    )
+    return scene.replace(dampers=linear, channels=None, gravity=0.0)
 
 
 def _scene_under_force(rec: Recording) -> Scene:

@@ -268,7 +268,7 @@ def _damper_text(damper: Damper, body: str) -> str:
     mass = f"{damper.mass:.4g} kg" if damper.mass is not None else f"mass ratio {damper.mass_ratio:.3g}"
     clearance = f"clearance {format_number(1e3 * damper.clearance)} mm" if isfinite(damper.clearance) else "no ceiling"
     if damper.spring is not None:
-        clearance = f"spring {damper.spring:.4g} N/m, dashpot {damper.dashpot:.4g} N s/m"
+        clearance = f"spring {damper.spring:.4g} N/m, dashpot {damper.dashpot:.4g} N s/m, {damper.walls_text}"
     return f"{body}: {mass}, {clearance}{', locked' if damper.locked else ''}"
 
 

@@ -24,6 +24,12 @@ if TYPE_CHECKING:
 
     from daq.core.recording.recording import Recording
 
+#: What channels can show of a mass on a spring, by whether it has walls.
+_SPRING_MASS_TEXTS = (
+    "a mass on a spring has no impacts.",
+    "channels cannot show the impacts of a mass on a spring in this body, because it does not fall freely.",
+)
+
 
 @dataclass(frozen=True, repr=False)
 class Dampers(Result):
@@ -110,16 +116,17 @@ def dampers_in(rec: Recording, label: str | None = None, progress: CountProgress
     `rec`: recording of a sine or stepped-sine test; `label`: label instead of the scene name. Raises
     `RecordingError` if the recording contains no steady tone.
     """
-    impacting = [damper for damper in rec.scene.dampers if not damper.locked and damper.spring is None]
-    bodies_with_dampers = sorted({damper.body for damper in impacting})
+    on_springs = [damper for damper in rec.scene.dampers if damper.spring is not None and damper.moves]
+    unknown_impacts = {damper.body for damper in on_springs if damper.impacts}
+    beds = [damper for damper in rec.scene.dampers if not damper.locked and damper.spring is None]
+    bodies_with_dampers = sorted({damper.body for damper in beds} - unknown_impacts)
     results = []
     for sweep in sweeps(rec, progress=progress):
         bodies, warnings = [], list(sweep.lines.warnings)
         missing = [
-            f"{rec.scene.structure.label(damper.body)}: a mass on a spring has no impacts. The energy into the dampers "
-            "includes its loss."
-            for damper in rec.scene.dampers
-            if damper.spring is not None and damper.moves
+            f"{rec.scene.structure.label(damper.body)}: {_SPRING_MASS_TEXTS[damper.impacts]} The energy into the "
+            "dampers includes its loss."
+            for damper in on_springs
         ]
         for number in bodies_with_dampers:
             info = motion_channel_at(rec, f"body {number}")

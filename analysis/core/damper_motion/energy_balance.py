@@ -142,7 +142,8 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
     An instant impact dissipates (1 - e²) times half the reduced mass of damper and body times the closing speed
     squared. For finite-duration contact the loss is the work of the walls (floor and ceiling) in steady state. Over
     whole periods the inertia and weight of a damper do no net work. The work of the walls is therefore the integral of
-    -m a v, with the mass m of the damper, the acceleration a of its body, and the velocity v at which the gap opens.
+    -m a v, with the mass m of the damper, the acceleration a of its body, and the velocity v at which the gap opens,
+    minus the loss in the dashpot of a mass on a spring.
 
     The result is NaN for beds of grains, whose impacts are not recorded. The result is also NaN if an instant impact
     acts on other dampers, in the same body or through a full mass matrix.
@@ -150,7 +151,7 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
     from rig.core.system.assembly import assemble
     from rig.core.system.structural_model import structural_model
 
-    if any(damper.grains is not None for damper in rec.scene.dampers) or assemble(rec.scene).coupled:
+    if any(damper.grains is not None for damper in rec.scene.dampers) or assemble(rec.scene).impacts_interact:
         return np.full(len(sweep.lines.frequency), np.nan)
     model = structural_model(rec.scene)
     restitution = np.array([damper.restitution for damper in rec.scene.dampers])
@@ -166,15 +167,18 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
         is_inside = (events["time"] >= first / rec.rate) & (events["time"] < stop / rec.rate)
         losses.append(loss[is_inside].sum() / ((stop - first) / rec.rate * frequency))
         for j in np.flatnonzero(has_finite_contact):
-            losses[-1] += damper_mass[j] * _work_of_walls(rec, int(j), float(frequency), int(first), int(stop))
+            mass = float(damper_mass[j])
+            losses[-1] += _work_of_walls(rec, int(j), mass, float(frequency), int(first), int(stop))
     return np.array(losses)
 
 
-def _work_of_walls(rec: Recording, j: int, frequency: float, first: int, stop: int) -> float:
-    """Return the mean of the integral of -a v over a period, J/kg, as in `impact_energy_per_cycle`.
+def _work_of_walls(rec: Recording, j: int, mass: float, frequency: float, first: int, stop: int) -> float:
+    """Return the mean of the integral of -m a v over a period, minus the loss in a dashpot, J.
 
-    `j`: index of the damper, from 0; `first`, `stop`: samples of the true motion. The integral is computed from the
-    spectra of displacement and gap, whose aliasing is negligible. NaN without a whole period.
+    See `impact_energy_per_cycle`.
+
+    `j`: index of the damper, from 0; `mass`: kg; `first`, `stop`: samples of the true motion. The integral is computed
+    from the spectra of displacement and gap, whose aliasing is negligible. NaN without a whole period.
     """
     periods = int((stop - first) / rec.rate * frequency)
     samples = round(periods / frequency * rec.rate)
@@ -186,5 +190,5 @@ def _work_of_walls(rec: Recording, j: int, frequency: float, first: int, stop: i
         for quantity, row in (("displacement", body), ("gap", j))
     )
     angular = 2.0 * np.pi * np.fft.rfftfreq(samples, 1.0 / rec.rate)
-    power = -(angular**2) * displacement * (1j * angular * gap).conj()
-    return float(-2.0 * np.sum(power.real) / frequency)
+    force = -mass * angular**2 * displacement + rec.scene.dampers[j].dashpot * 1j * angular * gap
+    return float(-2.0 * np.sum((force * (1j * angular * gap).conj()).real) / frequency)

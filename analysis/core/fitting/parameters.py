@@ -24,7 +24,8 @@ from rig.core.settings.settings import Settings
 #: Keys that are free by default, where a scene gives them; without the coil spring, which calibrates the force.
 FREE = (
     "structure.masses", "structure.springs", "structure.damping", "dampers.mass", "dampers.mass_ratio",
-    "dampers.clearance", "dampers.restitution", "dampers.contact", "dampers.spring", "dampers.damping",
+    "dampers.clearance", "dampers.clearance_below", "dampers.restitution", "dampers.contact", "dampers.spring",
+    "dampers.damping",
 )  # fmt: skip
 _UNITS = {
     "masses": "kg", "springs": "N/m", "alpha": "1/s", "beta": "s", "dashpots": "N s/m", "mass": "kg",
@@ -184,7 +185,7 @@ def _values(scene: Scene) -> Iterator[tuple[KeyPath, float | None]]:
             yield ("dampers", k, name), getattr(damper, name)
         if damper.locked:
             continue
-        for name in ("clearance", "restitution", "spring", "damping"):
+        for name in ("clearance", "clearance_below", "restitution", "spring", "damping"):
             yield ("dampers", k, name), getattr(damper, name)
         yield from _wall_values(("dampers", k, "contact"), damper.contact)
     if len(scene.shakers) == 1 and not isinstance(scene.shaker, tuple):

@@ -58,10 +58,11 @@ def cavities(dampers: Sequence[Damper], body: int, exaggeration: float) -> list[
     cavity_pitch = (WIDTH - WALL) / max(len(dampers_of_body), 1)
     result = []
     for number, index in enumerate(dampers_of_body):
-        clearance = dampers[index].clearance * exaggeration
-        ceiling = None if clearance > HEADROOM else WALL + DAMPER_HEIGHT + clearance
         # A mass on a spring moves to both sides.
-        rest = 0.0 if dampers[index].spring is None else HEADROOM / 2
+        below = 0.0 if dampers[index].spring is None else dampers[index].below * exaggeration
+        rest = min(below, HEADROOM / 2)
+        clearance = rest + dampers[index].clearance * exaggeration
+        ceiling = None if clearance > HEADROOM else WALL + DAMPER_HEIGHT + clearance
         x = (number + 0.5) * cavity_pitch - (WIDTH - WALL) / 2
         result.append(Cavity(index, x, cavity_pitch - WALL, ceiling, rest))
     return result

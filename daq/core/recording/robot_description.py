@@ -70,6 +70,9 @@ _NO_ROTATION = b"\x2a\x09\x21" + struct.pack("<d", 1.0)
 def exaggeration(scene: Scene) -> float:
     """Return the factor on displacements and gaps: at most 20, less if a finite clearance would not fit."""
     clearances = [damper.clearance for damper in scene.dampers if 0 < damper.clearance < math.inf]
+    # The drawing of a mass on a spring has half of the height on each side.
+    clearances += [2 * max(damper.below, 0.0) for damper in scene.dampers if damper.spring and damper.impacts]
+    clearances = [clearance for clearance in clearances if 0 < clearance < math.inf]
     return round_factor(min([EXAGGERATION, *(HEADROOM / clearance for clearance in clearances)]))
 
 

@@ -216,7 +216,7 @@ def markdown_page(recording: Recording, motion: RecordedMotion, view: RigView) -
         for number, (damper, mass) in enumerate(zip(scene.dampers, view.damper_masses, strict=True), start=1):
             clearance = "no ceiling" if math.isinf(damper.clearance) else f"{damper.clearance * 1e3:.4g} mm"
             if damper.spring is not None:
-                clearance = f"on {damper.spring:.4g} N/m"
+                clearance = f"on {damper.spring:.4g} N/m, {damper.walls_text}"
             lines.append(
                 f"| {number} | {damper.body} | {mass * 1e3:.4g} g | {clearance} | {damper.restitution:g} "
                 f"| {'grains' if damper.grains else 'instantaneous' if damper.contact is None else 'finite-duration'} |"

@@ -157,7 +157,7 @@ def motion_effects(scene: Scene) -> Iterable[Effect]:
     names = "" if scene.structure.names is None else f" ({', '.join(scene.structure.names[:_MAX_LISTED])})"
     detail = f"{bodies} {noun} {form}{names}, {_frequencies_text(structural_model(scene))}, {_damping_text(scene)}"
     yield Effect("motion", "structure", 2 * bodies, detail)
-    if system.coupled and system.dampers:
+    if system.impacts_interact:
         has_shared_body = np.unique(system.damper_coordinate).size < system.dampers
         reason = "several dampers in a body" if has_shared_body else "full mass matrix"
         yield Effect("motion", "coupled impacts", 0, f"{reason}: all simultaneous contacts are solved together")
@@ -241,13 +241,10 @@ def _damper_effects(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
 def _spring_mass_text(mass: TunedMass, scene: Scene) -> str:
     """Describe a mass on a spring, with natural frequency and damping ratio on a body at rest, and its walls."""
     omega = math.sqrt(mass.stiffness / mass.mass)
-    damper = scene.dampers[mass.damper]
-    distances = {"below": damper.below, "above": damper.clearance}
-    walls = [f"{1e3 * distance:.4g} mm {side}" for side, distance in distances.items() if math.isfinite(distance)]
     return (
         f"in {scene.structure.label(mass.body + 1)}: {1e3 * mass.mass:.4g} g on {mass.stiffness:.4g} N/m and "
         f"{mass.damping:.4g} N s/m ({omega / (2.0 * math.pi):.4g} Hz, damping ratio "
-        f"{50.0 * mass.damping / (mass.mass * omega):.3g} %)" + (f", walls {' and '.join(walls)}" if walls else "")
+        f"{50.0 * mass.damping / (mass.mass * omega):.3g} %), {scene.dampers[mass.damper].walls_text}"
     )
 
 

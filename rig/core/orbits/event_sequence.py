@@ -129,7 +129,7 @@ def derive_plan(
     ):
         simultaneous = [i for i in range(len(order)) if instants[order[i]] == instants[k]]
         impacts = [i for i in simultaneous if dampers[i] == damper and events[i] in (kinds.FLOOR, kinds.CEILING)]
-        if any(dampers[i] != damper for i in simultaneous) and system.coupled:
+        if any(dampers[i] != damper for i in simultaneous) and system.impacts_interact:
             raise UncoveredMotionError(
                 f"an impact of damper {damper + 1} acts on damper {dampers[simultaneous[-1]] + 1} at the same "
                 "instant, through a common body or the mass matrix"

@@ -149,6 +149,17 @@ class Damper(Settings):
         """Return whether the mass can hit a wall; without walls a damper is linear."""
         return self.moves and self.has_walls
 
+    @property
+    def walls_text(self) -> str:
+        """Return the distances of the walls from a mass on its spring, such as "1 mm below and 2 mm above"."""
+        distances = {"below": self.below, "above": self.clearance}
+        finite = [f"{1e3 * value:.4g} mm {side}" for side, value in distances.items() if math.isfinite(value)]
+        return f"walls {' and '.join(finite)}" if finite else "no walls"
+
+    def without_walls(self) -> Damper:
+        """Return a mass on a spring without its walls: its linear motion before it reaches them."""
+        return self.replace(clearance=math.inf, clearance_below=None, restitution=0.0, contact=None)
+
     def check_consistency(self) -> Iterable[Problem]:
         """Check that contact has walls, and that beds have one restitution, of one mass or of grains."""
         if self.spring is None and self.damping:

@@ -206,12 +206,19 @@ class HybridSystem:
 
     @property
     def coupled(self) -> bool:
-        """Whether an impact of a damper instantly affects another damper in the same body, or another coordinate."""
-        if any(element.gap >= 0 and None in element.law.forces for element in self.elements):
-            return True
-        coordinates = self.damper_coordinate[self.detached]
-        # Without coupling, each of these rows of the mass matrix has one nonzero element, and belongs to one damper.
-        return bool(np.count_nonzero(self.mass[coordinates]) > np.unique(coordinates).size)
+        """Whether contacts are solved together: they interact, or the gap of a mass that can rest is a coordinate."""
+        return self.impacts_interact or any(
+            element.gap >= 0 and None in element.law.forces for element in self.elements
+        )
+
+    @property
+    def impacts_interact(self) -> bool:
+        """Whether an impact of a damper instantly affects another damper in the same body, or another body."""
+        impacting = [element for element in self.elements if None in element.law.forces]
+        coordinates = np.array([element.body for element in impacting], dtype=np.intp)
+        gaps = sum(element.gap >= 0 for element in impacting)
+        # Otherwise each of these rows of the mass matrix belongs to one damper, and couples only its gap to its body.
+        return bool(np.count_nonzero(self.mass[coordinates]) > np.unique(coordinates).size + gaps)
 
     @property
     def detached(self) -> NDArray[np.bool_]:

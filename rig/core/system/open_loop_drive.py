@@ -118,6 +118,17 @@ def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float | A
     return omega**2 * np.abs(response[: scene.structure.bodies])
 
 
+def gaps_per_level(scene: Scene, system: HybridSystem, omega: Array) -> tuple[Array, Array]:
+    """Return the amplitude of the gap of each mass that rests between walls, and its distance from the nearer wall.
+
+    `omega`: rad/s, shape (frequencies,). Shapes: (masses, frequencies), in m per unit of level, and (masses,), m.
+    """
+    response = riding_response(system, scene.at_driven("shaker"), omega) * drive_per_level(scene, system, omega)
+    elements = [element for element in system.elements if element.law.walls and not element.law.rests_on_wall]
+    distance = [min(abs(wall.gap) for wall in element.law.walls) for element in elements]
+    return np.abs(response[np.array([element.gap for element in elements], dtype=np.intp)]), np.array(distance)
+
+
 def with_ideal_force(scene: Scene) -> Scene:
     """Replace the driven shaker with an ideal force on its body, and omit the channels.
 

@@ -9,7 +9,7 @@ from rig.core.base.errors import SceneError
 from rig.core.scene.scene import Scene
 from rig.core.settings.quantities import FORCE, LENGTH, Kind, count
 from rig.core.system.assembly import assemble
-from rig.core.system.open_loop_drive import accelerations_per_level, level_of
+from rig.core.system.open_loop_drive import accelerations_per_level, gaps_per_level, level_of
 from rig.core.system.structural_model import structural_model
 
 #: Default number of frequencies.
@@ -35,7 +35,7 @@ def vertical_axis(scene: Scene, over: str | None) -> tuple[str, Kind]:
     neither that level nor the clearance, or the scene has no level or no moving damper.
     """
     level_of(scene)
-    if not np.isfinite(assemble(scene).take_off_acceleration).any():
+    if not any(element.law.walls for element in assemble(scene).elements):
         raise SceneError(
             f"scene {scene.name!r} has no damper that can hit a wall, so that its response is linear. Use rig response."
         )
@@ -96,13 +96,16 @@ def _test_range(scene: Scene) -> tuple[float, float]:
 
 
 def take_off_levels(scene: Scene, frequency: Array) -> Array:
-    """Compute the level at which a damper reaches 1 g in the linear structure with all dampers on their floors.
+    """Compute the level at which a bed reaches 1 g, or a mass on a spring its wall, in the linear structure.
 
-    `frequency`, shape (frequencies,): Hz. Returns shape (frequencies,), N, or the unit of the drive.
+    All beds are on their floors. `frequency`, shape (frequencies,): Hz. Returns shape (frequencies,), N, or the unit of
+    the drive.
     """
     system = assemble(scene)
     take_off = system.take_off_acceleration[np.isfinite(system.take_off_acceleration)]
-    return np.asarray((take_off[:, None] / damper_accelerations(scene, frequency)).min(axis=0))
+    gaps, distance = gaps_per_level(scene, system, 2.0 * np.pi * frequency)
+    levels = [take_off[:, None] / damper_accelerations(scene, frequency), distance[:, None] / gaps]
+    return np.asarray(np.concatenate(levels).min(axis=0))
 
 
 def damper_accelerations(scene: Scene, frequency: Array) -> Array:
@@ -152,11 +155,15 @@ def _levels(scene: Scene, frequency: Array) -> tuple[float, tuple[float, float]]
 
 def _clearances(scene: Scene, frequency: Array) -> tuple[float, tuple[float, float]]:
     """Return the scene's own clearance (geometric mean of several) and the ends of the default range, m."""
-    accelerations = damper_accelerations(scene, frequency).max(axis=0)
-    peak = int(np.argmax(accelerations))
-    displacement = level_of(scene) * float(accelerations[peak]) / (2.0 * np.pi * frequency[peak]) ** 2
-    clearances = assemble(scene).clearance
-    clearances = clearances[np.isfinite(clearances)]
+    system, level = assemble(scene), level_of(scene)
+    gaps, _ = gaps_per_level(scene, system, 2.0 * np.pi * frequency)
+    displacement = level * float(gaps.max(initial=0.0))
+    accelerations = damper_accelerations(scene, frequency)
+    if accelerations.size:
+        accelerations = accelerations.max(axis=0)
+        peak = int(np.argmax(accelerations))
+        displacement = level * float(accelerations[peak]) / (2.0 * np.pi * frequency[peak]) ** 2
+    clearances = system.clearance[np.isfinite(system.clearance)]
     scene_clearance = float(np.exp(np.log(clearances).mean())) if len(clearances) else displacement
     return scene_clearance, _range_around(
         displacement, CLEARANCE_TO_DISPLACEMENT_RATIOS, scene_clearance, CLEARANCE_TO_SCENE_CLEARANCE_RATIOS

@@ -29,7 +29,7 @@ FREE = (
 )  # fmt: skip
 _UNITS = {
     "masses": "kg", "springs": "N/m", "alpha": "1/s", "beta": "s", "dashpots": "N s/m", "mass": "kg",
-    "clearance": "m", "duration": "s", "spring": "N/m", "stiffness": "N/m", "damping": "N s/m",
+    "clearance": "m", "clearance_below": "m", "duration": "s", "spring": "N/m", "stiffness": "N/m", "damping": "N s/m",
 }  # fmt: skip
 # A parameter is determined if the relative half-width of its 95 % interval is at most this, by quantity.
 _MAX_HALF_WIDTHS = dict.fromkeys(("modal", "alpha", "beta", "dashpots"), 0.03)

@@ -295,13 +295,13 @@ class OrbitProblem:
         nq, n = system.coordinates, system.states
         mass, constant = _riding_mass_and_forces(system, configuration)
         inverse_mass = _inverse_with_fixed(mass, _fixed_gaps(system, configuration))
-        wall_force, clearance_force = _finite_contact_forces(system, configuration)
+        wall_force, clearance_force, preload = _finite_contact_forces(system, configuration)
         generator, drive_input = np.zeros((n + 3, n + 3)), np.zeros((n, len(system.inputs)))
         state_matrix = generator[:n, :n]
         state_matrix[:nq, nq : 2 * nq] = np.eye(nq)
         state_matrix[nq : 2 * nq] = inverse_mass @ (system.force_state + wall_force)
         state_matrix[2 * nq :] = system.rate_state
-        generator[nq : 2 * nq, n + 2] = inverse_mass @ constant
+        generator[nq : 2 * nq, n + 2] = inverse_mass @ (constant + preload)
         drive_input[nq : 2 * nq] = inverse_mass @ system.force_drive
         drive_input[2 * nq :] = system.rate_drive
         norm_bound = np.array(float(np.linalg.norm(matrix_balance(state_matrix, permute=False)[0], 1)))
@@ -335,9 +335,9 @@ class OrbitProblem:
         constant = _riding_mass_and_forces(system, configuration)[1]
         inverse_mass = self._configurations((configuration,), mass_factor).inverse_mass[0]
         inverse_mass_derivative = -inverse_mass @ mass_derivative @ inverse_mass
-        wall_force, clearance_force = _finite_contact_forces(system, configuration)
+        wall_force, clearance_force, preload = _finite_contact_forces(system, configuration)
         above, below, step = self._around(mass_factor)
-        wall_force_derivative, clearance_force_derivative = (
+        wall_force_derivative, clearance_force_derivative, preload_derivative = (
             (force_above - force_below) / step
             for force_above, force_below in zip(
                 _finite_contact_forces(above, configuration), _finite_contact_forces(below, configuration), strict=True
@@ -346,7 +346,9 @@ class OrbitProblem:
         force = system.force_state + wall_force
         generator, drive_input = np.zeros((n + 3, n + 3)), np.zeros((n, len(system.inputs)))
         generator[nq : 2 * nq, :n] = inverse_mass_derivative @ force + inverse_mass @ wall_force_derivative
-        generator[nq : 2 * nq, n + 2] = inverse_mass_derivative @ constant + inverse_mass @ constant_derivative
+        generator[nq : 2 * nq, n + 2] = inverse_mass_derivative @ (constant + preload) + inverse_mass @ (
+            constant_derivative + preload_derivative
+        )
         drive_input[nq : 2 * nq] = inverse_mass_derivative @ system.force_drive
         clearance_input = inverse_mass_derivative @ clearance_force + inverse_mass @ clearance_force_derivative
         return _MatrixDerivatives(generator, drive_input, inverse_mass_derivative, clearance_input)
@@ -385,29 +387,27 @@ def vary(setting: OperatingPoint, parameter: str) -> Callable[[float], Operating
 
 
 def _riding_mass_and_forces(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
-    """Return mass matrix and constant forces, including masses and weights of a configuration's riding dampers.
-
-    The forces are those for a clearance of zero.
-    """
+    """Return mass matrix and constant forces, including masses and weights of a configuration's riding dampers."""
     riding = np.array([j for j in system.held(configuration) if system.detached[j]], dtype=np.intp)
     rows, masses = system.damper_coordinate[riding], system.damper_mass[riding]
     added_mass = np.zeros_like(system.mass)
     np.add.at(added_mass, (rows, rows), masses)
-    preload = system.with_clearance(0.0).contact_forces(configuration)[1]  # of springs that are not relaxed at 0
-    return system.mass + added_mass, system.force_constant + preload - system.gravity * added_mass.sum(axis=0)
+    return system.mass + added_mass, system.force_constant - system.gravity * added_mass.sum(axis=0)
 
 
-def _finite_contact_forces(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
-    """Return the derivatives of the forces of finite-duration contacts with respect to state and clearances.
+def _finite_contact_forces(system: HybridSystem, configuration: int) -> tuple[Array, Array, Array]:
+    """Return the forces of finite-duration contacts, which are linear in state and clearances.
 
-    They have the shapes (coordinates, states) and (coordinates, dampers).
+    Returns their derivatives with respect to the state (coordinates, states) and the clearances (coordinates, dampers),
+    and the forces at rest for clearances of zero (coordinates,).
     """
     force, constant = system.with_clearance(1.0).contact_forces(configuration)
-    constant -= system.with_clearance(0.0).contact_forces(configuration)[1]
+    preload = system.with_clearance(0.0).contact_forces(configuration)[1]
+    constant -= preload
     clearance_force = np.zeros((system.coordinates, system.dampers))
     finite = np.flatnonzero(system.finite_contact)
     clearance_force[system.gap_coordinate[finite], finite] = constant[system.gap_coordinate[finite]]
-    return force, clearance_force
+    return force, clearance_force, preload
 
 
 def _fixed_gaps(system: HybridSystem, configuration: int) -> list[int]:

@@ -269,6 +269,8 @@ def _damper_text(damper: Damper, body: str) -> str:
     clearance = f"clearance {format_number(1e3 * damper.clearance)} mm" if isfinite(damper.clearance) else "no ceiling"
     if damper.spring is not None:
         clearance = f"spring {damper.spring:.4g} N/m, dashpot {damper.dashpot:.4g} N s/m, {damper.walls_text}"
+    if damper.friction is not None:
+        clearance += f", friction {damper.friction:.3g}"
     return f"{body}: {mass}, {clearance}{', locked' if damper.locked else ''}"
 
 

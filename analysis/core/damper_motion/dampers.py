@@ -23,11 +23,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from daq.core.recording.recording import Recording
+    from rig.core.scene.damper import Damper
 
-#: What channels can show of a mass on a spring, by whether it has walls.
-_SPRING_MASS_TEXTS = (
-    "a mass on a spring has no impacts.",
-    "channels cannot show the impacts of a mass on a spring in this body, because it does not fall freely.",
+#: What channels can show of a mass that does not fall freely, by whether it can hit a wall.
+_IMPACT_TEXTS = (
+    "{} has no impacts.",
+    "channels cannot show the impacts of {} in this body, because it does not fall freely.",
 )
 
 
@@ -110,23 +111,29 @@ class Dampers(Result):
         ax.set(xlabel="frequency / Hz", ylabel="energy per period / mJ")
 
 
+def _impact_text(damper: Damper) -> str:
+    """Return what channels can show of the impacts of a mass that does not fall freely."""
+    name = "a mass on a spring" if damper.friction is None else "a sliding mass"
+    return _IMPACT_TEXTS[damper.has_walls].format(name)
+
+
 def dampers_in(rec: Recording, label: str | None = None, progress: CountProgress | None = None) -> list[Dampers]:
     """Estimate the motion of the dampers and the energy per period in each sweep of a recording.
 
     `rec`: recording of a sine or stepped-sine test; `label`: label instead of the scene name. Raises
     `RecordingError` if the recording contains no steady tone.
     """
-    on_springs = [damper for damper in rec.scene.dampers if damper.spring is not None and damper.moves]
-    unknown_impacts = {damper.body for damper in on_springs if damper.impacts}
-    beds = [damper for damper in rec.scene.dampers if not damper.locked and damper.spring is None]
+    other = [damper for damper in rec.scene.dampers if not damper.falls_freely and damper.moves]
+    unknown_impacts = {damper.body for damper in other if damper.has_walls}
+    beds = [damper for damper in rec.scene.dampers if not damper.locked and damper.falls_freely]
     bodies_with_dampers = sorted({damper.body for damper in beds} - unknown_impacts)
     results = []
     for sweep in sweeps(rec, progress=progress):
         bodies, warnings = [], list(sweep.lines.warnings)
         missing = [
-            f"{rec.scene.structure.label(damper.body)}: {_SPRING_MASS_TEXTS[damper.impacts]} The energy into the "
-            "dampers includes its loss."
-            for damper in on_springs
+            f"{rec.scene.structure.label(damper.body)}: {_impact_text(damper)} The energy into the dampers includes "
+            "its loss."
+            for damper in other
         ]
         for number in bodies_with_dampers:
             info = motion_channel_at(rec, f"body {number}")

@@ -124,7 +124,7 @@ def damper_motion(
     numbers = [
         number
         for number, damper in enumerate(rec.scene.dampers, 1)
-        if not damper.locked and damper.spring is None and f"body {damper.body}" == location
+        if not damper.locked and damper.falls_freely and f"body {damper.body}" == location
     ]
     motions: list[DamperMotion] = []
     info, lines = rec.channels[channel], sweep.lines

@@ -225,7 +225,8 @@ def _dampers_on_floor(rec: Recording, names: Sequence[str], frequency: Array, va
             acceleration = (2.0 * variance) ** 0.5 / abs(info.response(frequency)) * (2 * np.pi * frequency) ** order
             largest = np.minimum(largest, acceleration * (1.0 + tolerance(info)))
         rests = damper.spring is None  # a mass on a spring may hit its walls at any acceleration
-        on_floor &= (not damper.impacts) | (rests & (largest < _MAX_FLOOR_ACCELERATION * rec.scene.gravity))
+        limit = rec.scene.gravity * (1.0 if damper.friction is None else damper.friction)
+        on_floor &= (not damper.impacts) | (rests & (largest < _MAX_FLOOR_ACCELERATION * limit))
     return on_floor
 
 

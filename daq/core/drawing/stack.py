@@ -58,10 +58,10 @@ def cavities(dampers: Sequence[Damper], body: int, exaggeration: float) -> list[
     cavity_pitch = (WIDTH - WALL) / max(len(dampers_of_body), 1)
     result = []
     for number, index in enumerate(dampers_of_body):
-        # A mass on a spring moves to both sides.
-        below = 0.0 if dampers[index].spring is None else dampers[index].below * exaggeration
+        # A mass on a spring, and a sliding mass, move to both sides.
+        below, above = (distance * exaggeration for distance in dampers[index].distances)
         rest = min(below, HEADROOM / 2)
-        clearance = rest + dampers[index].clearance * exaggeration
+        clearance = rest + above
         ceiling = None if clearance > HEADROOM else WALL + DAMPER_HEIGHT + clearance
         x = (number + 0.5) * cavity_pitch - (WIDTH - WALL) / 2
         result.append(Cavity(index, x, cavity_pitch - WALL, ceiling, rest))

@@ -1,6 +1,7 @@
 """Predict at which frequencies dampers leave their floors (fly) in a test, and list the modes outside its band.
 
-A damper leaves its floor if the acceleration of the body exceeds gravity.
+A damper leaves its floor if the acceleration of the body exceeds gravity, and a sliding mass slips if it exceeds the
+product of friction and gravity.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ def flight_lines(scene: Scene, system: HybridSystem, level: float, rehearsals: S
     frequencies = test_frequencies(scene.test, _N_FREQUENCIES)
     accelerations = level * _acceleration_per_level(scene, system, frequencies)
     exceeds_gravity = accelerations > (system.take_off_acceleration[:, None] if accelerations.size else np.inf)
-    names_by_range: dict[str, list[str]] = {}
+    names_by_range: dict[tuple[str, bool], list[str]] = {}
     for row, number in enumerate(system.damper_number.tolist()):
         if np.isinf(system.take_off_acceleration[row]):
             continue
@@ -71,11 +72,14 @@ def flight_lines(scene: Scene, system: HybridSystem, level: float, rehearsals: S
             flight_range = f" at {format_frequencies(frequencies.tolist(), flies.tolist())}" if flies.any() else ""
         elif impacts:
             flight_range = f" first at {min(time for _, time in impacts):.2f} s"
-        body = scene.structure.label(scene.dampers[number - 1].body)
-        names_by_range.setdefault(flight_range, []).append(f"damper {number} ({body})")
+        damper = scene.dampers[number - 1]
+        key = flight_range, damper.friction is not None
+        names_by_range.setdefault(key, []).append(f"damper {number} ({scene.structure.label(damper.body)})")
     lines = []
-    for flight_range, names in names_by_range.items():
-        verb, plural = ("flies", "fly") if flight_range else ("stays on its floor", "stay on their floors")
+    for (flight_range, slides), names in names_by_range.items():
+        verb, plural = ("slips", "slip") if slides else ("flies", "fly")
+        if not flight_range:
+            verb, plural = ("sticks", "stick") if slides else ("stays on its floor", "stay on their floors")
         lines.append(f"{' and '.join(names)} {verb if len(names) == 1 else plural}{flight_range}")
     return tuple(lines)
 

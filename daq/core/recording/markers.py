@@ -48,8 +48,9 @@ _FIELD_CHECKS = {
 }
 
 # Kinds of contact events: a damper leaves its floor or ceiling (separation), or hits one of them. Contacts of finite
-# duration begin with touch and end with release.
-CONTACT_CHANGES = ("separation", "floor", "ceiling", "touch", "release")
+# duration begin with touch and end with release. Sliding with friction begins with slip and ends with stop.
+FRICTION_CHANGES = ("slip", "stop")
+CONTACT_CHANGES = ("separation", "floor", "ceiling", "touch", "release", *FRICTION_CHANGES)
 _EVENT_CHECKS = {
     "time": Check(lambda value: is_number(value) and abs(value) < 1e12, "a time in seconds"),
     "damper": Check(lambda value: is_count(value) and value < 2**31, "the number of a damper, from 1"),
@@ -77,22 +78,27 @@ _MARKER_JSON_SCHEMA: dict[str, Any] = {
     "additionalProperties": {"description": "further fields of the kind of marker, in SI units"},
 }
 
-_EVENT_JSON_SCHEMA: dict[str, Any] = {
-    "$schema": "https://json-schema.org/draft/2020-12/schema",
-    "title": "shotrig.Event",
-    "description": "A contact event of a damper, at its exact time.",
-    "type": "object",
-    "required": ["time", "damper", "kind", "speed"],
-    "properties": {
-        "time": {"type": "number", "description": "seconds after sample 0"},
-        "damper": {"type": "integer", "description": "position in the scene's list of dampers, from 1"},
-        "kind": {"enum": list(CONTACT_CHANGES)},
-        "speed": {"type": "number", "description": "closing speed before an impact, m/s"},
-    },
-}
+
+def event_schema(has_friction: bool) -> Schema:
+    """Return the schema of contact events; without friction a recording does not name its events."""
+    kinds = [kind for kind in CONTACT_CHANGES if has_friction or kind not in FRICTION_CHANGES]
+    content: dict[str, Any] = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "shotrig.Event",
+        "description": "A contact event of a damper, at its exact time.",
+        "type": "object",
+        "required": ["time", "damper", "kind", "speed"],
+        "properties": {
+            "time": {"type": "number", "description": "seconds after sample 0"},
+            "damper": {"type": "integer", "description": "position in the scene's list of dampers, from 1"},
+            "kind": {"enum": kinds},
+            "speed": {"type": "number", "description": "closing speed before an impact, m/s"},
+        },
+    }
+    return Schema("shotrig.Event", "jsonschema", json.dumps(content).encode(), "json")
+
 
 MARKER_SCHEMA = Schema("shotrig.Marker", "jsonschema", json.dumps(_MARKER_JSON_SCHEMA).encode(), "json")
-EVENT_SCHEMA = Schema("shotrig.Event", "jsonschema", json.dumps(_EVENT_JSON_SCHEMA).encode(), "json")
 EVENT_TYPE = np.dtype([("time", "f8"), ("damper", "i4"), ("kind", "U10"), ("speed", "f8")])
 
 

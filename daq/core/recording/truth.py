@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from daq.core.mcap_file.protobuf import Schema
 from daq.core.mcap_file.writer import Message
 from daq.core.recording.layout import EVENTS, MAX_DISPLAY_GROUPS, TRUTH, Timebase
-from daq.core.recording.markers import EVENT_SCHEMA, event_to_json
+from daq.core.recording.markers import event_schema, event_to_json
 from daq.core.recording.sample_block import SCHEMAS, block_schema
 from daq.core.recording.sample_groups import Group, Grouping
 from daq.core.signal_chain.channel import UNITS
@@ -85,7 +85,8 @@ class Truth:
             gap, contact_values = topic(point, "gap", "m"), "0 flight, 1 floor, 2 ceiling"
             contact = topic(point, "contact", "", integer_schema, values=contact_values)
             self.chunks.append([(0, len(MOTION_QUANTITIES) * points + damper, gap), (1, damper, contact)])
-        self._topic = register(EVENTS, EVENT_SCHEMA, {}) if dampers else 0
+        has_friction = any(damper.friction is not None for damper in scene.dampers)
+        self._topic = register(EVENTS, event_schema(has_friction), {}) if dampers else 0
 
     @property
     def position(self) -> int:

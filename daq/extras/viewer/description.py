@@ -217,6 +217,8 @@ def markdown_page(recording: Recording, motion: RecordedMotion, view: RigView) -
             clearance = "no ceiling" if math.isinf(damper.clearance) else f"{damper.clearance * 1e3:.4g} mm"
             if damper.spring is not None:
                 clearance = f"on {damper.spring:.4g} N/m, {damper.walls_text}"
+            if damper.friction is not None:
+                clearance += f", friction {damper.friction:.3g}"
             lines.append(
                 f"| {number} | {damper.body} | {mass * 1e3:.4g} g | {clearance} | {damper.restitution:g} "
                 f"| {'grains' if damper.grains else 'instantaneous' if damper.contact is None else 'finite-duration'} |"

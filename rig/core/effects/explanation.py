@@ -219,7 +219,12 @@ def _damper_effects(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
         texts = "; ".join(_spring_mass_text(mass, scene) for mass in on_springs)
         yield Effect("motion", "masses on springs", 2 * len(on_springs), texts)
     # Dampers whose particles are modeled as one mass.
+    sliding = [j for j, number in enumerate(system.damper_number) if scene.dampers[number - 1].friction is not None]
+    if sliding:
+        texts = "; ".join(_sliding_mass_text(system, j, scene) for j in sliding)
+        yield Effect("motion", "sliding masses", 2 * len(sliding), texts)
     one_mass = ~system.grains & ~np.isin(system.damper_number - 1, [mass.damper for mass in on_springs])
+    one_mass[sliding] = False
     if one_mass.any():
         bodies = scene.structure.listed(int(row) + 1 for row in system.damper_coordinate[one_mass])
         masses = ", ".join(f"{1e3 * mass:.4g} g" for mass in system.damper_mass[one_mass])
@@ -246,6 +251,15 @@ def _spring_mass_text(mass: TunedMass, scene: Scene) -> str:
         f"{mass.damping:.4g} N s/m ({omega / (2.0 * math.pi):.4g} Hz, damping ratio "
         f"{50.0 * mass.damping / (mass.mass * omega):.3g} %), {scene.dampers[mass.damper].walls_text}"
     )
+
+
+def _sliding_mass_text(system: HybridSystem, j: int, scene: Scene) -> str:
+    """Describe a mass that slides with friction: the slip force, and the acceleration at which it slips."""
+    damper, mass = scene.dampers[system.damper_number[j] - 1], system.damper_mass[j]
+    acceleration = (damper.friction or 0.0) * system.gravity
+    friction = f"slips above {acceleration:.4g} m/s^2 ({mass * acceleration:.4g} N)" if acceleration else "no friction"
+    walls = f"{1e3 * damper.clearance:.4g} mm between walls" if math.isfinite(damper.clearance) else "no walls"
+    return f"in {scene.structure.label(damper.body)}: {1e3 * mass:.4g} g, {friction}, {walls}"
 
 
 def _wall_texts(system: HybridSystem, structure: Structure) -> Iterable[str]:

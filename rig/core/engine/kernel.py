@@ -210,7 +210,7 @@ def advance(
             impact(flow, model, state, log, j, end, workspace.contact)
             pending = _SEPARATE_TENSILE
         elif model.laws.is_held[m]:
-            separate(flow, model, state, log, j, SEPARATION_MULTIPLICITY)
+            separate(flow, model, state, log, j, end, SEPARATION_MULTIPLICITY)
         else:
             change_force(flow, model, state, log, j, x)
             if model.laws.event[x] != NO_EVENT:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.core.laws.law import Exit, Mode, Signal
+from rig.core.laws.law import Exit, Mode, Row, Signal
 from rig.core.system.hybrid_system import Element, HybridSystem
 
 #: Index of the lower and of the upper end of a signal's interval.
@@ -42,12 +42,12 @@ class LawTables(NamedTuple):
     element, then their counts. stride: of each element, and force_index[m]: see `HybridSystem.strides`.
 
     wall[m]: contact in results. push[m]: direction in which this wall pushes, 1 or -1. wall_gap[m]: gap of a held mass,
-    m. is_held[m]. can_hit[m]: whether the mode can end in an impact. flies[m]: 1 for a detached mass that is not held,
-    else 0. force[m]: factors of gap and speed, and
-    relaxed gap.
+    m. is_held[m]. transmits[m]: whether the holding force can be an impulse. can_hit[m]: whether the mode can end in an
+    impact. flies[m]: 1 for a detached mass that is not held, else 0. force[m]: factors of gap and speed, relaxed gap,
+    and constant part.
 
     numbers, indices [m, lane of the element]: see `Signals`. exit[m, lane, end]. rounding[m, lane]: largest value per
-    speed that is a rounding error of the gap.
+    speed that is a rounding error of the gap. is_speed[m, lane]: whether the signal is the speed.
 
     target[x, candidate]: next mode, as number within the element. event[x]: kind. restitution[x].
     """
@@ -61,6 +61,7 @@ class LawTables(NamedTuple):
     push: np.ndarray
     wall_gap: np.ndarray
     is_held: np.ndarray
+    transmits: np.ndarray
     can_hit: np.ndarray
     flies: np.ndarray
     force: np.ndarray
@@ -68,6 +69,7 @@ class LawTables(NamedTuple):
     indices: np.ndarray
     exit: np.ndarray
     rounding: np.ndarray
+    is_speed: np.ndarray
     target: np.ndarray
     event: np.ndarray
     restitution: np.ndarray
@@ -169,7 +171,7 @@ def law_tables(system: HybridSystem, size: int) -> LawTables:
     shape, n = (len(modes), width), system.coordinates
     number = np.zeros((*shape, SCALE + n_terms))
     index = np.zeros((*shape, ENTRY + 2 * n_terms), dtype=np.int64)
-    rounding = np.zeros(shape)
+    rounding, is_speed = np.zeros(shape), np.zeros(shape, dtype=bool)
     number[..., LOWER], number[..., UPPER] = -np.inf, np.inf
     for m, (j, element, mode) in enumerate(modes):
         index[m, :, ELEMENT], index[m, :, MODE] = j, m
@@ -191,6 +193,7 @@ def law_tables(system: HybridSystem, size: int) -> LawTables:
         # The accelerations follow the state; other rates follow their quantities after the number of coordinates.
         index[m, lane, RATE : RATE + 2 * count : 2] = entry + np.where((n <= entry) & (entry < 2 * n), size - n, n)
         rounding[m, lane] = _signal_rounding(element, signal)
+        is_speed[m, lane] = signal.row.speed != 0.0 and signal.row.gap == 0.0
         for end, (_, exit_) in enumerate(signal.ends):
             if exit_ is not None:
                 exit_number[m, lane, end] = len(exits)
@@ -198,7 +201,7 @@ def law_tables(system: HybridSystem, size: int) -> LawTables:
     target = np.full((max(1, len(exits)), max((len(exit_.to) for _, exit_ in exits), default=1)), NONE, dtype=np.int64)
     for x, (element, exit_) in enumerate(exits):
         target[x, : len(exit_.to)] = [list(element.law.modes).index(name) for name in exit_.to]
-    forces = [mode.force for _, _, mode in modes]
+    forces = [mode.force or Row() for _, _, mode in modes]
     counts = [len(element.law.modes) for element in elements]
     return LawTables(
         terms=n_terms,
@@ -209,14 +212,16 @@ def law_tables(system: HybridSystem, size: int) -> LawTables:
         wall=np.array([mode.wall for _, _, mode in modes], dtype=np.int8),
         push=np.array([mode.push for _, _, mode in modes]),
         wall_gap=np.array([mode.wall_gap for _, _, mode in modes]),
-        is_held=np.array([force is None for force in forces], dtype=bool),
+        is_held=np.array([mode.force is None for _, _, mode in modes], dtype=bool),
+        transmits=np.array([mode.transmits_impulses for _, _, mode in modes], dtype=bool),
         can_hit=np.array([mode.ends_by_impact for _, _, mode in modes], dtype=bool),
         flies=np.array([float(element.gap < 0 and mode.force is not None) for _, element, mode in modes]),
-        force=np.array([[row.gap, row.speed, row.rest] if row else [0.0] * 3 for row in forces]).reshape(-1, 3),
+        force=np.array([[row.gap, row.speed, row.rest, row.constant] for row in forces]).reshape(-1, 4),
         numbers=number,
         indices=index,
         exit=exit_number,
         rounding=rounding,
+        is_speed=is_speed,
         target=target,
         event=np.array([exit_.event for _, exit_ in exits], dtype=np.int64),
         restitution=np.array([NONE if exit_.restitution is None else exit_.restitution for _, exit_ in exits], float),

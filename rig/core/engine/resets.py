@@ -33,6 +33,8 @@ from rig.core.engine.law_tables import ENTRY, HIGH, LOW, LOWER, NONE, REST, SCAL
 from rig.core.engine.state import Log, State, change_mode, log_event, mode_number
 from rig.core.laws.events import NO_EVENT
 from rig.core.numerics.complementarity import (
+    AT_LOW,
+    FREE,
     ROUNDING,
     ContactWorkspace,
     contact_matrix,
@@ -62,28 +64,43 @@ def _limit(model: Model, m: int, end: int) -> float:
     return model.laws.numbers[m, 0, LOWER if end == LOW else UPPER]
 
 
-@inlined_kernel
-def _leave_wall(flow: Flow, model: Model, state: State, j: int, velocity: float, multiplicity: int) -> int:
-    """Change element j from rest on its wall to flight; return the exit.
+@kernel
+def release(
+    flow: Flow, model: Model, state: State, log: Log, j: int, end: int, velocity: float, multiplicity: int
+) -> None:
+    """Change held element j to the mode beyond an end of the interval of its holding force, and log the event.
 
     `velocity`: of a detached mass, m/s, positive upwards. If the gap is a coordinate, the state already contains it.
+    `multiplicity`: of the gap's zero at a wall.
     """
-    laws, m = model.laws, mode_number(model, state, j)
-    end = LOW if laws.push[m] > 0.0 else HIGH
+    laws, m, gap = model.laws, mode_number(model, state, j), model.gap_coordinate[j]
     x = unsigned(laws.exit[m, 0, end])
-    if model.gap_coordinate[j] < 0:
+    if gap < 0:
         state.height[j] = state.z[unsigned(model.position_index[j])] + laws.wall_gap[m]
         state.velocity[j] = velocity
-    state.multiplicity[laws.first_lane[j]] = multiplicity if end == LOW else -multiplicity
     change_mode(flow, model, state, j, laws.target[x, 0])
-    return x
+    m, first = mode_number(model, state, j), laws.first_lane[j]
+    for lane in range(laws.first_lane[j + 1] - first):
+        limit = laws.numbers[m, lane, LOWER if end == LOW else UPPER]
+        zeros = multiplicity
+        if laws.is_speed[m, lane]:
+            zeros = multiplicity - 1
+        elif gap >= 0 and state.z[gap] != limit:
+            zeros = 0
+        state.multiplicity[first + lane] = 0 if abs(limit) == np.inf else zeros if end == LOW else -zeros
+    log_event(log, j, laws.event[x], 0.0)
 
 
 @inlined_kernel
-def separate(flow: Flow, model: Model, state: State, log: Log, j: int, multiplicity: int) -> None:
-    """Separate element j from its wall with the velocity of the wall, and log the event."""
-    x = _leave_wall(flow, model, state, j, state.z[unsigned(model.velocity_index[j])], multiplicity)
-    log_event(log, j, model.laws.event[x], 0.0)
+def separate(flow: Flow, model: Model, state: State, log: Log, j: int, end: int, multiplicity: int) -> None:
+    """Release element j with the velocity of its body."""
+    release(flow, model, state, log, j, end, state.z[unsigned(model.velocity_index[j])], multiplicity)
+
+
+@inlined_kernel
+def _released_end(model: Model, m: int) -> int:
+    """Return the end of the interval at which a wall releases an element at rest."""
+    return LOW if model.laws.push[m] > 0.0 else HIGH
 
 
 @inlined_kernel
@@ -95,6 +112,7 @@ def _sum_forces(model: Model, state: State, force: Array) -> None:
         if gap >= 0:
             row = model.laws.force[mode_number(model, state, j)]
             force[gap] += row[0] * (state.z[gap] - row[2]) + row[1] * state.z[model.first_velocity + gap]
+            force[gap] += row[3]
 
 
 @inlined_kernel
@@ -137,10 +155,12 @@ def _end_impact(flow: Flow, model: Model, state: State, j: int, end: int, reboun
     elif rebound_speed > 0.0:
         state.height[j] = state.z[unsigned(model.position_index[j])] + _limit(model, m, end)
         state.velocity[j] = state.z[unsigned(model.velocity_index[j])] + push * rebound_speed
-    if rebound_speed > 0.0:
-        state.multiplicity[lane] = 1 if end == LOW else -1
-        return
     x, candidate = unsigned(laws.exit[m, 0, end]), 0
+    if rebound_speed > 0.0:
+        change_mode(flow, model, state, j, laws.target[x, 0])
+        is_limited = abs(_limit(model, mode_number(model, state, j), end)) < np.inf
+        state.multiplicity[lane] = 0 if not is_limited else 1 if end == LOW else -1
+        return
     while candidate + 1 < laws.target.shape[1] and laws.target[x, candidate + 1] != NONE:
         candidate += 1
     state.multiplicity[lane] = 0
@@ -199,7 +219,7 @@ def _close_slow_openings(model: Model, state: State, work: ContactWorkspace, cou
     """
     changed = False
     for a in range(count):
-        if work.active[a]:
+        if work.bound[a] == FREE:
             continue
         opening_speed = work.opening_speed[a]
         for b in range(count):
@@ -207,7 +227,7 @@ def _close_slow_openings(model: Model, state: State, work: ContactWorkspace, cou
         if _rebound_is_negligible(
             model, state, work.damper[a], work.sign[a], work.wall_gap[a], opening_speed, work.force
         ):
-            work.active[a] = True
+            work.bound[a] = FREE
             changed = True
     if changed:
         solve_active(work, count)
@@ -248,12 +268,42 @@ def _collect_contact(model: Model, state: State, i: int, end: int, count: int, w
 
 
 @kernel
+def _slip_by_impact(flow: Flow, model: Model, state: State, log: Log) -> None:
+    """Set the masses that slide with friction in the modes of their new speeds, which an impact has changed.
+
+    A friction force is finite, so that it transmits no impulse: masses that stick slip, and others may reverse.
+    """
+    laws = model.laws
+    for i in range(model.mass.shape[0]):
+        gap, m, first = model.gap_coordinate[i], mode_number(model, state, i), laws.first_lane[i]
+        if gap < 0:
+            continue
+        speed = state.z[model.first_velocity + gap]
+        for lane in range(laws.first_lane[i + 1] - first):
+            if not laws.is_speed[m, lane]:
+                continue
+            end = LOW if laws.exit[m, lane, LOW] != NONE else HIGH
+            state.multiplicity[first + lane] = 0
+            if _push_of(end) * speed < 0.0:
+                x = unsigned(laws.exit[m, lane, end])
+                change_mode(flow, model, state, i, laws.target[x, 0])
+                log_event(log, i, laws.event[x], 0.0)
+        m = mode_number(model, state, i)
+        if not laws.is_held[m] or laws.transmits[m]:
+            continue
+        if abs(speed) > ROUNDING * abs(state.z[model.velocity_index[i]]):
+            release(flow, model, state, log, i, LOW if speed > 0.0 else HIGH, 0.0, 1)
+        else:
+            state.z[model.first_velocity + gap] = 0.0
+
+
+@kernel
 def _coupled_impact(flow: Flow, model: Model, state: State, log: Log, j: int, end: int, work: ContactWorkspace) -> None:
     """Apply the impact of element j, with its effect through a full mass matrix on masses that touch a wall."""
     count = 0
     for i in range(model.mass.shape[0]):
         m = mode_number(model, state, i)
-        if not (model.laws.is_held[m] or model.laws.can_hit[m]):
+        if not (model.laws.transmits[m] or model.laws.can_hit[m]):
             continue
         touched = LOW
         if not model.laws.is_held[m]:
@@ -262,6 +312,8 @@ def _coupled_impact(flow: Flow, model: Model, state: State, log: Log, j: int, en
                 continue
         _collect_contact(model, state, i, touched, count, work)
         count += 1
+    for a in range(count):
+        work.low[a], work.high[a] = 0.0, np.inf
     contact_matrix(model, work, count)
     solve_complementarity(work, count)
     _close_slow_openings(model, state, work, count)
@@ -280,7 +332,7 @@ def _coupled_impact(flow: Flow, model: Model, state: State, log: Log, j: int, en
             if gap >= 0:
                 rebound_speed = work.sign[a] * state.z[model.first_velocity + gap]
             is_plastic = work.rhs[a] == work.opening_speed[a]  # the required rebound speed is zero
-            if work.active[a] and is_plastic:
+            if work.bound[a] == FREE and is_plastic:
                 rebound_speed = 0.0
             # The gap of element j is zero and decreasing. A new opening speed up to the opening speed before the impact
             # is a rounding error.
@@ -291,17 +343,18 @@ def _coupled_impact(flow: Flow, model: Model, state: State, log: Log, j: int, en
                 x = model.laws.exit[mode_number(model, state, i), 0, touched]
                 log_event(log, i, model.laws.event[x], -work.opening_speed[a])
             _end_impact(flow, model, state, i, touched, rebound_speed)
-        elif work.active[a] and gap >= 0:
+        elif work.bound[a] == FREE and gap >= 0:
             state.z[model.first_velocity + gap] = 0.0
-        elif not work.active[a]:
+        elif work.bound[a] != FREE:
             opening_speed = work.sign[a] * (work.velocity_before[a] - body_velocity)
             if gap >= 0:
                 opening_speed = work.sign[a] * state.z[model.first_velocity + gap]
             if opening_speed > ROUNDING * (abs(work.velocity_before[a]) + abs(body_velocity)):
-                x = _leave_wall(flow, model, state, i, work.velocity_before[a], 1)
-                log_event(log, i, model.laws.event[x], 0.0)
+                end = LOW if work.sign[a] > 0.0 else HIGH
+                release(flow, model, state, log, i, end, work.velocity_before[a], 1)
             elif gap >= 0:
                 state.z[model.first_velocity + gap] = 0.0
+    _slip_by_impact(flow, model, state, log)
     # The impact changes the velocities of walls: the rate of a gap that was zero need not be zero any more.
     for i in range(model.mass.shape[0]):
         if model.laws.can_hit[mode_number(model, state, i)]:
@@ -326,12 +379,12 @@ def _separate_independent(flow: Flow, model: Model, state: State, log: Log, work
         for c in range(model.force.shape[1]):
             magnitude += abs(model.force[0, c, row] * state.z[c]) * model.inverse_mass[row, row]
         if abs(relative_acceleration) > ROUNDING * magnitude:
-            separate(flow, model, state, log, i, _TENSILE_MULTIPLICITY)
+            separate(flow, model, state, log, i, _released_end(model, m), _TENSILE_MULTIPLICITY)
 
 
 @kernel
 def _separate_coupled(flow: Flow, model: Model, state: State, log: Log, work: ContactWorkspace) -> None:
-    """Solve for the forces of all closed contacts, and separate the masses without a compressive force."""
+    """Solve for the forces on all held masses, and release the masses whose force is at an end of its interval."""
     count = 0
     for i in range(model.mass.shape[0]):
         m = mode_number(model, state, i)
@@ -350,16 +403,26 @@ def _separate_coupled(flow: Flow, model: Model, state: State, log: Log, work: Co
         if is_detached:
             work.rhs[count] = work.sign[count] * (-model.gravity - free_acceleration)
         work.magnitude[count] = magnitude
+        low, high = model.laws.numbers[m, 0, LOWER], model.laws.numbers[m, 0, UPPER]
+        if work.sign[count] < 0.0:
+            low, high = -high, -low
+        work.low[count], work.high[count] = model.mass[i] * low, model.mass[i] * high
         count += 1
     contact_matrix(model, work, count)
     solve_complementarity(work, count)
     for a in range(count):
-        if work.reaction[a] == 0.0:
-            opening_acceleration = work.rhs[a]
-            for b in range(count):
-                opening_acceleration += work.matrix[a, b] * work.reaction[b]
-            if opening_acceleration > ROUNDING * work.magnitude[a]:
-                separate(flow, model, state, log, work.damper[a], _TENSILE_MULTIPLICITY)
+        if work.bound[a] == FREE:
+            continue
+        at_low = work.bound[a] == AT_LOW
+        opening_acceleration = work.rhs[a]
+        for b in range(count):
+            opening_acceleration += work.matrix[a, b] * work.reaction[b]
+        if not at_low:
+            opening_acceleration = -opening_acceleration
+        magnitude = work.magnitude[a] + abs(work.matrix[a, a] * work.reaction[a])
+        if opening_acceleration > ROUNDING * magnitude:
+            end = LOW if at_low == (work.sign[a] > 0.0) else HIGH
+            separate(flow, model, state, log, work.damper[a], end, _TENSILE_MULTIPLICITY)
 
 
 @inlined_kernel
@@ -432,6 +495,28 @@ def _is_consistent(model: Model, state: State, j: int, m: int) -> bool:
 
 
 @kernel
+def _stop_simultaneously(flow: Flow, model: Model, state: State, log: Log, j: int) -> None:
+    """Stop the masses that slide at a speed of zero within rounding at the instant at which element j stops.
+
+    The forces that hold them depend on each other.
+    """
+    laws = model.laws
+    for i in range(model.mass.shape[0]):
+        m, first = mode_number(model, state, i), laws.first_lane[i]
+        if i == j or model.gap_coordinate[i] < 0:
+            continue
+        for lane in range(laws.first_lane[i + 1] - first):
+            if not laws.is_speed[m, lane] or state.multiplicity[first + lane] != 0:
+                continue
+            if abs(_speed(model, state, i)) <= ROUNDING * abs(state.z[model.velocity_index[i]]):
+                x = unsigned(laws.exit[m, lane, LOW if laws.exit[m, lane, LOW] != NONE else HIGH])
+                state.z[model.first_velocity + model.gap_coordinate[i]] = 0.0
+                change_mode(flow, model, state, i, laws.target[x, 0])
+                log_event(log, i, laws.event[x], 0.0)
+                break
+
+
+@kernel
 def change_force(flow: Flow, model: Model, state: State, log: Log, j: int, x: int) -> None:
     """Apply an exit without a jump of velocities to an element whose gap is a coordinate."""
     laws, first = model.laws, model.laws.first_mode[j]
@@ -444,9 +529,12 @@ def change_force(flow: Flow, model: Model, state: State, log: Log, j: int, x: in
         candidate += 1
     m = first + laws.target[x, candidate]
     for lane in range(laws.first_lane[j + 1] - laws.first_lane[j]):
-        at_low = _side_of_limit(model, state, j, m, lane, LOW) == 0
-        at_high = _side_of_limit(model, state, j, m, lane, HIGH) == 0
+        at_low = not laws.is_held[m] and _side_of_limit(model, state, j, m, lane, LOW) == 0
+        at_high = not laws.is_held[m] and _side_of_limit(model, state, j, m, lane, HIGH) == 0
         state.multiplicity[laws.first_lane[j] + lane] = 1 if at_low else -1 if at_high else 0
+    if laws.is_held[m]:
+        state.z[model.first_velocity + model.gap_coordinate[j]] = 0.0
+        _stop_simultaneously(flow, model, state, log, j)
     change_mode(flow, model, state, j, laws.target[x, candidate])
     if laws.event[x] != NO_EVENT:
         closing_speed = -laws.push[m] * _speed(model, state, j) if laws.wall[m] > 0 else 0.0

@@ -23,18 +23,20 @@ from rig.core.laws.events import FLIGHT, NO_EVENT
 
 
 class Row(NamedTuple):
-    """The function gap (g - rest) + speed s + hold h of gap g [m], speed s [m/s] and holding force h.
+    """The function gap (g - rest) + speed s + hold h + constant of gap g [m], speed s [m/s] and holding force h.
 
-    As a force, `gap` and `speed` are minus the stiffness and the damping of a spring with dashpot, relaxed at `rest`.
+    As a force, `gap` and `speed` are minus the stiffness and the damping of a spring with dashpot, relaxed at `rest`;
+    `constant` is a force that does not depend on the motion, such as friction in one direction.
     """
 
     gap: float = 0.0
     speed: float = 0.0
     hold: float = 0.0
     rest: float = 0.0
+    constant: float = 0.0
 
 
-GAP, HOLD = Row(gap=1.0), Row(hold=1.0)
+GAP, SPEED, HOLD = Row(gap=1.0), Row(speed=1.0), Row(hold=1.0)
 
 
 class Exit(NamedTuple):
@@ -83,6 +85,11 @@ class Mode(NamedTuple):
         return any(exit_ is not None and exit_.restitution is not None for exit_ in exits)
 
     @property
+    def transmits_impulses(self) -> bool:
+        """Whether the element is held by a force that is unlimited in a direction, as at a wall."""
+        return self.force is None and any(abs(limit) == inf for signal in self.signals for limit, _ in signal.ends)
+
+    @property
     def push(self) -> float:
         """Direction in which the force of the touched wall acts on the element, 1 or -1."""
         return 1.0 if any(signal.low > -inf for signal in self.signals) else -1.0
@@ -109,9 +116,10 @@ class Law(NamedTuple):
         return tuple(self.modes.items()), self.start
 
     @property
-    def rests_on_wall(self) -> bool:
-        """Whether the element is at rest on a wall at the start, which it leaves if its body accelerates by 1 g."""
-        return self.modes[self.start].wall != FLIGHT
+    def starts_at_rest(self) -> bool:
+        """Whether the element moves with its body at the start, until a sufficient acceleration: on a wall, or held."""
+        start = self.modes[self.start]
+        return start.wall != FLIGHT or start.force is None
 
     def mode_at(self, wall: int, gap: float) -> str:
         """Return the first mode that touches a wall, or no wall (`FLIGHT`), and contains a gap, m.

@@ -1,6 +1,7 @@
 """Contact forces or impulses of one instant: a linear complementarity problem.
 
-Find p >= 0 with A p + q >= 0 and p (A p + q) = 0, where
+Find p with low <= p <= high and w = A p + q, so that w = 0 between the limits, w >= 0 for p = low, and w <= 0 for
+p = high, where
 
     A_ik = d_i d_k (M^-1)_{r_i r_k} + delta_ik / md_i,      d = -1 floor, +1 ceiling
 
@@ -26,6 +27,8 @@ from rig.core.numerics.jit import kernel
 
 #: A sum below this fraction of the magnitudes of its terms is a rounding error of zero.
 ROUNDING = 16 * 2.3e-16
+#: State of a contact: between its limits, at the lower limit, at the upper limit.
+FREE, AT_LOW, AT_HIGH = 0, 1, 2
 #: Maximum number of pivots; in practice about as many are needed as there are contacts.
 MAX_PIVOTS = 100_000
 
@@ -39,8 +42,9 @@ class ContactWorkspace(NamedTuple):
     opening speed of the gap before the impact, m/s. `magnitude`: sum of the magnitudes of the terms of the
     acceleration, m/s^2.
 
-    `matrix`, `rhs`, `reaction`: A, q and the solution p; `reaction` is a force or an impulse. `active`: whether the
-    contact is closed (p may be positive). `block`: scratch space.
+    `matrix`, `rhs`, `reaction`: A, q and the solution p; `reaction` is a force or an impulse. `low`, `high`: limits of
+    p; those of a wall are 0 and infinity. `bound`: `AT_LOW`, `AT_HIGH`, or `FREE` between the limits. `block`: scratch
+    space.
     """
 
     force: np.ndarray
@@ -56,7 +60,9 @@ class ContactWorkspace(NamedTuple):
     opening_speed: np.ndarray
     rhs: np.ndarray
     reaction: np.ndarray
-    active: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    bound: np.ndarray
     matrix: np.ndarray
     block: np.ndarray
 
@@ -77,7 +83,9 @@ def allocate_contact_workspace(dampers: int, forces: int) -> ContactWorkspace:
         opening_speed=np.zeros(dampers + 1),
         rhs=np.zeros(dampers + 1),
         reaction=np.zeros(dampers + 1),
-        active=np.zeros(dampers + 1, dtype=np.bool_),
+        low=np.zeros(dampers + 1),
+        high=np.full(dampers + 1, np.inf),
+        bound=np.zeros(dampers + 1, dtype=np.int64),
         matrix=np.zeros((dampers + 1, dampers + 1)),
         block=np.zeros((dampers + 1, dampers + 2)),
     )
@@ -95,18 +103,22 @@ def contact_matrix(model: Any, work: ContactWorkspace, count: int) -> None:
 
 @kernel
 def solve_active(work: ContactWorkspace, count: int) -> None:
-    """Solve A p + q = 0 for the active (closed) contacts by Gaussian elimination; the other reactions p are 0."""
+    """Solve A p + q = 0 for the contacts between their limits by Gaussian elimination; the others are at a limit."""
     block = work.block
     n_active = 0
     for a in range(count):
-        work.reaction[a] = 0.0
-        if work.active[a]:
+        if work.bound[a] != FREE:
+            work.reaction[a] = work.low[a] if work.bound[a] == AT_LOW else work.high[a]
+    for a in range(count):
+        if work.bound[a] == FREE:
             column = 0
+            block[n_active, count] = -work.rhs[a]
             for b in range(count):
-                if work.active[b]:
+                if work.bound[b] == FREE:
                     block[n_active, column] = work.matrix[a, b]
                     column += 1
-            block[n_active, count] = -work.rhs[a]
+                else:
+                    block[n_active, count] -= work.matrix[a, b] * work.reaction[b]
             n_active += 1
     for i in range(n_active):
         for row in range(i + 1, n_active):
@@ -120,7 +132,7 @@ def solve_active(work: ContactWorkspace, count: int) -> None:
         block[i, count] /= block[i, i]
     n_active = 0
     for a in range(count):
-        if work.active[a]:
+        if work.bound[a] == FREE:
             work.reaction[a] = block[n_active, count]
             n_active += 1
 
@@ -129,13 +141,15 @@ def solve_active(work: ContactWorkspace, count: int) -> None:
 def solve_complementarity(work: ContactWorkspace, count: int) -> None:
     """Solve the problem with `work.matrix` A and `work.rhs` q for `work.reaction` p, by principal pivoting."""
     for a in range(count):
-        work.active[a] = False
-        work.reaction[a] = 0.0
+        work.bound[a] = AT_LOW
+        work.reaction[a] = work.low[a]
     for _ in range(MAX_PIVOTS):
-        violated = -1
+        violated, new_bound = -1, FREE
         for a in range(count):
-            if work.active[a]:
-                is_violated = work.reaction[a] < 0.0
+            if work.bound[a] == FREE:
+                is_violated = work.reaction[a] < work.low[a] or work.reaction[a] > work.high[a]
+                if is_violated:
+                    new_bound = AT_LOW if work.reaction[a] < work.low[a] else AT_HIGH
             else:
                 opening_speed = work.rhs[a]
                 magnitude = abs(opening_speed)
@@ -143,11 +157,13 @@ def solve_complementarity(work: ContactWorkspace, count: int) -> None:
                     term = work.matrix[a, b] * work.reaction[b]
                     opening_speed += term
                     magnitude += abs(term)
+                if work.bound[a] == AT_HIGH:
+                    opening_speed = -opening_speed
                 is_violated = opening_speed < -ROUNDING * magnitude
             if is_violated:
                 violated = a
                 break
         if violated < 0:
             return
-        work.active[violated] = not work.active[violated]
+        work.bound[violated] = new_bound
         solve_active(work, count)

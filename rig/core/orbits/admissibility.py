@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from rig.core.base.arrays import Array
 from rig.core.numerics.jit import cached_njit
 from rig.core.orbits import event_kinds as kinds
-from rig.core.orbits.orbit_equations import Equations, Sequence
-from rig.core.orbits.shooting import ShootingResult
+from rig.core.orbits.orbit_equations import GAP, HIGH, HOLD, LOW, SPEED, Equations, Sequence
+from rig.core.orbits.shooting import ShootingResult, signal_of
 from rig.core.orbits.track import Track, track_orbit, turning_value
 
 # A flight lasts at least this phase of the drive, rad. In a shorter flight the peak acceleration is within 1e-5 of 1 g.
@@ -24,7 +24,8 @@ MIN_FLIGHT_RAD = 0.02
 # `Plan.borders`.
 ORDER, NOT_RELEASED, MISSES_WALL = 0, 1, 2
 FLIGHT_VANISHES, HITS_FLOOR, HITS_CEILING, LEAVES_WALL, STAYS_AT_WALL, SEPARATED_BY_IMPACT = 3, 4, 5, 6, 7, 8
-N_BORDER_KINDS = 9  # number of these kinds
+SLIPS, STOPS, STICKS = 9, 10, 11
+N_BORDER_KINDS = 12  # number of these kinds
 
 
 @cached_njit
@@ -34,8 +35,12 @@ def _lowest_minimum(track: Track, s: int, j: int, offset: float, sign: float, fi
     The guard is that of damper j in segment s of the track, from instant `first` on. The last index of `Track.guards`
     is the order of the derivative.
     """
-    guard = track.guards[s, :, j]
-    step = track.times[s, 1] - track.times[s, 0]
+    return _lowest_between(track.guards[s, :, j], track.times[s, 1] - track.times[s, 0], offset, sign, first)
+
+
+@cached_njit
+def _lowest_between(guard: Array, step: float, offset: float, sign: float, first: int) -> float:
+    """Return the same of a guard, given with its derivatives at instants at a distance of `step`, s."""
     lowest = np.inf
     for i in range(first, guard.shape[0] - 1):
         if sign * guard[i, 1] < 0.0 and sign * guard[i + 1, 1] > 0.0:
@@ -143,6 +148,94 @@ def _finite_contact_margins(
 
 
 @cached_njit
+def _signal_along(equations: Equations, track: Track, s: int, configuration: int, signal: Array, j: int) -> Array:
+    """Return a signal of an sliding mass with two derivatives along a segment, shape (steps + 1, 3)."""
+    a, nq, n = equations.generator[configuration], equations.inverse_mass.shape[1], track.motion.shape[2]
+    gap = equations.gap_coordinate[j]
+    weights = np.zeros((3, n + 3))
+    weights[0, gap], weights[0, nq + gap] = signal[GAP], signal[SPEED]
+    if signal[HOLD] != 0.0:
+        # The other forces on the mass act across the gap: the holding force is that of its inertia.
+        weights[0] = a[nq + equations.body_coordinate[j]]
+    weights[1] = weights[0] @ a
+    weights[2] = weights[1] @ a
+    values = np.zeros((track.times.shape[1], 3))
+    for i in range(values.shape[0]):
+        phase = equations.omega * track.times[s, i]
+        for d in range(3):
+            for m in range(n):
+                values[i, d] += weights[d, m] * track.motion[s, i, m]
+            values[i, d] += weights[d, n] * np.cos(phase) + weights[d, n + 1] * np.sin(phase) + weights[d, n + 2]
+    return values
+
+
+@cached_njit
+def _sliding_margins(
+    equations: Equations, sequence: Sequence, track: Track, j: int, length_unit: float, distances: Array
+) -> None:
+    """Write the margins of the signals of sliding mass j into `distances`, as `margins` returns them."""
+    events, omega = sequence.kind.shape[0], equations.omega
+    for s in range(track.times.shape[0]):
+        k = s + 1 if events > 0 else 0  # index of the segment in `sequence`
+        starts_with_own_event = events > 0 and sequence.damper[s] == j
+        ends_with_own_event = events > 0 and sequence.damper[(s + 1) % events] == j
+        step = track.times[s, 1] - track.times[s, 0]
+        mode = equations.first_mode[j] + sequence.wall[k, j] - kinds.MODES
+        for signal in equations.signals[mode]:
+            is_force, is_speed = signal[HOLD] != 0.0, signal[SPEED] != 0.0
+            if not is_force and not is_speed and signal[GAP] == 0.0:
+                continue
+            unit = length_unit * (omega**2 if is_force else omega if is_speed else 1.0)
+            values = _signal_along(equations, track, s, sequence.configuration[k], signal, j)
+            for end, sign in ((LOW, 1.0), (HIGH, -1.0)):
+                if not np.isfinite(signal[end]):
+                    continue
+                # A speed that starts from rest has no minimum in the first step, except by rounding.
+                first = 1 if is_speed and starts_with_own_event else 0
+                lowest = _lowest_between(values, step, -sign * signal[end], sign, first)
+                if is_force or not starts_with_own_event:
+                    lowest = min(lowest, sign * (values[0, 0] - signal[end]))
+                if not ends_with_own_event:
+                    lowest = min(lowest, sign * (values[-1, 0] - signal[end]))
+                border = HITS_FLOOR if end == LOW else HITS_CEILING
+                if is_speed:
+                    border = STOPS
+                elif is_force:
+                    is_at_wall = not (np.isfinite(signal[LOW]) and np.isfinite(signal[HIGH]))
+                    border = LEAVES_WALL if is_at_wall else SLIPS
+                _reduce_margin(distances, border, j, lowest / unit)
+
+
+@cached_njit
+def _sliding_event_margin(
+    equations: Equations, sequence: Sequence, track: Track, event: int, closing_speed: float, length_unit: float,
+    distances: Array,
+) -> None:  # fmt: skip
+    """Write the margins of an event of an sliding mass: the rate at which its signal reaches the limit.
+
+    After an impact without rebound or a reversal, the motion away must begin at once.
+    """
+    kind, j, omega = sequence.kind[event], sequence.damper[event], equations.omega
+    acceleration_unit = length_unit * omega**2
+    signals = equations.signals[equations.first_mode[j] + sequence.wall[event, j] - kinds.MODES]
+    lane, end = signal_of(signals, kind)
+    inwards = 1.0 if end == LOW else -1.0
+    speed_after = np.zeros(HIGH + 1)
+    speed_after[SPEED] = 1.0
+    acceleration = _signal_along(equations, track, event, sequence.configuration[event + 1], speed_after, j)[0, 1]
+    if signals[lane, GAP] != 0.0:
+        distances[MISSES_WALL, event] = min(1.0, closing_speed * omega / acceleration_unit)
+        if kind in (kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE) and equations.restitution[j] == 0.0:
+            _reduce_margin(distances, STAYS_AT_WALL, j, inwards * acceleration / acceleration_unit)
+        return
+    before = _signal_along(equations, track, event - 1, sequence.configuration[event], signals[lane], j)[-1, 1]
+    unit = acceleration_unit * omega if signals[lane, HOLD] != 0.0 else acceleration_unit
+    distances[NOT_RELEASED, event] = min(1.0, -inwards * before / unit)
+    if kind == kinds.REVERSE:
+        _reduce_margin(distances, STICKS, j, -inwards * acceleration / acceleration_unit)
+
+
+@cached_njit
 def margins(equations: Equations, sequence: Sequence, track: Track, instants: Array, closing_speed: Array) -> Array:
     """Compute the margin of an orbit at each border beyond which it is impossible as a motion.
 
@@ -167,17 +260,19 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             starts_with_own_event = events > 0 and sequence.damper[s] == j
             ends_with_own_event = events > 0 and sequence.damper[end_event] == j
             wall, guard = sequence.wall[k, j], track.guards[s, :, j]
-            if equations.stiffness[j, 0] > 0.0:
-                continue
+            if equations.stiffness[j, 0] > 0.0 or equations.first_mode[j] >= 0:
+                continue  # these are examined below
             if wall in (kinds.FLYING, kinds.WITHOUT_FORCE):
                 floor, ceiling = equations.wall_gap[j]
+                # A gap that starts from zero has no minimum in the first step, except by rounding.
+                first = 1 if starts_with_own_event and wall == kinds.WITHOUT_FORCE else 0
                 if np.isfinite(floor):
-                    lowest = _lowest_minimum(track, s, j, -floor, 1.0)
+                    lowest = _lowest_minimum(track, s, j, -floor, 1.0, first)
                     if not starts_with_own_event:
                         lowest = min(lowest, guard[0, 0] - floor)
                     _reduce_margin(distances, HITS_FLOOR, j, lowest / length_unit)
                 if np.isfinite(ceiling):
-                    lowest = _lowest_minimum(track, s, j, ceiling, -1.0)
+                    lowest = _lowest_minimum(track, s, j, ceiling, -1.0, first)
                     if not starts_with_own_event:
                         lowest = min(lowest, ceiling - guard[0, 0])
                     _reduce_margin(distances, HITS_CEILING, j, lowest / length_unit)
@@ -190,6 +285,9 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             _reduce_margin(distances, LEAVES_WALL, j, lowest / acceleration_unit)
     for event in range(events):
         kind, j = sequence.kind[event], sequence.damper[event]
+        if equations.first_mode[j] >= 0:
+            _sliding_event_margin(equations, sequence, track, event, closing_speed[event], length_unit, distances)
+            continue
         if kind >= kinds.TOUCH_FLOOR:
             distances[MISSES_WALL if kind != kinds.RELEASE else NOT_RELEASED, event] = _crossing_rate(
                 equations, sequence, track, event, closing_speed[event], acceleration_unit
@@ -229,6 +327,8 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             if sequence.kind[next_event] == (kinds.CEILING if at_ceiling else kinds.FLOOR):
                 _reduce_margin(distances, FLIGHT_VANISHES, j, flight_time * omega - MIN_FLIGHT_RAD)
     for j in range(nd):
+        if equations.first_mode[j] >= 0:
+            _sliding_margins(equations, sequence, track, j, length_unit, distances)
         # Contact has a duration.
         if equations.stiffness[j, 0] > 0.0:
             _finite_contact_margins(equations, sequence, track, j, length_unit, distances)

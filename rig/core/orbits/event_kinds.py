@@ -7,7 +7,10 @@ SEPARATION, FLOOR, CEILING, FLOOR_BOUNCE, CEILING_BOUNCE, INDUCED_SEPARATION = 0
 # Finite-duration contact: a gap falls to zero (touch), a contact force falls to zero (release), or it rises from zero
 # again before the overlap has recovered (press). All conditions are linear in the state. Only the force law changes.
 TOUCH_FLOOR, TOUCH_CEILING, PRESS_FLOOR, PRESS_CEILING, RELEASE = 6, 7, 8, 9, 10
+# A mass that slides with friction: the force that holds it reaches its lower or its upper limit (slip), its speed falls
+# to zero, after which it sticks (stop) or moves back at once (reverse). It also hits walls.
+SLIP_LOW, SLIP_HIGH, STOP, REVERSE = 11, 12, 13, 14
 # Wall state in a segment between events: in flight, or riding (at rest on a wall). If the gap is a coordinate: without
 # contact force instead of in flight, and pressed on a wall in finite-duration contact. The wall is the remainder of a
-# division by 3.
-FLYING, RIDES_FLOOR, RIDES_CEILING, WITHOUT_FORCE, ON_FLOOR, ON_CEILING = 0, 1, 2, 3, 4, 5
+# division by 3. The state of a mass that slides with friction is `MODES` plus the number of its mode.
+FLYING, RIDES_FLOOR, RIDES_CEILING, WITHOUT_FORCE, ON_FLOOR, ON_CEILING, MODES = 0, 1, 2, 3, 4, 5, 6

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from rig.core.base.arrays import Array
 from rig.core.base.errors import UncoveredMotionError
 from rig.core.engine.trajectory import Trajectory
-from rig.core.laws.events import CEILING_IMPACT, CEILING_TOUCH, FLIGHT, FLOOR_IMPACT, FLOOR_TOUCH, RELEASE
+from rig.core.laws.events import CEILING_IMPACT, CEILING_TOUCH, FLIGHT, FLOOR_IMPACT, FLOOR_TOUCH, RELEASE, SLIP, STOP
+from rig.core.laws.law import Exit, Law, Signal
 from rig.core.orbits import event_kinds as kinds
 from rig.core.orbits.orbit_equations import Sequence
 from rig.core.system.hybrid_system import Element, HybridSystem
@@ -60,10 +61,10 @@ class Plan:
 
     @property
     def label(self) -> str:
-        """Abbreviated events, e.g. ``"2^ 2- 2_"``: damper 2 separates, bounces off the ceiling, lands.
+        r"""Abbreviated events, e.g. ``"2^ 2- 2_"``: damper 2 separates, bounces off the ceiling, lands.
 
         With finite-duration contact: touch of floor ``u`` or ceiling ``n``, release ``o``, renewed press ``w``,
-        ``m``.
+        ``m``. With friction: slip upwards ``/`` or downwards ``\\``, stop ``|``, reversal without rest ``x``.
         """
         symbols = {
             kinds.SEPARATION: "^",
@@ -77,6 +78,10 @@ class Plan:
             kinds.PRESS_FLOOR: "w",
             kinds.PRESS_CEILING: "m",
             kinds.RELEASE: "o",
+            kinds.SLIP_LOW: "/",
+            kinds.SLIP_HIGH: "\\",
+            kinds.STOP: "|",
+            kinds.REVERSE: "x",
         }
         events = zip(self.sequence.damper, self.sequence.kind, strict=True)
         return " ".join(f"{damper + 1}{symbols[int(kind)]}" for damper, kind in events)
@@ -89,7 +94,10 @@ class Plan:
         pairs = zip(events, events[1:] + events[:1], strict=True)
         names: list[list[str]] = [
             [f"event {first} and event {second} change order" for first, second in pairs],
-            [f"damper {number} is not released" for number in dampers],
+            [
+                f"damper {number} {'does not stop' if kind in (kinds.STOP, kinds.REVERSE) else 'is not released'}"
+                for number, kind in zip(dampers, self.sequence.kind, strict=True)
+            ],
             [f"damper {number} misses the wall that it should hit" for number in dampers],
         ]
         for template in (
@@ -99,6 +107,9 @@ class Plan:
             "damper {} leaves its wall early",
             "damper {} stays at the wall that it should leave at once",
             "damper {} separates from its wall by the impact of another damper",
+            "damper {} slips early",
+            "damper {} stops early",
+            "damper {} sticks where it should reverse",
         ):
             names.append([template.format(number) for number in range(1, count + 1)])
         return tuple(name for row in names for name in [*row, *[""] * (count - len(row))])
@@ -110,11 +121,11 @@ class Plan:
 
 
 def derive_plan(
-    trajectory: Trajectory, start: NDArray[np.int8], repetition: int, system: HybridSystem
+    trajectory: Trajectory, start: NDArray[np.int64], repetition: int, system: HybridSystem
 ) -> tuple[Plan, Array]:
     """Derive the sequence of events from a simulated cycle.
 
-    `start`, shape (dampers,): contacts at the start of the cycle; `repetition`: number of drive periods in the cycle.
+    `start`, shape (dampers,): modes at the start of the cycle; `repetition`: number of drive periods in the cycle.
     Returns the plan, and the indices of its events among the events of the cycle. Raises `UncoveredMotionError` if a
     damper with rebound comes to rest on a wall after infinitely many impacts, or if a damper changes its contact at the
     instant of another damper's impact, with which a full mass matrix or a common body couples it.
@@ -134,8 +145,16 @@ def derive_plan(
                 f"an impact of damper {damper + 1} acts on damper {dampers[simultaneous[-1]] + 1} at the same "
                 "instant, through a common body or the mass matrix"
             )
+        previous = [i for i in simultaneous if dampers[i] == damper]
         if finite_contact[damper]:
             events.append(_finite_contact_kind(trajectory, k, system))
+        elif kind == SLIP and previous and events[previous[-1]] == kinds.STOP:
+            events[previous[-1]] = kinds.REVERSE
+            continue
+        elif kind == STOP:
+            events.append(kinds.STOP)
+        elif kind == SLIP and not previous:
+            events.append(_slip_kind(trajectory, k, system))
         elif kind in (FLOOR_IMPACT, CEILING_IMPACT):
             impact = kinds.FLOOR if kind == FLOOR_IMPACT else kinds.CEILING
             events.append(impact if restitution[damper] == 0 else BOUNCE[impact])
@@ -151,7 +170,7 @@ def derive_plan(
             events.append(kinds.INDUCED_SEPARATION if simultaneous else kinds.SEPARATION)
         dampers.append(damper)
         order.append(k)
-    plan = make_plan(events, dampers, walls_from_contacts(start, system), repetition, system)
+    plan = make_plan(events, dampers, walls_from_modes(start, system), repetition, system)
     return plan, np.array(order, dtype=np.int64)
 
 
@@ -172,15 +191,36 @@ def _finite_contact_kind(trajectory: Trajectory, event: int, system: HybridSyste
     return kinds.PRESS_CEILING if gap > ceiling + min_overlap else kinds.TOUCH_CEILING
 
 
-def walls_from_contacts(contacts: NDArray[Any], system: HybridSystem) -> NDArray[np.int64]:
-    """Return the wall states of a sequence for the engine's contacts, shape (dampers,)."""
-    walls = np.asarray(contacts, dtype=np.int64)
+def _slip_kind(trajectory: Trajectory, event: int, system: HybridSystem) -> int:
+    """Return the kind of a slip by the direction in which the gap changes until the next break of the cycle."""
+    is_event = (trajectory.break_segment == trajectory.event_segment[event]) & (
+        trajectory.break_offset == trajectory.event_offset[event]
+    )
+    gaps = trajectory.state_before[:, system.gap_coordinate[trajectory.event_damper[event]]]
+    changes = np.roll(gaps, -int(np.flatnonzero(is_event)[0]))
+    changes -= changes[0]
+    return kinds.SLIP_LOW if changes[np.flatnonzero(changes)[0]] > 0.0 else kinds.SLIP_HIGH
+
+
+def walls_from_modes(modes: NDArray[np.int64], system: HybridSystem) -> NDArray[np.int64]:
+    """Return the wall states of a sequence for the engine's modes, shape (dampers,)."""
+    laws = [element.law for element in system.elements]
+    walls = np.array([list(law.modes.values())[mode].wall for law, mode in zip(laws, modes.tolist(), strict=True)])
     has_force = ~system.detached & (system.finite_contact | (walls == FLIGHT))
-    return walls + np.where(has_force, kinds.WITHOUT_FORCE, kinds.FLYING)
+    states = walls + np.where(has_force, kinds.WITHOUT_FORCE, kinds.FLYING)
+    return np.where(slides(system), kinds.MODES + modes, states).astype(np.int64)
+
+
+def slides(system: HybridSystem) -> NDArray[np.bool_]:
+    """Return whether each damper can stick away from its walls, because it slides with friction; shape (dampers,)."""
+    modes = [element.law.modes.values() for element in system.elements]
+    return np.array([any(m.force is None and m.wall == FLIGHT for m in of_law) for of_law in modes], dtype=bool)
 
 
 def _mode(element: Element, wall: int, gap: float) -> str:
     """Return the engine's mode for a wall state of a sequence and a gap, m."""
+    if wall >= kinds.MODES:
+        return list(element.law.modes)[wall - kinds.MODES]
     return element.law.mode_at(wall % kinds.WITHOUT_FORCE, gap)
 
 
@@ -200,6 +240,31 @@ def configuration_of(walls: list[int], system: HybridSystem) -> int:
     )
 
 
+def _mode_after(law: Law, mode: int, kind: int) -> int:
+    """Return the number of the mode of a sliding mass after an event."""
+    names, signals = list(law.modes), list(law.modes.values())[mode].signals
+
+    def targets(signals: tuple[Signal, ...], row: str, end: int | None = None) -> tuple[str, ...]:
+        ends = [signal.ends for signal in signals if getattr(signal.row, row)]
+        exits: list[Exit | None] = [pair[e][1] for pair in ends for e in (0, 1) if end in (None, e)]
+        return next(exit_.to for exit_ in exits if exit_ is not None)
+
+    if kind in (kinds.FLOOR, kinds.CEILING, kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE):
+        end = int(kind in (kinds.CEILING, kinds.CEILING_BOUNCE))
+        is_bounce = kind in (kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE)
+        name = targets(signals, "gap", end)[0 if is_bounce else -1]
+        if is_bounce and law.modes[name].force is None:  # an impact without rebound, and a separation at once
+            name = targets(law.modes[name].signals, "hold")[0]
+    elif kind in (kinds.STOP, kinds.REVERSE):
+        name = targets(signals, "speed")[0]
+        if kind == kinds.REVERSE:
+            moves_up = any(signal.row.speed and signal.low == 0.0 for signal in signals)
+            name = targets(law.modes[name].signals, "hold", int(moves_up))[0]
+    else:
+        name = targets(signals, "hold", {kinds.SLIP_LOW: 0, kinds.SLIP_HIGH: 1}.get(kind))[0]
+    return names.index(name)
+
+
 def make_plan(
     events: list[int], dampers: list[int], start: NDArray[Any], repetition: int, system: HybridSystem
 ) -> Plan:
@@ -207,9 +272,12 @@ def make_plan(
     walls: list[list[int]] = [start.tolist()]
     for kind, damper in zip(events, dampers, strict=True):
         wall = walls[-1].copy()
-        wall[damper] = WALL_AFTER_EVENT[kind]
-        if wall[damper] == kinds.FLYING and not system.detached[damper]:
-            wall[damper] = kinds.WITHOUT_FORCE
+        if wall[damper] >= kinds.MODES:
+            wall[damper] = kinds.MODES + _mode_after(system.elements[damper].law, wall[damper] - kinds.MODES, kind)
+        else:
+            wall[damper] = WALL_AFTER_EVENT[kind]
+            if wall[damper] == kinds.FLYING and not system.detached[damper]:
+                wall[damper] = kinds.WITHOUT_FORCE
         walls.append(wall)
     segment_configurations = [configuration_of(wall, system) for wall in walls]
     configurations = tuple(dict.fromkeys(segment_configurations))

@@ -17,10 +17,19 @@ from scipy.linalg.lapack import dgeev
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RunError
 from rig.core.engine.trajectory import event_table
-from rig.core.laws.events import CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH, RELEASE, SEPARATION
+from rig.core.laws.events import (
+    CEILING_IMPACT,
+    CEILING_TOUCH,
+    FLOOR_IMPACT,
+    FLOOR_TOUCH,
+    RELEASE,
+    SEPARATION,
+    SLIP,
+    STOP,
+)
 from rig.core.orbits import event_kinds as kinds
 from rig.core.orbits.admissibility import evaluate_motion
-from rig.core.orbits.event_sequence import Plan
+from rig.core.orbits.event_sequence import Plan, slides
 from rig.core.orbits.newton import IterationLimits, monodromy, newton_solve
 from rig.core.orbits.orbit_equations import EquationDerivatives, Equations
 from rig.core.orbits.problem import OperatingPoint, OrbitProblem, vary
@@ -257,7 +266,10 @@ class OrbitFamily:
         scale[system.states + 1 : first_instant : 2] = omega * length
         # The motion is more sensitive to frequency than to the other parameters.
         scale[-1] = abs(getattr(setting, parameter)) * (0.02 if parameter == "frequency" else 0.2)
-        guard_scales = {kinds.INDUCED_SEPARATION: 1 / omega, kinds.SEPARATION: system.gravity or omega**2 * length}
+        acceleration = system.gravity or omega**2 * length
+        guard_scales = {kinds.INDUCED_SEPARATION: 1 / omega}
+        guard_scales |= dict.fromkeys((kinds.SEPARATION, kinds.SLIP_LOW, kinds.SLIP_HIGH), acceleration)
+        guard_scales |= dict.fromkeys((kinds.STOP, kinds.REVERSE), omega * length)
         self.residual_scale = scale[:-1].copy()
         self.residual_scale[first_instant:] = [guard_scales.get(kind, length) for kind in plan.sequence.kind.tolist()]
         self.bodies = problem.scene.structure.bodies
@@ -340,15 +352,19 @@ def _events(
 
     A bounce without rebound is an impact and a separation at one instant.
     """
+    has_friction = slides(problem.system)
     events = []
     for time, damper, kind, speed in zip(instants, plan.sequence.damper, plan.sequence.kind, closing, strict=True):
         if int(kind) in CONTACT_KINDS:
             events.append((damper, CONTACT_KINDS[int(kind)], time, speed))
         if kind == kinds.RELEASE:
             events.append((damper, RELEASE, time, 0.0))
-        elif kind in (kinds.SEPARATION, kinds.INDUCED_SEPARATION) or (
-            kind in (kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE) and not problem.system.restitution[damper]
-        ):
+        if kind in (kinds.STOP, kinds.REVERSE):
+            events.append((damper, STOP, time, 0.0))
+        leaves = kind in (kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE) and not problem.system.restitution[damper]
+        if kind in (kinds.SLIP_LOW, kinds.SLIP_HIGH, kinds.REVERSE) or (leaves and has_friction[damper]):
+            events.append((damper, SLIP, time, 0.0))
+        elif kind in (kinds.SEPARATION, kinds.INDUCED_SEPARATION) or leaves:
             events.append((damper, SEPARATION, time, 0.0))
     table = np.array(events).reshape(-1, 4)
     return table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2], table[:, 3]

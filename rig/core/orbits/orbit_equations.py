@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from rig.core.base.arrays import Array
 
 IndexArray = NDArray[np.int64]
+#: Columns of `Equations.signals`: factors of the gap [m], of the speed [m/s] and of the holding force per mass [m/s^2],
+#: and the limits. A row without factors is unused.
+GAP, SPEED, HOLD, LOW, HIGH = range(5)
 
 
 class Equations(NamedTuple):
@@ -32,6 +35,11 @@ class Equations(NamedTuple):
     """Holding force per mass on floor and ceiling, minus the acceleration of the body [m/s^2]; shape (dampers, 2)."""
     stiffness: Array
     damping: Array  # stiffness, damping: of floor and ceiling for finite-duration contact; shape (dampers, 2)
+    first_mode: IndexArray
+    """Row in `signals` of the first mode of a mass that slides with friction, otherwise -1; shape (dampers,)."""
+    signals: Array
+    """Signals of the modes of these masses; the columns are the constants above; shape (modes, signals, 5)."""
+    moves_freely: NDArray[np.bool_]  # Whether the gap is a coordinate without a spring; shape (dampers,)
     gravity: float
     omega: float  # Angular frequency of the drive [rad/s]
     period: float  # Duration of the orbit, a multiple of the drive's period [s]
@@ -47,6 +55,7 @@ class EquationDerivatives(NamedTuple):
     hold_offset: Array
     stiffness: Array
     damping: Array
+    signals: Array
     omega: float
     period: float
 

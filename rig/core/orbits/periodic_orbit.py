@@ -22,7 +22,7 @@ from rig.core.orbits.event_sequence import (
     derive_plan,
     make_plan,
     modes_from_walls,
-    walls_from_contacts,
+    walls_from_modes,
 )
 from rig.core.orbits.newton import IterationLimits
 from rig.core.orbits.orbit import CONTACT_KINDS, LIMITS, Orbit, solve
@@ -188,7 +188,7 @@ def start_propagator(
     propagator, steps = tone_propagator(system, problem.amplitudes(setting), 2 * np.pi * setting.frequency)
     state = system.initial.copy()
     if from_linear_response:
-        plan = make_plan([], [], walls_from_contacts(system.start_contacts, system), 1, system)
+        plan = make_plan([], [], walls_from_modes(system.start_modes, system), 1, system)
         equations, _ = problem.equations(setting, plan)
         a, n = equations.generator[0], system.states
         # x = X (cos wt, sin wt): the first column of X is the state at the start.
@@ -249,11 +249,11 @@ def shortest_cycle(orbit: Orbit) -> tuple[Plan, OperatingPoint, Array] | None:
 def simulate_cycle(propagator: Propagator, steps: float, repetition: int) -> tuple[Plan, Array]:
     """Simulate one cycle; return the plan of its events, and the orbit's unknowns (see `rig.core.orbits.shooting`)."""
     system, state = propagator.system, propagator.state
-    contacts = propagator.tables.contacts(state.mode)
+    modes = state.mode.copy()
     heights, velocities = state.height.copy(), state.velocity.copy()
     initial_state = state.z[: system.states].copy()
     trajectory = _simulate(propagator, steps, repetition)
-    plan, order = derive_plan(trajectory, contacts, repetition, system)
+    plan, order = derive_plan(trajectory, modes, repetition, system)
     instants = trajectory.event_segment[order] * steps * propagator.tables.step + trajectory.event_offset[order]
     flights = np.array([[heights[j], velocities[j]] for j in plan.flying]).ravel()
     return plan, np.concatenate([initial_state, flights, instants])

@@ -18,12 +18,13 @@ from scipy.linalg import matrix_balance
 
 from rig.core.base.arrays import Array
 from rig.core.base.errors import SceneError
-from rig.core.orbits.event_sequence import Plan
-from rig.core.orbits.orbit_equations import EquationDerivatives, Equations
+from rig.core.laws.law import Mode
+from rig.core.orbits.event_sequence import Plan, slides
+from rig.core.orbits.orbit_equations import GAP, HIGH, HOLD, LOW, SPEED, EquationDerivatives, Equations
 from rig.core.scene.scene import Scene
 from rig.core.settings.quantities import FREQUENCY, LENGTH, RATIO, Kind, positive_value, positive_values
 from rig.core.system.assembly import assemble
-from rig.core.system.hybrid_system import HybridSystem
+from rig.core.system.hybrid_system import Element, HybridSystem
 from rig.core.system.open_loop_drive import drive_per_level, level_of, with_ideal_force
 from rig.core.system.reference import reference_of
 
@@ -234,6 +235,7 @@ class OrbitProblem:
             wall_gap_derivative = _finite_difference(wide.wall_gap, none.wall_gap)
             hold_offset_derivative = _finite_difference(wide.hold_offset, none.hold_offset)
         period = plan.repetition / setting.frequency
+        first_mode, signals = _sliding_signals(system)
         return Equations(
             generator=generator,
             norm_bound=np.maximum(matrices.norm_bound, omega),
@@ -246,6 +248,9 @@ class OrbitProblem:
             hold_offset=system.hold_offset,
             stiffness=system.wall_stiffness,
             damping=system.wall_damping,
+            first_mode=first_mode,
+            signals=signals,
+            moves_freely=_moves_freely(system),
             gravity=float(system.gravity),
             omega=omega,
             period=period,
@@ -257,6 +262,7 @@ class OrbitProblem:
             hold_offset=hold_offset_derivative,
             stiffness=stiffness_derivative,
             damping=damping_derivative,
+            signals=self._signal_derivatives(setting, parameter, signals),
             omega=2 * np.pi if parameter == "frequency" else 0.0,
             period=-period / setting.frequency if parameter == "frequency" else 0.0,
         )
@@ -368,6 +374,17 @@ class OrbitProblem:
             np.asarray((above.hold_offset - below.hold_offset) / step),
         )
 
+    def _signal_derivatives(self, setting: OperatingPoint, parameter: str | None, signals: Array) -> Array:
+        """Return the derivatives of `Equations.signals` with respect to the parameter."""
+        if parameter not in ("clearance", "mass_ratio") or not len(signals):
+            return np.zeros_like(signals)
+        value = getattr(setting, parameter)
+        settings = [replace(setting, **{parameter: (1.0 + sign * RELATIVE_STEP) * value}) for sign in (1, -1)]
+        above, below = (_sliding_signals(self.varied_system(other))[1] for other in settings)
+        # Limits may be infinite.
+        difference = np.where(np.isfinite(above), above, 0.0) - np.where(np.isfinite(below), below, 0.0)
+        return np.asarray(difference / (2.0 * RELATIVE_STEP * value))
+
     def _around(self, mass_factor: float) -> tuple[HybridSystem, HybridSystem, float]:
         """Return the systems with a larger and a smaller mass factor, for finite differences, and the difference.
 
@@ -393,6 +410,28 @@ def _riding_mass_and_forces(system: HybridSystem, configuration: int) -> tuple[A
     added_mass = np.zeros_like(system.mass)
     np.add.at(added_mass, (rows, rows), masses)
     return system.mass + added_mass, system.force_constant - system.gravity * added_mass.sum(axis=0)
+
+
+def _sliding_signals(system: HybridSystem) -> tuple[NDArray[np.int64], Array]:
+    """Return `first_mode` and `signals` of `Equations`."""
+    first_mode = np.full(system.dampers, -1, dtype=np.int64)
+    modes: list[tuple[Element, Mode]] = []
+    for j in np.flatnonzero(slides(system)):
+        first_mode[j] = len(modes)
+        modes += [(system.elements[j], mode) for mode in system.elements[j].law.modes.values()]
+    signals = np.zeros((len(modes), max((len(mode.signals) for _, mode in modes), default=0), HIGH + 1))
+    for (element, mode), rows in zip(modes, signals, strict=True):
+        for signal, row in zip(mode.signals, rows, strict=False):
+            unit = element.mass if signal.row.hold else 1.0
+            row[[GAP, SPEED, HOLD]] = signal.row.gap, signal.row.speed, signal.row.hold
+            row[[LOW, HIGH]] = signal.low / unit, signal.high / unit
+    return first_mode, signals
+
+
+def _moves_freely(system: HybridSystem) -> NDArray[np.bool_]:
+    """Return whether the gap of each damper is a coordinate without a spring, shape (dampers,)."""
+    gaps = system.gap_coordinate
+    return np.asarray((gaps >= 0) & ~system.finite_contact & (system.force_state[gaps, gaps] == 0.0))
 
 
 def _finite_contact_forces(system: HybridSystem, configuration: int) -> tuple[Array, Array, Array]:

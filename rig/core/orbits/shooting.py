@@ -21,7 +21,17 @@ from rig.core.base.arrays import Array
 from rig.core.numerics.jit import cached_njit
 from rig.core.orbits import event_kinds as kinds
 from rig.core.orbits.matrix_exponential import exponential, exponential_derivative
-from rig.core.orbits.orbit_equations import EquationDerivatives, Equations, Sequence
+from rig.core.orbits.orbit_equations import (
+    GAP,
+    HIGH,
+    HOLD,
+    LOW,
+    SPEED,
+    EquationDerivatives,
+    Equations,
+    IndexArray,
+    Sequence,
+)
 
 
 class ShootingResult(NamedTuple):
@@ -260,6 +270,82 @@ def _finite_contact_condition(
 
 
 @cached_njit
+def signal_of(signals: Array, kind: int) -> tuple[int, int]:
+    """Return signal and end of its interval (`LOW`, `HIGH`) whose limit is an event of a sliding mass.
+
+    `signals`: those of the mode; `kind`: of the event.
+    """
+    column = HOLD
+    if kind in (kinds.STOP, kinds.REVERSE):
+        column = SPEED
+    elif kind in (kinds.FLOOR, kinds.CEILING, kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE):
+        column = GAP
+    lane = 0
+    while signals[lane, column] == 0.0:
+        lane += 1
+    if kind in (kinds.CEILING, kinds.CEILING_BOUNCE, kinds.SLIP_HIGH):
+        return lane, HIGH
+    if kind in (kinds.FLOOR, kinds.FLOOR_BOUNCE, kinds.SLIP_LOW):
+        return lane, LOW
+    return lane, LOW if signals[lane, LOW] > -np.inf else HIGH
+
+
+@cached_njit
+def _sliding_event(
+    equations: Equations, derivatives: EquationDerivatives, configuration: int, kind: int, modes: IndexArray, j: int,
+    motion: MotionState, time: float, row: int, jacobian: Array,
+) -> tuple[float, float]:  # fmt: skip
+    """Apply an event of a mass that slides with friction; return its condition, and the closing speed [m/s].
+
+    The condition is that a signal is at its limit. `modes`: rows of the modes before and after in `Equations.signals`.
+    """
+    x, dx, nq, n_unknowns = motion.x, motion.dx, equations.inverse_mass.shape[1], motion.dx.shape[1] - 1
+    speed, closing_speed = nq + equations.gap_coordinate[j], 0.0
+    lane, end = signal_of(equations.signals[modes[0]], kind)
+    signal = equations.signals[modes[0], lane]
+    if signal[GAP] != 0.0:
+        residual, closing_speed = _apply_impact_of_coordinate(
+            equations, derivatives, configuration, kind, j, motion, row, jacobian
+        )
+    elif signal[SPEED] != 0.0:
+        residual = x[speed]
+        jacobian[row] = dx[speed]
+    else:
+        wall = kinds.RIDES_FLOOR
+        residual = -signal[end] + _contact_force_condition(
+            equations, derivatives, configuration, j, wall, motion, time, row, jacobian
+        )
+        jacobian[row, n_unknowns] -= derivatives.signals[modes[0], lane, end]
+    if equations.signals[modes[1], 0, HOLD] != 0.0:
+        x[speed], dx[speed] = 0.0, 0.0
+    return residual, closing_speed
+
+
+@cached_njit
+def _write_neutral_rows(equations: Equations, sequence: Sequence, residual: Array, jacobian: Array) -> None:
+    """Replace the rows of periodicity of gaps that the motion does not determine: Newton's iteration keeps them.
+
+    The motion of a mass without suspension does not depend on its gap between two impacts on walls.
+    """
+    nq = equations.inverse_mass.shape[1]
+    for j in range(equations.first_mode.shape[0]):
+        if not equations.moves_freely[j]:
+            continue
+        hits, moves = False, False
+        for k in range(sequence.kind.shape[0]):
+            if sequence.damper[k] == j:
+                moves = True
+                hits = hits or sequence.kind[k] in (
+                    kinds.FLOOR, kinds.CEILING, kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE
+                )  # fmt: skip
+        for is_neutral, i in ((not hits, equations.gap_coordinate[j]), (not moves, nq + equations.gap_coordinate[j])):
+            if is_neutral:
+                residual[i] = 0.0
+                jacobian[i] = 0.0
+                jacobian[i, i] = -1.0
+
+
+@cached_njit
 def _write_periodicity(
     sequence: Sequence, unknowns: Array, motion: MotionState, residual: Array, jacobian: Array
 ) -> None:
@@ -312,7 +398,12 @@ def shoot(
         time = event_time
         motion.x[n], motion.x[n + 1], motion.x[n + 2] = np.cos(omega * time), np.sin(omega * time), 1.0
         j, kind = sequence.damper[k], sequence.kind[k]
-        if kind == kinds.SEPARATION:
+        if equations.first_mode[j] >= 0:
+            residual[row], closing_speed[k] = _sliding_event(
+                equations, derivatives, configuration, kind,
+                equations.first_mode[j] + sequence.wall[k : k + 2, j] - kinds.MODES, j, motion, time, row, jacobian,
+            )  # fmt: skip
+        elif kind == kinds.SEPARATION:
             residual[row] = _contact_force_condition(
                 equations, derivatives, configuration, j, sequence.wall[k, j], motion, time, row, jacobian
             )
@@ -336,4 +427,5 @@ def shoot(
                 equations, derivatives, configuration, kind, j, motion, row, jacobian
             )
     _write_periodicity(sequence, unknowns, motion, residual, jacobian)
+    _write_neutral_rows(equations, sequence, residual, jacobian)
     return ShootingResult(residual, jacobian, states, closing_speed)

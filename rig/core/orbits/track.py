@@ -135,6 +135,8 @@ def _sample_guard(
     `a`: generator of the segment; `initial`: state, heights and velocities at its start; `x`, `rate`: states and their
     rates; `step`: time between them, s.
     """
+    if wall >= kinds.MODES:
+        return  # `rig.core.orbits.admissibility` examines the signals of sliding masses
     nq, nd = equations.inverse_mass.shape[1], equations.body_coordinate.shape[0]
     n, body, gravity = x.shape[1] - 3, equations.body_coordinate[j], equations.gravity
     if wall == kinds.WITHOUT_FORCE:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Self
 
 from rig.core.scene.shaker import Body
 from rig.core.settings.alternatives import Alternatives, by_key
@@ -94,7 +94,7 @@ class Grains(Settings):
 
 
 class Damper(Settings):
-    """A particle damper (a mass that rests on a floor, separates, hits floor and ceiling) or a mass on a spring."""
+    """A particle damper (it rests on a floor, separates, hits walls), a mass on a spring, or a mass that slides."""
 
     one_of: ClassVar = (("mass", "mass_ratio"),)
     required_unless: ClassVar = {"clearance": "spring"}
@@ -115,6 +115,10 @@ class Damper(Settings):
     Its displacement is measured from its position at rest."""
     damping: Annotated[float, Quantity(DASHPOT, at_least=0.0)] | None = None
     """Damping of the dashpot next to the spring [N s/m]; None: no dashpot."""
+    friction: Annotated[float, Quantity(RATIO, at_least=0.0)] | None = None
+    """Coefficient of friction of a horizontal damper, 0 without friction. The mass then slides in the direction of
+    vibration, and its weight acts across. It starts in the middle between two walls; `clearance` is its free distance,
+    infinite without walls. None: the mass moves vertically."""
     restitution: Annotated[float, Quantity(RATIO, at_least=0.0, below=1.0)] = 0.0
     """Ratio of separation to approach speed in an impact, from 0 (perfectly plastic) to below 1."""
     contact: Contact | None = None
@@ -140,14 +144,26 @@ class Damper(Settings):
         return self.clearance if self.clearance_below is None else self.clearance_below
 
     @property
+    def distances(self) -> tuple[float, float]:
+        """Return the distances of the mass at rest from its lower and from its upper wall, m."""
+        if self.friction is not None:
+            return 0.5 * self.clearance, 0.5 * self.clearance
+        return 0.0 if self.spring is None else self.below, self.clearance
+
+    @property
+    def falls_freely(self) -> bool:
+        """Return whether the mass is a bed, on which only its weight acts between contacts."""
+        return self.spring is None and self.friction is None
+
+    @property
     def has_walls(self) -> bool:
-        """Return whether there is a wall: the floor of a bed, or a wall above or below a mass on a spring."""
-        return self.spring is None or min(self.clearance, self.below) < math.inf
+        """Return whether there is a wall: the floor of a bed, or a wall above or below another mass."""
+        return self.falls_freely or min(self.clearance, self.below) < math.inf
 
     @property
     def impacts(self) -> bool:
-        """Return whether the mass can hit a wall; without walls a damper is linear."""
-        return self.moves and self.has_walls
+        """Return whether the mass can hit a wall, or slide with friction; otherwise a damper is linear."""
+        return self.moves and (self.has_walls or self.friction is not None)
 
     @property
     def walls_text(self) -> str:
@@ -156,7 +172,7 @@ class Damper(Settings):
         finite = [f"{1e3 * value:.4g} mm {side}" for side, value in distances.items() if math.isfinite(value)]
         return f"walls {' and '.join(finite)}" if finite else "no walls"
 
-    def without_walls(self) -> Damper:
+    def without_walls(self) -> Self:
         """Return a mass on a spring without its walls: its linear motion before it reaches them."""
         return self.replace(clearance=math.inf, clearance_below=None, restitution=0.0, contact=None)
 
@@ -170,9 +186,12 @@ class Damper(Settings):
             )
         for key in ("restitution", "contact") if not self.has_walls else ():
             if getattr(self, key):
-                yield Problem((key,), f"the mass on its spring has no walls. Add a clearance, or remove {key}.")
+                yield Problem((key,), f"the mass has no walls. Add a clearance, or remove {key}.")
         if self.spring is not None and self.grains is not None:
             yield Problem(("grains",), "a bed of grains cannot be on a spring. Remove grains, or remove the spring.")
+        for key in ("spring", "contact", "grains") if self.friction is not None else ():
+            if getattr(self, key) is not None:
+                yield Problem((key,), f"a horizontal damper slides with friction. Remove {key}, or remove friction.")
         if self.grains is not None and self.restitution:
             yield Problem(("restitution",), "restitution and grains are given together. Move restitution into grains.")
         if self.grains is not None and self.contact is not None:

@@ -30,6 +30,7 @@ EFFECTS: dict[str, tuple[str, int | None]] = {
     "dampers.clearance": ("ceilings", 0),
     "dampers.restitution": ("restitution", 0),
     "dampers.spring": ("masses on springs", 2),
+    "dampers.friction": ("sliding masses", 2),
     "dampers.contact": ("finite-duration contact", 0),
     "dampers.locked": ("locked dampers", 0),
     "shaker.spring": ("coil spring and table", 2),

@@ -44,7 +44,7 @@ class Energy:
     work: float  # work of the drive: of the force, of the table on the coil spring, or of the amplifier on the coil
     stored: float
     stored_before: float
-    dissipated: float  # energy dissipated in structural damping, tuned mass dampers, suspension and coil resistance
+    dissipated: float  # energy dissipated in structural damping, tuned mass dampers, friction, suspension, coil
     impacts: float  # energy lost in impacts
     contacts: float
     grains: float  # energy transferred to beds of grains: stored in their motion, and dissipated
@@ -236,6 +236,7 @@ def _integrate(
     for table_index, terms, durations, _ in _steps(tables, states, table_indices, lengths, starts):
         fractions = durations / tables.step
         coordinates, damping = _dashpots(system, forces[table_index])
+        friction = _constant_forces(system, forces[table_index])
         for node, weight in zip(*_GAUSS_RULE, strict=True):
             at_node = _sum_series(terms, fractions * node)
             node_weights = weight * durations
@@ -244,6 +245,9 @@ def _integrate(
             if forms.to_grains.any():
                 to_grains += float(node_weights @ _quadratic(forms.to_grains, at_node))
             lost["contacts"] += float(node_weights @ (at_node[:, system.coordinates + coordinates] ** 2 @ damping))
+            if friction.any():
+                speeds = at_node[:, system.coordinates : 2 * system.coordinates]
+                lost["dissipated"] -= float(node_weights @ (speeds @ friction))
     return work, to_grains, lost
 
 
@@ -259,6 +263,15 @@ def _dashpots(system: HybridSystem, forces: NDArray[np.int64]) -> tuple[NDArray[
         if force is not None and force.gap
     ]
     return np.array([gap for gap, _ in dashpots], dtype=np.intp), np.array([damping for _, damping in dashpots])
+
+
+def _constant_forces(system: HybridSystem, forces: NDArray[np.int64]) -> Array:
+    """Return the constant forces of the elements, such as friction, on every coordinate, N; `forces`: their numbers."""
+    constant = np.zeros(system.coordinates)
+    for element, index in zip(system.elements, forces.tolist(), strict=True):
+        if element.gap >= 0:
+            constant[element.gap] += (element.law.forces[index] or Row()).constant
+    return constant
 
 
 def _force_numbers(tables: FlowTables) -> NDArray[np.int64]:

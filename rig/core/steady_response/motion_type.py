@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
 from rig.core.engine.trajectory import Trajectory
-from rig.core.laws.events import CEILING, CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH, SEPARATION
+from rig.core.laws.events import CEILING, CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH, SEPARATION, SLIP
 from rig.core.system.hybrid_system import HybridSystem
 
 #: A contact with the ceiling is a stay if it is longer than this multiple of the duration of an isolated contact.
@@ -20,10 +20,10 @@ def motion_types(trajectory: Trajectory, system: HybridSystem, n_periods: int, s
     `trajectory`: one repetition; `n_periods`: number of drive periods after which the motion repeats, 0 if it does not;
     `segment_duration`: duration of a segment of the trajectory, s.
 
-    Returns one of these types for each damper: "riding" (at rest on the floor throughout), "linear" (not at rest on a
-    wall at the start, and no impacts), "I" (one floor impact per
-    period), "II" (one floor and one ceiling impact per period, no stay at the ceiling), "III" (the same with a stay),
-    "k per n" (k impacts in n periods), "irregular" (no repetition). The start of finite-duration contact is an impact.
+    Returns one of these types for each damper: "riding" (at rest on the floor, or sticking, throughout), "linear" (not
+    at rest at the start, and no impacts), "k slips per n" (no impacts), "I" (one floor impact per period), "II" (one
+    floor and one ceiling impact per period, no stay at the ceiling), "III" (the same with a stay), "k per n" (k impacts
+    in n periods), "irregular" (no repetition). The start of finite-duration contact is an impact.
     """
     times = trajectory.event_segment * segment_duration + trajectory.event_offset
     cycle = len(trajectory.state) * segment_duration
@@ -43,7 +43,10 @@ def type_of(
     if n_periods == 0:
         return "irregular"
     if floor_impacts + ceiling_impacts == 0:
-        return "riding" if system.elements[damper].law.rests_on_wall else "linear"
+        slips = np.count_nonzero(kinds == SLIP)
+        if slips:
+            return f"{slips} slips per {n_periods}"
+        return "riding" if system.elements[damper].law.starts_at_rest else "linear"
     if n_periods == 1 and floor_impacts == 1 and ceiling_impacts == 0:
         return "I"
     if n_periods == 1 and floor_impacts == 1 and ceiling_impacts == 1:
@@ -56,7 +59,7 @@ def _stays_at_ceiling(kinds: NDArray[np.int64], times: Array, system: HybridSyst
     impact = int(np.flatnonzero(np.isin(kinds, (CEILING_IMPACT, CEILING_TOUCH)))[0])
     following = (impact + 1) % len(kinds)
     if kinds[impact] == CEILING_IMPACT:
-        return bool(kinds[following] == SEPARATION and times[following] != times[impact])
+        return bool(kinds[following] in (SEPARATION, SLIP) and times[following] != times[impact])
     stay = times[following] - times[impact] + (cycle if following < impact else 0.0)
     return bool(stay > MIN_STAY_RATIO * system.duration_and_restitution(damper, CEILING)[0])
 

@@ -18,6 +18,7 @@ from rig.core.equations import Equations
 from rig.core.laws.landing import spring_damper
 from rig.core.laws.law import Law
 from rig.core.laws.particle_bed import particle_bed
+from rig.core.laws.sliding_mass import sliding_mass
 from rig.core.laws.spring_mass import spring_mass
 from rig.core.laws.wall_contact import wall_contact
 from rig.core.scene.damper import Damper, TimedContact, Wall, Walls
@@ -109,6 +110,9 @@ def _element(equations: Equations, scene: Scene, number: int, mass: float, inver
         equations.support(gap, damper.spring, damper.dashpot)
         equations.weight[gap] = 0.0  # the gap is measured from the position in which the spring carries the weight
         declare = partial(spring_mass, declare, damper.clearance_below)
+    if damper.friction is not None:
+        gap = _add_bed(equations, damper.body - 1, mass, gravity=0.0)  # the weight acts across
+        declare = partial(sliding_mass, damper.friction * mass * scene.gravity, damper.restitution)
     return Element(
         declare, damper.body - 1, gap, mass, damper.clearance, damper.restitution, number, damper.grains is not None
     )
@@ -206,12 +210,17 @@ def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
     if not load.any():
         return np.zeros(n)
     stiffness = -(system.force_state + force)[:, :n]
+    # Nothing holds a mass that slides freely; it remains in the middle.
+    supported = [i for i in range(n) if stiffness[i].any() or i not in system.gap_coordinate]
+    stiffness, load = stiffness[np.ix_(supported, supported)], load[supported]
     if not stiffness.any() or (np.linalg.cond(stiffness) > MAX_CONDITION and _is_singular(stiffness)):
         raise SceneError(
             f"scene {scene.name!r}: the structure has no support, so it has no static equilibrium under the weight of "
             "the dampers. Add springs to ground, or set gravity: 0 or test: {start: empty}."
         )
-    return np.linalg.solve(stiffness, load)
+    position = np.zeros(n)
+    position[supported] = np.linalg.solve(stiffness, load)
+    return position
 
 
 def _is_singular(stiffness: Array) -> bool:

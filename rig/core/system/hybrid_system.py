@@ -232,9 +232,16 @@ class HybridSystem:
 
     @property
     def take_off_acceleration(self) -> np.ndarray:
-        """Acceleration of its body at which each damper leaves its wall, m/s^2; infinite without a wall."""
-        rests = np.array([element.law.rests_on_wall for element in self.elements], dtype=bool)
-        return np.where(rests, self.gravity, np.inf)
+        """Acceleration of its body at which each damper starts to move in it, m/s^2; infinite if it is not at rest."""
+        return np.array([self._take_off_acceleration(element) for element in self.elements], dtype=np.float64)
+
+    def _take_off_acceleration(self, element: Element) -> float:
+        start = element.law.modes[element.law.start]
+        if not element.law.starts_at_rest or start.force is not None:
+            return self.gravity if element.law.starts_at_rest else np.inf
+        other = self.other_acceleration(element, start.wall_gap)
+        limits = [limit for signal in start.signals for limit, exit_ in signal.ends if exit_ is not None]
+        return min(abs(limit / element.mass - other) for limit in limits)
 
     @property
     def reduced_mass(self) -> np.ndarray:
@@ -271,9 +278,9 @@ class HybridSystem:
         return self.configuration([element.law.start for element in self.elements])
 
     @property
-    def start_contacts(self) -> NDArray[np.int8]:
-        """Wall that each element touches at the start (`rig.core.laws.events`), shape (elements,)."""
-        return np.array([element.law.modes[element.law.start].wall for element in self.elements], dtype=np.int8)
+    def start_modes(self) -> NDArray[np.int64]:
+        """Number of each element's mode at the start, shape (elements,)."""
+        return np.array([list(element.law.modes).index(element.law.start) for element in self.elements], dtype=np.int64)
 
     def force_indices(self, configurations: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the index of each element's force in `Law.forces`, shape of `configurations` and (elements,)."""
@@ -296,7 +303,8 @@ class HybridSystem:
         for element, index in zip(self.elements, self.force_indices(np.array(configuration)).tolist(), strict=True):
             row, gap = element.law.forces[index], element.gap
             if gap >= 0 and row is not None:
-                force[gap, gap], force[gap, n + gap], constant[gap] = row.gap, row.speed, -row.gap * row.rest
+                force[gap, gap], force[gap, n + gap] = row.gap, row.speed
+                constant[gap] = row.constant - row.gap * row.rest
         return force, constant
 
     def other_acceleration(self, element: Element, gap: float) -> float:

@@ -124,7 +124,7 @@ def gaps_per_level(scene: Scene, system: HybridSystem, omega: Array) -> tuple[Ar
     `omega`: rad/s, shape (frequencies,). Shapes: (masses, frequencies), in m per unit of level, and (masses,), m.
     """
     response = riding_response(system, scene.at_driven("shaker"), omega) * drive_per_level(scene, system, omega)
-    elements = [element for element in system.elements if element.law.walls and not element.law.rests_on_wall]
+    elements = [element for element in system.elements if element.law.walls and not element.law.starts_at_rest]
     distance = [min(abs(wall.gap) for wall in element.law.walls) for element in elements]
     return np.abs(response[np.array([element.gap for element in elements], dtype=np.intp)]), np.array(distance)
 
@@ -154,10 +154,14 @@ def riding_equations(system: HybridSystem, name: str) -> tuple[Array, Array, Arr
     mass = system.mass.copy()
     riding = system.damper_coordinate[system.detached]
     np.add.at(mass, (riding, riding), system.damper_mass[system.detached])
-    descriptor_matrix[n : 2 * n, n : 2 * n] = mass
     state_matrix[:n, n : 2 * n] = np.eye(n)
     force, _ = system.contact_forces(system.start)
     state_matrix[n : 2 * n] = system.force_state + force
+    fixed = [system.elements[j].gap for j in system.held(system.start) if not system.detached[j]]
+    # The gap of a mass that sticks remains at rest.
+    mass[fixed], mass[:, fixed], state_matrix[[n + gap for gap in fixed]] = 0.0, 0.0, 0.0
+    mass[fixed, fixed] = 1.0
+    descriptor_matrix[n : 2 * n, n : 2 * n] = mass
     state_matrix[2 * n :] = system.rate_state
     column = system.inputs.index(name)
     input_vector[n : 2 * n] = system.force_drive[:, column]

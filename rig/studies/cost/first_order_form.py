@@ -72,14 +72,15 @@ class FirstOrderForm:
         self, system: HybridSystem, tone: ToneDrive, periods: int, number_type: Callable[[float], Any] = float,
         pi: Any = math.pi, integrals: bool = False,
     ) -> None:  # fmt: skip
+        if not (system.detached | system.finite_contact).all() or np.isinf(system.take_off_acceleration).any():
+            raise SceneError(
+                "dampers: the compared methods require dampers with a floor, but one is a mass on a spring or a "
+                "sliding mass. Remove it."
+            )
         if system.coupled:
             raise SceneError(
                 "structure: the compared methods require a diagonal mass matrix and at most one damper in a body. "
                 "Choose a scene without these couplings."
-            )
-        if np.isinf(system.take_off_acceleration).any():
-            raise SceneError(
-                "dampers: the compared methods require dampers with a floor, but one is a mass on a spring. Remove it."
             )
         self.system, self.tone, self.periods = system, tone, periods
         n, ns, nd = system.coordinates, system.states, system.dampers

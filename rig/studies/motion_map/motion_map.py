@@ -314,8 +314,8 @@ _STUDY: Study[_Row, list[_Point]] = Study(
 def _kind_index(damper_motion: str) -> int:
     """Return the position in `KINDS` of a damper's motion type.
 
-    >>> [KINDS[_kind_index(name)] for name in ("riding", "III", "3 per 1", "3 per 2", "irregular")]
-    ['riding', 'III', 'other, every period', 'longer period', 'irregular']
+    >>> [KINDS[_kind_index(name)] for name in ("riding", "III", "3 per 1", "2 slips per 1", "3 per 2")]
+    ['riding', 'III', 'other, every period', 'other, every period', 'longer period']
     """
     if damper_motion == "linear":
         return 0  # a damper without walls does not change the kind of the motion

@@ -14,7 +14,7 @@ from mcap.opcode import Opcode
 from daq.core.mcap_file.protobuf import message_class, varint
 from daq.core.recording.display import FLOAT_SCHEMA, encode_floats, encode_text
 from daq.core.recording.layout import Timebase, block_length, flush_length
-from daq.core.recording.markers import EVENT_SCHEMA, MARKER_SCHEMA, Marker, event_from_json, event_to_json
+from daq.core.recording.markers import MARKER_SCHEMA, Marker, event_from_json, event_schema, event_to_json
 from daq.core.recording.robot_description import TRANSFORMS_SCHEMA
 from daq.core.recording.sample_block import (
     _HEADER,
@@ -214,4 +214,4 @@ def test_event_survives_json_exactly():
 
 def test_json_schemas_require_message_fields():
     assert json.loads(MARKER_SCHEMA.data)["required"] == ["kind", "first_sample", "last_sample"]
-    assert json.loads(EVENT_SCHEMA.data)["required"] == ["time", "damper", "kind", "speed"]
+    assert json.loads(event_schema(has_friction=False).data)["required"] == ["time", "damper", "kind", "speed"]

@@ -30,7 +30,7 @@ from rig.core.engine.resets import (
 )
 from rig.core.engine.state import N_EVENTS, PRESENT_SEGMENT, TABLE_INDEX, State
 from rig.core.laws.events import CEILING, FLIGHT, FLOOR, SEPARATION
-from rig.core.numerics.complementarity import ROUNDING
+from rig.core.numerics.complementarity import AT_LOW, FREE, ROUNDING
 from rig.core.system.assembly import assemble
 from rig.core.system.hybrid_system import pure_tone
 from tests.rig.numerics.test_complementarity import solve_by_enumeration
@@ -288,7 +288,7 @@ def test_uncoupled_damper_stays_at_rest() -> None:
 def test_slowly_opened_contact_stays_closed(wall: int, ratio: float, closed: bool) -> None:
     # An impact opens the contact of damper 1 at `ratio` times the largest speed v at which the gap v^2 / (2 a) stays
     # within rounding error. The reactions solve opening_speed + matrix @ reaction = 0 for the closed contacts
-    # (`active`).
+    # (`bound`).
     engine = propagator(0.2)
     state, model, work = engine.state, engine.tables.model, engine.workspace.contact
     row, work.sign[0], work.wall_gap[0] = model.position_index[1], SIGN[wall], CLEARANCE if wall == CEILING else 0.0
@@ -297,12 +297,12 @@ def test_slowly_opened_contact_stays_closed(wall: int, ratio: float, closed: boo
     acceleration_limit = model.gravity + np.abs(np.linalg.inv(engine.system.mass)[1] * work.force[:3]).sum()
     speed_limit = np.sqrt(2 * acceleration_limit * ROUNDING * coordinate_scale)
     matrix, reaction = np.array([[3.0, -0.5], [-0.5, 2.0]]), np.array([0.0, 0.25])
-    work.damper[:2], work.active[:2] = (1, 2), (False, True)
+    work.damper[:2], work.bound[:2] = (1, 2), (AT_LOW, FREE)
     work.matrix[:2, :2], work.reaction[:2] = matrix, reaction
     work.opening_speed[:2] = ratio * speed_limit - matrix[0] @ reaction, -0.5
     work.rhs[:2] = work.opening_speed[:2]
     _close_slow_openings(model, state, work, 2)
-    assert work.active[:2].tolist() == [closed, True]
+    assert (work.bound[:2] == FREE).tolist() == [closed, True]
     expected = np.linalg.solve(matrix, -work.rhs[:2]) if closed else reaction
     np.testing.assert_allclose(work.reaction[:2], expected, rtol=1e-12)
 

@@ -2,11 +2,12 @@
 
 It reads the declarations (`rig.core.laws.law`) and shares with the engine only the isolation of roots. The state is
 X = (coordinates, velocities, drive, 1), where every gap is a coordinate, so that X' = A X in each combination of modes.
-Impacts that act on other held elements through a common body are not covered.
+Impulses and holding forces that act on several elements are found by enumeration.
 """
 
 from __future__ import annotations
 
+from itertools import product
 from math import isfinite
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from rig.core.base.arrays import Array
 from rig.core.laws.events import NO_EVENT
-from rig.core.laws.law import Exit, Law, Mode, Row
+from rig.core.laws.law import SPEED, Exit, Law, Mode, Row
 from rig.core.numerics.bernstein import BERNSTEIN, MAX_HALVINGS, N_COEFFICIENTS, NO_CROSSING, first_crossing
 from rig.core.numerics.simd import aligned_zeros
 from rig.core.system.hybrid_system import Drive, HybridSystem
@@ -56,6 +57,22 @@ class Event(NamedTuple):
     damper: int
     kind: int
     speed: float
+
+
+class Departure:
+    """The end of a mode: the guard that ended it, the known zeros of the speed, and the events (kind, speed)."""
+
+    def __init__(self, left: Guard, zeros: int, *events: tuple[int, float]) -> None:
+        self.left, self.zeros, self.events = left, zeros, events
+
+
+class Touch(NamedTuple):
+    """An element that touches a wall, which pushes to one side; `guard`: it ends the mode there."""
+
+    element: int
+    guard: Guard
+    side: int
+    restitution: float
 
 
 class Equations(NamedTuple):
@@ -178,7 +195,8 @@ class DenseMotion:
     def _plain_row(self, j: int, row: Row) -> Array:
         """Return a row without holding force as a row of the state."""
         values = np.zeros(self.size)
-        values[self.gaps[j]], values[self.n + self.gaps[j]], values[-1] = row.gap, row.speed, -row.gap * row.rest
+        values[[self.gaps[j], self.n + self.gaps[j]]] = row.gap, row.speed
+        values[-1] = row.constant - row.gap * row.rest
         return values
 
     def _row(self, j: int, guard: Guard, hold: Array) -> Array:
@@ -204,82 +222,191 @@ class DenseMotion:
             self.work += weight * tau * step * power
             self.exchanged += weight * tau * step * abs(power)
             for j, mode in self._present_modes():
-                speed = velocity[self.gaps[j]]
-                self.lost -= weight * tau * step * (mode.force or Row()).speed * float(speed) ** 2
+                speed, force = float(velocity[self.gaps[j]]), mode.force or Row()
+                self.lost -= weight * tau * step * (force.speed * speed + force.constant) * speed
 
     def _leave(self, j: int, guard: Guard) -> None:
-        """Apply an exit of element j: jump of velocities, next mode, known zeros of its guards, and the event."""
-        n, gap, energy = self.n, self.gaps[j], self.stored_energy()
-        before, was_held = self._equations(self.modes), self.laws[j].modes[self.modes[j]].force is None
-        left_row = self._row(j, guard, before.hold)
-        is_own_zero = abs(left_row @ self.state) <= OWN_ZERO * (np.abs(left_row) @ np.abs(self.state))
-        speed = abs(float(self.state[n + gap]))
+        """Apply an exit of element j: jump of velocities, next mode, known zeros of its guards, and the events."""
+        energy, hold = self.stored_energy(), self._equations(self.modes).hold
+        departures: dict[int, Departure] = {}
+        row = self._row(j, guard, hold)
+        is_own_zero = bool(abs(row @ self.state) <= OWN_ZERO * (np.abs(row) @ np.abs(self.state)))
         if guard.leave.restitution is not None:
-            self._reject_coupled_impact(j)
-            self.state[gap] = guard.limit
-            self._set_speed(j, -guard.leave.restitution * self.state[n + gap])
-        candidates = guard.leave.to
-        if guard.leave.restitution and len(candidates) > 1 and self._is_negligible(j, guard):
-            candidates = candidates[1:]
-        for name in candidates:
-            trial = [*self.modes[:j], name, *self.modes[j + 1 :]]
-            mode, state = self.laws[j].modes[name], self.state.copy()
-            if mode.force is None and guard.leave.restitution:
-                self._set_speed(j, 0.0)
-            zeros = self._known_zeros(j, trial, guard, was_held, bool(is_own_zero))
-            if zeros is not None or name == candidates[-1]:
-                break
-            self.state = state
-        self.modes, self._zeros = trial, {key: value for key, value in self._zeros.items() if key[0] != j}
-        self._zeros |= {(j, k): value for k, value in enumerate(zeros or ())}
+            self._collide(j, guard, departures)
+        elif self._mode(j).force is None:
+            # Gap and speed are zero, and their accelerations if the force that holds the element is at its limit.
+            departures[j] = Departure(guard, 1 + is_own_zero, (guard.leave.event, 0.0))
+            self._enter(j, guard.leave.to[0])
+        else:
+            departures[j] = Departure(guard, 0, (guard.leave.event, abs(self._speed(j))))
+            possible = [name for name in guard.leave.to if self._is_possible(j, name, guard)]
+            self._enter(j, [*possible, guard.leave.to[-1]][0])
+            for i, mode in self._present_modes():
+                stops = [
+                    item for k, item in enumerate(guards(mode)) if item.row == SPEED and not self._zeros.get((i, k))
+                ]
+                if guard.row == SPEED and stops and abs(self._speed(i)) <= self._speed_rounding():
+                    departures[i] = Departure(stops[0], 0, (stops[0].leave.event, 0.0))
+                    self._enter(i, stops[0].leave.to[0])
+        self._release(departures)
         self.lost += energy - self.stored_energy()
-        if guard.leave.event != NO_EVENT:
-            self.events.append(Event(self.time, j, guard.leave.event, speed))
+        self._zeros = {key: value for key, value in self._zeros.items() if key[0] not in departures}
+        for i, departure in sorted(departures.items()):
+            self._zeros |= {(i, k): value for k, value in enumerate(self._known_zeros(i, departure))}
+            self.events += [Event(self.time, i, kind, speed) for kind, speed in departure.events if kind != NO_EVENT]
 
-    def _set_speed(self, j: int, speed: float) -> None:
-        """Set the speed of a gap by an impulse along it; exactly."""
-        n, gap = self.n, self.gaps[j]
-        change = self.inverse_mass[:, gap] / self.inverse_mass[gap, gap]
-        self.state[n : 2 * n] += change * (speed - self.state[n + gap])
-        self.state[n + gap] = speed
+    def _mode(self, j: int) -> Mode:
+        """Return the present mode of an element."""
+        return self.laws[j].modes[self.modes[j]]
 
-    def _reject_coupled_impact(self, j: int) -> None:
+    def _speed(self, j: int) -> float:
+        """Return the rate of change of a gap, m/s."""
+        return float(self.state[self.n + self.gaps[j]])
+
+    def _speed_rounding(self) -> float:
+        """Return the largest speed of a gap that may be a rounding error of zero, m/s."""
+        return ROUNDING * float(np.abs(self.state[self.n : 2 * self.n]).max())
+
+    def _enter(self, j: int, name: str) -> None:
+        """Change the mode of an element; the speed of a held element is exactly zero."""
+        self.modes[j] = name
+        if self._mode(j).force is None:
+            self.state[self.n + self.gaps[j]] = 0.0
+
+    def _collide(self, j: int, guard: Guard, departures: dict[int, Departure]) -> None:
+        """Solve for the impulses of all walls that are touched, by enumeration of those that act."""
+        n, touched = self.n, [Touch(j, guard, guard.side, guard.leave.restitution or 0.0)]
+        self.state[self.gaps[j]] = guard.limit
+        touched += [touch for i in range(len(self.laws)) if i != j and (touch := self._touch(i)) is not None]
+        before = {i: self._speed(i) for i in range(len(self.laws))}
+        sticks = [i for i, mode in self._present_modes() if mode.force is None]
+        direction = np.zeros((len(touched), n))
+        direction[np.arange(len(touched)), [self.gaps[touch.element] for touch in touched]] = [t.side for t in touched]
+        matrix, approach = direction @ self.inverse_mass @ direction.T, direction @ self.state[n : 2 * n]
+        rebounds = np.array([0.0 if self._is_negligible(touch) else -touch.restitution for touch in touched]) * approach
+        for active in product((True, False), repeat=len(touched)):
+            on = np.flatnonzero(active)
+            impulse = np.zeros(len(touched))
+            impulse[on] = np.linalg.solve(matrix[np.ix_(on, on)], (rebounds - approach)[on])
+            opening, scale = matrix @ impulse + approach - rebounds, np.abs(matrix) @ np.abs(impulse) + np.abs(approach)
+            if (impulse >= 0.0).all() and (opening >= -ROUNDING * scale).all():
+                break
+        self.state[n : 2 * n] += self.inverse_mass @ direction.T @ impulse
+        for touch, acts, pushed, rebound in zip(touched, active, impulse > 0.0, rebounds, strict=True):
+            i, leave = touch.element, touch.guard.leave
+            if touch.guard.row.hold:
+                if acts:
+                    self.state[n + self.gaps[i]] = 0.0
+            elif pushed or i == j:
+                departures[i] = Departure(touch.guard, 0, (leave.event, abs(before[i])))
+                moves_away = rebound > 0.0 if acts else touch.side * self._speed(i) > self._speed_rounding()
+                self._enter(i, leave.to[0] if moves_away else leave.to[-1])
+        velocity = np.abs(self.state[n : 2 * n]).max() + np.abs(list(before.values())).max()
         for i, mode in self._present_modes():
-            if i != j and mode.force is None:
-                assert abs(self.inverse_mass[self.gaps[i], self.gaps[j]]) < 1e-14, "coupled impact"
+            for guard in guards(mode):
+                if guard.row == SPEED and guard.side * self._speed(i) < 0.0:
+                    # Friction is finite, so that the impact has reversed the motion.
+                    departures[i] = Departure(guard, 0, (guard.leave.event, 0.0))
+                    self.modes[i] = guard.leave.to[0]
+                    sticks.append(i)
+        for i in sticks:
+            if abs(self._speed(i)) <= ROUNDING * velocity:
+                self.state[n + self.gaps[i]] = 0.0
+                continue
+            away = next(item for item in guards(self._mode(i)) if item.side * self._speed(i) > 0.0)
+            events = departures[i].events if i in departures else ()
+            departures[i] = Departure(away, 0, *events, (away.leave.event, 0.0))
+            self._enter(i, away.leave.to[0])
 
-    def _is_negligible(self, j: int, guard: Guard) -> bool:
+    def _touch(self, i: int) -> Touch | None:
+        """Return the wall that element i touches: it rests on the wall, or its gap is at the limit and closing."""
+        for guard in guards(self._mode(i)):
+            distance, largest = abs(self.state[self.gaps[i]] - guard.limit), np.abs(self.state[: self.n]).max()
+            closes = guard.side * self._speed(i) < 0.0 and distance <= AT_LIMIT * largest
+            if guard.row.hold and len(guards(self._mode(i))) == 1:
+                return Touch(i, guard, guard.side, 0.0)
+            if guard.leave.restitution is not None and closes:
+                return Touch(i, guard, guard.side, guard.leave.restitution)
+        return None
+
+    def _release(self, departures: dict[int, Departure]) -> None:
+        """Release the elements whose holding forces are outside their intervals, by enumeration of those released."""
+        held = [(j, guards(mode)) for j, mode in self._present_modes() if mode.force is None]
+        choices = [[None, *ends] for _, ends in held]
+        for choice in sorted(product(*choices), key=lambda ends: sum(end is not None for end in ends)):
+            modes = list(self.modes)
+            for (j, _), end in zip(held, choice, strict=True):
+                modes[j] = modes[j] if end is None else end.leave.to[0]
+            equations = self._equations(modes)
+            rate = equations.generator @ self.state
+            tolerance = ROUNDING * (np.abs(equations.generator) @ np.abs(self.state))
+            if all(
+                end.side * rate[self.n + self.gaps[j]] > tolerance[self.n + self.gaps[j]]
+                if end is not None
+                else all(self._is_inside(self._row(j, guard, equations.hold)) for guard in ends)
+                for (j, ends), end in zip(held, choice, strict=True)
+            ):
+                break
+        else:
+            raise AssertionError("no consistent holding forces")
+        for (j, _), end in zip(held, choice, strict=True):
+            if end is not None:
+                event = (end.leave.event, 0.0)
+                departures[j] = Departure(end, 1, *(departures[j].events if j in departures else ()), event)
+                self._enter(j, end.leave.to[0])
+
+    def _is_inside(self, row: Array) -> bool:
+        """Return whether a guard is not negative by more than rounding."""
+        return bool(row @ self.state >= -ROUNDING * (np.abs(row) @ np.abs(self.state)))
+
+    def _is_negligible(self, touch: Touch) -> bool:
         """Return whether a rebound is lower than the rounding error of the gap: the end of a Zeno sequence."""
+        if not touch.restitution or len(touch.guard.leave.to) < 2:
+            return False
+        j, guard = touch.element, touch.guard
+        if touch.restitution * abs(self._speed(j)) <= self._speed_rounding():
+            return True
         trial = [*self.modes[:j], guard.leave.to[0], *self.modes[j + 1 :]]
         equations = self._equations(trial)
         row = self._row(j, guard, equations.hold)
         approach = -float(row @ (equations.generator @ (equations.generator @ self.state)))
         height = 2 * float(np.abs(self.state[: self.n]).max()) + (abs(guard.limit) if isfinite(guard.limit) else 0.0)
-        return approach > 0.0 and self.state[self.n + self.gaps[j]] ** 2 < 2 * approach * ROUNDING * height
+        return approach > 0.0 and (touch.restitution * self._speed(j)) ** 2 < 2 * approach * ROUNDING * height
 
-    def _known_zeros(
-        self, j: int, modes: list[str], left: Guard, was_held: bool, is_own_zero: bool
-    ) -> list[int] | None:
-        """Return the number of leading terms of each guard of element j that are zero; None: the mode is impossible."""
-        equations, counts = self._equations(modes), []
+    def _is_possible(self, j: int, name: str, left: Guard) -> bool:
+        """Return whether the first term of every guard that is not zero is positive in a mode."""
+        equations = self._equations([*self.modes[:j], name, *self.modes[j + 1 :]])
         terms = equations.powers @ self.state
-        for guard in guards(self.laws[j].modes[modes[j]]):
+        for guard in guards(self.laws[j].modes[name]):
             row = self._row(j, guard, equations.hold)
             series = terms[:N_COEFFICIENTS] @ row
             magnitude = (np.abs(terms[:N_COEFFICIENTS]) @ np.abs(row)).sum()
-            is_at_limit, zeros = abs(series[0]) <= AT_LIMIT * magnitude, 0
-            if was_held and guard.row.gap and not guard.row.speed:
-                zeros = 2 + is_own_zero if is_at_limit else 0
-            elif was_held and guard.row.speed:
-                zeros = 1 + is_own_zero
-            elif (guard.row, guard.limit) == (left.row, left.limit) or (
-                guard.row.gap and left.row.gap and is_at_limit and not left.row.hold
-            ):
-                zeros = 1
+            zeros = self._zeros_of_change(guard, left, bool(abs(series[0]) <= AT_LIMIT * magnitude))
             first = next((k for k in range(zeros, N_COEFFICIENTS) if abs(series[k]) > ROUNDING * magnitude), None)
             if first is not None and series[first] < 0.0:
-                return None
-            counts.append(zeros)
+                return False
+        return True
+
+    def _zeros_of_change(self, guard: Guard, left: Guard, is_at_limit: bool) -> int:
+        """Return the known zeros of a guard after an exit from a mode that is not held."""
+        is_same = (guard.row, guard.limit) == (left.row, left.limit)
+        is_touched = bool(guard.row.gap and left.row.gap) and is_at_limit and not left.row.hold
+        return int(is_same or is_touched)
+
+    def _known_zeros(self, j: int, departure: Departure) -> list[int]:
+        """Return the number of leading terms of each guard of element j that are zero, after it changed its mode."""
+        hold, counts = self._equations(self.modes).hold, []
+        for guard in guards(self._mode(j)):
+            row = self._row(j, guard, hold)
+            is_at_limit = bool(abs(row @ self.state) <= AT_LIMIT * (np.abs(row) @ np.abs(self.state)))
+            if not departure.left.row.hold:
+                counts.append(self._zeros_of_change(guard, departure.left, is_at_limit))
+            elif guard.row.speed and not guard.row.gap:
+                counts.append(departure.zeros)
+            else:
+                # The gap of an element at rest on a wall is exactly that of the wall.
+                is_at_wall = guard.row.gap and self.state[self.gaps[j]] == guard.limit
+                counts.append(1 + departure.zeros if is_at_wall else 0)
         return counts
 
 

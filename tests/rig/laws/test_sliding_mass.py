@@ -1,0 +1,226 @@
+"""Horizontal dampers with friction: closed forms, an independent oracle, orbits, hard cases, and mistakes in scenes."""
+
+from __future__ import annotations
+
+from math import asin, inf, pi, sqrt, tan
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import rig
+from rig.core.laws.law import faults
+from rig.core.laws.sliding_mass import sliding_mass
+from rig.core.orbits.periodic_orbit import set_to_orbit, start_propagator
+from rig.core.orbits.problem import OrbitProblem
+from rig.core.system.assembly import assemble
+from rig.core.system.structural_model import receptance
+from tests.rig.laws.test_declarations import assert_motion_as_declared
+
+GRAVITY = 9.80665
+
+
+def scene_with(force: float, frequency: float, *dampers: dict[str, Any], **changes: Any) -> rig.Scene:
+    """Return two bodies with dampers under a tone on body 1, N and Hz."""
+    content: dict[str, Any] = {
+        "structure": {"masses": [1.0, 0.8], "springs": [6e3, 5e3], "damping": {"modal": 0.01}},
+        "dampers": [{"body": 1, "mass": 0.2, "friction": 0.3, "clearance": inf} | damper for damper in dampers],
+        "shaker": {"kind": "force", "body": 1},
+        "test": {"kind": "sine", "frequency": frequency, "force": force},
+    }
+    return rig.load(content | changes)
+
+
+@pytest.mark.parametrize("slip_force", [0.0, 0.4])
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+@pytest.mark.parametrize("clearance", [1e-3, inf])
+def test_declarations_have_no_faults(slip_force: float, restitution: float, clearance: float) -> None:
+    assert faults(sliding_mass(slip_force, restitution, clearance)) == []
+
+
+def test_continuous_sliding_is_that_of_den_hartog() -> None:
+    # Friction on the body is a square wave, and the velocity of the mass a triangle: the response of an undamped body
+    # between two reversals is known. The phase of the reversals follows from equal velocities.
+    mass, stiffness, sliding, friction, force, frequency = 1.0, 4e3, 0.2, 0.3, 30.0, 14.0
+    scene = rig.load(
+        {
+            "structure": {"masses": [mass], "springs": [stiffness]},
+            "dampers": [{"body": 1, "mass": sliding, "friction": friction, "clearance": inf}],
+            "shaker": {"kind": "force", "body": 1},
+            "test": {"kind": "sine", "frequency": frequency, "force": force},
+        }
+    )
+    omega, natural, slip_force = 2 * pi * frequency, sqrt(stiffness / mass), friction * sliding * GRAVITY
+    amplitude, offset = force / (stiffness - mass * omega**2), slip_force / stiffness
+    slope = -offset * natural * tan(pi * natural / omega / 2)
+    phase = pi - asin((slope - slip_force * pi / (2 * sliding * omega)) / (amplitude * omega))
+    time = np.linspace(0.0, pi / omega, 20_001)
+    shape = offset * (1.0 - np.cos(natural * time)) + slope / natural * np.sin(natural * time)
+    expected = np.abs(amplitude * np.cos(omega * time + phase) + shape).max()
+
+    orbit = rig.periodic_orbit(scene, frequency)
+
+    assert orbit.plan.label == "1x 1x" and orbit.stable
+    assert orbit.peak[0] == pytest.approx(expected, rel=1e-7)
+    reversals = orbit.events["time"][orbit.events["kind"] == "stop"]
+    assert np.diff(reversals)[0] == pytest.approx(0.5 / frequency, rel=1e-11)
+
+
+def test_mass_sticks_below_the_slip_force() -> None:
+    # At the threshold the acceleration of the body is friction times gravity.
+    level = 1.0 / (np.abs(receptance(scene_with(1.0, 8.0, {}), [8.0], riding=[1])[0, 0]) * (16.0 * pi) ** 2)
+    level *= 0.3 * GRAVITY
+    below, above = (rig.periodic_orbit(scene_with(factor * level, 8.0, {}), 8.0) for factor in (0.999, 1.001))
+    assert below.motion_type == "riding" and below.margin == pytest.approx(0.3e-3, rel=1e-6)
+    assert above.motion_type == "2 slips per 1"
+
+
+def random_scene(seed: int) -> rig.Scene:
+    """Return a random structure with sliding masses and beds, also several in a body, and with one of each wall."""
+    random = np.random.default_rng(seed)
+    bodies = int(random.integers(1, 6))
+    dampers: list[dict[str, Any]] = []
+    for body in random.integers(1, bodies + 1, random.integers(1, 5)).tolist():
+        damper = {"body": body, "mass": float(10.0 ** random.uniform(-2.5, -0.5))}
+        slides, clearance = random.random() < 0.7, float(random.choice([3e-4, 2e-3, inf]))
+        if not slides or clearance < inf:
+            damper["restitution"] = float(random.choice([0.0, 0.4]))
+        if slides:
+            damper["friction"] = float(random.choice([0.0, 0.05, 0.3, 1.0]))
+        dampers.append(damper | {"clearance": clearance})
+    content: dict[str, Any] = {
+        "structure": {
+            "masses": random.uniform(0.3, 1.5, bodies).tolist(),
+            "springs": random.uniform(1e4, 4e4, bodies).tolist(),
+            "damping": {"modal": 0.01},
+        },
+        "dampers": dampers,
+        "shaker": {"kind": "force", "body": 1},
+        "test": {"kind": "sine", "frequency": float(random.uniform(8.0, 50.0)), "force": 20.0},
+    }
+    return rig.load(content)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_random_systems_move_as_declared(seed: int) -> None:
+    assert_motion_as_declared(random_scene(seed), periods=5, tolerance=1e-10)
+
+
+HARD_CASES: dict[str, tuple[dict[str, Any], ...]] = {
+    "equal dampers": ({"body": 1}, {"body": 2}, {"body": 2}),
+    "plastic walls": ({"clearance": 2e-3}, {"body": 2, "clearance": 1e-3}),
+    "chattering to rest": ({"clearance": 1e-3, "restitution": 0.9},),
+    "no friction": ({"friction": 0.0, "clearance": 1e-3, "restitution": 0.3},),
+    "light and heavy": ({"mass": "0.1 g", "clearance": 2e-3}, {"body": 2, "mass": "8 kg", "clearance": 2e-3}),
+    "friction that never slips": ({"friction": 1e6},),
+    "weak friction": ({"friction": 1e-9},),
+    "next to a bed": ({"clearance": 2e-3}, {"friction": None, "clearance": 1e-3}),
+}
+
+
+@pytest.mark.parametrize("case", HARD_CASES)
+def test_hard_cases_move_as_declared(case: str) -> None:
+    assert_motion_as_declared(scene_with(30.0, 14.0, *HARD_CASES[case]), periods=6, tolerance=1e-10)
+
+
+@pytest.mark.parametrize("case", HARD_CASES)
+def test_energy_balance_of_hard_cases(case: str) -> None:
+    energy = rig.simulate(scene_with(30.0, 14.0, *HARD_CASES[case]), duration=0.5, rate=2000.0).energy
+    assert abs(energy.residual) < 1e-12 * energy.work
+
+
+def test_without_gravity_there_is_no_friction() -> None:
+    run = rig.simulate(scene_with(30.0, 14.0, {}, gravity=0.0), duration=0.5, rate=2000.0)
+    assert not len(run.events) and np.ptp(run.gap) > 1e-3
+
+
+def test_without_clearance_the_mass_is_part_of_the_body() -> None:
+    assert assemble(scene_with(30.0, 14.0, {"clearance": 0.0})).dampers == 0
+
+
+def test_mass_starts_in_the_middle_of_loaded_structure() -> None:
+    bed = {"body": 2, "friction": None, "mass": 0.1, "clearance": 1e-3}
+    system = assemble(scene_with(1.0, 14.0, {"clearance": 2e-3}, bed))
+    assert system.initial[2] == 0.0 and system.initial[1] < 0.0
+
+
+def test_friction_dissipates_the_energy_of_a_free_body() -> None:
+    test = {"kind": "free", "displacement": [5e-3, 0.0], "duration": 3.0}
+    run = rig.simulate(scene_with(1.0, 14.0, {}, shaker=None, test=test), duration=3.0, rate=1000.0)
+    assert run.events["kind"][-1] == "stop" and run.energy.impacts == 0.0
+    assert np.ptp(run.gap[0, -50:]) == 0.0
+
+
+ORBITS: dict[str, tuple[dict[str, Any], str, str]] = {
+    "slips": ({}, "1x 1x", "2 slips per 1"),
+    "rebounds": ({"clearance": 2e-3, "restitution": 0.4}, "1- 1| 1\\ 1v", "II"),
+    "rests at walls": ({"clearance": 2e-3}, "1_ 1/ 1= 1\\", "III"),
+}
+
+
+@pytest.mark.parametrize("case", ORBITS)
+def test_orbit_is_the_steady_motion(case: str) -> None:
+    changes, label, motion_type = ORBITS[case]
+    scene = scene_with(30.0, 14.0, changes)
+    orbit, response = rig.periodic_orbit(scene, 14.0), rig.frequency_response(scene, [14.0])
+    assert sorted(orbit.plan.label.split()) == sorted(label.split()) and orbit.stable
+    assert orbit.motion_type == response.motion_type[0] == motion_type
+    np.testing.assert_allclose(orbit.compliance, response.compliance[:, 0], rtol=1e-6)
+
+
+@pytest.mark.parametrize("case", ORBITS)
+def test_multipliers_are_those_of_differences(case: str) -> None:
+    scene = scene_with(30.0, 14.0, ORBITS[case][0])
+    orbit = rig.periodic_orbit(scene, 14.0)
+    propagator, steps = start_propagator(OrbitProblem(scene), orbit.setting)
+    state, n, change = propagator.state, assemble(scene).states, 1e-7
+    is_held = propagator.tables.model.laws.is_held
+
+    def state_after_a_period(unknown: int, disturbance: float) -> NDArray[np.float64]:
+        set_to_orbit(propagator, orbit)
+        state.z[unknown] += disturbance
+        propagator.propagate_periods(steps, 1)
+        return state.z[:n].copy()
+
+    set_to_orbit(propagator, orbit)
+    # The gap of a mass that does not reach its walls has no effect, and the speed of a mass at rest is not free.
+    gap, speed = 2, 5
+    fixed = [*([gap] if case == "slips" else []), *([gap, speed] if is_held[state.mode[0]] else [])]
+    free = [i for i in range(n) if i not in fixed]
+    columns = [(state_after_a_period(i, change) - state_after_a_period(i, -change))[free] / (2 * change) for i in free]
+    expected, computed = (np.sort(np.abs(values))[-3:] for values in (np.linalg.eigvals(columns), orbit.multipliers))
+    np.testing.assert_allclose(computed, expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("parameter", "end"), [("force", 31.0), ("mass_ratio", 1.03), ("clearance", 2.05e-3)])
+def test_orbits_follow_each_parameter(parameter: Any, end: float) -> None:
+    scene = scene_with(30.0, 14.0, {"clearance": 2e-3})
+    start = {"force": 30.0, "mass_ratio": 1.0, "clearance": 2e-3}[parameter]
+    curve = rig.follow_orbits(scene, parameter, (start, end), frequency=14.0)
+    damper = {"clearance": end if parameter == "clearance" else 2e-3}
+    damper["mass"] = 0.2 * end if parameter == "mass_ratio" else 0.2
+    expected_scene = scene_with(end if parameter == "force" else 30.0, 14.0, damper)
+    expected = rig.frequency_response(expected_scene, [14.0]).compliance[:, 0]
+    branch = curve.branches[0]
+    np.testing.assert_allclose(branch.compliance[:, np.argmax(branch.value)], expected, rtol=1e-5)
+
+
+def test_explanation_states_the_slip_force() -> None:
+    text = str(rig.explain(scene_with(30.0, 14.0, {"clearance": 2e-3})))
+    assert "200 g, slips above 2.942 m/s^2 (0.5884 N), 2 mm between walls" in text
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"spring": "1 kN/m"}, "Remove spring, or remove friction"),
+        ({"contact": {"duration": "2 ms"}}, "Remove contact"),
+        ({"grains": {"diameter": "2 mm"}}, "Remove grains"),
+        ({"restitution": 0.3}, "the mass has no walls"),
+        ({"friction": -0.1}, "friction"),
+    ],
+)
+def test_mistakes_are_reported(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(rig.SceneError, match=message):
+        scene_with(1.0, 10.0, changes)

@@ -147,9 +147,9 @@ def test_map_starts_at_the_level_of_first_contact() -> None:
     motion_map = rig.map_motion(scene, frequencies=[9.0, 10.0], values=[0.9, 1.1])
     assert motion_map.kind.shape == (2, 2)
     [level] = take_off_levels(scene, np.array([10.0]))
-    for factor, impacts in ((0.99, False), (1.01, True)):
-        orbit = rig.periodic_orbit(driven(factor * level), 10.0)
-        assert bool(len(orbit.events)) == impacts
+    at_level = driven(level)
+    orbit = rig.periodic_orbit(at_level.replace(dampers=[at_level.dampers[0].without_walls()]), 10.0)
+    assert -orbit.columns()["gap 1_m"].min() == pytest.approx(1e-3, rel=1e-3)
 
 
 def test_explanation_states_the_walls() -> None:

@@ -102,6 +102,10 @@ CHANGES: dict[str, tuple[dict[str, object], dict[str, object]]] = {
     "dampers.clearance": ({}, {"dampers[1].clearance": "1 mm"}),
     "dampers.restitution": ({}, {"dampers[1].restitution": 0.3}),
     "dampers.spring": ({"dampers": None}, {"dampers": [{"body": 2, "mass": "10 g", "spring": "40 N/m"}]}),
+    "dampers.friction": (
+        {"dampers": None},
+        {"dampers": [{"body": 2, "mass": "10 g", "friction": 0.2, "clearance": ".inf"}]},
+    ),
     "dampers.contact": ({}, {"dampers[1].contact": {"duration": "2 ms"}}),
     "dampers.locked": ({"dampers": None}, {"dampers[1].locked": True}),
     "shaker.spring": (

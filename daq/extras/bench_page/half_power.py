@@ -2,14 +2,38 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from rig.core.base.arrays import Array
+
+if TYPE_CHECKING:
+    from daq.extras.bench_page.live_frf import LiveCurves
 
 # A peak exceeds the minima on both sides by at least this factor.
 _MIN_PROMINENCE = 1.5
 # The half-power width is read from at least this number of lines; otherwise the resolution determines it.
 _MIN_WIDTH_LINES = 3.0
+# A peak of less coherence, or of a single average, is not listed.
+_MIN_COHERENCE = 0.5
+# Peaks of several channels nearer to each other than this, relative to their frequency, belong to one resonance.
+_SAME_PEAK = 0.03
+
+
+def largest_peaks(curves: LiveCurves, count: int) -> list[tuple[str, float, float, float | None]]:
+    """Return the highest coherent peaks: channel that is highest there, frequency (Hz), magnitude and damping ratio."""
+    found = [
+        (name, *peak)
+        for name, magnitude, coherence in zip(curves.names, np.abs(curves.value), curves.coherence, strict=True)
+        for peak in live_peaks(curves.frequency, magnitude)
+        if coherence[np.searchsorted(curves.frequency, peak[0])] >= _MIN_COHERENCE
+    ]
+    largest: list[tuple[str, float, float, float | None]] = []
+    for peak in sorted(found, key=lambda peak: -peak[2]):
+        if all(abs(peak[1] / other[1] - 1.0) > _SAME_PEAK for other in largest):
+            largest.append(peak)
+    return sorted(largest[:count], key=lambda peak: peak[1])
 
 
 def live_peaks(frequency: Array, magnitude: Array) -> list[tuple[float, float, float | None]]:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.core.drawing.palette import channel_color, hex_color
-from daq.extras.bench_page.half_power import live_peaks
+from daq.extras.bench_page.half_power import largest_peaks
 from daq.extras.bench_page.monitor import MOTION_S
 from daq.extras.bench_page.rig_svg import RigDrawing
 from rig.core.base.arrays import Array
@@ -23,7 +23,6 @@ from rig.core.base.errors import ShotrigError
 
 if TYPE_CHECKING:
     from daq.extras.bench_page.live_bench import LiveBench
-    from daq.extras.bench_page.live_frf import LiveCurves
 
 # The page is refreshed at this interval, s; spectra, responses and the rig every so many refreshes.
 REFRESH_S = 0.05
@@ -170,10 +169,14 @@ class Page:
             return
         self._shown_version = version
         curves = None if frf is None else frf.curves()
-        content["response"] = {"test": test, "band": self._controller.band, "averages": curves and curves.averages}
+        controller = self._controller
+        averages = curves and curves.averages
+        content["response"] = {
+            "test": test, "band": controller.band, "averages": averages, "level": controller.target,
+        }  # fmt: skip
         if curves is None:
             return
-        content["response"] |= {"names": curves.names, "peaks": _peaks(curves)}
+        content["response"] |= {"names": curves.names, "peaks": largest_peaks(curves, _MAX_PEAKS)}
         arrays |= {
             "frequency": curves.frequency,
             "magnitude": np.abs(curves.value),
@@ -190,11 +193,3 @@ class Page:
         except ShotrigError as error:
             return message({"theory": str(error)}, {})
         return message({"theory": ""}, {"theory_frequency": frequency, "theory_magnitude": np.abs(values)})
-
-
-def _peaks(curves: LiveCurves) -> list[list[Any]]:
-    """Return the peaks of the channel with the largest response: channel, frequency, magnitude and damping ratio."""
-    magnitude = np.abs(curves.value)
-    row = int(np.nanargmax(np.nan_to_num(magnitude).max(axis=1)))
-    found = sorted(live_peaks(curves.frequency, magnitude[row]), key=lambda peak: -peak[1])[:_MAX_PEAKS]
-    return [[curves.names[row], *peak] for peak in sorted(found)]

@@ -22,8 +22,9 @@ import rig
 from daq.core.drawing.rig_view import RigMotion
 from daq.core.recording.committed_file import RESERVE, CommittedFile
 from daq.extras.bench_page.bench import _open_browser, _serve_page
-from daq.extras.bench_page.half_power import live_peaks
+from daq.extras.bench_page.half_power import largest_peaks, live_peaks
 from daq.extras.bench_page.live_bench import LiveBench
+from daq.extras.bench_page.live_frf import LiveCurves
 from daq.extras.bench_page.rig_svg import RigDrawing
 from daq.extras.ni_device.connecting import connect_scene
 from daq.extras.ni_device.engines.log import MarkedRecording
@@ -242,6 +243,16 @@ def test_live_peak_next_to_a_gap_has_no_damping():
     magnitude[(f > 10.05) & (f < 10.5)] = np.nan
     ((frequency, _, damping),) = live_peaks(f, magnitude)
     assert frequency == pytest.approx(10.0) and damping is None
+
+
+def test_peak_list_names_highest_coherent_channel():
+    f = np.linspace(1.0, 20.0, 1901)
+    low, high = (1.0 / abs(f0**2 - f**2 + 2j * 0.01 * f0 * f) for f0 in (5.0, 12.0))
+    values = np.array([low + 0.1 * high, 0.1 * low + high])
+    curves = LiveCurves(["a", "b"], f, values.astype(complex), np.ones(values.shape), 3)
+    assert [(name, round(f0, 1)) for name, f0, *_ in largest_peaks(curves, 4)] == [("a", 5.0), ("b", 12.0)]
+    curves.coherence[:, f > 10.0] = np.nan
+    assert [name for name, *_ in largest_peaks(curves, 4)] == ["a"]
 
 
 @pytest.mark.parametrize("bench", ["hammer"], indirect=True)

@@ -202,7 +202,7 @@ def test_texts_and_scales_suit_the_values(bench, browser):
     assert value("Array.from(wrapped(Float32Array.of(180, 0, -170)))") == [-180, 0, -170]
     assert value("levelText({target: 200, level_kind: 'peak', force: null})") == "200 N peak"
     note = "response.note({hits: [], running: true, frf_reason: ''})"
-    assert "coherence needs 2" in value(f"(response.head = {{averages: 1}}, {note})")
+    assert "1 average: no γ²" in value(f"(response.head = {{averages: 1}}, {note})")
     panel = "{name: 'µm', range: [-2000, 2000], curves: [{y: Float32Array.of(1500)}]}"
     assert value(f"inMillimeters({panel}).name") == "mm"
     assert value(f"inMillimeters({panel}).curves[0].y[0]") == 1.5

@@ -31,7 +31,7 @@ const response = {
     if (arrays.frequency) {
       const { frequency, magnitude, phase, coherence } = arrays;
       const rows = this.channels.map((channel, k) => ({ ...channel, magnitude: magnitude[k], phase: wrapped(phase[k]), coherence: coherence[k] }));
-      this.curves = { test: head.test, frequency: frequency[0], rows };
+      this.curves = { test: head.test, level: `${digits(head.level, 3)} N`, frequency: frequency[0], rows };
     }
     if ($("theory").checked && this.band?.join() !== head.band?.join()) send("theory");
     this.band = head.band;
@@ -48,7 +48,7 @@ const response = {
   note(state) {
     const averages = this.head?.averages;
     const empty = state.hits.length ? "no accepted hit yet" : state.running ? "begins with the measurement" : "begins with a test";
-    return (averages ? (averages > 1 ? `H1, ${averages} averages` : "H1, 1 average; coherence needs 2") : state.frf_reason || empty) + (this.problem ? `; ${this.problem}` : "");
+    return (averages ? (averages > 1 ? `H1, ${averages} averages` : "1 average: no γ²") : state.frf_reason || empty) + (this.problem ? `; ${this.problem}` : "");
   },
 
   // The band of the test, or of a pulse: from zero to the highest excited frequency.
@@ -63,6 +63,7 @@ const response = {
   draw() {
     const micro = (values) => Float32Array.from(values, (value) => 1e6 * value);
     const { curves, previous, theory } = this, magnitude = [], phase = [], coherence = [];
+    setText("last-level", previous ? `: ${previous.level} ` : " ");
     if (previous && $("last").checked) {
       for (const row of previous.rows) magnitude.push({ x: previous.frequency, y: micro(row.magnitude), color: row.color, dash: [2, 3], width: 1 });
     }
@@ -78,7 +79,7 @@ const response = {
     }
     const fixed = (values) => values.map((value) => [value, true]);
     this.chart.show(this.range(), [
-      { name: "µm/N", log: true, share: 3.2, curves: magnitude },
+      { name: "|compliance| / (µm/N)", log: true, share: 3.2, curves: magnitude },
       { name: "phase / °", range: [-285, 105], ticks: fixed([-270, -180, -90, 0, 90]), curves: phase },
       { name: "γ²", range: [0, 1.02], ticks: fixed([0, 0.5, 1]), share: 0.7, curves: coherence },
     ]);

@@ -16,6 +16,10 @@ FOLDER = ROOT / "recordings"
 _MENU = 38
 #: Commands for each picture; they write to the folder or file OUT, and the picture is the file that matches.
 PICTURES = {
+    "bracket.png": (
+        "rig design OUT/bracket.yaml --budget 60g --bodies 2 --levels 4N --band 55Hz,70Hz -o OUT",
+        "design-*.png",
+    ),
     "compliance.png": ("analysis demo -o OUT", "fig8-*-frf-body3.png"),
     "cost.png": ("rig cost fig9 -o OUT", "cost-*.png"),
     "design.png": ("rig design fig9 --budget 100g --levels 1.5N,3N,6N -o OUT", "design-*.png"),
@@ -31,6 +35,9 @@ PICTURES = {
 def draw(name: str, folder: Path) -> Path:
     """Run the command of a picture in an empty folder; return the picture."""
     commands, pattern = PICTURES[name]
+    tutorial = (ROOT / "analysis" / "guide" / "tutorial.md").read_text(encoding="utf-8")
+    scene = tutorial.split("```yaml\n")[1].split("```")[0]
+    (folder / "bracket.yaml").write_text(scene, encoding="utf-8")
     for command in commands.replace("OUT", str(folder)).split("; "):
         subprocess.run([sys.executable, "-m", *command.split()], cwd=ROOT, check=True)
     (picture,) = folder.glob(pattern)

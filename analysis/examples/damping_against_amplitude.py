@@ -19,18 +19,23 @@ print(*decays, sep="\n")
 
 # %%
 # Both decays in one figure.
+colors = ("#404040", "#AA4499")
 axes = plt.subplots(layout="constrained")[1]
-for decay in decays:
-    decay.plot(axes)
+for decay, color in zip(decays, colors, strict=True):
+    decay.plot(axes, color=color)
 
 # %%
-# Damping ratio of each mode over its amplitude: constant without dampers, larger with them above 1 g.
-for decay in decays:
-    for mode in decay.modes:
-        points = zip(mode.amplitude[::4], mode.damping[::4], strict=True)
-        text = ", ".join(f"{100 * ratio:.2f} % at {level:.2g} m/s²" for level, ratio in points)
-        print(f"{decay.label}, {mode.frequency:.1f} Hz: {text}")
+# Damping ratio of each mode over its own amplitude. Without dampers it is constant. With them it is larger while the
+# acceleration, the sum of all modes, exceeds 1 g.
+panels = plt.subplots(1, 3, figsize=(9, 3), sharex=True, sharey=True, layout="constrained")[1]
+for decay, color in zip(decays, colors, strict=True):
+    for number, mode in enumerate(sorted(decay.modes, key=lambda mode: mode.frequency)):
+        axes = panels[number]
+        axes.semilogx(mode.amplitude, 100.0 * mode.damping, "o-", color=color, label=decay.label)
+        axes.set(title=f"mode {number + 1}", xlabel="amplitude / (m/s²)")
+panels[0].set(ylabel="damping ratio / %", ylim=(0.0, None))
+panels[0].legend(fontsize="small")
 print(
-    f"With dampers, the acceleration of body3 stays below 1 g from {decays[1].quiet_from:.2f} s on; "
+    f"With dampers, the acceleration of body3 stays below 1 g from {decays[1].quiet_from:.2f} s on;\n"
     f"without dampers, from {decays[0].quiet_from:.2f} s on."
 )

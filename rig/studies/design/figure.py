@@ -216,7 +216,11 @@ def _draw(design: Design) -> Figure:
         _draw_chart(chart, design)
         _draw_reductions(reductions, design)
         _draw_responses(responses, design)
-        figure.suptitle(f"{escape_figure(design.scene.name)}\n{headline(design)}")
+        levels = ", ".join(map(format_number, design.question.levels))
+        figure.suptitle(
+            f"Design for {escape_figure(design.scene.name)} (computed)\n{headline(design)}, "
+            f"largest peak at {levels} {design.question.level.unit}"
+        )
         return figure
 
 
@@ -266,7 +270,7 @@ def _draw_reductions(axes: Axes, design: Design) -> None:
     axes.set(xlabel="acceleration at the peak without dampers / g", ylabel="reduction of the largest peak / dB")
     set_log_scale(axes.xaxis)
     axes.axhline(0.0, color="black", lw=0.8)
-    axes.legend()
+    _add_legend_below(axes)
     axes.set_title("Acceleration level")
 
 
@@ -287,8 +291,13 @@ def _draw_responses(axes: Axes, design: Design) -> None:
     axes.set(xlabel="frequency / Hz", ylabel=f"largest {name} / ({unit})", xlim=(low, high))
     set_log_scale(axes.xaxis)
     set_log_scale(axes.yaxis, 5)
-    axes.legend()
-    axes.set_title("Response with and without dampers")
+    _add_legend_below(axes)
+    axes.set_title("Response without dampers, and peaks with them")
+
+
+def _add_legend_below(axes: Axes) -> None:
+    """Add a legend below the axes, because one inside would hide peaks."""
+    axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.19), ncols=2, borderaxespad=0.0)
 
 
 def headline(design: Design) -> str:

@@ -62,6 +62,13 @@ def test_array_of_responses_is_read() -> None:
     assert len(responses.keys()) == 10 and responses.frequency[-1] == 10_000.0
 
 
+def test_measured_modes_do_not_depend_on_band() -> None:
+    responses = list(analysis.read_frfs(file_of("ruler_grid_acc_3.mat"), unit="m/s^2/N"))
+    narrow, wide = (analysis.identify([each.band(*band) for each in responses]) for band in ((155, 250), (60, 300)))
+    assert narrow.frequency[0] in wide.frequency and narrow.damping_error[0] in wide.damping_error
+    assert abs(narrow.frequency[0] - 212.2) < 0.3
+
+
 def test_response_with_foreign_heading_is_read() -> None:
     assert analysis.read_frfs(file_of("non_ascii_header.uff")).frequency.size == 5
 

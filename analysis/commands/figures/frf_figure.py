@@ -40,7 +40,11 @@ _STRIP_HEIGHT = 0.015
 MAX_POINTS = 600
 # A peak between points is marked if it exceeds the highest point by this fraction.
 _MIN_PEAK_EXCESS = 0.01
-_THEORY_COLOR = "#555555"
+# A peak at a line with a smaller coherence is that of the noise, and is not marked.
+_MIN_PEAK_COHERENCE = 0.9
+# Length of the dashes of a curve of many lines, relative to those of other curves.
+_DASH_SCALE = 0.5
+_THEORY_COLOR = "#222222"
 _NOISE_COLOR = "#c4c4c4"
 
 
@@ -54,7 +58,7 @@ def frf_figure(
     """Draw measured frequency responses on common axes.
 
     `frfs`: curves of the same motion and reference, with their labels in the legend. `theory`: curves without error
-    bars, drawn thin and dotted in the color of their response. `marks`: frequency, Hz, and text of vertical lines.
+    bars, drawn thin and dotted. `marks`: frequency, Hz, and text of vertical lines.
     `styles`: of the curves; default: those of their bodies.
     """
     frequencies = np.concatenate([values for frf in frfs for values in (frf.frequency, frf.omitted)])
@@ -62,13 +66,10 @@ def frf_figure(
     if high <= low:
         low, high = low / 1.2, high * 1.2
     styles = styles or place_styles([frf.outputs[0].at for frf in frfs])
-    colors = {frf.response: style.color for frf, style in reversed(list(zip(frfs, styles, strict=True)))}
-    has_several_responses = len(colors) > 1
     with new_figure(6.8) as figure:
         magnitude_axes, phase_axes, coherence_axes = figure.subplots(3, 1, height_ratios=[3.2, 1.3, 0.9])
         for curve in theory:
-            color = colors.get(curve.response, _THEORY_COLOR) if has_several_responses else _THEORY_COLOR
-            style: dict[str, Any] = {"color": color, "lw": 0.9, "ls": ":", "zorder": 1}
+            style: dict[str, Any] = {"color": _THEORY_COLOR, "lw": 0.9, "ls": ":", "zorder": 3.5}
             magnitude_axes.plot(curve.frequency, curve.shown_in[1] * abs(curve.value), **style)
             phase_axes.plot(*break_at_wraps(curve.frequency, phase_degrees(curve.value)), **style)
         if theory:
@@ -131,6 +132,8 @@ def _caption(frfs: Sequence[Response], has_peaks: bool, has_arrows: bool) -> lis
         sentences.append("Gray, with a strip at the axis: undetermined (noise, or bound above 100 %); phase not shown.")
     if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
         sentences.append("Crosses: steady state not reached.")
+    if any(np.isfinite(frf.value).sum() < frf.frequency.size or frf.resolution == 0.0 for frf in frfs):
+        sentences.append("Thin curve: local model through the points.")
     if has_peaks:
         sentences.append("Circles: interpolated peaks between the points.")
     if has_arrows:
@@ -150,19 +153,24 @@ def _draw_curve(frf: Response, style: CurveStyle, magnitude_axes: Axes, phase_ax
     points: dict[str, Any] = {"ls": "", "marker": style.marker, "color": color, "ms": 2.6, "mew": 0.0, "zorder": 3}
     if is_downward:
         points |= {"mfc": "none", "ms": 5.0, "mew": 0.9, "zorder": 2.9}
+    line: dict[str, Any] = {"color": color, "ls": style.line, "lw": 1.3, "zorder": 2.8}
     if frf.frequency.size > MAX_POINTS:
         points["marker"] = ""
-    line: dict[str, Any] = {"color": color, "ls": style.line, "lw": 1.3, "zorder": 2.8}
+        # Short dashes show the scatter of neighboring lines.
+        line["ls"] = (0.0, tuple(_DASH_SCALE * length for length in style.dashes)) if style.dashes else "-"
     if points["marker"]:
         line |= {"ls": "-", "lw": 0.7}
     factor = frf.shown_in[1]
     magnitude, random = factor * abs(frf.value), factor * np.nan_to_num(frf.magnitude_bound())
     total = factor * np.nan_to_num(frf.expanded(), posinf=np.inf)
-    for half_width, opacity in ((total, 0.13), (random, 0.25)):
+    frequency, value = frf.continued(is_known)
+    center = factor * abs(value)
+    for half_width, opacity in ((total, 0.13), (random, 0.25)) if is_known.any() else ():
+        # The band follows the curve between the points.
+        ratio = np.interp(frequency, frf.frequency[is_known], half_width[is_known] / magnitude[is_known])
         magnitude_axes.fill_between(
-            frf.frequency, np.maximum(magnitude - half_width, magnitude * _ZERO_RATIO),
-            np.minimum(magnitude + half_width, magnitude / _ZERO_RATIO),
-            where=is_known, color=color, alpha=opacity, lw=0,
+            frequency, center * np.maximum(1.0 - ratio, _ZERO_RATIO),
+            center * np.minimum(1.0 + ratio, 1.0 / _ZERO_RATIO), color=color, alpha=opacity, lw=0,
         )  # fmt: skip
     for frequencies in _omitted_ranges(frf):
         magnitude_axes.plot(
@@ -178,7 +186,6 @@ def _draw_curve(frf: Response, style: CurveStyle, magnitude_axes: Axes, phase_ax
         # One more point on either side makes the line continuous where its color changes to gray.
         noisy = ~is_known | ~np.roll(is_known, 1) | ~np.roll(is_known, -1)
         magnitude_axes.plot(frf.frequency, np.where(noisy, magnitude, np.nan), color=_NOISE_COLOR, lw=0.7, zorder=2)
-    frequency, value = frf.continued(is_known)
     if not points["marker"]:
         # Lines close together are joined also where their noise prevents interpolation.
         is_joined = np.isfinite(value) | np.isin(frequency, frf.frequency)
@@ -222,13 +229,14 @@ def _draw_peaks(frf: Response, color: str, axes: Axes) -> tuple[list[float], lis
         if peak.is_determined:
             height = factor * peak.value * (2.0 * np.pi * peak.frequency) ** MOTIONS.index(frf.motion)
             is_near = abs(np.searchsorted(ordered, peak.frequency) - np.searchsorted(ordered, line_frequency)) <= 1
-            if is_near and height > (1.0 + _MIN_PEAK_EXCESS) * factor * point and not peak.at_end:
+            is_noise = _has_scatter(frf) and frf.coherence[resonance.line] < _MIN_PEAK_COHERENCE
+            if is_near and height > (1.0 + _MIN_PEAK_EXCESS) * factor * point and not peak.at_end and not is_noise:
                 axes.plot(peak.frequency, height, "o", mfc="white", mec=color, mew=1.0, ms=4.5, zorder=5)
                 heights.append(height)
         elif not peak.at_end:
             axes.annotate(
                 "", (line_frequency, factor * point), xytext=(0, 17), textcoords="offset points",
-                arrowprops={"arrowstyle": "<-", "color": color, "lw": 1.0, "shrinkB": 4}, zorder=5,
+                arrowprops={"arrowstyle": "<-", "color": color, "lw": 1.0, "shrinkB": 1}, zorder=5,
             )  # fmt: skip
             arrows.append(2.0 * factor * point)
     return heights, arrows

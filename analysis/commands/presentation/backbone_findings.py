@@ -10,7 +10,7 @@ from analysis.commands.presentation.figures_of_recordings import present_each
 from analysis.commands.presentation.outputs import CommandOutput
 from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.tracking.backbone import Backbone, backbone
-from rig.core.base.figure_style import add_title
+from rig.core.base.figure_style import add_caption
 from rig.core.results.text import format_quantity, table_lines
 
 if TYPE_CHECKING:
@@ -21,11 +21,14 @@ if TYPE_CHECKING:
 @with_recordings
 def present_backbone(recordings: OpenRecordings, paths: Sequence[Path], output: Path | None = None) -> CommandOutput:
     """Draw and tabulate each recording; `output`: folder, by default that of the recording."""
-    return present_each(recordings, paths, output, "backbone", backbone, _complete, level_lines)
+    return present_each(
+        recordings, paths, output, "backbone", "Frequency against amplitude", backbone, _complete, level_lines
+    )
 
 
 def _complete(result: Backbone, figure: Figure, axes: Axes) -> None:
-    add_title(axes, "Frequency of phase resonance against amplitude")
+    sensor = "Those of the amplitude contain the limit of error of the sensor, which is common to all points."
+    add_caption(figure, "Bars: 95 % intervals.", sensor)
 
 
 def level_lines(result: Backbone) -> list[str]:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 from analysis.commands.presentation.outputs import CommandOutput, check_outputs, separate_stems, with_ending
 from analysis.commands.presentation.tables import write_table
-from rig.core.base.figure_style import new_figure, save_figure
+from analysis.core.recordings.names import excitation_text
+from rig.core.base.figure_style import add_title, new_figure, save_figure
 from rig.core.results import Result
 
 if TYPE_CHECKING:
@@ -26,25 +27,28 @@ def present_each(
     paths: Sequence[Path],
     output: Path | None,
     kind: str,
+    title: str,
     evaluate: Callable[[Recording], R],
     complete: Callable[[R, Figure, Axes], None],
     table: Callable[[R], list[str]],
 ) -> CommandOutput:
     """Write figure and columns of each recording's result; `output`: folder, by default that of the recording.
 
-    `kind`: ending of the file names; `complete` adds titles and scales to a figure; `table` returns the lines that are
-    printed after the summary.
+    `kind`: ending of the file names; `title`: what is drawn; `complete` adds scales and captions to a figure; `table`
+    returns the lines that are printed after the summary.
     """
     stems = separate_stems(paths, output, kind)
     check_outputs(paths, *(with_ending(stem, ending) for stem in stems for ending in ("png", "svg", "csv")))
     files: list[Path] = []
     lines: list[str] = []
     for path, stem in zip(paths, stems, strict=True):
-        result = evaluate(recordings.of(path))
+        rec = recordings.of(path)
+        result = evaluate(rec)
         with new_figure(4.6) as figure:
             axes = figure.add_subplot()
             result.draw(axes)
             complete(result, figure, axes)
+            add_title(axes, f"{title}: {rec.scene.name} ({excitation_text(rec)})")
             files += save_figure(figure, stem)
         columns = result.columns()
         files.append(write_table(with_ending(stem, "csv"), list(columns), zip(*columns.values(), strict=True)))

@@ -10,7 +10,7 @@ from analysis.commands.presentation.figures_of_recordings import present_each
 from analysis.commands.presentation.outputs import CommandOutput
 from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.signals.profile_check import ProfileCheck, profile
-from rig.core.base.figure_style import add_legend_below, add_title, set_log_scale
+from rig.core.base.figure_style import add_legend_below, frequency_axis, log_axis
 from rig.core.results.text import table_lines
 
 if TYPE_CHECKING:
@@ -21,14 +21,16 @@ if TYPE_CHECKING:
 @with_recordings
 def present_profile(recordings: OpenRecordings, paths: Sequence[Path], output: Path | None = None) -> CommandOutput:
     """Draw and tabulate each recording; `output`: folder, by default that of the recording."""
-    return present_each(recordings, paths, output, "profile", profile, _complete, channel_lines)
+    return present_each(recordings, paths, output, "profile", "Controlled motion", profile, _complete, channel_lines)
 
 
 def _complete(result: ProfileCheck, figure: Figure, axes: Axes) -> None:
-    for axis in (axes.xaxis, axes.yaxis):
-        set_log_scale(axis)
-    add_title(axes, "Control and limited channels at full level")
-    add_legend_below(figure, f"Band: tolerance of {result.tolerance:g} dB. Dashed: limits.")
+    frequency_axis(axes, float(result.frequency[0]), float(result.frequency[-1]), True)
+    log_axis(axes, [result.control, result.profile, *(level.values for level in result.limited)], 5.0)
+    sentences = [f"Band: tolerance of {result.tolerance:g} dB."]
+    if result.limited:
+        sentences.append("Dashed: limits. Strips: a limit keeps the control below the tolerance.")
+    add_legend_below(figure, *sentences)
 
 
 def channel_lines(check: ProfileCheck) -> list[str]:

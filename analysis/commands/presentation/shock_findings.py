@@ -14,12 +14,13 @@ from analysis.commands.presentation.outputs import (
     with_recording_name,
 )
 from analysis.commands.presentation.tables import Row, write_table
-from analysis.core.recordings.names import OpenRecordings, scene_labels, with_recordings
+from analysis.core.recordings.names import OpenRecordings, excitation_text, scene_labels, with_recordings
 from analysis.core.responses.measurands import select_channels
-from analysis.core.signals.shock_spectrum import ShockSpectrum, srs
+from analysis.core.signals.shock_spectrum import ShockSpectrum, prescribed_spectrum, srs
 from daq.core.recording.recorded_test import shocks_of
 from rig.core.base.escaping import escape_figure
-from rig.core.base.figure_style import add_legend_below, add_title, new_figure, save_figure, set_log_scale
+from rig.core.base.figure_style import COLORS, add_legend_below, add_title, new_figure, save_figure, set_log_scale
+from rig.core.base.palette import REFERENCE, place_style
 from rig.core.results.text import table_lines
 
 if TYPE_CHECKING:
@@ -40,7 +41,8 @@ def present_srs(
 ) -> CommandOutput:
     """Draw and tabulate the shock response spectra of channels; those of several recordings are overlaid.
 
-    `channels`: default: all that measure motion of a body; for the other arguments see `srs`.
+    `channels`: default: all that measure motion of a body, and the control channel of the test; for the other arguments
+    see `srs`.
     """
     stem = output_stem(paths, output, "srs")
     table = with_ending(stem, "csv")
@@ -51,18 +53,29 @@ def present_srs(
     for path, label in zip(paths, scene_labels(recordings, paths), strict=True):
         rec = recordings.of(path)
         lines += pulse_lines(rec)
-        for name in select_channels(rec, channels) or list(rec.channels):
+        test = rec.scene.test
+        controlled = [] if test is None or channels else [str(name) for _, name in test.named_channels]
+        for name in dict.fromkeys([*controlled, *select_channels(rec, channels)]) or list(rec.channels):
             spectrum = srs(rec, name, q=q, lowest=lowest, highest=highest, from_s=from_s, to_s=to_s)
             spectra.append((label, spectrum))
             warnings += with_recording_name(path, spectrum.warnings)
+    places = {name: info.at for path in paths for name, info in recordings.of(path).channels.items()}
+    title, required = f"Shock response spectrum, Q = {q:g}", None
+    if len(paths) == 1:
+        rec = recordings.of(paths[0])
+        title += f": {rec.scene.name} ({excitation_text(rec)})"
+        required = prescribed_spectrum(rec, q, spectra[0][1].frequency)
     with new_figure(4.6) as figure:
         axes = figure.add_subplot()
         for index, (label, spectrum) in enumerate(spectra):
             name = f"{label}, {spectrum.channel}" if len(paths) > 1 else spectrum.channel
-            spectrum.draw(axes, color=f"C{index % 8}", label=escape_figure(name))
+            color = COLORS[index % len(COLORS)] if len(paths) > 1 else place_style(places[spectrum.channel]).color
+            spectrum.draw(axes, color=color, label=escape_figure(name))
+        if required is not None:
+            axes.loglog(*required, color=REFERENCE, lw=4.0, alpha=0.25, label="prescribed pulse")
         for axis in (axes.xaxis, axes.yaxis):
             set_log_scale(axis)
-        add_title(axes, f"Shock response spectrum, Q = {q:g}")
+        add_title(axes, title)
         add_legend_below(figure, "Solid: largest magnitude. Dashed: positive. Dotted: negative.")
         files = save_figure(figure, stem)
     rows: list[Row] = [

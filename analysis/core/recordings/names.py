@@ -160,7 +160,12 @@ def excitation_text(rec: Recording) -> str:
     stated = yaml.safe_load(write(test, rec.scene.structure))
     level = stated.get(rec.scene.level_key, "")
     levels = level if isinstance(level, list) else [level]
-    listed = f"{levels[0]} to {levels[-1]}" if len(levels) > 3 else ", ".join(map(str, levels))
+    listed = ", ".join(map(str, levels))
+    if len(levels) > 3:
+        first, last = str(levels[0]), str(levels[-1])
+        listed = f"{first.removesuffix(last[last.find(' ') :]) if ' ' in last else first} to {last}"
+    if test.held_motion is not None:
+        listed += f" at {rec.scene.structure.label(test.held_motion[0])}"
     return ", ".join(filter(None, [test.kind.replace("_", " "), listed]))
 
 

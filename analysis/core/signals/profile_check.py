@@ -19,6 +19,7 @@ from analysis.core.recordings.slices import interpolated, read_slices
 from daq.core.excitation.sweep_control import estimate_amplitudes, observation_samples
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
+from rig.core.base.palette import REFERENCE, place_styles
 from rig.core.numerics.runs import runs_of
 from rig.core.results import Result, complete_style
 from rig.core.scene.excitation.kind import Chirp
@@ -43,6 +44,7 @@ class Level:
     """Motion of a channel over frequency, with its 95 % interval, and its bound, all of shape (n,)."""
 
     channel: str
+    place: str  # of the sensor: "body 2", "table"
     values: Array
     low: Array
     high: Array
@@ -93,17 +95,26 @@ class ProfileCheck(Result):
         """Control relative to the profile, dB."""
         return self._decibels * np.log10(self.control / self.profile)
 
+    def excess(self, level: Level) -> Array:
+        """Return a limited channel relative to its limit, dB; NaN where there is no limit."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return self._decibels * np.log10(level.values / level.bound)
+
     def is_limited(self, level: Level) -> NDArray[np.bool_]:
         """Return at which frequencies a channel limits the drive."""
-        with np.errstate(invalid="ignore", divide="ignore"):
-            distance = self._decibels * np.log10(level.values / level.bound)
-        return np.asarray((distance > -_NOTCH_DB) & (self.deviation < 0.0), dtype=bool)
+        return np.asarray((self.excess(level) > -_NOTCH_DB) & (self.deviation < 0.0), dtype=bool)
+
+    @property
+    def is_reduced(self) -> NDArray[np.bool_]:
+        """At which frequencies a limit keeps the control below the tolerance."""
+        limiting = [self.is_limited(level) for level in self.limited]
+        return np.asarray(np.any([np.zeros(self.frequency.size, dtype=bool), *limiting], axis=0)
+                          & (self.deviation < -self.tolerance))  # fmt: skip
 
     @property
     def within(self) -> float:
-        """Fraction of the frequencies within the tolerance, without those that a limit reduces."""
-        reduced = np.any([self.is_limited(level) for level in self.limited], axis=0) if self.limited else False
-        return float(np.mean((abs(self.deviation) <= self.tolerance) | reduced))
+        """Fraction of the frequencies within the tolerance or reduced by a limit."""
+        return float(np.mean((abs(self.deviation) <= self.tolerance) | self.is_reduced))
 
     def notches(self) -> list[tuple[str, float, float]]:
         """Return channel, lowest and highest frequency of each band in which a limit reduces the drive, Hz."""
@@ -114,12 +125,20 @@ class ProfileCheck(Result):
         ]
 
     def summary(self) -> str:
-        """Return the fraction of frequencies within the tolerance, and the largest deviation."""
+        """Return the fractions of frequencies within the tolerance and reduced by limits, and the largest excesses."""
         worst = int(np.argmax(self.deviation))
-        return (
-            f"{self.label}: {100 * self.within:.1f} % of the frequencies within {self.tolerance:g} dB of the profile "
-            f"or reduced by a limit; highest {self.deviation[worst]:+.1f} dB at {self.frequency[worst]:.4g} Hz"
-        )
+        inside = np.mean(abs(self.deviation) <= self.tolerance)
+        parts = [f"{100 * inside:.1f} % of the frequencies within {self.tolerance:g} dB of the profile"]
+        if self.is_reduced.any():
+            parts.append(f"{100 * self.is_reduced.mean():.1f} % below it because of limits")
+        parts.append(f"highest {self.deviation[worst]:+.1f} dB at {self.frequency[worst]:.4g} Hz")
+        for level in self.limited:
+            excess = self.excess(level)
+            if (excess > 0.0).any():
+                highest = int(np.nanargmax(excess))
+                place = f"at {self.frequency[highest]:.4g} Hz"
+                parts.append(f"{level.channel} up to {excess[highest]:.1f} dB above its limit, {place}")
+        return f"{self.label}: {'; '.join(parts)}"
 
     def columns(self) -> Mapping[str, Array]:
         """Return frequency, profile, control, and values, interval and bound of each channel."""
@@ -130,15 +149,22 @@ class ProfileCheck(Result):
         return columns
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw control and limited channels with profile, tolerance and limits."""
+        """Draw control and limited channels with profile, tolerance, limits, and strips where a limit acts."""
         ratio = 10.0 ** (self.tolerance / self._decibels)
-        ax.loglog(self.frequency, self.profile, color="black", lw=1.0, label="profile")
+        ax.loglog(self.frequency, self.profile, color=REFERENCE, lw=1.0, label="profile")
         ax.fill_between(self.frequency, self.profile / ratio, self.profile * ratio, color="#999999", alpha=0.3, lw=0)
-        ax.loglog(self.frequency, self.control, **complete_style(style, label="control"))
-        for level in self.limited:
-            (line,) = ax.loglog(self.frequency, level.values, lw=0.9, label=level.channel)
-            ax.loglog(self.frequency, level.bound, "--", color=line.get_color(), lw=0.9)
-        ax.set(xlabel="frequency / Hz", ylabel=f"{'density' if 'Hz' in self.unit else 'amplitude'} / ({self.unit})")
+        control, *limited = place_styles([level.place for level in (self.channels[0], *self.limited)])
+        names = " and ".join(level.channel for level in self.channels)
+        ax.loglog(self.frequency, self.control, **complete_style(style, color=control.color, label=f"control: {names}"))
+        for level, limiting in zip(self.limited, limited, strict=True):
+            ax.loglog(self.frequency, level.values, color=limiting.color, lw=0.9, label=level.channel)
+            ax.loglog(self.frequency, level.bound, "--", color=limiting.color, lw=0.9)
+            acts = self.is_limited(level) & self.is_reduced
+            bottom = ax.get_xaxis_transform()
+            ax.fill_between(self.frequency, 0.0, 0.02, where=acts, transform=bottom, color=limiting.color, lw=0)
+        density = "acceleration spectral density"
+        ax.set(xlabel="frequency / Hz")
+        ax.set_ylabel(f"{density if 'Hz' in self.unit else 'acceleration amplitude'} / ({self.unit})")
 
 
 @takes_path
@@ -259,4 +285,5 @@ def _power_factor(info: ChannelInfo, frequency: Array) -> Array:
 def _level(rec: Recording, name: str, bound: Array, rows: tuple[Array, Array, Array], start: int, stop: int) -> Level:
     """Return the motion of a channel."""
     samples = _finite(rec, name, start, stop)
-    return Level(name, *rows, bound, float(np.std(samples)), float(stats.kurtosis(samples, fisher=False)))
+    rms, kurtosis = float(np.std(samples)), float(stats.kurtosis(samples, fisher=False))
+    return Level(name, rec.channels[name].at, *rows, bound, rms, kurtosis)

@@ -6,7 +6,7 @@ The method is that of ISO 18431-4 for the absolute acceleration (see `daq.core.d
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import floor, log2
+from math import ceil, floor, log2
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -179,6 +179,18 @@ def srs(
     # The response after the motion crosses zero, so that neither spectrum is negative.
     positive, negative = np.maximum(largest, 0.0), np.maximum(-smallest, 0.0)
     return ShockSpectrum(info.name, rec.scene.name, unit, q, frequency, positive, negative, warnings)
+
+
+def prescribed_spectrum(rec: Recording, q: float, frequency: Array) -> tuple[Array, Array] | None:
+    """Return natural frequencies (Hz) and maximax spectrum (m/s²) of the pulse of the test; None without a pulse."""
+    test = rec.scene.test
+    span = 0.0 if test is None else test.shortest
+    time = np.asarray((np.arange(ceil(span * rec.rate)) / rec.rate) - 0.5 * span, dtype=np.float64)
+    pulse = None if test is None else test.pulse(time)
+    if pulse is None:
+        return None
+    largest, smallest = shock_response(pulse[0], rec.rate, frequency, q)
+    return frequency, np.maximum(largest, -smallest)
 
 
 def _check_options(rec: Recording, q: float, lowest: float, highest: float, per_octave: int) -> None:

@@ -18,6 +18,7 @@ from analysis.core.recordings.names import takes_path
 from analysis.core.responses.frequency_responses import frequency_responses
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
+from rig.core.base.palette import place_styles
 from rig.core.results import Result, complete_style
 from rig.core.results.uncertainty import SENSITIVITY
 from rig.core.system.structural_model import structural_model
@@ -90,8 +91,10 @@ class Backbone(Result):
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the frequency against the amplitude."""
-        bars = complete_style(style, label=self.label, marker="o", markersize=4, capsize=2)
+        """Draw the frequency against the amplitude: the measured points, and a thin dotted line through them."""
+        color = place_styles([self.body])[0].color
+        line = {"color": color, "ls": ":", "lw": 0.8, "marker": "o", "markersize": 4}
+        bars = complete_style(style, label=self.label, capsize=2, elinewidth=1.0, **line)
         order = np.argsort(self.amplitude)
         ax.errorbar(
             self.frequency[order],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -32,7 +33,7 @@ _PNG_COMPRESSION = 3
 # Number of title characters that fit into the default width.
 _TITLE_CHARACTERS = 70
 # Powers of ten give too few labels if the limits of a logarithmic axis have a smaller ratio than this.
-_MIN_DECADE_RATIO = 50.0
+_MIN_DECADE_RATIO = 300.0
 # Smallest and largest value of a logarithmic axis that matplotlib can draw.
 _DRAWABLE_RANGE = 1e-250, 1e250
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -142,8 +143,9 @@ def add_title(axes: Axes, text: str) -> None:
     from matplotlib.ticker import ScalarFormatter
 
     has_exponent = isinstance(axes.yaxis.get_major_formatter(), ScalarFormatter)
-    lines = wrap(escape_figure(text), _TITLE_CHARACTERS)
-    axes.set_title("\n".join(lines), y=None if has_exponent else 1.0)
+    # A number and its unit stay on one line.
+    lines = wrap(re.sub(r"(?<=\d) (?=[^\W\d]{1,3}\b)", "\u00a0", escape_figure(text)), _TITLE_CHARACTERS)
+    axes.set_title("\n".join(lines).replace("\u00a0", " "), y=None if has_exponent else 1.0)
 
 
 def frequency_axis(axes: Axes, low: float, high: float, labeled: bool) -> None:
@@ -186,6 +188,17 @@ def _decade_label(value: float, position: float) -> str:
     return f"{value:g}" if -4 <= exponent <= 4 else f"10{str(exponent).translate(_SUPERSCRIPTS)}"
 
 
+def _plain_label(value: float) -> str:
+    """Label a value without an exponent, or with a power of ten.
+
+    >>> _plain_label(0.02), _plain_label(2e-6), _plain_label(1e-6)
+    ('0.02', '2·10⁻⁶', '10⁻⁶')
+    """
+    mantissa, _, exponent = f"{value:g}".partition("e")
+    power = f"10{str(int(exponent or 0)).translate(_SUPERSCRIPTS)}"
+    return mantissa if not exponent else power if mantissa == "1" else f"{mantissa}·{power}"
+
+
 def round_ticks(low: float, high: float, max_ticks: int = 8) -> list[float]:
     """Select at most `max_ticks` round numbers on a logarithmic axis; even steps if there are too few.
 
@@ -220,7 +233,7 @@ def set_log_scale(axis: Axis, max_ticks: int = 8, factor: float = 1.0) -> None:
 
     axis.axes.set(**{f"{axis.axis_name}scale": "log"})  # type: ignore[attr-defined]
     axis.set_major_locator(RoundTicks())
-    axis.set_major_formatter(lambda value, _: f"{factor * value:g}")
+    axis.set_major_formatter(lambda value, _: _plain_label(factor * value))
     axis.set_minor_formatter(NullFormatter())
 
 

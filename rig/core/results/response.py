@@ -46,7 +46,7 @@ _MAX_PEAK_UNCERTAINTY_RATIO = 0.5
 # more than this fraction. With fewer lines than this in all, the lines are joined.
 _POINTS_BETWEEN = 16
 _MAX_STEP = 0.1
-_MIN_CONTINUED = 6
+_MIN_CONTINUED = 12
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,30 @@
+"""Comparison of controlled motion with its profile, on constructed densities."""
+
+import numpy as np
+
+from analysis.core.signals.profile_check import Level, ProfileCheck
+
+FREQUENCY = np.arange(10.0, 20.0)
+NONE = np.full(10, np.nan)
+
+
+def check(control, unit):
+    """A check with the profile 1 and the limit 2 of a channel."""
+    limited = Level("unit", "body 1", unit, NONE, NONE, np.full(10, 2.0), 1.0, 3.0)
+    controlled = Level("table", "table", control, NONE, NONE, np.ones(10), 1.0, 3.0)
+    return ProfileCheck("test", "(m/s²)²/Hz", FREQUENCY, control, np.ones(10), (controlled,), (limited,), 3.0, 6.0)
+
+
+def test_summary_states_limits_and_their_excess():
+    control, unit = np.ones(10), np.full(10, 0.1)
+    control[3:5], unit[3:5] = 0.1, [2.0, 2.52]
+    text = check(control, unit).summary()
+    assert "80.0 % of the frequencies within 3 dB" in text and "20.0 % below it because of limits" in text
+    assert "unit up to 1.0 dB above its limit, at 14 Hz" in text
+
+
+def test_low_control_without_limit_is_outside():
+    control = np.ones(10)
+    control[3] = 0.1
+    result = check(control, np.full(10, 0.1))
+    assert result.within == 0.9 and not result.is_reduced.any()

@@ -13,6 +13,7 @@ import analysis
 import daq
 import rig
 from analysis.commands.cli import app
+from analysis.core.signals.shock_spectrum import prescribed_spectrum
 from daq.core.excitation.spectrum_shaping import lines_between
 from daq.core.excitation.wave_replication import HalfSinePulse, Replication, SpectrumPulse
 from rig.core.base.errors import RecordingError, SceneError
@@ -178,6 +179,14 @@ def test_recorded_shock_is_evaluated(shock: Path, tmp_path: Path) -> None:
     assert spectrum.maximax.max() == pytest.approx(1.65 * 49.0, rel=0.1)
     with pytest.raises(RecordingError, match=r"a shock has no frequency responses\. Use `analysis srs"):
         analysis.frfs(shock)
+
+
+def test_spectrum_follows_prescribed_pulse(shock: Path) -> None:
+    with daq.open(shock) as rec:
+        spectrum = analysis.srs(rec, "table", highest=300.0)
+        prescribed = prescribed_spectrum(rec, 10.0, spectrum.frequency)
+    assert prescribed is not None
+    assert spectrum.maximax == pytest.approx(prescribed[1], rel=0.05)
 
 
 def test_report_shows_shock(shock: Path, tmp_path: Path) -> None:

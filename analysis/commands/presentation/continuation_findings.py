@@ -12,7 +12,7 @@ from analysis.commands.presentation.figures_of_recordings import present_each
 from analysis.commands.presentation.outputs import CommandOutput
 from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.tracking.continuation import AmplitudeCurve, continuation
-from rig.core.base.figure_style import add_title
+from rig.core.base.figure_style import add_caption
 from rig.core.base.palette import REFERENCE
 from rig.core.orbits.branches import follow_orbits
 from rig.core.orbits.orbit_curve import OrbitBranch
@@ -69,10 +69,11 @@ def present_continuation(
             axes.plot(branch.value, stable, color=REFERENCE, lw=0.8, zorder=1, label=label)
             axes.plot(branch.value, 1e3 * amplitude, "--", color=REFERENCE, lw=0.5, zorder=1)
         axes.legend()
-        add_title(axes, "Response at constant level; hollow: unstable, crosses: folds")
+        add_caption(figure, "Hollow: unstable. Crosses: folds.")
 
+    title = "Response at constant level"
     return present_each(
-        recordings, paths, output, "continuation", evaluate, complete, lambda result: fold_lines(result, exact)
+        recordings, paths, output, "continuation", title, evaluate, complete, lambda result: fold_lines(result, exact)
     )
 
 

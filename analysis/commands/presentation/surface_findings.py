@@ -10,7 +10,7 @@ from analysis.commands.presentation.figures_of_recordings import present_each
 from analysis.commands.presentation.outputs import CommandOutput
 from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.tracking.force_surface import ForceSurface, force_surface
-from rig.core.base.figure_style import add_title
+from rig.core.base.figure_style import add_caption
 from rig.core.results import format_number
 from rig.core.results.text import table_lines
 
@@ -32,10 +32,12 @@ def present_surface(
                 draw_response(result, force, axes, f"C{number}")
             axes.set(xlabel="frequency / Hz", ylabel=f"amplitude of {result.body} / mm")
         axes.legend()
-        add_title(axes, "Response at constant force; hollow: unstable" if forces else "Force at constant amplitude")
+        if forces:
+            add_caption(figure, "Hollow: unstable.")
 
+    title = "Response at constant force" if forces else "Force at constant amplitude"
     return present_each(
-        recordings, paths, output, "surface", force_surface, complete, lambda result: fold_lines(result, forces)
+        recordings, paths, output, "surface", title, force_surface, complete, lambda result: fold_lines(result, forces)
     )
 
 

@@ -126,6 +126,7 @@ def test_test_is_foreseen() -> None:
 
 
 def test_command_prints_the_backbone(recording: Path, tmp_path: Path) -> None:
+    assert f"next      analysis backbone {recording}" in str(daq.info(recording))
     result = CliRunner().invoke(app, ["backbone", str(recording), "-o", str(tmp_path)])
     assert result.exit_code == 0 and "2 levels, body 1" in result.stdout
     assert len(list(tmp_path.iterdir())) == 3

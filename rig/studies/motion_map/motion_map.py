@@ -392,6 +392,8 @@ def _draw(map_: MotionMap) -> Figure:
             handles.append(Line2D([], [], color="black", lw=1.2, label="1 g; dampers fly above this line"))
         if map_.own_value is not None:
             handles.append(Line2D([], [], color="black", lw=1.0, ls="--", label=f"{map_.over} of the scene"))
+        if not np.isfinite(settling).all():
+            handles.append(Patch(facecolor="white", edgecolor="black", lw=0.5, label="does not settle (right)"))
         figure.legend(handles=handles, loc="outside lower center", ncols=5)
-        figure.suptitle(escape_figure(map_.scene.name))
+        figure.suptitle(f"{escape_figure(map_.scene.name)} (computed)")
         return figure

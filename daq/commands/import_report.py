@@ -69,8 +69,7 @@ def _detection_lines(recording: Recording, scene: Scene) -> Iterator[str]:
         peaks = [float(hit.fields["peak"]) for hit in hits]
         test, count = scene.test, len(hits)
         # A default of the settings is not the plan of the test.
-        is_planned = test is not None and "repeats" in test.model_fields_set
-        planned = int(getattr(test, "repeats", count)) if is_planned else count
+        planned = test.hits[0] if test is not None and "repeats" in test.model_fields_set else count
         share = f"{count} of {planned} hits" if count < planned else "1 hit" if count == 1 else f"{count} hits"
         plan = "" if count == planned else f" (test.repeats is {planned})"
         peak_range = f"a peak of {peaks[0]:.3g} N" if count == 1 else f"peaks of {min(peaks):.3g} to {max(peaks):.3g} N"

@@ -23,6 +23,7 @@ from rig.core.base.palette import REFERENCE, place_styles
 from rig.core.numerics.runs import runs_of
 from rig.core.results import Result, complete_style
 from rig.core.scene.excitation.kind import Chirp
+from rig.core.scene.excitation.profile import limits_drive
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -102,7 +103,7 @@ class ProfileCheck(Result):
 
     def is_limited(self, level: Level) -> NDArray[np.bool_]:
         """Return at which frequencies a channel limits the drive."""
-        return np.asarray((self.excess(level) > -_NOTCH_DB) & (self.deviation < 0.0), dtype=bool)
+        return limits_drive(-self.deviation, -self.excess(level), _NOTCH_DB)
 
     @property
     def is_reduced(self) -> NDArray[np.bool_]:

@@ -128,10 +128,10 @@ def backbone(rec: Recording) -> Backbone:
         If the recording contains no test of phase resonance.
     """
     markers = [marker for marker in rec.markers if marker.kind == "measure" and "phase" in marker.fields]
-    if not markers:
+    held = None if rec.scene.test is None else rec.scene.test.held_phase
+    if held is None or not markers:
         raise RecordingError(f"{rec.path}: no phase was held. Record a test of kind phase_resonance.")
-    test = rec.scene.test
-    body, wanted = getattr(test, "at", "body 1"), float(getattr(test, "phase", -np.pi / 2))
+    body, wanted = held
     mass = structural_model(rec.scene).mass
     driven = rec.scene.force_on
     rows = []

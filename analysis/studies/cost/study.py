@@ -184,7 +184,7 @@ def _test(scene: Scene, frequencies: tuple[float, ...]) -> SteppedSine:
     slowest_decay_rate = max(
         float(structural_model(scene).modes.decay_rate.min()), MAX_WAIT_DECAY_TIMES / MAX_TIMEOUT_S
     )
-    level_key = "force" if getattr(scene.test, "force", None) is not None else "drive"
+    level_key = "force" if scene.level_key == "force" else "drive"
     return SteppedSine(
         **{level_key: level_of(scene)},
         frequencies=frequencies,

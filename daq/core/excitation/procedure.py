@@ -5,7 +5,7 @@ The module of a kind in this package defines a subclass of `Procedure` and its o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
 
@@ -64,6 +64,10 @@ class Procedure(Generic[TestT]):
     def excite(self, station: Station, test: TestT) -> Excitation:
         """Run the test."""
         raise NotImplementedError
+
+    def check(self, test: TestT, scene: Scene, channels: Sequence[ChannelInfo]) -> Iterable[str]:
+        """Return lines about the test that follow from the scene before it runs; `channels`: those of the bench."""
+        return ()
 
     def noise_gain(self, test: TestT, frequency: Array) -> Array | None:
         """Return the ratio of amplitude to noise of a measurement for a level and a noise density of 1, sqrt(s).

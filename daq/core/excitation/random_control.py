@@ -17,7 +17,7 @@ from daq.core.excitation.spectrum_control import SCATTER_DB, AveragedSpectra, No
 from daq.core.excitation.spectrum_shaping import lines_between
 from daq.core.excitation.station import Excitation, GivenUp, Station
 from rig.core.base.arrays import Array
-from rig.core.scene.excitation.random_control import excess
+from rig.core.scene.excitation.profile import limits_drive
 
 if TYPE_CHECKING:
     from rig.core.scene.excitation import RandomControl
@@ -44,36 +44,24 @@ class SpectrumControl:
         self.period = 2 * max(2, round(rate / test.resolution / 2.0))
         self.lines = lines_between(*test.band, self.period, rate)
         self.frequency = self.lines * rate / self.period
-        self.profile = test.profile.at(self.frequency)
-        self.control = len(test.control.channels)
         self.rows = [station.row_of(name) for _, name in test.named_channels]
-        self.limits = np.array([limit.at(self.frequency) for limit in test.limits]).reshape(-1, self.lines.size)
         factors = np.array([abs(station.acceleration_factor(row, self.frequency)) ** 2 for row in self.rows])
         self.spectra = AveragedSpectra(factors, self.lines, self.period, rate)
         self.drive = np.zeros(self.lines.size)
         self.source = NoiseSource(station.generator("random control"), self.lines, self.period, rate)
         self.clipped = self.total = 0
 
-    def correction(self, density: Array) -> Array:
-        """Return the required ratio of the densities at each line; `density`: of the channels, at full level."""
-        control = self.profile / np.maximum(self.combined(density), 1e-300)
-        notches = self.limits / np.maximum(density[self.control :], 1e-300)
-        return np.fmin(control, np.fmin.reduce(notches, axis=0)) if len(self.limits) else control
-
-    def combined(self, density: Array) -> Array:
-        """Return the density of the control channels."""
-        return self.test.control.combined(density[: self.control])
-
     def identify(self) -> Generator[Array, Array, None]:
         """Identify the responses to the drive; the drive then follows from the profile and the limits."""
         resolution = self.station.rate / self.period
-        required = np.sqrt(2.0 * self.profile * resolution)
-        rms = np.sqrt(np.nansum(self.limits, axis=1) * resolution)
-        largest = np.concatenate([np.full(self.control, np.inf), np.where(rms > 0.0, rms, np.inf)])
+        test = self.test
+        required = np.sqrt(2.0 * test.profile.at(self.frequency) * resolution)
+        sums = [float(np.nansum(limit.at(self.frequency))) for limit in test.limits]
+        largest = np.sqrt([np.inf] * len(test.control.channels) + [s * resolution if s > 0.0 else np.inf for s in sums])
         found = yield from identify(
             self.station, self.rows, self.lines, self.period, required, largest, "random control identification"
         )
-        self.drive = self.correction(np.abs(found.gain) ** 2)
+        self.drive = test.prescription.required(np.abs(found.gain) ** 2, self.frequency).min(axis=0)
         self._check_output()
 
     def _check_output(self) -> None:
@@ -101,10 +89,8 @@ class SpectrumControl:
     def assess(self, density: Array, level: float) -> float:
         """Give up if too many lines are above the abort line; return the fraction of lines within the tolerance."""
         test, margin = self.test, _SIGMAS * SCATTER_DB / np.sqrt(self.spectra.count)
-        deviation = excess(self.combined(density), self.profile)
-        # At a notch the drive is reduced on purpose.
-        limited = np.max([excess(y, bound) for y, bound in zip(density[self.control :], self.limits, strict=True)] or
-                        [np.full(deviation.shape, -np.inf)], axis=0)  # fmt: skip
+        required = test.prescription.decibels(test.prescription.required(density, self.frequency))
+        deviation = -required[0]
         above = deviation > test.abort + margin
         worst = int(np.argmax(deviation))
         if np.mean(above) > test.abort_lines:
@@ -113,7 +99,7 @@ class SpectrumControl:
                 f"{test.abort:g} dB, most at {self.frequency[worst]:.4g} Hz ({deviation[worst]:.1f} dB). Reduce speed, "
                 "or add a limit."
             )
-        is_notched = (deviation < 0.0) & (limited > -test.tolerance)
+        is_notched = limits_drive(required[0], required[1:], test.tolerance).any(axis=0)
         within = (abs(deviation) <= test.tolerance + margin) | is_notched
         self.outside = int(np.sum(~within))
         self.worst = float(deviation[int(np.argmax(np.where(is_notched, 0.0, abs(deviation))))])
@@ -121,7 +107,8 @@ class SpectrumControl:
 
     def update(self, density: Array) -> None:
         """Correct the drive."""
-        self.drive = updated(self.drive, self.correction(density), self.test.speed, self.spectra.count)
+        ratio = self.test.prescription.required(density, self.frequency).min(axis=0)
+        self.drive = updated(self.drive, ratio, self.test.speed, self.spectra.count)
 
 
 def excite(station: Station, test: RandomControl) -> Excitation:

@@ -2,22 +2,26 @@
 
 After each window, the drive amplitude d changes by ln d += gain * clip(ln ratio), where the ratio is the smallest of
 profile / control and limit / response of the limited channels (notching; S. Ricci, B. Peeters, R. Fetter, D. Boland, J.
-Debille, Virtual shaker testing, IMAC 2009). An integrator with a delay of m windows is stable for a gain below
-2 sin(pi / (2 (2m + 1))). In a sweep, the deviation at a resonance with the damping ratio D and the decay rate d is
-S (T / gain + 1 / d) / (2 D) in ln, for the relative sweep rate S and the window T. The check before the test uses the
-slope of the required drive, whose largest value is 1 / (2 D).
+Debille, Virtual shaker testing, IMAC 2009). `sine_control_check.py` contains the stability of this loop.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from math import ceil, log, pi, sin
+from collections.abc import Generator, Iterable, Sequence
+from math import log
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from daq.core.excitation.identification import EXPECTED_PERIODS, Identified, identify
 from daq.core.excitation.procedure import Form, Procedure
+from daq.core.excitation.sine_control_check import (
+    OBSERVATION_PERIODS,
+    WINDOW_PERIODS,
+    check_sweep,
+    loop_delay,
+    loop_gain,
+)
 from daq.core.excitation.spectrum_shaping import lines_between
 from daq.core.excitation.station import Excitation, GivenUp, Station
 from daq.core.excitation.sweep_control import estimate_amplitudes, observation_samples
@@ -26,18 +30,15 @@ from rig.core.numerics.runs import runs_of
 from rig.core.results.text import format_decimals
 from rig.core.scene.excitation.profile import in_decibels
 from rig.core.scene.scene import Scene
-from rig.core.system.assembly import assemble
-from rig.core.system.open_loop_drive import riding_response
 from rig.core.system.structural_model import structural_model
 
 if TYPE_CHECKING:
+    from daq.core.signal_chain.channel import ChannelInfo
     from rig.core.scene.excitation import SineControl
 
 
-# The drive changes after this number of periods, and at least this number of samples.
-_WINDOW_PERIODS, _MIN_WINDOW_SAMPLES = 1.0, 4
-# An observation takes four periods: free vibrations at lower resonances then hardly change it.
-_OBSERVATION_PERIODS = 4.0
+# The drive changes at the earliest after this number of samples.
+_MIN_WINDOW_SAMPLES = 4
 # Largest change of the logarithmic drive per gain: steps down are larger than steps up.
 _MAX_DECREASE, _MAX_INCREASE = log(4.0), log(1.5)
 # Period of the identification, s and periods of the lowest frequency.
@@ -47,8 +48,6 @@ _IDENTIFICATION_S, _IDENTIFICATION_PERIODS = 2.0, 8.0
 _START_DB, _START_WINDOWS, _MAX_START_S = 0.5, 6, 30.0
 # Time in which the drive rises at the start and falls at the end, s.
 _RISE_S = 0.25
-# Number of frequencies at which the slope of the drive is computed before the test.
-_CHECKED_FREQUENCIES = 2000
 # An oscillation of the logarithmic error above this reduces the gain by a factor; it recovers with a power.
 _OSCILLATION, _REDUCTION, _RECOVERY = 0.05, 0.7, 0.95
 # The smallest factor.
@@ -69,37 +68,14 @@ class Observation(NamedTuple):
     limiting: int  # index of the limit that determines the drive; -1: the profile
 
 
-def loop_gain(speed: float, delay: float) -> float:
-    """Return the gain for a delay in windows; `speed`: relative to the limit of stability.
-
-    >>> [round(loop_gain(1.0, delay), 2) for delay in (1, 2, 3)]
-    [1.0, 0.62, 0.45]
-    """
-    return speed * 2.0 * sin(pi / (2.0 * (2.0 * ceil(delay) + 1.0)))
-
-
 def next_drive(drive: float, ratio: float, gain: float) -> float:
     """Return the next drive amplitude; `ratio`: required over measured amplitude."""
     return drive * float(np.exp(gain * np.clip(log(max(ratio, 1e-12)), -_MAX_DECREASE, _MAX_INCREASE)))
 
 
-def sweep_deviation(test: SineControl, frequency: float, slope: float, latency: float = 0.0) -> float:
-    """Return the deviation in dB where the drive has a slope d ln(drive) / d ln(frequency); `latency`: s.
-
-    The largest slope at a resonance is 1 / (2 D).
-    """
-    lag = _WINDOW_PERIODS / frequency / loop_gain(test.speed, _delay(frequency, latency)) + slope / (pi * frequency)
-    return float(20.0 / log(10.0) * test.rate_at(frequency) * slope * lag)
-
-
-def _delay(frequency: float, latency: float) -> float:
-    """Return the delay of the loop in windows: an observation, and the latency, s."""
-    return (_OBSERVATION_PERIODS + latency * frequency) / _WINDOW_PERIODS
-
-
 def _observation_samples(frequency: float, rate: float) -> int:
     """Return the number of samples of an observation at a frequency in Hz."""
-    return max(observation_samples(frequency, rate), round(_OBSERVATION_PERIODS * rate / frequency))
+    return max(observation_samples(frequency, rate), round(OBSERVATION_PERIODS * rate / frequency))
 
 
 class Caution:
@@ -125,7 +101,7 @@ class SineSweep:
     def __init__(self, station: Station, test: SineControl) -> None:
         self.station, self.test = station, test
         self.rows = [station.row_of(name) for _, name in test.named_channels]
-        self.control = len(test.control.channels)
+        self.prescription = test.prescription
         self.total, self.completed = station.samples(test.duration), 0
         self.drive, self.phase = 0.0, 0.0
         self.observations: list[Observation] = []
@@ -133,22 +109,10 @@ class SineSweep:
         self.limited = False  # whether the output limited the drive
         self._caution = Caution()
 
-    def bounds(self, frequency: float) -> tuple[float, Array]:
-        """Return profile and limits at a frequency, m/s^2; infinite without a limit."""
-        limits = np.array([float(limit.at(np.array(frequency))) for limit in self.test.limits])
-        return float(self.test.profile.at(np.array(frequency))), np.where(np.isfinite(limits), limits, np.inf)
-
-    def ratios(self, amplitudes: Array, frequency: float) -> Array:
-        """Return required over measured amplitude: of the control, and of each limited channel."""
-        profile, limits = self.bounds(frequency)
-        control = max(float(self.test.control.combined(amplitudes[: self.control])), 1e-12 * profile)
-        return np.append(profile / control, limits / np.maximum(amplitudes[self.control :], 1e-12 * profile))
-
     def first_drive(self, found: Identified, period: int) -> float:
         """Return the drive at the first frequency; give up if the output cannot drive the sweep."""
         frequency = found.lines * self.station.rate / period
-        gains = zip(np.abs(found.gain).T, frequency.tolist(), strict=True)
-        drive = [float(self.ratios(gain, f).min()) for gain, f in gains]
+        drive = self.prescription.required(np.abs(found.gain), frequency).min(axis=0).tolist()
         worst = int(np.argmax(drive))
         place = f"at {frequency[worst]:.4g} Hz the profile"
         self.station.check_output(drive[worst], place, "Lower the profile there.")
@@ -188,8 +152,8 @@ class SineSweep:
         amplitudes = self.observe(frequency)
         drive, observation = self.drive, None
         if amplitudes is not None:
-            ratios = self.ratios(amplitudes, frequency)
-            gain = loop_gain(self.test.speed, _delay(frequency, self.station.latency / self.station.rate))
+            ratios = self.prescription.required(amplitudes[:, None], np.array([frequency]))[:, 0]
+            gain = loop_gain(self.test.speed, loop_delay(frequency, self.station.latency / self.station.rate))
             error = float(np.clip(log(max(ratios.min(), 1e-12)), -_MAX_DECREASE, _MAX_INCREASE))
             drive = next_drive(self.drive, float(ratios.min()), gain * self._caution.factor(error))
             self.limited |= drive > self.station.output_limit
@@ -209,7 +173,7 @@ class SineSweep:
 
 def excite(station: Station, test: SineControl) -> Excitation:
     """Run the sweep; it is marked `measure`, its deviations `tolerance`, and the bands of the limits `notch`."""
-    warning = slow_sweep_warning(station, test, test.tolerance)
+    warning = check_sweep(test, station.scene, station.channels, station.latency / station.rate).warning
     if warning:
         station.warn(warning)
     sweep, (low, high) = SineSweep(station, test), test.band
@@ -219,7 +183,9 @@ def excite(station: Station, test: SineControl) -> Excitation:
     # Together, the tones are as large as the profile.
     required = test.profile.at(np.clip(frequency, low, high)) / np.sqrt(lines.size)
     largest = [np.nanmin(limit.at(frequency), initial=np.inf) / np.sqrt(2.0) for limit in test.limits]
-    limits = np.array([np.inf] * sweep.control + [value if np.isfinite(value) else np.inf for value in largest])
+    limits = np.array(
+        [np.inf] * len(test.control.channels) + [value if np.isfinite(value) else np.inf for value in largest]
+    )
     found = yield from identify(station, sweep.rows, lines, period, required, limits, "sine control")
     first, target = station.now, sweep.first_drive(found, period)
     samples = _window_samples(test.from_, station.rate)
@@ -281,33 +247,6 @@ def _mark(sweep: SineSweep, first: int) -> None:
         )
 
 
-def slow_sweep_warning(station: Station, test: SineControl, tolerance: float) -> str:
-    """Return a warning about the frequency at which the sweep is fastest for a tolerance in dB; empty if there is none.
-
-    It uses the slopes of the required drive of the linear scene, with all dampers on their floors.
-    """
-    scene, sweep = station.scene, SineSweep(station, test)
-    system, (low, high) = assemble(scene), test.band
-    frequency = np.geomspace(low, high, _CHECKED_FREQUENCIES)
-    states = riding_response(system, scene.at_driven("shaker"), 2.0 * pi * frequency)
-    points = [system.points.index(station.channels[row].at) for row in sweep.rows]
-    amplitudes = np.abs(states[points]) * (2.0 * pi * frequency) ** 2
-    drive = [float(sweep.ratios(column, f).min()) for column, f in zip(amplitudes.T, frequency.tolist(), strict=True)]
-    slopes = abs(np.gradient(np.log(drive), np.log(frequency)))
-    latency = station.latency / station.rate
-    deviations = [
-        sweep_deviation(test, f, s, latency) for f, s in zip(frequency.tolist(), slopes.tolist(), strict=True)
-    ]
-    worst = int(np.argmax(deviations))
-    if deviations[worst] <= tolerance:
-        return ""
-    octaves = test.rate_at(float(frequency[worst])) / log(2.0) * 60.0 * tolerance / deviations[worst]
-    return (
-        f"at {frequency[worst]:.4g} Hz (damping {50.0 / slopes[worst]:.2g} %) the sweep exceeds the tolerance of "
-        f"{tolerance:g} dB above {octaves:.2g} oct/min. Give a longer duration."
-    )
-
-
 def _identification_seconds(test: SineControl) -> float:
     """Return the period of the identification, s."""
     return max(_IDENTIFICATION_S, _IDENTIFICATION_PERIODS / test.band[0])
@@ -315,7 +254,7 @@ def _identification_seconds(test: SineControl) -> float:
 
 def _window_samples(frequency: float, rate: float) -> int:
     """Return the number of samples of a window at a frequency in Hz."""
-    return max(_MIN_WINDOW_SAMPLES, round(_WINDOW_PERIODS * rate / frequency))
+    return max(_MIN_WINDOW_SAMPLES, round(WINDOW_PERIODS * rate / frequency))
 
 
 class SineControlProcedure(Procedure["SineControl"]):
@@ -326,6 +265,10 @@ class SineControlProcedure(Procedure["SineControl"]):
     def excite(self, station: Station, test: SineControl) -> Excitation:
         """Run the test."""
         return excite(station, test)
+
+    def check(self, test: SineControl, scene: Scene, channels: Sequence[ChannelInfo]) -> Iterable[str]:
+        """Return the expected deviation from the profile, and the bands of the limits."""
+        return check_sweep(test, scene, channels).lines()
 
     def waits(self, test: SineControl, scene: Scene) -> float:
         """Return the expected time of the identification and of the start, s."""

@@ -187,6 +187,7 @@ class _Assessment:
                 largest_level = min(largest_level, second_level)
         seconds = self._test_duration()
         signals = lowest_signal_to_noise(self.scene, self.bench.channels)
+        test = test_of(self.scene)
         last_blocks = chain.from_iterable(part.last_blocks for part in self.rehearsed_test.parts)
         return Foresight(
             scene=self.scene.name,
@@ -209,6 +210,7 @@ class _Assessment:
             disk=recording_size(self.scene, self.bench, last_blocks, seconds),
             rehearsed=self.rehearsed_test.rehearsed,
             outside=outside_band(self.scene),
+            checks=tuple(procedure_of(test).check(test, self.scene, self.bench.channels)),
         )
 
     def _channels(self) -> Iterable[Expectation]:

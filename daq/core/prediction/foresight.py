@@ -95,6 +95,7 @@ class Foresight(Result):
     disk: float = 0.0  # size of its recording, bytes
     rehearsed: str = ""  # description of the part that was simulated (rehearsed); "" for the whole test
     outside: tuple[str, ...] = ()  # line about modes outside the band of the test
+    checks: tuple[str, ...] = ()  # lines of the check of the test's controller
 
     @property
     def fits(self) -> bool:
@@ -162,7 +163,7 @@ class Foresight(Result):
             signal = str(self.signals[entry.name]) if entry.name in self.signals else ""
             rows.append((entry.name, format_quantity(entry.largest, entry.unit), entry.place, limit, share, signal))
         about = "about " if self.rehearsed else ""
-        lines = [*self.unread, *self.flights, *self.outside]
+        lines = [*self.unread, *self.checks, *self.flights, *self.outside]
         lines.append(
             f"the test takes {about}{duration_text(self.seconds)} on the bench; its recording has about "
             f"{self.disk / 1e6:.3g} MB"

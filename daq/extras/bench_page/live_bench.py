@@ -93,6 +93,7 @@ class TestController:
         # The settings of the scene's test.
         band = None if test is None else test.band
         low, high = band if band is not None and band[0] < band[1] else _DEFAULT_BAND
+        hits, interval = (1, 0.0) if test is None else test.hits
         has_force = test is not None and test.level_key not in ("", "drive")
         self.settings = FormValues(
             kind=_DEFAULT_FORM if _DEFAULT_FORM in self.forms else next(iter(self.forms), _DEFAULT_FORM),
@@ -101,8 +102,8 @@ class TestController:
             low=low,
             high=high,
             duration=60.0,
-            interval=float(getattr(test, "interval", 0.0)),
-            hits=int(getattr(test, "repeats", 1)),
+            interval=interval,
+            hits=hits,
         )
         self.message = "ready" if self.forms else _NO_FORCE if self._scene.shakers else _NO_INPUT
         self.frf_unavailable_reason = ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ import analysis
 import daq
 import rig
 from analysis.commands.cli import app
-from daq.core.excitation.sine_control import Caution, loop_gain, next_drive
+from daq.core.excitation.sine_control import Caution, next_drive
+from daq.core.excitation.sine_control_check import loop_gain
 from rig.core.base.errors import SceneError
 from tests.daq.excitation.virtual_device import MarkedRun, run_device
 
@@ -120,6 +122,18 @@ def test_fast_sweep_is_named_before_the_test() -> None:
     warning = run.warnings[0]
     assert "(damping 2.8 %)" in warning and "the sweep exceeds the tolerance of 3 dB above" in warning
     assert not any("oct/min" in text for text in MarkedRun(scene()).warnings)
+
+
+def test_explain_states_deviation_and_limited_band() -> None:
+    text = str(daq.foresee(scene(limits=[LIMIT], duration="240 s")))
+    low, high = map(float, re.search(r"unit limits the drive from ([\d.]+) to ([\d.]+) Hz", text).groups())
+    assert low < 13.0 < high
+    assert "expected deviation of the control from the profile: at most " in text
+
+
+def test_explain_warns_of_fast_sweep() -> None:
+    text = str(daq.foresee(scene(control={"channels": ["unit"]}, duration="20 s", abort="30 dB")))
+    assert "(damping 2.8 %) the sweep exceeds the tolerance" in text
 
 
 def test_excess_aborts_with_zero_drive() -> None:

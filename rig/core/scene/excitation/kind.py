@@ -135,6 +135,16 @@ class KindOfTest(Settings):
         return None
 
     @property
+    def held_phase(self) -> tuple[str, float] | None:
+        """Location of the displacement whose phase relative to the force is held, and the phase, rad; None without."""
+        return None
+
+    @property
+    def hits(self) -> tuple[int, float]:
+        """Number of hits or pulses, and time between them, s; default: the keys `repeats` and `interval`."""
+        return int(getattr(self, "repeats", 1)), float(getattr(self, "interval", 0.0))
+
+    @property
     def driven(self) -> int | None:
         """Number of the driven shaker, from 1, if the test gives it."""
         return getattr(self, "shaker", None)

@@ -63,6 +63,11 @@ class PhaseResonance(KindOfTest):
             yield Problem(("frequency",), message)
 
     @property
+    def held_phase(self) -> tuple[str, float]:
+        """Body and phase of its displacement."""
+        return self.at, self.phase
+
+    @property
     def steady_state(self) -> Settle:
         """Criterion for the steady state of a level."""
         return self.settle

@@ -6,7 +6,6 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from rig.core.base.arrays import Array
 from rig.core.scene.excitation.kind import MAX_STEPS, Count, Duration, KindOfTest, ShakerNumber, Start
 from rig.core.scene.excitation.profile import (
     Control,
@@ -123,8 +122,3 @@ def named_channels(control: tuple[str, ...], limited: list[str]) -> Iterable[tup
         yield ("control", "channels", k), name
     for k, name in enumerate(limited):
         yield ("limits", k, "channel"), name
-
-
-def excess(values: Array, bound: Array) -> Array:
-    """Return densities relative to a bound in dB; -inf where the bound is not defined."""
-    return np.where(np.isfinite(bound), 10.0 * np.log10(np.maximum(values, 1e-300) / bound), -np.inf)

@@ -1,0 +1,105 @@
+"""Check of a sine test with profile control before it runs: deviations from the profile, and bands of the limits.
+
+The drive amplitude d is changed after each window by ln d += gain * ln(required / measured amplitude). An integrator
+with a delay of m windows is stable for a gain below 2 sin(pi / (2 (2m + 1))). In a sweep, the deviation at a resonance
+with the damping ratio D and the decay rate d is S (T / gain + 1 / d) / (2 D) in ln, for the relative sweep rate S and
+the window T. The check uses the slope of the required drive, whose largest value is 1 / (2 D).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from math import ceil, log, pi, sin
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from rig.core.numerics.runs import runs_of
+from rig.core.system.assembly import assemble
+from rig.core.system.open_loop_drive import riding_response
+
+if TYPE_CHECKING:
+    from daq.core.signal_chain.channel import ChannelInfo
+    from rig.core.scene.excitation import SineControl
+    from rig.core.scene.scene import Scene
+
+# The drive changes after this number of periods.
+WINDOW_PERIODS = 1.0
+# An observation takes four periods: free vibrations at lower resonances then hardly change it.
+OBSERVATION_PERIODS = 4.0
+# Number of frequencies at which the slope of the drive is computed.
+_FREQUENCIES = 2000
+
+
+def loop_gain(speed: float, delay: float) -> float:
+    """Return the gain for a delay in windows; `speed`: relative to the limit of stability.
+
+    >>> [round(loop_gain(1.0, delay), 2) for delay in (1, 2, 3)]
+    [1.0, 0.62, 0.45]
+    """
+    return speed * 2.0 * sin(pi / (2.0 * (2.0 * ceil(delay) + 1.0)))
+
+
+def loop_delay(frequency: float, latency: float) -> float:
+    """Return the delay of the loop in windows: an observation, and the latency, s."""
+    return (OBSERVATION_PERIODS + latency * frequency) / WINDOW_PERIODS
+
+
+def sweep_deviation(test: SineControl, frequency: float, slope: float, latency: float = 0.0) -> float:
+    """Return the deviation in dB where the drive has a slope d ln(drive) / d ln(frequency); `latency`: s.
+
+    The largest slope at a resonance is 1 / (2 D).
+    """
+    lag = WINDOW_PERIODS / frequency / loop_gain(test.speed, loop_delay(frequency, latency)) + slope / (pi * frequency)
+    return float(20.0 / log(10.0) * test.rate_at(frequency) * slope * lag)
+
+
+class SweepCheck(NamedTuple):
+    """Expected deviation of a sweep from its profile, and the bands in which a limit determines the drive."""
+
+    test: SineControl
+    frequency: float  # of the largest deviation, Hz
+    deviation: float  # dB
+    damping: float  # damping ratio of the resonance with this slope of the drive
+    notches: tuple[tuple[str, float, float], ...]  # channel, lowest and highest frequency, Hz
+
+    @property
+    def warning(self) -> str:
+        """Warning about a sweep that is too fast for the tolerance; empty otherwise."""
+        if self.deviation <= self.test.tolerance:
+            return ""
+        octaves = self.test.rate_at(self.frequency) / log(2.0) * 60.0 * self.test.tolerance / self.deviation
+        return (
+            f"at {self.frequency:.4g} Hz (damping {100.0 * self.damping:.2g} %) the sweep exceeds the tolerance of "
+            f"{self.test.tolerance:g} dB above {octaves:.2g} oct/min. Give a longer duration."
+        )
+
+    def lines(self) -> Iterable[str]:
+        """Yield the check as text."""
+        if self.warning:
+            yield self.warning
+        else:
+            place = f"{self.deviation:.2g} dB at {self.frequency:.4g} Hz (tolerance {self.test.tolerance:g} dB)"
+            yield f"expected deviation of the control from the profile: at most {place}"
+        for channel, low, high in self.notches:
+            yield f"{channel} limits the drive from {low:.4g} to {high:.4g} Hz"
+
+
+def check_sweep(test: SineControl, scene: Scene, channels: Sequence[ChannelInfo], latency: float = 0.0) -> SweepCheck:
+    """Check a sweep with the linear response of the scene, with all dampers on their floors; `latency`: s."""
+    system, places = assemble(scene), {info.name: info.at for info in channels}
+    frequency = np.geomspace(*test.band, _FREQUENCIES)
+    states = riding_response(system, scene.at_driven("shaker"), 2.0 * pi * frequency)
+    rows = [system.points.index(places[name]) for _, name in test.named_channels]
+    required = test.prescription.required(np.abs(states[rows]) * (2.0 * pi * frequency) ** 2, frequency)
+    slopes = abs(np.gradient(np.log(required.min(axis=0)), np.log(frequency)))
+    pairs = zip(frequency.tolist(), slopes.tolist(), strict=True)
+    deviations = [sweep_deviation(test, f, slope, latency) for f, slope in pairs]
+    worst = int(np.argmax(deviations))
+    notches = [
+        (limit.channel, float(frequency[start]), float(frequency[stop - 1]))
+        for index, limit in enumerate(test.limits, 1)
+        for start, stop in runs_of(required.argmin(axis=0) == index)
+    ]
+    damping = 0.5 / max(float(slopes[worst]), 1e-12)
+    return SweepCheck(test, float(frequency[worst]), deviations[worst], damping, tuple(notches))

@@ -1,14 +1,11 @@
 """Two tones at once: the settings of a kind of test that exists only in the test suite."""
 
-from __future__ import annotations
-
 from typing import ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from rig.core.scene.excitation.kind import Drive, Duration, Frequency, KindOfTest, Pulses, ShakerNumber, Start
-from rig.core.settings.problems import KeyPath
 
 
 class TwoTones(KindOfTest):
@@ -26,16 +23,6 @@ class TwoTones(KindOfTest):
     """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
     duration: Duration = 2.0
     """Duration of the test [s]."""
-
-    @property
-    def band(self) -> tuple[float, float]:
-        """Both frequencies, Hz."""
-        return self.frequencies[0], self.frequencies[1]
-
-    @property
-    def highest(self) -> tuple[KeyPath, float]:
-        """Key path and value of the second frequency."""
-        return ("frequencies", 1), self.frequencies[1]
 
     def tones(self, points: int) -> tuple[float, ...]:
         """Return both frequencies, Hz."""

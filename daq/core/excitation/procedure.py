@@ -11,13 +11,16 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
 
 from daq.core.excitation.station import Excitation, Station
 from rig.core.base.arrays import Array
-from rig.core.scene.excitation.kind import KindOfTest
+from rig.core.scene.excitation.kind import KindOfTest, Pulses
 
 if TYPE_CHECKING:
     from daq.core.signal_chain.channel import ChannelInfo
     from rig.core.scene.scene import Scene
 
 TestT = TypeVar("TestT", bound=KindOfTest)
+
+# An open-loop drive is output in blocks of this duration, s.
+_BLOCK_S = 0.5
 
 
 @dataclass
@@ -62,8 +65,20 @@ class Procedure(Generic[TestT]):
     form: ClassVar[Form | None] = None
 
     def excite(self, station: Station, test: TestT) -> Excitation:
-        """Run the test."""
-        raise NotImplementedError
+        """Run the test; by default, output its open-loop drive, and mark the intervals of `measured`."""
+        wave = test.wave(station.samples(test.shortest), station.rate)
+        assert isinstance(wave, Pulses), f"{test.kind_name()}: define excite, or KindOfTest.wave"
+        first, block = station.now, station.samples(_BLOCK_S)
+        for start in range(0, wave.values.size, block):
+            station.report(start / wave.values.size, test.kind_name().replace("_", " "))
+            yield station.drive(wave.values[start : start + block])
+        for begin_s, end_s, fields in self.measured(test, station.rate):
+            begin, end = (first + round(time * station.rate) for time in (begin_s, end_s))
+            station.mark("measure", begin, end, level=station.level, settled=True, **fields)
+
+    def measured(self, test: TestT, rate: float) -> Iterable[tuple[float, float, dict[str, Any]]]:
+        """Return start and end of each measured interval of an open-loop drive, s, and marker fields; `rate`: Hz."""
+        return [(0.0, test.shortest, {})]
 
     def check(self, test: TestT, scene: Scene, channels: Sequence[ChannelInfo]) -> Iterable[str]:
         """Return lines about the test that follow from the scene before it runs; `channels`: those of the bench."""
@@ -94,8 +109,7 @@ class Procedure(Generic[TestT]):
 
     def part(self, test: TestT, seconds: float, scene: Scene) -> TestT:
         """Return a first part of the test that takes about `seconds`."""
-        duration: float = getattr(test, "duration", seconds)
-        return test.replace(duration=min(duration, seconds))
+        return test.replace(duration=min(test.shortest, seconds))
 
     def extension(self, test: TestT, seconds: float) -> float:
         """Return the ratio of the largest value in the whole test to that in its first `seconds`."""

@@ -156,9 +156,24 @@ class KindOfTest(Settings):
 
     @property
     def band(self) -> tuple[float, float] | None:
-        """Lowest and highest frequency of the drive, Hz; default: the keys `from` and `to`; None without a band."""
-        first, last = getattr(self, "from_", None), getattr(self, "to", None)
-        return None if first is None or last is None else (min(first, last), max(first, last))
+        """Lowest and highest frequency of the drive, Hz; default: those of the keys; None without a band."""
+        given = self.given_frequencies.values()
+        return (min(given), max(given)) if given else None
+
+    @property
+    def given_frequencies(self) -> dict[KeyPath, float]:
+        """Frequencies by key path: of the keys `from` and `to`, or else of `frequencies` or `frequency`, Hz."""
+        ends = {("to",): getattr(self, "to", None), ("from",): getattr(self, "from_", None)}
+        given = {path: value for path, value in ends.items() if value is not None}
+        if len(given) == 2:
+            return given
+        frequencies = getattr(self, "frequencies", None) or ()
+        single = getattr(self, "frequency", None)
+        return (
+            dict.fromkeys([("frequency",)], single)
+            if single
+            else {("frequencies", k): f for k, f in enumerate(frequencies)}
+        )
 
     @property
     def dwells(self) -> tuple[float, ...]:
@@ -191,8 +206,9 @@ class KindOfTest(Settings):
         """Key path and value of the highest frequency, Hz; None without a band."""
         if self.band is None:
             return None
-        key = "to" if getattr(self, "to", None) == self.band[1] else "from"
-        return (key,), self.band[1]
+        return next(
+            (item for item in self.given_frequencies.items() if item[1] == self.band[1]), (("from",), self.band[1])
+        )
 
     @property
     def shortest(self) -> float:

@@ -3,7 +3,6 @@
 from typing import ClassVar, Literal
 
 from rig.core.scene.excitation.kind import Drive, Duration, Force, Frequency, KindOfTest, ShakerNumber, Start
-from rig.core.settings.problems import KeyPath
 
 
 class Sine(KindOfTest):
@@ -24,16 +23,6 @@ class Sine(KindOfTest):
     """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
     duration: Duration = 2.0
     """Duration of the test [s]."""
-
-    @property
-    def band(self) -> tuple[float, float]:
-        """The frequency as a band, Hz."""
-        return self.frequency, self.frequency
-
-    @property
-    def highest(self) -> tuple[KeyPath, float]:
-        """Key path and value of the frequency."""
-        return ("frequency",), self.frequency
 
     @property
     def dwells(self) -> tuple[float, ...]:

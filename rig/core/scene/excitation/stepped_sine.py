@@ -18,7 +18,7 @@ from rig.core.scene.excitation.kind import (
     Start,
     spaced_frequencies,
 )
-from rig.core.settings.problems import KeyPath, Problem
+from rig.core.settings.problems import Problem
 from rig.core.settings.settings import Settings
 
 
@@ -82,13 +82,6 @@ class SteppedTest(KindOfTest):
     def band(self) -> tuple[float, float]:
         """Lowest and highest frequency, Hz."""
         return min(self.order), max(self.order)
-
-    @property
-    def highest(self) -> tuple[KeyPath, float] | None:
-        """Key path and value of the highest frequency, Hz."""
-        if self.frequencies is None:
-            return super().highest
-        return ("frequencies", len(self.frequencies) - 1), self.frequencies[-1]
 
     @property
     def details(self) -> tuple[str, ...]:

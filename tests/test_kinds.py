@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import re
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -52,6 +53,14 @@ def test_kind_of_test_has_kind_of_recording(kind: type[KindOfTest]) -> None:
 def test_kind_of_recording_has_estimator(kind: TestKind) -> None:
     assert kind.value in MODULES, f"analysis.core.responses.estimator.MODULES: add {kind.value}"
     assert isinstance(import_module(f"analysis.core.responses.{MODULES[kind.value]}").ESTIMATOR, Estimator)
+
+
+def test_no_other_file_guesses_keys_of_tests() -> None:
+    guesses = re.compile(r"""(get|has)attr\((\w+\.)*(test|shaker), ["']""")
+    for path in (path for package in ("rig", "daq", "analysis") for path in (ROOT / package).rglob("*.py")):
+        if not path.relative_to(ROOT).as_posix().startswith(OWNERS):
+            found = guesses.search(path.read_text(encoding="utf-8"))
+            assert found is None, f"{path}: {found}: add a fact to KindOfTest or KindOfShaker"
 
 
 @pytest.mark.parametrize("name", sorted(NAMES))

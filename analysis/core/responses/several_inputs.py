@@ -5,6 +5,11 @@ Block averages are the alternative: H1 [1]_, and Hv (total least squares, each c
 multisine test consists of as many experiments as shakers, with mutually orthogonal phases, so that the matrix of inputs
 can be inverted at each line [3]_.
 
+One input is not computed as a matrix with one column. Its reference may be a combination of readings, such as the force
+of a spring from two displacements, whose errors are correlated with those of the outputs; and all outputs share one
+fit. Here each reference is a measured force, and each element has a fit with numerators for the other forces. Both use
+the same local fits, block averages, spectra of periods and budgets.
+
 References
 ----------
 .. [1] J. S. Bendat, A. G. Piersol, Random Data, 4th ed., Wiley 2010, chapter 7.

@@ -469,8 +469,8 @@ def _sweep(
     windows = np.array([point.window for point in points])
     # With moving dampers, the decay of a transient cannot be predicted from the steady responses.
     is_linear = not any(damper.impacts for damper in rec.scene.dampers)
-    settle = getattr(rec.scene.test, "settle", None)
-    undetected = 0.0 if is_linear or settle is None else _UNDETECTED_TRANSIENT * settle.tolerance
+    test = rec.scene.test
+    undetected = 0.0 if is_linear or test is None else _UNDETECTED_TRANSIENT * test.accepted_transient
     wait = (windows[:, 0] - np.concatenate([[0], windows[:-1, 1]])) / rec.rate
     lines = Lines(
         channels=channels,

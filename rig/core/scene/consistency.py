@@ -31,11 +31,8 @@ def _check_damper(damper: Damper, valid: ValidSections) -> Iterable[Problem]:
 def _check_shakers(value: Shaker | tuple[Shaker, ...] | None, valid: ValidSections) -> Iterable[Problem]:
     shakers = as_tuple(value)
     for number, shaker in enumerate(shakers):
-        key_path: KeyPath = (number, "body") if isinstance(value, tuple) else ("body",)
-        for k, body in enumerate(shaker.bodies):
-            yield from body_problems(
-                valid, body, (*key_path, k) if isinstance(getattr(shaker, "body", None), tuple) else key_path
-            )
+        for body, key_path in zip(shaker.bodies, shaker.body_keys, strict=True):
+            yield from body_problems(valid, body, (number, *key_path) if isinstance(value, tuple) else key_path)
     carriers = [number for number, shaker in enumerate(shakers) if shaker.carries_structure]
     if carriers and not all(shaker.drive_is_force for shaker in shakers[: carriers[0]] + shakers[carriers[0] + 1 :]):
         message = f"a shaker of kind {shakers[carriers[0]].kind} can be combined with shakers of kind force only."

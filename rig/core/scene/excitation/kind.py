@@ -163,17 +163,13 @@ class KindOfTest(Settings):
     @property
     def given_frequencies(self) -> dict[KeyPath, float]:
         """Frequencies by key path: of the keys `from` and `to`, or else of `frequencies` or `frequency`, Hz."""
-        ends = {("to",): getattr(self, "to", None), ("from",): getattr(self, "from_", None)}
-        given = {path: value for path, value in ends.items() if value is not None}
-        if len(given) == 2:
-            return given
-        frequencies = getattr(self, "frequencies", None) or ()
+        first, last = getattr(self, "from_", None), getattr(self, "to", None)
+        if first is not None and last is not None:
+            return {("to",): last, ("from",): first}
         single = getattr(self, "frequency", None)
-        return (
-            dict.fromkeys([("frequency",)], single)
-            if single
-            else {("frequencies", k): f for k, f in enumerate(frequencies)}
-        )
+        if single is not None:
+            return {("frequency",): single}
+        return {("frequencies", k): value for k, value in enumerate(getattr(self, "frequencies", None) or ())}
 
     @property
     def dwells(self) -> tuple[float, ...]:
@@ -194,6 +190,11 @@ class KindOfTest(Settings):
     def steady_state(self) -> Settle:
         """Criterion for the steady state of a tone."""
         return Settle()
+
+    @property
+    def accepted_transient(self) -> float:
+        """Largest relative transient at the end of a wait for the steady state; 0 without the key `settle`."""
+        return self.steady_state.tolerance if getattr(self, "settle", None) is not None else 0.0
 
     def tones(self, points: int) -> tuple[float, ...]:
         """Return the tones of the test, or `points` frequencies over its band, ascending, Hz; () without a band."""

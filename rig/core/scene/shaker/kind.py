@@ -10,6 +10,7 @@ import numpy as np
 
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.equations import Equations
+from rig.core.settings.problems import KeyPath
 from rig.core.settings.quantities import Kind
 from rig.core.settings.settings import Settings
 
@@ -86,6 +87,12 @@ class KindOfShaker(Settings):
     def bodies(self) -> tuple[int, ...]:
         """The bodies on which it acts, from 1."""
         return ()
+
+    @property
+    def body_keys(self) -> tuple[KeyPath, ...]:
+        """Key path of each of `bodies`."""
+        is_list = isinstance(getattr(self, "body", None), tuple)
+        return tuple(("body", k) if is_list else ("body",) for k in range(len(self.bodies)))
 
     @property
     def first_body(self) -> int:

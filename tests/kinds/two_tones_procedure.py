@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 class TwoTonesProcedure(Procedure["TwoTones"]):
     """Output both tones; the second half is measured, once for each tone."""
 
-    form = Form("two tones of the scene", ())
+    form = Form("two tones", ())
 
     def measured(self, test: TwoTones, rate: float) -> Iterable[tuple[float, float, dict[str, Any]]]:
         """Return the second half of the test for each tone."""

@@ -123,6 +123,66 @@ class ForceInterpolator:
         return CubicInput(interval_cubics, *segments)
 
 
+class SpringForceInterpolator:
+    """Interpolates the force of a spring, block after block, by cubics with its exact values and slopes at the nodes.
+
+    `weights`: force per displacement of each point of the motion, N/m; `rate`: samples per second.
+    """
+
+    def __init__(self, weights: Array, rate: float) -> None:
+        self._weights = weights
+        self._rate = rate
+        self._last = np.zeros(2)  # force, and its slope over a sample interval, at the last sample
+
+    def interpolate(self, motion: Motion) -> CubicInput:
+        """Return the cubics of the next block; the force is 0 before sample 0, where it may jump."""
+        h, weights = 1.0 / self._rate, self._weights
+        nodes = np.stack([weights @ motion.displacement, weights @ motion.velocity * h])
+        count = nodes.shape[1]
+        if not count:
+            return CubicInput(np.empty((4, 0)), *_NO_SEGMENTS)
+        before = np.concatenate([self._last[:, None], nodes[:, :-1]], axis=1)
+        interval_cubics = _hermite_cubics(before, nodes, np.ones(count))
+        self._last = nodes[:, -1]
+        # A segment of length 0 and value 0 replaces interval 0, so that the force jumps at sample 0 and does not rise.
+        start = allocate_segments(int(motion.first == 0))
+        intervals = motion.break_sample - motion.first
+        if not intervals.size:
+            return CubicInput(interval_cubics, *start)
+        # Segments from the start of an interval over its breaks to its end; the slope jumps at a break.
+        forces = weights @ motion.break_displacement
+        slopes = (weights @ motion.break_velocity) * h
+        is_first = np.append(True, np.diff(intervals) > 0)
+        is_last = np.append(is_first[1:], True)
+        position = np.clip(motion.break_offset / h, 0.0, 1.0)
+        segment_interval = np.repeat(intervals, 1 + is_last)
+        # Index of the segment that ends at each break.
+        ends_at = np.arange(intervals.size) + np.concatenate([[0], np.cumsum(is_last)[:-1]])
+        begin, end = np.empty((2, segment_interval.size)), np.empty((2, segment_interval.size))
+        begin_position, end_position = np.zeros(segment_interval.size), np.ones(segment_interval.size)
+        end[:, ends_at], end_position[ends_at] = np.stack([forces, slopes[0]]), position
+        begin[:, ends_at + 1], begin_position[ends_at + 1] = np.stack([forces, slopes[1]]), position
+        begin[:, ends_at[is_first]], begin_position[ends_at[is_first]] = before[:, intervals[is_first]], 0.0
+        end[:, ends_at[is_last] + 1] = nodes[:, intervals[is_last]]
+        lengths = np.maximum(end_position - begin_position, 0.0)
+        cubics = _hermite_cubics(begin, end, lengths)
+        segments = np.column_stack([cubics.T, lengths, np.zeros(lengths.size)])
+        return CubicInput(
+            interval_cubics, np.concatenate([start[0], segment_interval]), np.concatenate([start[1], segments])
+        )
+
+
+def _hermite_cubics(begin: Array, end: Array, lengths: Array) -> Array:
+    """Return start, end, mean and moment of the cubics with given values and slopes at both ends, (4, segments).
+
+    `begin`, `end`: value, and slope over a sample interval, (2, segments); `lengths`: in sample intervals.
+    """
+    (start, start_slope), (stop, stop_slope) = begin, end
+    mean = (start + stop) / 2.0 + lengths * (start_slope - stop_slope) / 12.0
+    moment = (21.0 * start + 9.0 * stop + lengths * (3.0 * start_slope - 2.0 * stop_slope)) / 60.0
+    return np.stack([start, stop, mean, moment])
+
+
 def cubic_coefficients(start: Any, end: Any, mean: Any, moment: Any) -> tuple[Any, Any, Any]:
     """Return the coefficients of t, t^2 and t^3 of a cubic over a segment, t from 0 to 1; that of 1 is `start`."""
     return (

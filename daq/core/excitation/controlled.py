@@ -1,4 +1,4 @@
-"""The force or motion that a controller reads, as a weighted sum of the displacements of channels."""
+"""The force or motion that a controller reads, as a weighted sum of displacements or forces of channels."""
 
 from __future__ import annotations
 
@@ -70,14 +70,14 @@ def spring_force(station: Station) -> Controlled:
 
 def _sum_of_displacements(station: Station, terms: Mapping[str, float], names: tuple[str, str]) -> Controlled:
     """Return the sum of the displacements at some locations, with the factor of each; `names`: as `_FORCE`."""
-    rows = tuple(_motion_row(station, place, *names) for place in terms)
+    rows = tuple(_row(station, place, *names) for place in terms)
     return Controlled(station, rows, tuple(terms.values()))
 
 
-def _motion_row(station: Station, place: str, name: str, alternative: str) -> int:
-    """Return the row of the first channel that measures motion at a location, such as ``body 1``."""
+def _row(station: Station, place: str, name: str, alternative: str) -> int:
+    """Return the row of the first channel that measures motion or force at a location, such as ``body 1``."""
     for row, info in enumerate(station.channels):
-        if info.at == place and info.derivative is not None:
+        if info.at == place and info.quantity != "voltage":
             return row
     listed = ", ".join(f"{info.name} ({info.quantity} at {info.at})" for info in station.channels) or "none"
     raise SceneError(

@@ -33,7 +33,8 @@ _N_FREQUENCIES = 400
 def unresolved_force(scene: Scene, system: HybridSystem, channels: Sequence[ChannelInfo]) -> Iterator[str]:
     """Yield a warning if the sensors do not resolve the spring force at resonances in the band of the test."""
     test, shaker, band = scene.test, scene.driven_shaker, test_frequencies(scene.test, _N_FREQUENCIES)
-    if test is None or shaker is None or shaker.coil_spring is None or not band.size:
+    is_measured = any(info.at == scene.at_driven("shaker") for info in channels)
+    if test is None or shaker is None or shaker.coil_spring is None or is_measured or not band.size:
         return
     weights = shaker.force_terms(scene.at_driven("shaker"), scene.at_driven("table"))
     ends = {info.at: info for info in reversed(channels) if info.at in weights and info.derivative is not None}
@@ -66,7 +67,8 @@ def unresolved_force(scene: Scene, system: HybridSystem, channels: Sequence[Chan
         yield (
             f"coil spring: at {listed} Hz{every}, the spring is so stiff that its force is a small difference of two "
             f"readings; tolerances and noise of their sensors cause errors of up to {ratio.max():.2g} times the "
-            f"force. Calibrate the sensors, or choose a spring of at most {format_number(softer)} N/m."
+            f"force. Measure the force (at: shaker), calibrate the sensors, or choose a spring of "
+            f"at most {format_number(softer)} N/m."
         )
 
 

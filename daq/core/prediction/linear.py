@@ -16,7 +16,7 @@ from rig.core.scene.measurement_chain import Channel
 from rig.core.scene.presets import complete_from_preset
 from rig.core.scene.scene import Scene
 from rig.core.scene.shaker import DRIVE_PER_VOLT
-from rig.core.system.assembly import assemble
+from rig.core.system.assembly import assemble, force_row
 from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.open_loop_drive import drive_per_level, riding_response
 
@@ -54,9 +54,11 @@ def channel_readings(scene: Scene, channels: Sequence[ChannelInfo], frequencies:
         elif scene.hammer is not None or info.at not in (driven_input, scene.at_driven("drive")):
             continue
         else:
-            # The channel measures the driving force, or the voltage of the output that drives the shaker.
+            # The channel measures the force on the structure, or the voltage of the output that drives the shaker.
+            spring_force = force_row(scene, system) @ states
             drive_per_unit = DRIVE_PER_VOLT[drive_unit] if info.quantity == "voltage" else 1.0
-            amplitude = np.abs(drive_gain) / drive_per_unit
+            is_spring_force = info.quantity == "force" and spring_force.any()
+            amplitude = abs(spring_force) if is_spring_force else abs(drive_gain) / drive_per_unit
         readings[row] = amplitude * abs(info.response(frequencies))
     return readings
 

@@ -8,7 +8,7 @@ from itertools import compress
 import numpy as np
 
 from daq.core.dsp.block_buffers import SharedScratch
-from daq.core.dsp.interpolation import ForceInterpolator, MotionInterpolator
+from daq.core.dsp.interpolation import ForceInterpolator, MotionInterpolator, SpringForceInterpolator
 from daq.core.dsp.noise import generator
 from daq.core.dsp.skew import delays
 from daq.core.signal_chain.channel import ChannelInfo
@@ -62,6 +62,7 @@ class Chain:
         motion_rows = [_point_row(channel, points) for channel in compress(channels, is_motion)]
         self._motion_interpolator = MotionInterpolator(motion_rows, rate)
         self._force_interpolators = [None if motion else ForceInterpolator() for motion in is_motion]
+        self._spring_forces = [_spring_force(channel, scene, points, rate) for channel in channels]
         self._buffers = SharedScratch()
         self._jitter = generator(scene.seed, "", "jitter") if converter.jitter else None
         # Number of initial samples that are omitted, because the delay of the filter is removed.
@@ -110,8 +111,11 @@ class Chain:
         overload = np.zeros(volts.shape, dtype=bool)
         motion_cubics = iter(self._motion_interpolator.interpolate(motion))
         for row, (interpolator, path) in enumerate(zip(self._force_interpolators, self._paths, strict=True)):
+            spring_force = self._spring_forces[row]
             if interpolator is None:
                 cubics = next(motion_cubics)
+            elif spring_force is not None:
+                cubics = spring_force.interpolate(motion)
             else:
                 # An omitted input is zero, such as the force of an unused hammer.
                 name, factor = self._sources[row]
@@ -133,7 +137,7 @@ def default_channels(scene: Scene, points: Sequence[str]) -> tuple[Channel, ...]
         channels.append(Channel(name="force", at="hammer"))
         return tuple(channels)
     for number, shaker in enumerate(scene.shakers, 1):
-        if "shaker" in shaker.points:
+        if shaker.drive_is_force:
             name, location = (at_shaker(word, number, len(scene.shakers)) for word in ("force", "shaker"))
             channels.append(Channel(name=name.replace(" ", ""), at=location))
     return tuple(channels)
@@ -146,6 +150,15 @@ def _source(channel: Channel, scene: Scene) -> tuple[str, float]:
     number = channel.number or 1
     drive_unit = scene.shakers[number - 1].drive_unit
     return at_shaker("shaker", number, len(scene.shakers)), 1.0 / DRIVE_PER_VOLT[drive_unit]
+
+
+def _spring_force(channel: Channel, scene: Scene, points: Sequence[str], rate: float) -> SpringForceInterpolator | None:
+    """Return the interpolator of a force that follows from the motion; None for other channels."""
+    terms = scene.force_terms(channel.at) if channel.place_kind == "shaker" else {}
+    if not terms or channel.at in terms:
+        return None
+    weights = np.array([terms.get(point, 0.0) for point in points])
+    return SpringForceInterpolator(weights, rate)
 
 
 def _point_row(channel: Channel, points: Sequence[str]) -> int:

@@ -91,8 +91,8 @@ def _check_location_at_shaker(
             absent,
         )
     elif kind == "shaker" and shaker is None:
-        remedy = "Mount the channel on a body (at: body 1), or add a shaker of kind force."
-        yield Problem(key_path, f"the scene has no force shaker. {remedy}", absent)
+        remedy = "Mount the channel on a body (at: body 1), or add a shaker."
+        yield Problem(key_path, f"the scene has no shaker. {remedy}", absent)
     elif kind == "shaker" and shaker is not None and kind not in shaker.points:
         yield Problem(key_path, shaker.force_hint(at_shaker("table", channel.number or 1, n_shakers)))
     elif kind == "shaker" and test is not None and test.hammer is not None:

@@ -149,10 +149,10 @@ class Hammer(Settings):
 class Channel(Settings):
     """One measured signal: the point, its sensor and the integrating amplifier.
 
-    At `shaker` the signal is the force between a shaker of kind force and its body; for other shakers, measure the
-    two ends of the coil spring, the table and the driven body. At `drive` the signal is the output voltage in front
-    of a shaker, as on a teed cable. With several shakers, the location contains the shaker's number:
-    `table 2`, `shaker 2`, `drive 2`.
+    At `shaker` the signal is the force of a shaker on its body, as a force cell between its coil spring (stinger) and
+    the body measures it. Without this channel, the force of a coil spring follows from the motion of its two ends,
+    the table and the driven body. At `drive` the signal is the output voltage in front of a shaker, as on a teed
+    cable. With several shakers, the location contains the shaker's number: `table 2`, `shaker 2`, `drive 2`.
     """
 
     name: Annotated[str, Field(max_length=80, pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.-]*$")]
@@ -163,7 +163,7 @@ class Channel(Settings):
         # The schema also allows a body's name, which `Scene` replaces by its number.
         WithJsonSchema({"type": "string"}),
     ]
-    """A body (its name, or as body 1), table, hammer, shaker (force of a shaker of kind force) or drive (voltage of a
+    """A body (its name, or as body 1), table, hammer, shaker (force of a shaker on its body) or drive (voltage of a
     shaker's output)."""
     accelerometer: Accelerometer | None = None
     """Sensor at a body or the table."""

@@ -99,7 +99,19 @@ class Scene(Settings):
         """Locations whose readings a controller uses, as `KindOfTest.controlled_terms`; empty in open loop."""
         if self.test is None or self.driven_shaker is None:
             return {}
-        return self.test.controlled_terms(self.driven_shaker, self.at_driven("table"))
+        terms, cell = self.test.controlled_terms(self.driven_shaker, self.at_driven("table")), self.at_driven("shaker")
+        has_cell = any(channel.at == cell for channel in self.channels or ())
+        replaces_motion = has_cell and self.test.controls_by_cell and self.test.held_motion is None
+        return {cell: 1.0} if terms and replaces_motion else terms
+
+    def force_terms(self, location: str) -> dict[str, float]:
+        """Return the points whose displacements give the force at a shaker, with weights in N/m.
+
+        `location`: location of the force, such as "shaker 2". The location itself has the weight 1 if the force is the
+        drive.
+        """
+        number = int(location.partition(" ")[2] or 1)
+        return self.shakers[number - 1].force_terms(location, at_shaker("table", number, len(self.shakers)))
 
     @property
     def hammer(self) -> int | None:

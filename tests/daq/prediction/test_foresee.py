@@ -183,6 +183,14 @@ def test_stiff_stinger_without_measurable_force_is_named(sensor) -> None:
     assert not warnings_of(scene.replace(shaker={**STEEL_ROD, "spring": 0.9 * softer}))
 
 
+def test_force_cell_needs_no_resolved_spring_force() -> None:
+    sensor = {"sensitivity": "100 mV/g", "sensitivity_tolerance": "1 %"}
+    channels = [{"name": "t", "at": "table"}, {"name": "b", "at": "body 1"}]
+    channels = [{**channel, "accelerometer": sensor} for channel in channels]
+    scene = one_body(STEPS, shaker=STEEL_ROD, channels=[*channels, {"name": "f", "at": "shaker"}])
+    assert not list(unresolved_force(scene, assemble(scene), Bench(scene).channels))
+
+
 def test_unresolved_spring_force_is_in_the_prediction() -> None:
     sensor = {"sensitivity": "100 mV/g", "sensitivity_tolerance": "10 %"}
     channels = [{"name": name, "at": at, "accelerometer": sensor} for name, at in (("t", "table"), ("b", "body 1"))]

@@ -173,10 +173,9 @@ MISTAKES = [
      ":3: channels[1].at: the scene has no shaker table; expected a body, or a shaker of kind table"),
     (STRUCTURE + "channels: [{name: a, at: hammer}]", ":2: channels[1].at: this test has no hammer"),
     (STRUCTURE + "channels: [{name: a, at: shaker}]",
-     ":2: channels[1].at: the scene has no force shaker. Mount the channel on a body"),
-    (STRUCTURE + ELECTRODYNAMIC + "channels: [{name: a, at: shaker}]",
-     ":3: channels[1].at: a shaker of kind electrodynamic acts through its coil spring, whose force follows from the "
-     "displacements of its two ends. Measure there instead, with two channels (at: table, at: body 1)"),
+     ":2: channels[1].at: the scene has no shaker. Mount the channel on a body"),
+    (STRUCTURE + "shaker: {kind: base}\nchannels: [{name: a, at: shaker}]",
+     ":3: channels[1].at: a shaker of kind base exerts no single force. Measure the motion of the table instead"),
     (STRUCTURE + FORCE + "test: {kind: impulse, body: 1, peak: 1 N, width: 1 ms}\nchannels: [{name: a, at: shaker}]",
      ":4: channels[1].at: in a hammer test the shaker is idle, so its force is not measured"),
     (STRUCTURE + FORCE + "channels: [{name: a, at: shaker, integrator: {order: 1}}]",

@@ -73,6 +73,7 @@ class KindOfTest(Settings):
     `recorded_as`: how recordings of this kind are evaluated, a value of `daq.core.recording.recorded_test.TestKind`.
     `level_keys`: keys of which one is the level of the test. `level_name`: what the level is, after its unit.
     `uses_shaker`: whether a shaker is driven. `single_tone`: whether the drive is one tone at a time.
+    `controls_by_cell`: whether a force cell at the shaker replaces the motion of both ends of its spring.
     """
 
     recorded_as: ClassVar[str]
@@ -80,6 +81,7 @@ class KindOfTest(Settings):
     level_name: ClassVar[str] = ""
     uses_shaker: ClassVar[bool] = True
     single_tone: ClassVar[bool] = False
+    controls_by_cell: ClassVar[bool] = True
 
     @classmethod
     def kind_name(cls) -> str:

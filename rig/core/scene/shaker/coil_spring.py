@@ -1,6 +1,6 @@
 """What shakers with a table have in common that drive a body through a coil spring."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from rig.core.base.arrays import Array
 from rig.core.scene.shaker.kind import KindOfShaker
@@ -8,6 +8,8 @@ from rig.core.scene.shaker.kind import KindOfShaker
 
 class CoilSpringShaker(KindOfShaker):
     """A shaker whose table drives body `body` through the spring `spring`; the keys belong to the subclasses."""
+
+    points: ClassVar = ("table", "shaker", "drive")
 
     if TYPE_CHECKING:
         body: Any
@@ -32,11 +34,3 @@ class CoilSpringShaker(KindOfShaker):
         row = super().force_row(states, table)
         row[table], row[self.body - 1] = self.spring, -self.spring
         return row
-
-    def force_hint(self, table: str) -> str:
-        """Name the two ends of the spring."""
-        return (
-            f"a shaker of kind {self.name_of_kind} acts through its coil spring, whose force follows from the "
-            f"displacements of its two ends. Measure there instead, with two channels (at: {table}, at: body "
-            f"{self.body})."
-        )

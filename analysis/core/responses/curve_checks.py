@@ -39,6 +39,10 @@ _MAX_LINES = 4096
 _MAX_MISALIGNMENT = 0.25
 _MIN_IMPROVEMENT = 4.0
 _MIN_MISALIGNMENT = 0.03
+# A damped mode may cause phases within this range, degrees. A delay that causes no more must leave less than the third
+# value, in a band whose limits have at least this ratio: near the resonance, the phase is proportional to frequency.
+_MAX_MODE_PHASE = 190.0
+_MIN_BAND_RATIO = 1.3
 # The delays of the other responses are below this fraction of the delay of one response.
 _MAX_OTHER_DELAY = 0.2
 
@@ -112,6 +116,7 @@ def _estimate_delay(curve: Response) -> tuple[float, bool] | None:
     if valid.sum() < _MIN_DELAY_LINES:
         return None
     frequency, direction = receptance.frequency[valid], (receptance.value[valid] / magnitude[valid]) ** 2
+    phase_range = np.ptp(np.degrees(np.unwrap(np.angle(receptance.value[valid]))))
     # Points may be close together at resonances, where phases are not 0 or 180 degrees.
     direction *= np.gradient(frequency) / np.gradient(frequency).sum()
     delays = np.linspace(-1.0, 1.0, _TRIAL_DELAYS) * _MAX_PERIODS / np.ptp(frequency)
@@ -121,6 +126,9 @@ def _estimate_delay(curve: Response) -> tuple[float, bool] | None:
         alignment += (np.exp(4j * np.pi * np.outer(delays, frequency[lines])) @ direction[lines]).real
     best, misaligned = int(np.argmax(alignment)), 1.0 - float(direction.real.sum())
     if 1.0 - alignment[best] > _MAX_MISALIGNMENT:
+        return None
+    is_narrow = frequency[-1] < _MIN_BAND_RATIO * frequency[0]
+    if phase_range < _MAX_MODE_PHASE and (is_narrow or 1.0 - alignment[best] > _MIN_MISALIGNMENT):
         return None
     is_delayed = misaligned > _MIN_IMPROVEMENT * max(1.0 - alignment[best], _MIN_MISALIGNMENT)
     return float(delays[best]), is_delayed

@@ -55,10 +55,10 @@ def channel_readings(scene: Scene, channels: Sequence[ChannelInfo], frequencies:
             continue
         else:
             # The channel measures the force on the structure, or the voltage of the output that drives the shaker.
-            spring_force = force_row(scene, system) @ states
+            spring_force = np.asarray(force_row(scene, system) @ states)
             drive_per_unit = DRIVE_PER_VOLT[drive_unit] if info.quantity == "voltage" else 1.0
             is_spring_force = info.quantity == "force" and spring_force.any()
-            amplitude = abs(spring_force) if is_spring_force else abs(drive_gain) / drive_per_unit
+            amplitude = np.abs(spring_force if is_spring_force else drive_gain / drive_per_unit)
         readings[row] = amplitude * abs(info.response(frequencies))
     return readings
 

@@ -47,6 +47,25 @@ def test_delay_and_noise_do_not_reverse_force(delay_s: float, noise: float) -> N
         assert not reversed_force([delayed])
 
 
+@pytest.mark.parametrize("damping", [0.02, 0.05, 0.1])
+@pytest.mark.parametrize("width", [2.0, 8.0, 20.0])
+def test_damped_mode_in_narrow_band_is_no_delay(damping: float, width: float) -> None:
+    frequency = np.linspace(50.0 - width / 2.0, 50.0 + width / 2.0, 81)
+    value = 1.0 / (1.0 - (frequency / 50.0) ** 2 + 2j * damping * frequency / 50.0)
+    curves = [
+        Response.curve(frequency, sign * value, name, error=1e-3 * abs(value), degrees=np.full(81, 38.0))
+        for name, sign in (("body1", 1.0), ("body2", 0.8), ("body3", -1.0))
+    ]
+    assert not delayed_channels(curves)
+
+
+def test_delay_in_narrow_band_without_mode_is_named() -> None:
+    frequency = np.linspace(80.0, 120.0, 81)
+    value = np.exp(-2j * np.pi * frequency * 5e-3)
+    curve = Response.curve(frequency, value, "body1", error=np.full(81, 1e-3), degrees=np.full(81, 38.0))
+    assert "body1 seems to be 5 ms late" in delayed_channels([curve])
+
+
 def test_other_responses_may_have_any_phase() -> None:
     curve = measured(2)
     assert not reversed_force([curve, replace(curve, value=-curve.value)])

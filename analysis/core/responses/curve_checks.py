@@ -127,10 +127,10 @@ def _estimate_delay(curve: Response) -> tuple[float, bool] | None:
     best, misaligned = int(np.argmax(alignment)), 1.0 - float(direction.real.sum())
     if 1.0 - alignment[best] > _MAX_MISALIGNMENT:
         return None
-    is_narrow = frequency[-1] < _MIN_BAND_RATIO * frequency[0]
-    if phase_range < _MAX_MODE_PHASE and (is_narrow or 1.0 - alignment[best] > _MIN_MISALIGNMENT):
-        return None
     is_delayed = misaligned > _MIN_IMPROVEMENT * max(1.0 - alignment[best], _MIN_MISALIGNMENT)
+    is_narrow = frequency[-1] < _MIN_BAND_RATIO * frequency[0]
+    if is_delayed and phase_range < _MAX_MODE_PHASE and (is_narrow or 1.0 - alignment[best] > _MIN_MISALIGNMENT):
+        return None
     return float(delays[best]), is_delayed
 
 

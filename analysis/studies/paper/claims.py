@@ -159,10 +159,14 @@ def _c3(parts: Parts) -> Claim:
     ratios_to_bare = peaks / peaks[0]
     # The errors of two recordings are independent.
     ratio_expanded = ratios_to_bare * np.hypot(expanded / peaks, expanded[0] / peaks[0])
-    least_affected = 1 + np.argmax(ratios_to_bare[1:], axis=1)
-    damps_both = ratios_to_bare[1, 1] < 0.7 and ratios_to_bare[1, 2] < 0.7
+    ratio_expanded[0] = 0.0
+    # A peak without an upper limit is at least as high as the highest point.
+    lower = ratios_to_bare - np.where(np.isfinite(ratio_expanded), ratio_expanded, 0.0)
+    upper = ratios_to_bare + ratio_expanded
+    least_affected = [_largest(*limits) for limits in zip(lower[1:], upper[1:], strict=True)]
+    not_damped = [mode for mode in (2, 3) if not upper[1, mode - 1] < 1.0]
+    not_lowered = int(np.sum(~(upper[1:] < lower[:-1])))
     peak_acceleration = peaks[0] * FORCE_C3_N * parts["structure"]["omega"] ** 2 / STANDARD_GRAVITY
-    every_damper_lowers = bool((np.diff(peaks, axis=0) < 0).all())
     rows = [
         f"{label}: {', '.join(with_unit(*pair) for pair in zip(100.0 * row, 100.0 * errors, strict=True))}"
         for label, row, errors in zip(
@@ -184,16 +188,23 @@ def _c3(parts: Parts) -> Claim:
     failures = [
         text
         for is_true, text in (
-            (damps_both, "the single damper does not damp both modes"),
-            (every_damper_lowers, "a further damper does not lower every peak"),
             (
-                bool(np.all(least_affected == 1)),
+                not not_damped,
+                "the recording does not show that the single damper damps mode "
+                f"{' and mode '.join(map(str, not_damped))}",
+            ),
+            (
+                not not_lowered,
+                f"that a further damper lowers the peak is within the uncertainty for {not_lowered} of {lower[1:].size}",
+            ),
+            (
+                least_affected == ["1"] * 3,
                 "in the recordings with one, two and three dampers, the least affected mode is "
-                f"{', '.join(map(str, least_affected))}",
+                f"{', '.join(least_affected)}",
             ),
             (
                 bool(at_level.all()),
-                f"the first mode is the least affected with every damping ratio and mass ratio {force_range}; at "
+                f"with three dampers, the first mode is the least affected with every damping ratio and mass ratio {force_range}; at "
                 f"{FORCE_C3_N:g} N, it is the least affected with {int(at_level.sum())} of {at_level.size} "
                 "combinations",
             ),
@@ -207,9 +218,9 @@ def _c3(parts: Parts) -> Claim:
         (
             Evidence(
                 "Peaks of body 3 about modes 1, 2, 3, interpolated between the points, relative to those without "
-                f"dampers, recorded, with expanded uncertainties (95 %): {'; '.join(rows)}. The least affected mode is "
-                f"mode {least_affected[0]} with one damper, {least_affected[1]} with two and {least_affected[2]} with "
-                "three.",
+                f"dampers, recorded, with expanded uncertainties (95 %): {'; '.join(rows)}. The least affected mode, "
+                f"beyond these uncertainties: {least_affected[0]} with one damper, {least_affected[1]} with two, "
+                f"{least_affected[2]} with three.",
                 ("rec-bare", "rec-one", "rec-two", "rec-three"),
             ),
             Evidence(
@@ -228,6 +239,16 @@ def _c3(parts: Parts) -> Claim:
         "holds" if not failures else "holds in part: " + "; ".join(failures),
         ("fig8",),
     )
+
+
+def _largest(lower: np.ndarray, upper: np.ndarray) -> str:
+    """Return the number, from 1, of the largest of some values between limits; "undetermined" if they overlap.
+
+    >>> _largest(np.array([0.1, 0.3]), np.array([0.2, np.inf])), _largest(np.array([0.1, 0.3]), np.array([0.4, 0.5]))
+    ('2', 'undetermined')
+    """
+    largest = int(np.argmax(lower))
+    return str(largest + 1) if lower[largest] > np.delete(upper, largest).max() else "undetermined"
 
 
 def with_unit(percent: float, expanded: float) -> str:

@@ -195,8 +195,8 @@ def _c3(parts: Parts) -> Claim:
             ),
             (
                 not not_lowered,
-                f"{not_lowered} of {lower[1:].size} peaks are not lower, beyond the uncertainties, than with one damper "
-                "less",
+                f"{not_lowered} of {lower[1:].size} peaks are not lower, beyond the uncertainties, than with one "
+                "damper less",
             ),
             (
                 least_affected == ["1"] * 3,
@@ -206,8 +206,8 @@ def _c3(parts: Parts) -> Claim:
             (
                 bool(at_level.all()),
                 "with three dampers, the first mode is the least affected with every damping ratio and mass ratio "
-                f"{force_range}; at {FORCE_C3_N:g} N, it is the least affected with {int(at_level.sum())} of {at_level.size} "
-                "combinations",
+                f"{force_range}; at {FORCE_C3_N:g} N, it is the least affected with {int(at_level.sum())} of "
+                f"{at_level.size} combinations",
             ),
         )
         if not is_true

@@ -99,10 +99,11 @@ class Scene(Settings):
         """Locations whose readings a controller uses, as `KindOfTest.controlled_terms`; empty in open loop."""
         if self.test is None or self.driven_shaker is None:
             return {}
-        terms, cell = self.test.controlled_terms(self.driven_shaker, self.at_driven("table")), self.at_driven("shaker")
+        table, cell = self.at_driven("table"), self.at_driven("shaker")
+        terms = self.test.controlled_terms(self.driven_shaker, table)
+        is_force = bool(terms) and terms == self.driven_shaker.force_terms("", table)
         has_cell = any(channel.at == cell for channel in self.channels or ())
-        replaces_motion = has_cell and self.test.controls_by_cell and self.test.held_motion is None
-        return {cell: 1.0} if terms and replaces_motion else terms
+        return {cell: 1.0} if is_force and has_cell and self.test.controls_by_cell else terms
 
     def force_terms(self, location: str) -> dict[str, float]:
         """Return the points whose displacements give the force at a shaker, with weights in N/m.

@@ -82,6 +82,12 @@ def test_default_channels_of_coil_spring_have_no_cell() -> None:
     assert [channel.at for channel in default_channels(scene, ["body 1", "table"])] == ["body 1", "table"]
 
 
+def test_cell_does_not_replace_controlled_motion() -> None:
+    scene = rig.load("continuation")
+    assert any(channel.at == "shaker" for channel in scene.channels or ())
+    assert all(place.startswith("body") for place in scene.controlled_terms)
+
+
 def test_swept_force_needs_both_ends_of_spring() -> None:
     test = "test: {kind: swept_sine, from: 10 Hz, to: 30 Hz, duration: 10 s, force: 1 N}\n"
     assert scene_of(test).controlled_terms == {"table": SPRING, "body 1": -SPRING}

@@ -106,7 +106,7 @@ def changes_table(changes: Sequence[SweepChange]) -> str:
         shift_text = f"{shift:+.{decimals}f} ({shift_low:+.{decimals}f} to {shift_high:+.{decimals}f})"
         location = ", ".join(filter(None, (change.response, f"{format_decimals(change.mode, 2)} Hz", sweep.level)))
         rows.append((location, change_text(change), change_heights(sweep), shift_text, exceeds))
-    heading = ["response, mode", "peak (95 % interval)", "from and to", "shift / Hz", "significant"]
+    heading = ["response, mode", "peak (95 % interval)", "from and to", "shift / Hz", "change beyond interval"]
     return table("Changes of the resonance peaks", heading, rows) if rows else ""
 
 

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 # Minimum number of amplitudes at one frequency for interpolation.
 _MIN_AMPLITUDES = 3
+# Amplitudes that differ by less than this fraction from the next one belong to one held level.
+_LEVEL_STEP = 0.02
 # Number of amplitudes to which a frequency is interpolated.
 _GRID = 1000
 
@@ -153,11 +155,12 @@ class ForceSurface(Result):
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the force over the frequency; points near one amplitude are one curve."""
-        levels = np.round(np.log(self.amplitude) / 0.02)
-        for level in np.unique(levels).tolist():
-            chosen = levels == level
-            label = f"{1e3 * float(np.mean(self.amplitude[chosen])):.3g} mm"
-            ax.plot(self.frequency[chosen], self.force[chosen], **complete_style(style, label=label, marker="o"))
+        order = np.argsort(self.amplitude)
+        for chosen in np.split(order, np.flatnonzero(np.diff(np.log(self.amplitude[order])) > _LEVEL_STEP) + 1):
+            along = chosen[np.argsort(self.frequency[chosen])]
+            label = f"{1e3 * float(np.median(self.amplitude[along])):.3g} mm"
+            bars = complete_style(style, label=label, marker="o", ms=3, lw=0.8, capsize=2)
+            ax.errorbar(self.frequency[along], self.force[along], self.force_bound[along], **bars)
         ax.set(xlabel="frequency / Hz", ylabel="force / N")
 
 

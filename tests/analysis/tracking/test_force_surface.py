@@ -16,6 +16,7 @@ from analysis.commands.cli import app
 from analysis.commands.presentation.surface_findings import fold_lines
 from analysis.core.tracking.force_surface import ForceSurface
 from rig.core.base.errors import RecordingError
+from rig.core.base.figure_style import new_figure
 
 
 def surface(frequencies: ArrayLike = (0.95, 1.1, 1.3)) -> ForceSurface:
@@ -69,3 +70,14 @@ def test_other_test_has_no_surface(tmp_path: Path) -> None:
 def test_table_contains_folds() -> None:
     lines = fold_lines(surface(np.linspace(1.0, 1.5, 21)), [0.2])
     assert len(lines) == 2 and "0.2 N" in lines[1] and "1.28" in lines[1]
+
+
+def test_levels_near_each_other_are_one_curve() -> None:
+    amplitude = np.array([0.10000, 0.20000, 0.10049, 0.20199])
+    result = ForceSurface(
+        "a", "body 1", np.array([1.0, 1.0, 2.0, 2.0]), amplitude, np.ones(4) + 0j, np.ones(4), np.ones(4)
+    )
+    with new_figure(2.0) as figure:
+        axes = figure.add_subplot()
+        result.draw(axes)
+    assert axes.get_legend_handles_labels()[1] == ["100 mm", "201 mm"]

@@ -222,10 +222,14 @@ def _malformed_protobuf(target: Target) -> list[str]:
 
 def _oversize_message(target: Target) -> list[str]:
     with grpc.insecure_channel(target.device, options=[("grpc.max_send_message_length", -1)]) as channel:
+        call, largest = channel.unary_unary(_TASK_METHOD), Limits().max_request_bytes
+        for _ in range(10):
+            with suppress(grpc.RpcError):
+                call(bytes(largest - 100), timeout=_PATIENCE_S)
         try:
-            channel.unary_unary(_TASK_METHOD)(bytes(Limits().max_message_bytes + 1), timeout=_PATIENCE_S)
-        except grpc.RpcError:
-            return []
+            call(bytes(largest + 1), timeout=_PATIENCE_S)
+        except grpc.RpcError as error:
+            return [] if error.code() is grpc.StatusCode.RESOURCE_EXHAUSTED else [f"message ended in {error.code()}"]
     return ["message accepted"]
 
 

@@ -1,7 +1,7 @@
 """The file of a recording, which grows by whole commits: a full disk leaves no half-written record in it.
 
 A commit writes all bytes that were collected since the previous commit. A file that replaces another is written next to
-it as `NAME.part`, and renamed when it is complete.
+it, as `NAME.part` by a recorder, and renamed when it is complete.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from glob import escape
 from io import FileIO
 from pathlib import Path
 from typing import IO
@@ -37,11 +38,12 @@ class CommittedFile:
 
     The folder of the file is created, and the file itself by the first commit, so that a killed process leaves no empty
     file. `current_path` differs from `path` while an existing file is being replaced. If
-    `failed`, the file ends with the previous commit. Raises `RecordingError` if the file exists or cannot be created.
+    `failed`, the file ends with the previous commit. `ending`: that of the name during replacement. Raises
+    `RecordingError` if the file exists or cannot be created.
     """
 
-    def __init__(self, path: Path, overwrite: bool) -> None:
-        self.path = path
+    def __init__(self, path: Path, overwrite: bool, ending: str = ".part") -> None:
+        self.path, self._ending = path, ending
         self.failed = self._is_complete = self._keeps_old = False
         self._waiting: list[bytes] = []
         self._committed = self._end = 0
@@ -57,7 +59,7 @@ class CommittedFile:
                 self._old = open_files.enter_context(self._final.open("rb")) if self._final.exists() else None
                 if self._old is not None:
                     _lock(self._old, path)
-                    self.current_path = _unused_name(self._final)
+                    self.current_path = _unused_name(self._final, self._ending)
                 file = open_files.enter_context(self.current_path.open("xb", buffering=0))
             except FileExistsError:
                 raise RecordingError(
@@ -194,17 +196,24 @@ def locked(path: Path) -> Iterator[None]:
         yield
 
 
-def _unused_name(path: Path) -> Path:
-    """Return an unused name next to a file; the `.part` file of a killed process is not replaced.
+def _unused_name(path: Path, ending: str) -> Path:
+    """Return an unused name next to a file; the `.part` file of a killed recorder is not replaced.
 
-    >>> _unused_name(Path("there-is-no-such-folder/run.mcap")).name
+    >>> _unused_name(Path("there-is-no-such-folder/run.mcap"), ".part").name
     'run.mcap.part'
     """
-    part, number = path.with_name(f"{path.name}.part"), 1
+    part, number = path.with_name(f"{path.name}{ending}"), 1
     while os.path.lexists(part):
         number += 1
-        part = path.with_name(f"{path.name}.part{number}")
+        part = path.with_name(f"{path.name}{ending}{number}")
     return part
+
+
+def remove_unfinished(path: Path, ending: str) -> None:
+    """Remove the replacements of a file that killed processes have left; only for files that can be made again."""
+    for part in path.parent.glob(f"{escape(path.name)}{ending}*"):
+        with suppress(OSError, RecordingError), locked(part):
+            part.unlink()
 
 
 def _lock(file: IO[bytes], path: Path) -> None:

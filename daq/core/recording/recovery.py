@@ -25,7 +25,7 @@ from daq.core.mcap_file.reader import Container
 from daq.core.mcap_file.summary import parse_record, with_checksum
 from daq.core.mcap_file.writer import ChunkedFile, Message
 from daq.core.recording import layout
-from daq.core.recording.committed_file import CommittedFile, DiskError, LostPathError
+from daq.core.recording.committed_file import CommittedFile, DiskError, LostPathError, remove_unfinished
 from daq.core.recording.layout import CLOCK_CHECKS, Timebase, stated_clock
 from daq.core.recording.markers import Marker
 from daq.core.recording.sample_block import SAMPLE_TYPE, check_block, decode
@@ -44,6 +44,8 @@ SampleRange = tuple[int, int]
 
 # Latest time that a message can have, ns.
 _MAX_TIME_NS = 2**64 - 1
+# Ending of the name of a file that replaces another; a recorder's `.part` contains samples of its own.
+_ENDING = ".recovering"
 _DISK_REMEDY = "Free disk space, or choose a file on another disk with -o."
 
 
@@ -116,7 +118,8 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
         resolve_output(target, overwrite, RecordingError)
         # Two passes are needed: descriptions may follow the samples, but must be written before them.
         descriptions = _read_descriptions(source, damaged)
-        disk = CommittedFile(target, overwrite)
+        remove_unfinished(resolve_output(target, overwrite, RecordingError), _ENDING)
+        disk = CommittedFile(target, overwrite, _ENDING)
         with disk.removed_on_failure():
             if disk.free() < damaged.size:
                 raise DiskError(

@@ -26,7 +26,8 @@ _MAX_STORED_MESSAGES = 1000
 class Limits:
     """Limits of the resources of clients."""
 
-    max_message_bytes: int = 256 << 20  # size of a request or response
+    max_request_bytes: int = 32 << 20  # size of a request: 4 million samples of outputs
+    max_message_bytes: int = 256 << 20  # size of a response
     max_tasks_per_client: int = 64  # open tasks
     max_buffer_bytes: int = 2 << 30  # total size of the buffers of a client's tasks
     max_calls_per_client: int = 256  # simultaneous calls, including event streams

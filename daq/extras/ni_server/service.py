@@ -86,7 +86,7 @@ class Server:
             ThreadPoolExecutor(self.limits.max_calls, thread_name_prefix="client", initializer=raise_priority),
             maximum_concurrent_rpcs=self.limits.max_calls,
             options=[
-                ("grpc.max_receive_message_length", self.limits.max_message_bytes),
+                ("grpc.max_receive_message_length", self.limits.max_request_bytes),
                 ("grpc.max_send_message_length", self.limits.max_message_bytes),
                 ("grpc.so_reuseport", 0),
                 # Idle connections must not take all file descriptors of the process.

@@ -78,7 +78,9 @@ def test_failed_replacement_keeps_the_old_recording(path: Path) -> None:
 
 def test_failed_creation_releases_the_old_recording(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patched, pytest.raises(RecordingError, match="cannot be created") as failure:
-        patched.setattr(committed_file, "_unused_name", lambda final: final.parent / "missing" / "run.mcap.part")
+        patched.setattr(
+            committed_file, "_unused_name", lambda final, ending: final.parent / "missing" / "run.mcap.part"
+        )
         recorder(path)
     # The traceback of the error refers to the failed recorder, whose open file would keep the lock.
     with recorder(path) as another:
@@ -111,6 +113,14 @@ def test_device_is_rejected_as_target(path: Path) -> None:
     assert Path(os.devnull).is_char_device()
 
 
+def test_recovery_removes_rest_of_killed_recovery(path: Path) -> None:
+    target = write_recording(path.with_name("fixed.mcap"), OLD)
+    for ending in (".recovering", ".recovering2", ".part"):
+        path.with_name(f"fixed.mcap{ending}").write_bytes(b"unfinished")
+    recover(path, target, overwrite=True)
+    assert names_in_folder_of(path) == ["fixed.mcap", "fixed.mcap.part", "run.mcap"]
+
+
 def test_recovered_file_is_kept_if_renaming_fails(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     target = write_recording(path.with_name("fixed.mcap"), OLD)
 
@@ -118,9 +128,9 @@ def test_recovered_file_is_kept_if_renaming_fails(path: Path, monkeypatch: pytes
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(Path, "replace", fail)
-    with pytest.raises(RunError, match=r"Use the new recording .*fixed\.mcap\.part"):
+    with pytest.raises(RunError, match=r"Use the new recording .*fixed\.mcap\.recovering"):
         recover(path, target, overwrite=True)
-    assert np.allclose(volts(path.with_name("fixed.mcap.part")), OLD, rtol=1e-15)
+    assert np.allclose(volts(path.with_name("fixed.mcap.recovering")), OLD, rtol=1e-15)
 
 
 def test_moved_file_is_complete_and_reported(tmp_path: Path) -> None:

@@ -36,8 +36,8 @@ _FLOOD_BYTES = 200 << 20
 _FLOOD_CONNECTIONS = 300
 # Time during which a slow attack holds its connections.
 _HOLD_S = 8.0
-# Growth of memory by an attack that is not limited by the server.
-_MAX_GROWTH_BYTES = 200 << 20
+# Growth of memory by an attack that is not limited by the server: some of the largest requests at a time.
+_MAX_GROWTH_BYTES = 256 << 20
 _TASK_METHOD = "/nidaqmx_grpc.NiDAQmx/CreateTask"
 
 

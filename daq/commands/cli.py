@@ -272,6 +272,8 @@ def serve_a_rig(
 
     Ctrl-C ends the server.
     """
+    # gRPC would also print the error of a port that is in use.
+    os.environ.setdefault("GRPC_VERBOSITY", "NONE")
     from daq.extras.ni_server.serve import Certificates, serve
     from daq.extras.ni_server.served_instrument import Limits
 
@@ -314,6 +316,8 @@ def bench_in_the_browser(
     The page shows all channels, starts tests, assesses hammer hits and records.
     NI clients can use the device at the same time.
     """
+    # gRPC would also print the error of a port that is in use.
+    os.environ.setdefault("GRPC_VERBOSITY", "NONE")
     from daq.extras.bench_page.bench import bench
 
     _check_port("--port", port)

@@ -4,6 +4,7 @@ import contextlib
 import gc
 import socket
 import subprocess
+import sys
 import weakref
 
 import grpc
@@ -86,6 +87,13 @@ def test_server_listens_at_ipv6_and_names(address):
 def test_invalid_address_is_rejected(address):
     with pytest.raises(SceneError, match="HOST:PORT"):
         parse_address(address, 0)
+
+
+def test_used_port_is_one_message():
+    with socket.create_server(("127.0.0.1", 0)) as used:
+        command = [sys.executable, "-m", "daq", "serve", "fig9", "--port", str(used.getsockname()[1])]
+        result = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert result.returncode and result.stderr.startswith("error: cannot listen at") and result.stderr.count("\n") == 1
 
 
 def test_name_with_a_public_address_is_not_loopback(monkeypatch):

@@ -10,7 +10,9 @@ import numpy as np
 from analysis.core.modal.line_choice import are_in_gaps, reduce_lines
 from analysis.core.modal.modal_fit import (
     MIN_RELATIVE_ERROR,
-    band_charts,
+    FittedModes,
+    are_errors_stated,
+    equal_weight_chart,
     fit_modes,
     measured_curves,
     nearest_lines,
@@ -91,10 +93,13 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
         )
     all_lines = [frf.to("displacement").sorted() for frf in frfs]
     curves = remove_unbounded(reduce_lines(all_lines))
-    measured, sigma = measured_curves(curves)
-    if measured.are_errors_stated:
-        found = _identify_band(curves, count)
+    if are_errors_stated(curves):
+        fitted = fit_modes(curves, count)
+        measured, chart = fitted.measured, fitted.chart
+        found = _modes_of_band(curves, fitted)
     else:
+        measured, _ = measured_curves(curves)
+        chart = equal_weight_chart(measured)
         used = {curve.response for curve in curves}
         found = identify_windows([curve for curve in all_lines if curve.response in used], measured.value, count)
     if not found.poles.size:
@@ -132,7 +137,7 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
         shape_error=_shape_errors(curves, poles, residue),
         residue=residue,
         responses=tuple(curve.response for curve in curves),
-        chart=tuple(band_charts(measured, sigma)[0]),
+        chart=tuple(chart),
         lower=residuals[:, 0],
         upper=residuals[:, 1:],
         model_error=found.model_error,
@@ -146,9 +151,8 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     return replace(result, warnings=(*curves[0].warnings, *notes))
 
 
-def _identify_band(curves: Sequence[Response], count: int | None) -> IdentifiedPoles:
-    """Identify the modes of curves with one model of the whole band."""
-    fitted = fit_modes(curves, count)
+def _modes_of_band(curves: Sequence[Response], fitted: FittedModes) -> IdentifiedPoles:
+    """Return the modes of a model of the whole band."""
     model, weighted = fitted.model, fitted.weighted
     if not are_in_band(weighted, model.poles).any():
         return no_poles(weighted.value)._replace(rejected=fitted.rejected)

@@ -55,9 +55,9 @@ class FittedModes(NamedTuple):
     measured: Curves
     weighted: Curves  # with the weights of the fit
     model: ModalModel
-    model_error: (
-        float  # root mean square of the residual over the highest neighboring magnitude; 0 if noise explains it
-    )
+    chart: list[ChartPole]  # stabilization chart with equal weights
+    # Root mean square of the residual over the highest neighboring magnitude; 0 if noise explains it.
+    model_error: float
     assumed_error: float  # model error in the weights
     rejected: list[float]  # Hz, poles that are not modes
 
@@ -67,12 +67,17 @@ def fit_modes(
 ) -> FittedModes:
     """Fit the model of significant poles to curves, with the first of some model errors that explains the misfit."""
     measured, sigma = measured_curves(curves)
-    stable, candidates = merge_charts(measured.frequency, band_charts(measured, sigma))
+    magnitude = abs(measured.value)
+    weighted_chart = stabilization_chart(
+        measured.frequency, measured.value, 1.0 / np.hypot(sigma, _CHART_ERROR * magnitude)
+    )
+    chart = equal_weight_chart(measured)
+    stable, candidates = merge_charts(measured.frequency, [chart, weighted_chart])
     stable, candidates = stable[:_MAX_INITIAL_POLES], candidates[:_MAX_CANDIDATES]
     max_modes = MAX_MODES if count is None else count
     weighted, model, model_error, assumed = _best_model(measured, sigma, stable, candidates, max_modes, assumed_errors)
     model, rejected = _remove_spurious_poles(weighted, model, curves)
-    return FittedModes(measured, weighted, model, model_error, assumed, rejected)
+    return FittedModes(measured, weighted, model, chart, model_error, assumed, rejected)
 
 
 def are_errors_stated(curves: Sequence[Response]) -> bool:
@@ -80,12 +85,11 @@ def are_errors_stated(curves: Sequence[Response]) -> bool:
     return any(curve.degrees.any() or curve.limits for curve in curves)
 
 
-def band_charts(measured: Curves, sigma: Array) -> list[list[ChartPole]]:
-    """Compute two stabilization charts: with equal weights, and with the weights of the fit."""
+def equal_weight_chart(measured: Curves) -> list[ChartPole]:
+    """Compute a stabilization chart in which all points of a curve have the same weight."""
     magnitude = abs(measured.value)
-    equal_weights = np.ones(sigma.shape) / magnitude.max(axis=1, keepdims=True)
-    weights = (equal_weights, 1.0 / np.hypot(sigma, _CHART_ERROR * magnitude))
-    return [stabilization_chart(measured.frequency, measured.value, weight) for weight in weights]
+    weight = np.ones(magnitude.shape) / magnitude.max(axis=1, keepdims=True)
+    return stabilization_chart(measured.frequency, measured.value, weight)
 
 
 def remove_unbounded(curves: Sequence[Response]) -> list[Response]:

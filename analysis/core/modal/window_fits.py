@@ -35,8 +35,6 @@ _SHARE_LINES = 31
 # Smallest standard uncertainty, relative to the half-width and the damping ratio: an error of the curves that all lines
 # have in common does not appear in their differences.
 _MIN_UNCERTAINTY = 1e-3
-
-
 # Maximum number of lines of a window; of more, every second, third, ... is fitted. These are 80 lines per half-width.
 _MAX_LINES = 1000
 

@@ -22,11 +22,12 @@ if TYPE_CHECKING:
 def present_backbone(recordings: OpenRecordings, paths: Sequence[Path], output: Path | None = None) -> CommandOutput:
     """Draw and tabulate each recording; `output`: folder, by default that of the recording."""
     return present_each(
-        recordings, paths, output, "backbone", "Frequency against amplitude", backbone, _complete, level_lines
+        recordings, paths, output, "backbone", "Frequency against amplitude", backbone, _draw, level_lines
     )
 
 
-def _complete(result: Backbone, figure: Figure, axes: Axes) -> None:
+def _draw(result: Backbone, figure: Figure, axes: Axes) -> None:
+    result.draw(axes)
     sensor = "Those of the amplitude contain the limit of error of the sensor, which is common to all points."
     add_caption(figure, "Bars: 95 % intervals.", sensor)
 

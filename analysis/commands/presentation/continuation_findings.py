@@ -62,7 +62,8 @@ def present_continuation(
         exact[:] = exact_branches(rec, result) if theory else []
         return result
 
-    def complete(result: AmplitudeCurve, figure: Figure, axes: Axes) -> None:
+    def draw(result: AmplitudeCurve, figure: Figure, axes: Axes) -> None:
+        result.draw(axes)
         for number, (_, branch, amplitude) in enumerate(exact):
             label = "exact orbits (dashed: unstable)" if not number else None
             stable = np.where(branch.stable, 1e3 * amplitude, np.nan)
@@ -73,7 +74,7 @@ def present_continuation(
 
     title = "Response at constant level"
     return present_each(
-        recordings, paths, output, "continuation", title, evaluate, complete, lambda result: fold_lines(result, exact)
+        recordings, paths, output, "continuation", title, evaluate, draw, lambda result: fold_lines(result, exact)
     )
 
 

@@ -29,12 +29,12 @@ def present_each(
     kind: str,
     title: str,
     evaluate: Callable[[Recording], R],
-    complete: Callable[[R, Figure, Axes], None],
+    draw: Callable[[R, Figure, Axes], None],
     table: Callable[[R], list[str]],
 ) -> CommandOutput:
     """Write figure and columns of each recording's result; `output`: folder, by default that of the recording.
 
-    `kind`: ending of the file names; `title`: what is drawn; `complete` adds scales and captions to a figure; `table`
+    `kind`: ending of the file names; `title`: what is drawn; `draw` draws it, with scales and captions; `table`
     returns the lines that are printed after the summary.
     """
     stems = separate_stems(paths, output, kind)
@@ -46,8 +46,7 @@ def present_each(
         result = evaluate(rec)
         with new_figure(4.6) as figure:
             axes = figure.add_subplot()
-            result.draw(axes)
-            complete(result, figure, axes)
+            draw(result, figure, axes)
             add_title(axes, f"{title}: {rec.scene.name} ({excitation_text(rec)})")
             files += save_figure(figure, stem)
         columns = result.columns()

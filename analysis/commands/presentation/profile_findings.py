@@ -21,10 +21,11 @@ if TYPE_CHECKING:
 @with_recordings
 def present_profile(recordings: OpenRecordings, paths: Sequence[Path], output: Path | None = None) -> CommandOutput:
     """Draw and tabulate each recording; `output`: folder, by default that of the recording."""
-    return present_each(recordings, paths, output, "profile", "Controlled motion", profile, _complete, channel_lines)
+    return present_each(recordings, paths, output, "profile", "Controlled motion", profile, _draw, channel_lines)
 
 
-def _complete(result: ProfileCheck, figure: Figure, axes: Axes) -> None:
+def _draw(result: ProfileCheck, figure: Figure, axes: Axes) -> None:
+    result.draw(axes)
     frequency_axis(axes, float(result.frequency[0]), float(result.frequency[-1]), True)
     log_axis(axes, [result.control, result.profile, *(level.values for level in result.limited)], 5.0)
     sentences = [f"Band: tolerance of {result.tolerance:g} dB."]

@@ -17,7 +17,7 @@ from analysis.commands.presentation.tables import Row, write_table
 from analysis.core.recordings.names import OpenRecordings, excitation_text, scene_labels, with_recordings
 from analysis.core.responses.measurands import select_channels
 from analysis.core.signals.shock_spectrum import ShockSpectrum, prescribed_spectrum, srs
-from daq.core.recording.recorded_test import shocks_of
+from daq.core.recording.recorded_test import deviation_unit, shocks_of
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import COLORS, add_legend_below, add_title, new_figure, save_figure, set_log_scale
 from rig.core.base.palette import REFERENCE, place_style
@@ -93,9 +93,8 @@ def pulse_lines(rec: Recording) -> list[str]:
     """Return a table of the practice pulses and shocks of a recording with their deviations; empty without a shock."""
     rows = [("pulse", "level / dB", "peak / (m/s²)", "deviation", "tolerance", "")]
     for mark in shocks_of(rec.markers, with_practice=True):
-        fields, unit = mark.fields, str(mark.fields["unit"])
-        factor, suffix = (1.0, " dB") if unit == "dB" else (100.0, f" % {unit}")
-        deviation, tolerance = (f"{factor * float(fields[key]):.3g}{suffix}" for key in ("deviation", "tolerance"))
+        fields, (factor, unit) = mark.fields, deviation_unit(mark)
+        deviation, tolerance = (f"{factor * float(fields[key]):.3g} {unit}" for key in ("deviation", "tolerance"))
         is_within = float(fields["deviation"]) <= float(fields["tolerance"])
         name, level = f"{mark.kind} {fields['number']}", f"{float(fields['level']):g}"
         peak = f"{float(fields['peak']):.4g}"

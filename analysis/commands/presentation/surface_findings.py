@@ -25,20 +25,25 @@ def present_surface(
 ) -> CommandOutput:
     """Draw and tabulate each recording; `forces`: amplitudes in N at which the response is drawn instead."""
 
-    def complete(result: ForceSurface, figure: Figure, axes: Axes) -> None:
+    def draw(result: ForceSurface, figure: Figure, axes: Axes) -> None:
         if forces:
-            axes.clear()
-            for number, force in enumerate(forces):
-                draw_response(result, force, axes, f"C{number}")
-            axes.set(xlabel="frequency / Hz", ylabel=f"amplitude of {result.body} / mm")
-        axes.legend()
-        if forces:
+            draw_responses(result, forces, axes)
             add_caption(figure, "Hollow: unstable.")
+        else:
+            result.draw(axes)
+        axes.legend()
 
     title = "Response at constant force" if forces else "Force at constant amplitude"
     return present_each(
-        recordings, paths, output, "surface", title, force_surface, complete, lambda result: fold_lines(result, forces)
+        recordings, paths, output, "surface", title, force_surface, draw, lambda result: fold_lines(result, forces)
     )
+
+
+def draw_responses(result: ForceSurface, forces: Sequence[float], axes: Axes) -> None:
+    """Draw the responses at force amplitudes in N."""
+    for number, force in enumerate(forces):
+        draw_response(result, force, axes, f"C{number}")
+    axes.set(xlabel="frequency / Hz", ylabel=f"amplitude of {result.body} / mm")
 
 
 def draw_response(result: ForceSurface, force: float, axes: Axes, color: str) -> None:
@@ -64,6 +69,5 @@ def fold_lines(result: ForceSurface, forces: Sequence[float]) -> list[str]:
         for force in forces
         for frequency, amplitude in result.folds(force)
     ]
-    return [f"  {line}" for line in table_lines([("force", "fold / Hz", f"{result.body} / mm"), *rows], ">>>")] * bool(
-        rows
-    )
+    heading = ("force", "fold / Hz", f"{result.body} / mm")
+    return [f"  {line}" for line in table_lines([heading, *rows], ">>>")] if rows else []

@@ -22,15 +22,12 @@ if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
 
-def _profile_chart(check: ProfileCheck, rec: Recording) -> Chart:
+def _profile_chart(check: ProfileCheck) -> Chart:
     """Return a chart of control and limited channels with their bounds."""
-    is_density = "Hz" in check.unit
-    ratio = 10.0 ** (check.tolerance / (10.0 if is_density else 20.0))
-    names = [check.channels[0].channel, *(level.channel for level in check.limited)]
-    control, *limited = place_styles([rec.channels[name].at for name in names])
-    frequency, target = check.frequency, check.profile
+    control, *limited = place_styles([level.place for level in (check.channels[0], *check.limited)])
+    frequency = check.frequency
     curves = [
-        Curve("profile", frequency, target, target / ratio, target * ratio, CurveStyle(REFERENCE)),
+        Curve("profile", frequency, check.profile, *check.band, CurveStyle(REFERENCE)),
         Curve("control", frequency, check.control, style=control._replace(dashes=())),
     ]
     for level, style in zip(check.limited, limited, strict=True):
@@ -39,7 +36,15 @@ def _profile_chart(check: ProfileCheck, rec: Recording) -> Chart:
     return Chart(
         f"{check.summary().removesuffix('.')}. Band of the profile: tolerance.",
         "Control and limited channels against the profile.",
-        [Panel("acceleration PSD" if is_density else "acceleration", check.unit, curves, height=280, logarithmic=True)],
+        [
+            Panel(
+                "acceleration PSD" if check.is_density else "acceleration",
+                check.unit,
+                curves,
+                height=280,
+                logarithmic=True,
+            )
+        ],
         logarithmic=True,
     )
 
@@ -77,7 +82,7 @@ def control_charts(measurement: Measurement) -> list[Chart]:
     if any({"distance", "phase"} & {*mark.fields} for mark in rec.markers if mark.kind == "measure"):
         return [_tracking_chart(rec)]
     if measurement.profile is not None:
-        return [_profile_chart(measurement.profile, rec)]
+        return [_profile_chart(measurement.profile)]
     shocks = shocks_of(rec.markers)
     if not shocks or rec.scene.test is None:
         return []

@@ -12,7 +12,7 @@ from analysis.commands.presentation.damper_findings import detection_limits
 from analysis.commands.report_page.measurements import Measurement, SweepChange, SweepResults
 from analysis.commands.report_page.tables import change_heights, change_text, peak_height, with_bound
 from analysis.core.damper_motion.dampers import Dampers
-from daq.core.recording.recorded_test import shocks_of
+from daq.core.recording.recorded_test import deviation_unit, shocks_of
 from rig.core.results import format_decimals, format_frequencies
 
 # Number of texts in the summary.
@@ -37,11 +37,13 @@ def _control_texts(measurement: Measurement) -> list[str]:
     """Return the verdict on a motion that the test controls: its profile, or its shocks."""
     if measurement.profile is not None:
         return [f"{measurement.profile.summary()}."]
-    shocks = [mark.fields for mark in shocks_of(measurement.rec.markers)]
+    shocks = shocks_of(measurement.rec.markers)
     if not shocks:
         return []
-    factor, unit = (1.0, "dB") if shocks[0]["unit"] == "dB" else (100.0, f"% {shocks[0]['unit']}")
-    deviations, tolerances = ([factor * float(shock[key]) for shock in shocks] for key in ("deviation", "tolerance"))
+    factor, unit = deviation_unit(shocks[0])
+    deviations, tolerances = (
+        [factor * float(shock.fields[key]) for shock in shocks] for key in ("deviation", "tolerance")
+    )
     within = sum(map(le, deviations, tolerances))
     return [
         f"“{measurement.label}”: {within} of {len(shocks)} shocks within the tolerance of {tolerances[0]:.3g} {unit}; "

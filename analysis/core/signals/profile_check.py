@@ -87,9 +87,20 @@ class ProfileCheck(Result):
     abort: float
 
     @property
+    def is_density(self) -> bool:
+        """Whether the values are densities, not amplitudes."""
+        return "Hz" in self.unit
+
+    @property
     def _decibels(self) -> float:
-        """Decibels of a factor 10: the values are densities or amplitudes."""
-        return 10.0 if "Hz" in self.unit else 20.0
+        """Decibels of a factor 10."""
+        return 10.0 if self.is_density else 20.0
+
+    @property
+    def band(self) -> tuple[Array, Array]:
+        """Profile less and plus the tolerance."""
+        ratio = 10.0 ** (self.tolerance / self._decibels)
+        return self.profile / ratio, self.profile * ratio
 
     @property
     def deviation(self) -> Array:
@@ -151,9 +162,8 @@ class ProfileCheck(Result):
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw control and limited channels with profile, tolerance, limits, and strips where a limit acts."""
-        ratio = 10.0 ** (self.tolerance / self._decibels)
         ax.loglog(self.frequency, self.profile, color=REFERENCE, lw=1.0, label="profile")
-        ax.fill_between(self.frequency, self.profile / ratio, self.profile * ratio, color="#999999", alpha=0.3, lw=0)
+        ax.fill_between(self.frequency, *self.band, color="#999999", alpha=0.3, lw=0)
         control, *limited = place_styles([level.place for level in (self.channels[0], *self.limited)])
         names = " and ".join(level.channel for level in self.channels)
         ax.loglog(self.frequency, self.control, **complete_style(style, color=control.color, label=f"control: {names}"))
@@ -165,7 +175,7 @@ class ProfileCheck(Result):
             ax.fill_between(self.frequency, 0.0, 0.02, where=acts, transform=bottom, color=limiting.color, lw=0)
         density = "acceleration spectral density"
         ax.set(xlabel="frequency / Hz")
-        ax.set_ylabel(f"{density if 'Hz' in self.unit else 'acceleration amplitude'} / ({self.unit})")
+        ax.set_ylabel(f"{density if self.is_density else 'acceleration amplitude'} / ({self.unit})")
 
 
 @takes_path

@@ -132,6 +132,12 @@ def shocks_of(markers: Iterable[Marker], with_practice: bool = False) -> list[Ma
     return [mark for mark in markers if mark.kind == "shock" or (with_practice and mark.kind == "practice")]
 
 
+def deviation_unit(shock: Marker) -> tuple[float, str]:
+    """Return factor and unit in which the deviation of a shock is shown: dB, or percent of a quantity."""
+    unit = str(shock.fields["unit"])
+    return (1.0, "dB") if unit == "dB" else (100.0, f"% {unit}")
+
+
 @dataclass(frozen=True)
 class SceneOutline:
     """Summary of a scene that a recording repeats in its metadata."""

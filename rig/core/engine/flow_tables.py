@@ -35,7 +35,7 @@ from rig.core.engine.law_tables import SignalTerms, bounded_signals, law_tables
 from rig.core.numerics.bernstein import N_COEFFICIENTS
 from rig.core.numerics.complementarity import ROUNDING
 from rig.core.numerics.simd import SUMS, aligned_zeros, padded_length
-from rig.core.system.hybrid_system import Drive, HybridSystem
+from rig.core.system.hybrid_system import Drive, HybridSystem, hold_coordinates
 
 #: The product of step length (s) and largest rate (rad/s) is at most this; 0.7^16 / 16! is below the rounding of
 #: float64.
@@ -146,10 +146,9 @@ class FlowTables:
         contact_matrix, contact_constant = system.contact_forces(configuration)
         mass = system.mass.astype(dtype)
         constant = system.force_constant.astype(dtype) + contact_constant
-        fixed = []  # gaps at rest
+        fixed = system.gaps_at_rest(configuration)
         for j in system.held(configuration):
             if not system.detached[j]:
-                fixed.append(system.gap_coordinate[j])
                 continue
             row = system.damper_coordinate[j]
             mass[row, row] += system.damper_mass[j]
@@ -160,8 +159,7 @@ class FlowTables:
         force = np.zeros((nq, self.size), dtype=dtype)
         force[:, :ns] = system.force_state.astype(dtype) + contact_matrix
         force[:, ns:] = system.force_drive.astype(dtype) @ drive.output.astype(dtype)
-        mass[fixed], mass[:, fixed] = 0.0, 0.0
-        mass[fixed, fixed] = 1.0
+        hold_coordinates(mass, fixed)
         force[fixed], constant[fixed] = 0.0, 0.0
         matrix[nq : 2 * nq] = _solve(mass, force)
         offset[nq : 2 * nq] = _solve(mass, constant[:, None])[:, 0]

@@ -24,7 +24,7 @@ from rig.core.orbits.orbit_equations import GAP, HIGH, HOLD, LOW, SPEED, Equatio
 from rig.core.scene.scene import Scene
 from rig.core.settings.quantities import FREQUENCY, LENGTH, RATIO, Kind, positive_value, positive_values
 from rig.core.system.assembly import assemble
-from rig.core.system.hybrid_system import Element, HybridSystem
+from rig.core.system.hybrid_system import Element, HybridSystem, hold_coordinates
 from rig.core.system.open_loop_drive import drive_per_level, level_of, with_ideal_force
 from rig.core.system.reference import reference_of
 
@@ -300,7 +300,7 @@ class OrbitProblem:
         system = self._system_at(mass_factor)
         nq, n = system.coordinates, system.states
         mass, constant = _riding_mass_and_forces(system, configuration)
-        inverse_mass = _inverse_with_fixed(mass, _fixed_gaps(system, configuration))
+        inverse_mass = _inverse_with_fixed(mass, system.gaps_at_rest(configuration))
         wall_force, clearance_force, preload = _finite_contact_forces(system, configuration)
         generator, drive_input = np.zeros((n + 3, n + 3)), np.zeros((n, len(system.inputs)))
         state_matrix = generator[:n, :n]
@@ -449,16 +449,10 @@ def _finite_contact_forces(system: HybridSystem, configuration: int) -> tuple[Ar
     return force, clearance_force, preload
 
 
-def _fixed_gaps(system: HybridSystem, configuration: int) -> list[int]:
-    """Return the coordinates that are gaps at rest in a configuration."""
-    return [system.elements[j].gap for j in system.held(configuration) if not system.detached[j]]
-
-
 def _inverse_with_fixed(mass: Array, fixed: list[int]) -> Array:
     """Return the inverse of a mass matrix whose rows and columns of fixed coordinates are zero."""
     mass = mass.copy()
-    mass[fixed], mass[:, fixed] = 0.0, 0.0
-    mass[fixed, fixed] = 1.0
+    hold_coordinates(mass, fixed)
     inverse = np.asarray(np.linalg.inv(mass), dtype=np.float64)
     inverse[fixed, fixed] = 0.0
     return inverse

@@ -287,6 +287,10 @@ class HybridSystem:
         counts = np.array([len(element.law.forces) for element in self.elements], dtype=np.int64)
         return configurations[..., None] // np.array(self.strides, dtype=np.int64) % counts
 
+    def gaps_at_rest(self, configuration: int) -> list[int]:
+        """Return the coordinates that are gaps of held elements in a configuration."""
+        return [self.elements[j].gap for j in self.held(configuration) if not self.detached[j]]
+
     def held(self, configuration: int) -> list[int]:
         """Return the elements that are held in a configuration."""
         indices = self.force_indices(np.array(configuration)).tolist()
@@ -347,6 +351,12 @@ class HybridSystem:
             np.abs(np.linalg.eigvals(self.matrix(configuration))).max(initial=0.0) for configuration in configurations
         ]
         return float(max(rates))
+
+
+def hold_coordinates(mass: np.ndarray, coordinates: list[int]) -> None:
+    """Change a mass matrix so that it gives coordinates without a force the acceleration zero, in place."""
+    mass[coordinates], mass[:, coordinates] = 0.0, 0.0
+    mass[coordinates, coordinates] = 1.0
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from rig.core.scene.excitation.kind import Chirp, Pulses
 from rig.core.scene.scene import Scene
 from rig.core.scene.shaker import ForceShaker
 from rig.core.system.assembly import force_row
-from rig.core.system.hybrid_system import HybridSystem
+from rig.core.system.hybrid_system import HybridSystem, hold_coordinates
 
 # Minimum number of frequencies between which the drive per level of a sweep is interpolated.
 _MIN_GAIN_FREQUENCIES = 400
@@ -157,10 +157,10 @@ def riding_equations(system: HybridSystem, name: str) -> tuple[Array, Array, Arr
     state_matrix[:n, n : 2 * n] = np.eye(n)
     force, _ = system.contact_forces(system.start)
     state_matrix[n : 2 * n] = system.force_state + force
-    fixed = [system.elements[j].gap for j in system.held(system.start) if not system.detached[j]]
     # The gap of a mass that sticks remains at rest.
-    mass[fixed], mass[:, fixed], state_matrix[[n + gap for gap in fixed]] = 0.0, 0.0, 0.0
-    mass[fixed, fixed] = 1.0
+    fixed = system.gaps_at_rest(system.start)
+    hold_coordinates(mass, fixed)
+    state_matrix[[n + gap for gap in fixed]] = 0.0
     descriptor_matrix[n : 2 * n, n : 2 * n] = mass
     state_matrix[2 * n :] = system.rate_state
     column = system.inputs.index(name)

@@ -98,17 +98,7 @@ class HeldMotion(EnvelopeTone):
             settled = settled and not held.growth
             if not settled and growth * self.dead_time > MAX_POLE_TIMES_DEAD_TIME:
                 self.lost.append((growth, self.dead_time))
-        force = abs(held.drive) if self.station.force_is_drive else None
-        self.station.mark(
-            "measure",
-            first,
-            self.station.now,
-            drive=abs(held.drive),
-            force=force,
-            settled=settled,
-            invasive=held.invasive,
-            **fields,
-        )
+        self.mark_measured(first, held, settled, **fields)
 
 
 def excite(station: Station, test: ConstantResponse) -> Excitation:

@@ -20,7 +20,7 @@ import numpy as np
 from daq.core.excitation.constant_response import AT_LIMIT_RATIO
 from daq.core.excitation.controlled import displacement, spring_force
 from daq.core.excitation.envelope_control import MAX_POLE_TIMES_DEAD_TIME, EnvelopeTone
-from daq.core.excitation.lock_in import lock_in
+from daq.core.excitation.lock_in import lock_in, noise_gain
 from daq.core.excitation.procedure import Form, FormValues, Procedure
 from daq.core.excitation.station import Excitation, GivenUp, Station
 from daq.core.excitation.steady_tone import TRANSITION_S, AmplitudeControl
@@ -214,17 +214,8 @@ class _Curve:
             first = station.now
             held = yield from tone.hold_envelope(samples, point.motion, feedback=True)
         settled = not held.growth and held.invasive < _MAX_INVASIVE
-        fields: dict[str, Any] = {"frequency": point.frequency, "level": self._level, "direction": "up"}
-        station.mark(
-            "measure",
-            first,
-            station.now,
-            drive=abs(held.drive),
-            force=abs(held.drive) if station.force_is_drive else None,
-            settled=settled,
-            invasive=held.invasive,
-            distance=abs(point.pole),
-            **fields,
+        tone.mark_measured(
+            first, held, settled, distance=abs(point.pole), frequency=point.frequency, level=self._level, direction="up"
         )
         if not settled:
             raise Lost(self._reason())
@@ -341,7 +332,7 @@ class ContinuationProcedure(Procedure["Continuation"]):
 
     def noise_gain(self, test: Continuation, frequency: Array) -> Array:
         """Return the gain of a lock-in measurement over the measured periods."""
-        return np.asarray(np.sqrt(test.measure.periods / frequency / 2.0))
+        return noise_gain(test.measure.periods, frequency)
 
     def waits(self, test: Continuation, scene: Scene) -> float:
         """Return the expected time of all points, s: those of the linear modes in the band."""

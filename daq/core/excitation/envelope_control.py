@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Generator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -245,6 +245,14 @@ class EnvelopeTone(SteadyTone):
         motion, drive = complex(np.mean(motions)), complex(np.mean(drives))
         invasive = float(np.sqrt(np.mean(abs(np.array(drives) - drive) ** 2))) / max(abs(drive), 1e-300)
         return Held(motion, drive, invasive, _growth(np.array(motions), target, window / self.rate))
+
+    def mark_measured(self, first: int, held: Held, settled: bool, **fields: Any) -> None:
+        """Mark the measurement from a sample to the present."""
+        self.station.mark(
+            "measure", first, self.station.now, drive=abs(held.drive),
+            force=abs(held.drive) if self.station.force_is_drive else None,
+            settled=settled, invasive=held.invasive, **fields,
+        )  # fmt: skip
 
 
 def _window(frequency: float, rate: float) -> int:

@@ -117,3 +117,8 @@ def lock_in(samples: Array, frequency: float, rate: float, phase: float = 0.0) -
     else:
         parts = _amplitude_parts(samples, frequency, rate)
     return (parts[:, 0] + 1j * parts[:, 1]) * np.exp(-1j * phase)
+
+
+def noise_gain(periods: float, frequency: Array) -> Array:
+    """Return the gain from a noise density to the noise of an amplitude measured over some periods, sqrt(s)."""
+    return np.asarray(np.sqrt(periods / frequency / 2.0))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from daq.core.excitation.controlled import controlled, displacement, measured_force
-from daq.core.excitation.lock_in import lock_in, whole_periods
+from daq.core.excitation.lock_in import lock_in, noise_gain, whole_periods
 from daq.core.excitation.phase_loop import PhaseLoop
 from daq.core.excitation.procedure import Form, FormValues, Procedure
 from daq.core.excitation.settling import Settling
@@ -179,7 +179,7 @@ class PhaseResonanceProcedure(Procedure["PhaseResonance"]):
 
     def noise_gain(self, test: PhaseResonance, frequency: Array) -> Array:
         """Return the gain of a lock-in measurement over the measured periods."""
-        return np.asarray(np.sqrt(test.measure.periods / frequency / 2.0))
+        return noise_gain(test.measure.periods, frequency)
 
     def waits(self, test: PhaseResonance, scene: Scene) -> float:
         """Return the expected time of all locks, s."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from daq.core.excitation.controlled import controlled
+from daq.core.excitation.lock_in import noise_gain
 from daq.core.excitation.procedure import Procedure
 from daq.core.excitation.station import Excitation, Station
 from daq.core.excitation.steady_tone import SteadyTone
@@ -114,7 +115,7 @@ class StepsProcedure(Procedure[StepsT]):
 
     def noise_gain(self, test: StepsT, frequency: Array) -> Array:
         """Return the gain of a lock-in measurement over the measured periods."""
-        return np.asarray(np.sqrt(test.measure.periods / frequency / 2.0))
+        return noise_gain(test.measure.periods, frequency)
 
     def waits(self, test: StepsT, scene: Scene) -> float:
         """Return the expected time of the waits before all measurements, s."""

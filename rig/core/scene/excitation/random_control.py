@@ -16,15 +16,15 @@ from rig.core.scene.excitation.profile import (
     Ramp,
     Share,
     from_decibels,
-    limit_texts,
 )
+from rig.core.scene.excitation.profile_control import ProfileControl
 from rig.core.scene.shaker import Shaker
 from rig.core.settings.problems import KeyPath, Problem
 from rig.core.settings.quantities import RATIO
 from rig.core.settings.quantity_field import Quantity
 
 
-class RandomControl(KindOfTest):
+class RandomControl(ProfileControl, KindOfTest):
     """Noise whose power spectral density at control channels is held at a profile, with limits of other channels."""
 
     kind: Literal["random_control"] = "random_control"
@@ -62,9 +62,7 @@ class RandomControl(KindOfTest):
 
     def check_consistency(self) -> Iterable[Problem]:
         """Check that the abort line lies above the tolerance."""
-        if self.abort <= self.tolerance:
-            message = f"got {self.abort:g} dB, which is not above the tolerance, {self.tolerance:g} dB. Give more."
-            yield Problem(("abort",), message)
+        yield from self.check_abort()
 
     @property
     def title(self) -> str:
@@ -74,16 +72,6 @@ class RandomControl(KindOfTest):
     def level_text(self, shaker: Shaker | None) -> str:
         """Return the root mean square of the profile."""
         return f"{self.rms():.2g} m/s² rms"
-
-    @property
-    def details(self) -> tuple[str, ...]:
-        """The limits."""
-        return limit_texts(self.limits)
-
-    @property
-    def named_channels(self) -> Iterable[tuple[KeyPath, str]]:
-        """The control and the limited channels."""
-        return named_channels(self.control.channels, [limit.channel for limit in self.limits])
 
     @property
     def band(self) -> tuple[float, float]:
@@ -114,11 +102,3 @@ class RandomControl(KindOfTest):
         """Return the root mean square acceleration of the profile at a level in dB, m/s^2."""
         frequency = np.linspace(*self.band, 10 * self.lines + 1)
         return from_decibels(level) * float(np.sqrt(np.trapezoid(self.profile.at(frequency), frequency)))
-
-
-def named_channels(control: tuple[str, ...], limited: list[str]) -> Iterable[tuple[KeyPath, str]]:
-    """Yield the key paths and names of control and limited channels."""
-    for k, name in enumerate(control):
-        yield ("control", "channels", k), name
-    for k, name in enumerate(limited):
-        yield ("limits", k, "channel"), name

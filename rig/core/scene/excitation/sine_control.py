@@ -6,16 +6,16 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from rig.core.scene.excitation.kind import Duration, Frequency, KindOfTest, ShakerNumber, Spacing, Start
-from rig.core.scene.excitation.profile import Control, Decibels, MotionLimit, MotionProfile, Prescription, limit_texts
-from rig.core.scene.excitation.random_control import named_channels
+from rig.core.scene.excitation.profile import Control, Decibels, MotionLimit, MotionProfile, Prescription
+from rig.core.scene.excitation.profile_control import ProfileControl
 from rig.core.scene.excitation.swept_sine import FrequencySweep
 from rig.core.scene.shaker import Shaker
-from rig.core.settings.problems import KeyPath, Problem
+from rig.core.settings.problems import Problem
 from rig.core.settings.quantities import RATIO
 from rig.core.settings.quantity_field import Quantity
 
 
-class SineControl(FrequencySweep, KindOfTest):
+class SineControl(FrequencySweep, ProfileControl, KindOfTest):
     """A swept sine whose amplitude at control channels is held at a profile, with limits of other channels."""
 
     kind: Literal["sine_control"] = "sine_control"
@@ -55,9 +55,7 @@ class SineControl(FrequencySweep, KindOfTest):
             ends = f"{self.profile.frequencies[0]:g} to {self.profile.frequencies[-1]:g} Hz"
             message = f"the profile from {ends} does not contain the sweep. Give breakpoints at from and to."
             yield Problem(("profile", "frequencies"), message)
-        if self.abort <= self.tolerance:
-            message = f"got {self.abort:g} dB, which is not above the tolerance, {self.tolerance:g} dB. Give more."
-            yield Problem(("abort",), message)
+        yield from self.check_abort()
 
     @property
     def title(self) -> str:
@@ -67,16 +65,6 @@ class SineControl(FrequencySweep, KindOfTest):
     def level_text(self, shaker: Shaker | None) -> str:
         """Return the amplitudes of the profile."""
         return self.profile.text
-
-    @property
-    def details(self) -> tuple[str, ...]:
-        """The limits."""
-        return limit_texts(self.limits)
-
-    @property
-    def named_channels(self) -> Iterable[tuple[KeyPath, str]]:
-        """The control and the limited channels."""
-        return named_channels(self.control.channels, [limit.channel for limit in self.limits])
 
     @property
     def prescription(self) -> Prescription:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from analysis.core.recordings.names import takes_path
 from analysis.core.responses.frequency_responses import frequency_responses
+from analysis.core.tracking.body_motion import body_motion
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import place_styles
@@ -140,11 +141,11 @@ def backbone(rec: Recording) -> Backbone:
         line = int(np.argmin(abs(response.frequency - float(marker.fields["frequency"]))))
         omega = 2.0 * np.pi * float(response.frequency[line])
         outputs = {output.at: k for k, output in enumerate(response.outputs)}
-        force = np.nan if response.amplitude is None else float(response.amplitude[line])
-        values, bounds = response.value[line, :, 0], response.expanded()[line, :, 0]
-        k = outputs[body]
-        relative = float(bounds[k] / abs(values[k]))
-        amplitude = abs(values[k]) * force
+        at_body = body_motion(response, body)
+        k, values = at_body.output, response.value[line, :, 0]
+        force, amplitude, relative = (
+            float(column[line]) for column in (at_body.force, at_body.amplitude, at_body.relative)
+        )
         damping = np.nan
         if all(f"body {number}" in outputs for number in range(1, len(mass) + 1)):
             motion = force * np.array([values[outputs[f"body {number}"]] for number in range(1, len(mass) + 1)])

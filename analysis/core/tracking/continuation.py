@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from analysis.core.recordings.names import takes_path
 from analysis.core.responses.frequency_responses import frequency_responses
+from analysis.core.tracking.body_motion import body_motion
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 from rig.core.results import Result, complete_style, format_number
@@ -143,15 +144,14 @@ def continuation(rec: Recording) -> AmplitudeCurve:
     folds: list[Fold] = []
     for level in dict.fromkeys(float(marker.fields["level"]) for marker in markers):
         [response] = frequency_responses(rec, level=level)
-        k = [output.at for output in response.outputs].index(location)
+        motion = body_motion(response, location)
+        k = motion.output
         poles = {
             float(marker.fields["frequency"]): float(marker.fields["distance"])
             for marker in markers
             if marker.fields["level"] == level
         }
         value, frequency = response.value[:, k, 0], response.frequency
-        force = np.full(frequency.size, np.nan) if response.amplitude is None else response.amplitude
-        amplitude, relative = abs(value) * force, response.expanded()[:, k, 0] / abs(value)
         # The drive of a force shaker is the level, whatever the sensitivities of the sensors.
         known = rec.scene.driven_shaker is not None and rec.scene.driven_shaker.drive_is_force
         systematic = [limit[:, k, 0] for name, limit in response.limits.items() if not known or name != SENSITIVITY]
@@ -160,11 +160,18 @@ def continuation(rec: Recording) -> AmplitudeCurve:
         rate = np.array([poles[each] for each in frequency.tolist()]) / (2.0 * np.pi)
         per_level = rate * abs(value) / np.maximum(abs(value.real), 1e-3 * abs(value))
         bound = (error + FORCE_TOLERANCE) * per_level
-        settled = np.ones(frequency.size, dtype=bool) if response.unsteady is None else ~response.unsteady
+        settled, amplitude = motion.settled, motion.amplitude
         found = _folds(level, frequency[settled], amplitude[settled], bound[settled])
         folds += found
         number = np.searchsorted([fold.position for fold in found], np.arange(frequency.size))
-        columns = (np.full(frequency.size, level), frequency, amplitude, relative * amplitude, number % 2, settled)
+        columns = (
+            np.full(frequency.size, level),
+            frequency,
+            amplitude,
+            motion.relative * amplitude,
+            number % 2,
+            settled,
+        )
         rows.append(np.array(columns))
     level_, frequency, amplitude, bound, unstable, settled_ = np.hstack(rows)
     return AmplitudeCurve(

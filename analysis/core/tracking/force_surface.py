@@ -18,6 +18,7 @@ from scipy.interpolate import Akima1DInterpolator
 
 from analysis.core.recordings.names import takes_path
 from analysis.core.responses.frequency_responses import frequency_responses
+from analysis.core.tracking.body_motion import body_motion
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.results import Result, complete_style
@@ -187,18 +188,14 @@ def force_surface(rec: Recording) -> ForceSurface:
     if test is None or test.held_motion is None:
         raise RecordingError(f"{rec.path}: no motion was held. Record a test of kind constant_response.")
     location = test.held_motion[0]
-    rows: list[tuple[float, float, complex, float, float]] = []
+    parts = []
     for response in frequency_responses(rec):
-        k = [output.at for output in response.outputs].index(location)
-        unsteady = np.zeros(response.frequency.size, dtype=bool) if response.unsteady is None else response.unsteady
-        bounds = response.expanded()
-        for line in np.flatnonzero(~unsteady).tolist():
-            value = complex(response.value[line, k, 0])
-            force = np.nan if response.amplitude is None else float(response.amplitude[line])
-            relative = float(bounds[line, k, 0] / abs(value))
-            rows.append((float(response.frequency[line]), abs(value) * force, 1.0 / value, force, relative * force))
-    if not rows:
+        motion = body_motion(response, location)
+        value = response.value[:, motion.output, 0]
+        columns = (response.frequency, motion.amplitude, 1.0 / value, motion.force, motion.relative * motion.force)
+        parts.append([column[motion.settled] for column in columns])
+    frequency, amplitude, stiffness, force, bound = map(np.concatenate, zip(*parts, strict=True))
+    if not frequency.size:
         raise RecordingError(f"{rec.path}: no point reached steady state. Raise test.settle.longest, and record again.")
-    columns = [np.array(column) for column in zip(*rows, strict=True)]
     body = rec.scene.structure.label(location)
-    return ForceSurface(rec.scene.name, body, *columns)
+    return ForceSurface(rec.scene.name, body, frequency, amplitude, stiffness, force, bound)

@@ -1,0 +1,30 @@
+"""Amplitude of one body along a measured response, for results against amplitude."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.core.base.arrays import Array
+from rig.core.results.response import Response
+
+
+class BodyMotion(NamedTuple):
+    """Motion of a body at the lines of a response, each of shape (lines,)."""
+
+    output: int  # index of the body's channel in the response
+    force: Array  # amplitude, N; NaN if it is not known
+    amplitude: Array  # displacement, m
+    relative: Array  # half of the 95 % interval of the response, relative to it
+    settled: NDArray[np.bool_]
+
+
+def body_motion(response: Response, location: str) -> BodyMotion:
+    """Return the motion at a location such as "body 2"; the force is that of the test."""
+    k = [output.at for output in response.outputs].index(location)
+    size, magnitude = response.frequency.size, abs(response.value[:, k, 0])
+    force = np.full(size, np.nan) if response.amplitude is None else response.amplitude
+    settled = np.ones(size, dtype=bool) if response.unsteady is None else ~response.unsteady
+    return BodyMotion(k, force, magnitude * force, response.expanded()[:, k, 0] / magnitude, settled)

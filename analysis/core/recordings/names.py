@@ -9,10 +9,7 @@ from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Concatenate, ParamSpec, Protocol, TypeVar
 
-import yaml
-
 from rig.core.base.errors import RecordingError
-from rig.core.scene.yaml_writer import write
 
 if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
@@ -157,16 +154,10 @@ def excitation_text(rec: Recording) -> str:
     test = rec.scene.test
     if test is None:
         return ""
-    stated = yaml.safe_load(write(test, rec.scene.structure))
-    level = stated.get(rec.scene.level_key, "")
-    levels = level if isinstance(level, list) else [level]
-    listed = ", ".join(map(str, levels))
-    if len(levels) > 3:
-        first, last = str(levels[0]), str(levels[-1])
-        listed = f"{first.removesuffix(last[last.find(' ') :]) if ' ' in last else first} to {last}"
+    level = test.level_text(rec.scene.driven_shaker)
     if test.held_motion is not None:
-        listed += f" at {rec.scene.structure.label(test.held_motion[0])}"
-    return ", ".join(filter(None, [test.kind.replace("_", " "), listed]))
+        level += f" at {rec.scene.structure.label(test.held_motion[0])}"
+    return ", ".join(filter(None, [test.title, level]))
 
 
 def relabel(curve: Labeled, scene: str, label: str) -> Labeled:

@@ -42,6 +42,21 @@ def test_motion_is_that_of_the_declaration(case: str) -> None:
     assert assert_motion_as_declared(scene, PERIODS) > 10
 
 
+def random_structure(random: np.random.Generator, bodies: int, dampers: list[dict[str, Any]]) -> rig.Scene:
+    """Return a random structure with dampers, driven at its first body."""
+    content: dict[str, Any] = {
+        "structure": {
+            "masses": random.uniform(0.3, 1.5, bodies).tolist(),
+            "springs": random.uniform(1e4, 4e4, bodies).tolist(),
+            "damping": {"modal": 0.01},
+        },
+        "dampers": dampers,
+        "shaker": {"kind": "force", "body": 1},
+        "test": {"kind": "sine", "frequency": float(random.uniform(8.0, 50.0)), "force": 20.0},
+    }
+    return rig.load(content)
+
+
 def assert_motion_as_declared(scene: rig.Scene, periods: int, tolerance: float = 1e-12) -> int:
     """Compare a motion under a tone with the oracle, times within a tolerance, s; return the number of events."""
     system = assemble(scene)

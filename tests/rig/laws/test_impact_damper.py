@@ -16,7 +16,7 @@ from rig.core.orbits.problem import OrbitProblem
 from rig.core.orbits.shooting import shoot
 from rig.core.system.structural_model import receptance
 from rig.studies.motion_map.grid import take_off_levels
-from tests.rig.laws.test_declarations import assert_motion_as_declared
+from tests.rig.laws.test_declarations import assert_motion_as_declared, random_structure
 
 STEEL = {"contact": {"duration": "1 ms"}}
 
@@ -49,17 +49,7 @@ def test_random_systems_move_as_declared(seed: int) -> None:
             damper |= STEEL if random.random() < 0.4 else {}
         damper["restitution"] = float(random.choice([0.0, 0.4, 0.8]))
         dampers.append(damper)
-    content: dict[str, Any] = {
-        "structure": {
-            "masses": random.uniform(0.3, 1.5, bodies).tolist(),
-            "springs": random.uniform(1e4, 4e4, bodies).tolist(),
-            "damping": {"modal": 0.01},
-        },
-        "dampers": dampers,
-        "shaker": {"kind": "force", "body": 1},
-        "test": {"kind": "sine", "frequency": float(random.uniform(8.0, 50.0)), "force": 20.0},
-    }
-    assert_motion_as_declared(rig.load(content), periods=5, tolerance=1e-10)
+    assert_motion_as_declared(random_structure(random, bodies, dampers), periods=5, tolerance=1e-10)
 
 
 def driven(force: float, **damper: Any) -> rig.Scene:

@@ -16,7 +16,7 @@ from rig.core.orbits.periodic_orbit import set_to_orbit, start_propagator
 from rig.core.orbits.problem import OrbitProblem
 from rig.core.system.assembly import assemble
 from rig.core.system.structural_model import receptance
-from tests.rig.laws.test_declarations import assert_motion_as_declared
+from tests.rig.laws.test_declarations import assert_motion_as_declared, random_structure
 
 GRAVITY = 9.80665
 
@@ -89,17 +89,7 @@ def random_scene(seed: int) -> rig.Scene:
         if slides:
             damper["friction"] = float(random.choice([0.0, 0.05, 0.3, 1.0]))
         dampers.append(damper | {"clearance": clearance})
-    content: dict[str, Any] = {
-        "structure": {
-            "masses": random.uniform(0.3, 1.5, bodies).tolist(),
-            "springs": random.uniform(1e4, 4e4, bodies).tolist(),
-            "damping": {"modal": 0.01},
-        },
-        "dampers": dampers,
-        "shaker": {"kind": "force", "body": 1},
-        "test": {"kind": "sine", "frequency": float(random.uniform(8.0, 50.0)), "force": 20.0},
-    }
-    return rig.load(content)
+    return random_structure(random, bodies, dampers)
 
 
 @pytest.mark.parametrize("seed", range(20))

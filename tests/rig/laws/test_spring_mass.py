@@ -16,7 +16,7 @@ from rig.core.system.assembly import assemble
 from rig.core.system.structural_model import receptance
 from rig.studies.cost.motion_study import motion_study
 from rig.studies.motion_map.grid import take_off_levels, vertical_axis
-from tests.rig.laws.test_declarations import assert_motion_as_declared
+from tests.rig.laws.test_declarations import assert_motion_as_declared, random_structure
 
 MASS, STIFFNESS, MASS_RATIO = 1.0, 4e3, 0.05
 MIXED = {"body": 2, "mass_ratio": "6 %", "clearance": "0.98 mm"}
@@ -81,17 +81,7 @@ def test_random_systems_move_as_declared(seed: int) -> None:
             clearance = float(random.choice([3e-4, 1e-3, inf]))
             restitution = float(random.choice([0.0, 0.4]))
             dampers.append({"body": body, "mass": mass, "clearance": clearance, "restitution": restitution})
-    content: dict[str, Any] = {
-        "structure": {
-            "masses": random.uniform(0.3, 1.5, bodies).tolist(),
-            "springs": random.uniform(1e4, 4e4, bodies).tolist(),
-            "damping": {"modal": 0.01},
-        },
-        "dampers": dampers,
-        "shaker": {"kind": "force", "body": 1},
-        "test": {"kind": "sine", "frequency": float(random.uniform(8.0, 50.0)), "force": 20.0},
-    }
-    assert_motion_as_declared(rig.load(content), periods=5, tolerance=1e-10)
+    assert_motion_as_declared(random_structure(random, bodies, dampers), periods=5, tolerance=1e-10)
 
 
 def test_energy_balance_includes_the_dashpot() -> None:

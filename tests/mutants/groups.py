@@ -24,7 +24,7 @@ GROUPS: dict[str, dict[str, str]] = {
         "daq/core/recording/channel_series.py": "tests/daq/recording/test_recording.py",
         "daq/core/recording/sample_block.py": "tests/daq/recording/test_layout.py",
         "daq/core/measurement/limits.py": "tests/daq/measurement/test_limit_monitoring.py",
-        "analysis/core/responses/clean_segments.py": "tests/analysis/responses/test_clean_segments.py",
+        "analysis/core/responses/checks/clean_segments.py": "tests/analysis/responses/test_clean_segments.py",
     },
     "noise scaling": {
         "daq/core/dsp/noise.py": "tests/daq/dsp/test_disturbances.py tests/daq/dsp/test_noise.py",
@@ -44,8 +44,8 @@ GROUPS: dict[str, dict[str, str]] = {
         "rig/core/system/assembly.py": "tests/rig/system",
     },
     "bounds": {
-        "analysis/core/responses/systematic.py": "tests/analysis/responses/test_systematic.py",
-        "analysis/core/responses/aliasing.py": "tests/analysis/responses/test_aliasing.py",
+        "analysis/core/responses/errors/systematic.py": "tests/analysis/responses/test_systematic.py",
+        "analysis/core/responses/errors/aliasing.py": "tests/analysis/responses/test_aliasing.py",
         "analysis/core/responses/local_models/local_rational.py": (
             "tests/analysis/responses/local_models/test_local_rational.py"
         ),

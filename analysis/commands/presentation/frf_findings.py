@@ -29,10 +29,10 @@ from analysis.core.recordings.names import (
     relabel,
     with_recordings,
 )
-from analysis.core.responses.curve_checks import find_jumps
+from analysis.core.responses.checks.curve_checks import find_jumps
+from analysis.core.responses.errors.systematic import tolerance
 from analysis.core.responses.estimator import Blocks, estimator_of
 from analysis.core.responses.frequency_responses import frequency_responses
-from analysis.core.responses.systematic import tolerance
 from analysis.extras.formats.frf_files import is_frf_file
 from rig.core.base.palette import recording_styles
 from rig.core.base.progress import CountProgress

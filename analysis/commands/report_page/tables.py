@@ -11,7 +11,7 @@ import numpy as np
 from analysis.commands.report_page.measurements import Measurement, SweepChange
 from analysis.core.damper_motion.comparison import Peak, PeakChange
 from analysis.core.modal.modes import Modes, mac
-from analysis.core.responses.systematic import tolerance
+from analysis.core.responses.errors.systematic import tolerance
 from rig.core.base.escaping import escape_html
 from rig.core.results import format_decimals, format_number, format_percent, round_to_bound
 from rig.core.results.response import Response

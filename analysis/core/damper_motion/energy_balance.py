@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.core.responses.aliasing import aliased_ratios
+from analysis.core.responses.errors.aliasing import aliased_ratios
+from analysis.core.responses.errors.systematic import ChannelContributions, tolerance
 from analysis.core.responses.measurands import motion_of, reference_of, response_channels
-from analysis.core.responses.systematic import ChannelContributions, tolerance
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.results.uncertainty import expand

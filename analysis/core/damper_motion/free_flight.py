@@ -19,7 +19,7 @@ from analysis.core.damper_motion.impact_detection import Impacts, band, detect_i
 from analysis.core.damper_motion.landing_pulse import landing_pulse
 from analysis.core.damper_motion.matching_pursuit import RESIDUAL_RATIO
 from analysis.core.decays.sensor_correction import CorrectedMotion
-from analysis.core.responses.systematic import tolerance
+from analysis.core.responses.errors.systematic import tolerance
 from rig.core.base.arrays import Array
 
 if TYPE_CHECKING:

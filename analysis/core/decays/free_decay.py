@@ -18,8 +18,8 @@ from analysis.core.decays.sensor_correction import correct_motion
 from analysis.core.recordings.channel_delay import arrival
 from analysis.core.recordings.names import takes_path
 from analysis.core.recordings.slices import hits, interpolated
+from analysis.core.responses.errors.systematic import clock_deviation
 from analysis.core.responses.measurands import motion_channel, response_channels
-from analysis.core.responses.systematic import clock_deviation
 from daq.core.recording.markers import faulty_hits
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, SceneError

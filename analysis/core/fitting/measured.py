@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.core.responses.errors.systematic import IRREGULAR, REFERENCE_NOISE, tolerance
 from analysis.core.responses.estimator import annotate
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import (
@@ -21,7 +22,6 @@ from analysis.core.responses.measurands import (
     response_channels,
 )
 from analysis.core.responses.stepped_sine import sweep_name, sweeps
-from analysis.core.responses.systematic import IRREGULAR, REFERENCE_NOISE, tolerance
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.results.response import Response, stack

@@ -27,7 +27,7 @@ from analysis.core.modal.pole_residue import UPPER_TERMS, Curves, ModalModel, mo
 from analysis.core.modal.refinement import Refinement, refine
 from analysis.core.modal.several_references import separate
 from analysis.core.modal.window_fits import IdentifiedPoles, identify_windows, no_poles
-from analysis.core.responses.systematic import IRREGULAR
+from analysis.core.responses.errors.systematic import IRREGULAR
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.numerics.blas_threads import with_one_blas_thread

@@ -24,7 +24,7 @@ from analysis.core.modal.order_selection import (
 )
 from analysis.core.modal.pole_errors import pole_errors
 from analysis.core.modal.pole_residue import Curves, ModalModel, fit
-from analysis.core.responses.systematic import ALIASING, IRREGULAR
+from analysis.core.responses.errors.systematic import ALIASING, IRREGULAR
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.results.response import Response

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Protocol
 
-from analysis.core.responses.channel_changes import Parts
-from analysis.core.responses.curve_checks import delayed_channels, reversed_force
+from analysis.core.responses.checks.channel_changes import Parts
+from analysis.core.responses.checks.curve_checks import delayed_channels, reversed_force
 from analysis.core.responses.estimators import ESTIMATORS
 from analysis.core.responses.measurands import input_location, output_point
 from rig.core.base.errors import RecordingError, SceneError

@@ -10,11 +10,10 @@ import numpy as np
 import scipy
 
 from analysis.core.recordings.slices import read_slices
-from analysis.core.responses.budget import assemble_budget
-from analysis.core.responses.clean_segments import Flaw, find_flaws
-from analysis.core.responses.measurands import motion_of, reference_of, reject_zero_reference
-from analysis.core.responses.random_errors import MeanErrors
-from analysis.core.responses.systematic import (
+from analysis.core.responses.checks.clean_segments import Flaw, find_flaws
+from analysis.core.responses.errors.budget import assemble_budget
+from analysis.core.responses.errors.random_errors import MeanErrors
+from analysis.core.responses.errors.systematic import (
     LEAKAGE,
     REFERENCE_NOISE,
     ChannelContributions,
@@ -24,6 +23,7 @@ from analysis.core.responses.systematic import (
     shared_noise_bound,
     zero_safe_product,
 )
+from analysis.core.responses.measurands import motion_of, reference_of, reject_zero_reference
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
 from rig.core.base.progress import CountProgress

@@ -7,10 +7,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from analysis.core.recordings.names import takes_path
-from analysis.core.responses.channel_changes import change_warnings
-from analysis.core.responses.dead_channels import dead_channel_warnings
+from analysis.core.responses.checks.channel_changes import change_warnings
+from analysis.core.responses.checks.dead_channels import dead_channel_warnings
+from analysis.core.responses.checks.gain_steps import step_warnings
 from analysis.core.responses.estimator import Blocks, Request, estimator_of
-from analysis.core.responses.gain_steps import step_warnings
 from analysis.core.responses.measurands import (
     default_reference,
     force_levels,

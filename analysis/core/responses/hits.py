@@ -14,12 +14,12 @@ from scipy import fft
 
 from analysis.core.recordings.channel_delay import arrival
 from analysis.core.recordings.slices import hits
-from analysis.core.responses.clean_segments import Flaw
-from analysis.core.responses.dead_channels import dead_channels
+from analysis.core.responses.checks.clean_segments import Flaw
+from analysis.core.responses.checks.dead_channels import dead_channels
+from analysis.core.responses.errors.systematic import quantization_steps, reproducible_rounding
 from analysis.core.responses.force_pulse import isolate_pulse, samples_after_hit
 from analysis.core.responses.local_models.local_rational import ORDER
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH
-from analysis.core.responses.systematic import quantization_steps, reproducible_rounding
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 

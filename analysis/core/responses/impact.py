@@ -10,8 +10,8 @@ import numpy as np
 from scipy import fft
 
 from analysis.core.recordings.slices import read_slices
-from analysis.core.responses.channel_changes import Parts
-from analysis.core.responses.clean_segments import describe_flaws, remedy
+from analysis.core.responses.checks.channel_changes import Parts
+from analysis.core.responses.checks.clean_segments import describe_flaws, remedy
 from analysis.core.responses.estimator import Blocks, Estimator, Request
 from analysis.core.responses.estimators import AveragedSpectra, block_spectra, noise_bandwidth_bins, sampled_window
 from analysis.core.responses.hits import Hits

@@ -15,19 +15,19 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from analysis.core.recordings.slices import read_slices
-from analysis.core.responses.channel_changes import Parts
-from analysis.core.responses.clean_segments import describe_flaws, find_flaws
-from analysis.core.responses.estimator import Estimator, Request
-from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH
-from analysis.core.responses.measurands import motion_channel_at, reference_of
-from analysis.core.responses.scatter import Scatter
-from analysis.core.responses.spectral_lines import Lines, residual_transient
-from analysis.core.responses.systematic import (
+from analysis.core.responses.checks.channel_changes import Parts
+from analysis.core.responses.checks.clean_segments import describe_flaws, find_flaws
+from analysis.core.responses.errors.scatter import Scatter
+from analysis.core.responses.errors.systematic import (
     power_in_counts,
     quantization_steps,
     reproducible_rounding,
     tone_gain_error,
 )
+from analysis.core.responses.estimator import Estimator, Request
+from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH
+from analysis.core.responses.measurands import motion_channel_at, reference_of
+from analysis.core.responses.spectral_lines import Lines, residual_transient
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.base.progress import CountProgress

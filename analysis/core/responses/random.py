@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.core.responses.channel_changes import Parts, sections
-from analysis.core.responses.clean_segments import describe_flaws, remedy, settling_flaws
+from analysis.core.responses.checks.channel_changes import Parts, sections
+from analysis.core.responses.checks.clean_segments import describe_flaws, remedy, settling_flaws
+from analysis.core.responses.errors.systematic import noise_gain_error, power_in_counts
 from analysis.core.responses.estimator import Blocks, Estimator, Request
 from analysis.core.responses.estimators import AveragedSpectra, block_spectra, noise_bandwidth_bins, sampled_window
 from analysis.core.responses.segment_fits import SegmentFits, warn_of_dampers
-from analysis.core.responses.systematic import noise_gain_error, power_in_counts
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.base.progress import CountProgress
 from rig.core.results import format_percent

@@ -18,14 +18,14 @@ import scipy
 from numpy.typing import NDArray
 from scipy import fft
 
-from analysis.core.responses.clean_segments import clean_segments, describe_flaws, find_flaws, remedy
+from analysis.core.responses.checks.clean_segments import clean_segments, describe_flaws, find_flaws, remedy
+from analysis.core.responses.errors.systematic import noise_gain_error, power_in_counts
 from analysis.core.responses.force_pulse import high_pass_response
 from analysis.core.responses.hits import PRE_HIT_S
 from analysis.core.responses.local_models.jitter import jitter_factor
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH, LocalSpectra
 from analysis.core.responses.local_models.low_spectra import low_spectra
 from analysis.core.responses.measurands import motion_of, reference_of, response_channels
-from analysis.core.responses.systematic import noise_gain_error, power_in_counts
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.results import format_percent
@@ -33,7 +33,7 @@ from rig.core.results.response import Response
 from rig.core.results.uncertainty import UncertaintyBudget
 
 if TYPE_CHECKING:
-    from analysis.core.responses.clean_segments import Flaw
+    from analysis.core.responses.checks.clean_segments import Flaw
     from analysis.core.responses.hits import Hits
     from daq.core.recording.recording import Recording
 

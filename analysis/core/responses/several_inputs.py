@@ -29,17 +29,10 @@ import scipy
 from numpy.typing import NDArray
 
 from analysis.core.responses import random
-from analysis.core.responses.budget import assemble_budget
-from analysis.core.responses.estimator import Blocks, Estimator, Request
-from analysis.core.responses.estimators import AveragedSpectra, leakage
-from analysis.core.responses.local_models.local_rational import local_fit
-from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH
-from analysis.core.responses.measurands import Measurand, motion_of, output_point
-from analysis.core.responses.multisine import period_spectra
-from analysis.core.responses.random_errors import MatrixErrors
-from analysis.core.responses.scatter import moderate
-from analysis.core.responses.spectral_lines import residual_transient
-from analysis.core.responses.systematic import (
+from analysis.core.responses.errors.budget import assemble_budget
+from analysis.core.responses.errors.random_errors import MatrixErrors
+from analysis.core.responses.errors.scatter import moderate
+from analysis.core.responses.errors.systematic import (
     LEAKAGE,
     MODEL,
     REFERENCE_NOISE,
@@ -49,6 +42,13 @@ from analysis.core.responses.systematic import (
     common_scale,
     rounding_bound,
 )
+from analysis.core.responses.estimator import Blocks, Estimator, Request
+from analysis.core.responses.estimators import AveragedSpectra, leakage
+from analysis.core.responses.local_models.local_rational import local_fit
+from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH
+from analysis.core.responses.measurands import Measurand, motion_of, output_point
+from analysis.core.responses.multisine import period_spectra
+from analysis.core.responses.spectral_lines import residual_transient
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.results import format_percent

@@ -14,12 +14,12 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from analysis.core.responses.budget import assemble_budget
+from analysis.core.responses.errors.budget import assemble_budget
+from analysis.core.responses.errors.random_errors import MeanErrors
+from analysis.core.responses.errors.ringing import ringing
+from analysis.core.responses.errors.scatter import Scatter, moderate
+from analysis.core.responses.errors.systematic import RESOLUTION, UNSETTLED, ChannelContributions, common_scale
 from analysis.core.responses.measurands import motion_of, reference_of, reject_zero_reference
-from analysis.core.responses.random_errors import MeanErrors
-from analysis.core.responses.ringing import ringing
-from analysis.core.responses.scatter import Scatter, moderate
-from analysis.core.responses.systematic import RESOLUTION, UNSETTLED, ChannelContributions, common_scale
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import circle_factor

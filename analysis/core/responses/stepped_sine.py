@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.core.recordings.slices import PIECE_SAMPLES, read_slices
-from analysis.core.responses.clean_segments import describe_flaws, find_flaws
+from analysis.core.responses.checks.clean_segments import describe_flaws, find_flaws
+from analysis.core.responses.errors.scatter import Scatter, stacked
+from analysis.core.responses.errors.systematic import quantization_steps, reproducible_rounding
 from analysis.core.responses.estimator import Estimator, Request
-from analysis.core.responses.scatter import Scatter, stacked
 from analysis.core.responses.spectral_lines import Lines, residual_transient
-from analysis.core.responses.systematic import quantization_steps, reproducible_rounding
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.base.progress import CountProgress

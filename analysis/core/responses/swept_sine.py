@@ -15,20 +15,20 @@ import scipy
 from numpy.typing import NDArray
 
 from analysis.core.recordings.slices import read_slices
-from analysis.core.responses.clean_segments import describe_flaws, find_flaws, remedy
-from analysis.core.responses.estimator import Estimator, Request
-from analysis.core.responses.local_models.local_rational import ORDER
-from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH, LocalSpectra
-from analysis.core.responses.measurands import motion_of, reference_of
-from analysis.core.responses.random_errors import SharedErrors
-from analysis.core.responses.segment_fits import warn_of_dampers
-from analysis.core.responses.systematic import (
+from analysis.core.responses.checks.clean_segments import describe_flaws, find_flaws, remedy
+from analysis.core.responses.errors.random_errors import SharedErrors
+from analysis.core.responses.errors.systematic import (
     UNSETTLED,
     power_in_counts,
     reproducible_rounding,
     tolerance,
     tone_gain_error,
 )
+from analysis.core.responses.estimator import Estimator, Request
+from analysis.core.responses.local_models.local_rational import ORDER
+from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH, LocalSpectra
+from analysis.core.responses.measurands import motion_of, reference_of
+from analysis.core.responses.segment_fits import warn_of_dampers
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.base.progress import CountProgress

@@ -16,7 +16,7 @@ from scipy import signal, stats
 
 from analysis.core.recordings.names import takes_path
 from analysis.core.recordings.slices import interpolated, read_slices
-from daq.core.excitation.sweep_control import estimate_amplitudes, observation_samples
+from daq.core.excitation.profiles.sweep_control import estimate_amplitudes, observation_samples
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import REFERENCE, place_styles

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.core.responses.curve_checks import reversed_force
+from analysis.core.responses.checks.curve_checks import reversed_force
 from analysis.extras.formats.frf_arrays import response_arrays
 from daq.extras.importing import uff
 from daq.extras.importing.files import signals_of

@@ -13,10 +13,10 @@ import numpy as np
 
 from daq.core.excitation import stepped_sine
 from daq.core.excitation.controlled import controlled
-from daq.core.excitation.envelope_control import MAX_POLE_TIMES_DEAD_TIME, EnvelopeTone
 from daq.core.excitation.procedure import Form, FormValues
 from daq.core.excitation.station import Excitation, GivenUp, Station
 from daq.core.excitation.stepped_sine import StepsProcedure
+from daq.core.excitation.tones.envelope_control import MAX_POLE_TIMES_DEAD_TIME, EnvelopeTone
 from rig.core.base.arrays import Array
 
 if TYPE_CHECKING:

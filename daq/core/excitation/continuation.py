@@ -19,12 +19,12 @@ import numpy as np
 
 from daq.core.excitation.constant_response import AT_LIMIT_RATIO
 from daq.core.excitation.controlled import displacement, spring_force
-from daq.core.excitation.envelope_control import MAX_POLE_TIMES_DEAD_TIME, EnvelopeTone
-from daq.core.excitation.lock_in import lock_in, noise_gain
 from daq.core.excitation.procedure import Form, FormValues, Procedure
 from daq.core.excitation.station import Excitation, GivenUp, Station
-from daq.core.excitation.steady_tone import TRANSITION_S, AmplitudeControl
 from daq.core.excitation.stepped_sine import expected_wait
+from daq.core.excitation.tones.envelope_control import MAX_POLE_TIMES_DEAD_TIME, EnvelopeTone
+from daq.core.excitation.tones.lock_in import lock_in, noise_gain
+from daq.core.excitation.tones.steady_tone import TRANSITION_S, AmplitudeControl
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.text import format_decimals
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from daq.core.excitation.controlled import controlled
 from daq.core.excitation.procedure import Procedure
-from daq.core.excitation.spectrum_shaping import (
+from daq.core.excitation.profiles.spectrum_shaping import (
     crossfade,
     equal_amplitudes,
     equalize,

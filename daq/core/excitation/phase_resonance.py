@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from daq.core.excitation.controlled import controlled, displacement, measured_force
-from daq.core.excitation.lock_in import lock_in, noise_gain, whole_periods
-from daq.core.excitation.phase_loop import PhaseLoop
 from daq.core.excitation.procedure import Form, FormValues, Procedure
-from daq.core.excitation.settling import Settling
 from daq.core.excitation.station import Excitation, GivenUp, Station
-from daq.core.excitation.steady_tone import TRANSITION_S, WINDOW_S, SteadyTone
+from daq.core.excitation.tones.lock_in import lock_in, noise_gain, whole_periods
+from daq.core.excitation.tones.phase_loop import PhaseLoop
+from daq.core.excitation.tones.settling import Settling
+from daq.core.excitation.tones.steady_tone import TRANSITION_S, WINDOW_S, SteadyTone
 from rig.core.base.arrays import Array
 from rig.core.results.text import format_decimals
 

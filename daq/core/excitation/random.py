@@ -9,7 +9,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from daq.core.excitation.controlled import controlled
 from daq.core.excitation.procedure import Form, FormValues, Procedure
-from daq.core.excitation.spectrum_shaping import Lines, equal_amplitudes, equalize, lines_between
+from daq.core.excitation.profiles.spectrum_shaping import Lines, equal_amplitudes, equalize, lines_between
 from daq.core.excitation.station import Excitation, Station
 from rig.core.base.arrays import Array
 

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import erfc
 
-from daq.core.excitation.identification import EXPECTED_PERIODS, identify
 from daq.core.excitation.procedure import Form, Procedure
-from daq.core.excitation.spectrum_control import SCATTER_DB, AveragedSpectra, NoiseSource, updated
-from daq.core.excitation.spectrum_shaping import lines_between
+from daq.core.excitation.profiles.identification import EXPECTED_PERIODS, identify
+from daq.core.excitation.profiles.spectrum_control import SCATTER_DB, AveragedSpectra, NoiseSource, updated
+from daq.core.excitation.profiles.spectrum_shaping import lines_between
 from daq.core.excitation.station import Excitation, GivenUp, Station
 from rig.core.base.arrays import Array
 from rig.core.scene.excitation.profile import limits_drive

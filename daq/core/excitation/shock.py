@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.core.excitation.identification import EXPECTED_PERIODS, MIN_COHERENCE, accelerations, identify
 from daq.core.excitation.procedure import Form, Procedure
-from daq.core.excitation.spectrum_shaping import lines_between
+from daq.core.excitation.profiles.identification import EXPECTED_PERIODS, MIN_COHERENCE, accelerations, identify
+from daq.core.excitation.profiles.spectrum_shaping import lines_between
+from daq.core.excitation.profiles.wave_replication import HalfSinePulse, Pulse, Replication, SpectrumPulse
 from daq.core.excitation.station import Excitation, GivenUp, Station
-from daq.core.excitation.wave_replication import HalfSinePulse, Pulse, Replication, SpectrumPulse
 from rig.core.base.errors import SceneError
 from rig.core.scene.excitation.profile import from_decibels
 from rig.core.scene.excitation.shock import PULSE_POSITION

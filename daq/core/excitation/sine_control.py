@@ -13,18 +13,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from daq.core.excitation.identification import EXPECTED_PERIODS, Identified, identify
 from daq.core.excitation.procedure import Form, Procedure
-from daq.core.excitation.sine_control_check import (
+from daq.core.excitation.profiles.identification import EXPECTED_PERIODS, Identified, identify
+from daq.core.excitation.profiles.sine_control_check import (
     OBSERVATION_PERIODS,
     WINDOW_PERIODS,
     check_sweep,
     loop_delay,
     loop_gain,
 )
-from daq.core.excitation.spectrum_shaping import lines_between
+from daq.core.excitation.profiles.spectrum_shaping import lines_between
+from daq.core.excitation.profiles.sweep_control import estimate_amplitudes, observation_samples
 from daq.core.excitation.station import Excitation, GivenUp, Station
-from daq.core.excitation.sweep_control import estimate_amplitudes, observation_samples
 from rig.core.base.arrays import Array
 from rig.core.numerics.runs import runs_of
 from rig.core.results.text import format_decimals

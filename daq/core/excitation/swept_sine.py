@@ -16,11 +16,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from daq.core.excitation.controlled import Controlled, controlled
-from daq.core.excitation.pretest import pretest
 from daq.core.excitation.procedure import Form, FormValues, Procedure
+from daq.core.excitation.profiles.pretest import pretest
+from daq.core.excitation.profiles.sweep_control import (
+    Observation,
+    SweepControl,
+    estimate_amplitudes,
+    observation_samples,
+)
 from daq.core.excitation.station import Excitation, Station
-from daq.core.excitation.steady_tone import SteadyTone
-from daq.core.excitation.sweep_control import Observation, SweepControl, estimate_amplitudes, observation_samples
+from daq.core.excitation.tones.steady_tone import SteadyTone
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.text import format_decimals, format_percent
 

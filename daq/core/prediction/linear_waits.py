@@ -10,9 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.core.excitation.lock_in import lock_in, whole_periods
-from daq.core.excitation.steady_tone import TRANSITION_S, WINDOW_S, Tone
 from daq.core.excitation.stepped_sine import expected_wait, extrapolate_drive
+from daq.core.excitation.tones.lock_in import lock_in, whole_periods
+from daq.core.excitation.tones.steady_tone import TRANSITION_S, WINDOW_S, Tone
 from daq.core.prediction.linear import states_per_level
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
@@ -28,7 +28,7 @@ _SAMPLES_PER_PERIOD = 32
 _CONFIRMING_WINDOWS = 2
 # Shortest wait, s: beats of several modes have to be distinguished from noise.
 _SHORTEST_WAIT_S = 2.0
-# As in `daq.core.excitation.settling`: incoherent changes are noise after this number of windows.
+# As in `daq.core.excitation.tones.settling`: incoherent changes are noise after this number of windows.
 _NOISE_WINDOWS, _MIN_COHERENCE = 24, 0.8
 # Without modes that are this independent, the waits follow from the slowest mode.
 _MAX_CONDITION = 1e13

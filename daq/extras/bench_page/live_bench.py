@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from daq.core.excitation import Excitation, Station, excitation, procedure_of
-from daq.core.excitation.manual_tone import ManualTone, ToneControls
 from daq.core.excitation.procedure import FormValues, Procedure
+from daq.core.excitation.tones.manual_tone import ManualTone, ToneControls
 from daq.core.recording.recorded_test import kind_of_settings
 from daq.extras.bench_page.hits import HitDetector
 from daq.extras.bench_page.live_frf import LiveFrf

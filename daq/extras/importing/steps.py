@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.core.excitation.lock_in import lock_in, min_samples, whole_periods
+from daq.core.excitation.tones.lock_in import lock_in, min_samples, whole_periods
 from daq.core.recording.recorder import Recorder
 from daq.core.signal_chain.channel import ChannelInfo
 from daq.extras.importing.assignment import AssignedSignal

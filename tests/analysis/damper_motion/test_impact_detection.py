@@ -10,7 +10,7 @@ import rig
 from analysis.core.damper_motion.impact_detection import detect_impacts
 from analysis.core.damper_motion.landing_pulse import landing_pulse
 from analysis.core.damper_motion.matching_pursuit import DETECTION_MARGIN_SIGMAS, DETECTION_SIGMAS
-from analysis.core.responses.systematic import tolerance
+from analysis.core.responses.errors.systematic import tolerance
 from daq.core.recording.markers import Marker
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.errors import RecordingError

@@ -24,7 +24,7 @@ from analysis.core.damper_motion import energy_balance
 from analysis.core.damper_motion.energy_balance import energy_per_cycle, impact_energy_per_cycle
 from analysis.core.damper_motion.free_flight import BodyMotion, restitution
 from analysis.core.damper_motion.motion_types import DamperMotion, damper_motion
-from analysis.core.responses.curve_checks import find_jumps
+from analysis.core.responses.checks.curve_checks import find_jumps
 from analysis.core.responses.stepped_sine import sweeps
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.errors import RecordingError

@@ -15,7 +15,7 @@ import daq
 from analysis.core.modal.order_selection import spurious_poles
 from analysis.core.modal.pole_errors import LEAKAGE_FACTOR, pole_errors
 from analysis.core.modal.pole_residue import Curves, fit
-from analysis.core.responses.systematic import UNSETTLED
+from analysis.core.responses.errors.systematic import UNSETTLED
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import SENSITIVITY, UncertaintyBudget

@@ -6,8 +6,8 @@ import numpy as np
 
 import analysis
 from analysis.core.modal import pole_residue
-from analysis.core.responses import random_errors
-from analysis.core.responses.random_errors import LocalErrors
+from analysis.core.responses.errors import random_errors
+from analysis.core.responses.errors.random_errors import LocalErrors
 from rig.core.results.response import Response, stack
 from tests.peak_memory import peak_memory
 

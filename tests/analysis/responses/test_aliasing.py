@@ -14,8 +14,8 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.core.responses.aliasing import _free_acceleration, _impact_ratio, aliasing_bound
-from analysis.core.responses.systematic import ALIASING, ChannelContributions
+from analysis.core.responses.errors.aliasing import _free_acceleration, _impact_ratio, aliasing_bound
+from analysis.core.responses.errors.systematic import ALIASING, ChannelContributions
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.results.response import MOTIONS
 

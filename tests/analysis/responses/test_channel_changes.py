@@ -9,7 +9,7 @@ import pytest
 
 import analysis
 import daq
-from analysis.core.responses import channel_changes
+from analysis.core.responses.checks import channel_changes
 from tests.analysis.responses import synthetic
 
 SECONDS = 40.0

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from analysis.core.responses.clean_segments import Flaw, clean_segments, describe_flaws, find_flaws, remedy
+from analysis.core.responses.checks.clean_segments import Flaw, clean_segments, describe_flaws, find_flaws, remedy
 from daq.core.recording.markers import Gap, Marker
 from daq.core.signal_chain.channel import ChannelInfo
 

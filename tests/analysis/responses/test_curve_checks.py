@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analysis.core.responses import curve_checks
-from analysis.core.responses.curve_checks import delayed_channels, find_jumps, reversed_force
+from analysis.core.responses.checks import curve_checks
+from analysis.core.responses.checks.curve_checks import delayed_channels, find_jumps, reversed_force
 from rig.core.results.response import Response
 from tests.peak_memory import peak_memory
 

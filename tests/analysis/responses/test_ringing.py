@@ -7,7 +7,7 @@ import numpy as np
 import analysis
 import daq
 import rig
-from analysis.core.responses.ringing import ringing
+from analysis.core.responses.errors.ringing import ringing
 from rig.core.system.structural_model import receptance
 
 POLE = -0.9 + 2j * np.pi * 19.0  # 1/s, of a mode at 19 Hz.

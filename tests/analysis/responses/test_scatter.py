@@ -7,9 +7,9 @@ import pytest
 from scipy import stats
 
 from analysis.core.responses import estimators
+from analysis.core.responses.errors.scatter import Scatter, moderate
 from analysis.core.responses.estimators import AveragedSpectra, square_root
 from analysis.core.responses.local_models.jitter import jitter_bound
-from analysis.core.responses.scatter import Scatter, moderate
 from analysis.core.responses.stepped_sine import LockIn, parts_of_whole_periods
 from daq.core.recording.recording import Recording
 from rig.core.base.errors import RunError

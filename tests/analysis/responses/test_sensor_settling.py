@@ -8,7 +8,7 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.core.responses.clean_segments import settling_flaws
+from analysis.core.responses.checks.clean_segments import settling_flaws
 from rig.core.system.structural_model import receptance
 from tests.analysis.responses.test_clean_segments import StandIn
 

@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import norm
 
 import rig
-from analysis.core.responses.systematic import (
+from analysis.core.responses.errors.systematic import (
     ChannelContributions,
     clock_bound,
     noise_gain_error,

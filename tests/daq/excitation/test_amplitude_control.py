@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from daq.core.excitation.steady_tone import AmplitudeControl
+from daq.core.excitation.tones.steady_tone import AmplitudeControl
 from rig.core.scene.excitation import FORCE_TOLERANCE
 
 LEVEL = 2.6  # N

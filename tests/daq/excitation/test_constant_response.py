@@ -10,7 +10,7 @@ import pytest
 import daq
 import rig
 from daq.core.excitation import Station, excitation
-from daq.core.excitation.envelope_control import EnvelopeControl
+from daq.core.excitation.tones.envelope_control import EnvelopeControl
 from daq.core.measurement.device_loop import run_on_device
 from daq.core.virtual_bench.bench import Bench
 from rig.core.base.arrays import Array

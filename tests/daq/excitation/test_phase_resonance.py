@@ -14,7 +14,7 @@ import analysis
 import daq
 import rig
 from analysis.commands.cli import app
-from daq.core.excitation.phase_loop import PhaseLoop
+from daq.core.excitation.tones.phase_loop import PhaseLoop
 from rig.core.base.errors import RecordingError, RunError, SceneError
 from tests.daq.excitation.test_constant_response import device_marks
 from tests.daq.measurement.bench_run import run

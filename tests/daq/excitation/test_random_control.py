@@ -13,8 +13,8 @@ import analysis
 import daq
 import rig
 from analysis.commands.cli import app
-from daq.core.excitation.spectrum_control import AveragedSpectra, NoiseSource, updated
-from daq.core.excitation.spectrum_shaping import lines_between
+from daq.core.excitation.profiles.spectrum_control import AveragedSpectra, NoiseSource, updated
+from daq.core.excitation.profiles.spectrum_shaping import lines_between
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, SceneError
 from tests.daq.excitation.virtual_device import MarkedRun, run_device

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from daq.core.excitation.settling import Settling
+from daq.core.excitation.tones.settling import Settling
 
 TOLERANCE = 1e-3
 INTERVAL_S = 0.1  # Between observations.

@@ -14,8 +14,8 @@ import daq
 import rig
 from analysis.commands.cli import app
 from analysis.core.signals.shock_spectrum import prescribed_spectrum
-from daq.core.excitation.spectrum_shaping import lines_between
-from daq.core.excitation.wave_replication import HalfSinePulse, Replication, SpectrumPulse
+from daq.core.excitation.profiles.spectrum_shaping import lines_between
+from daq.core.excitation.profiles.wave_replication import HalfSinePulse, Replication, SpectrumPulse
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.scene.excitation.shock import HalfSine, ShockProfile
 from tests.daq.excitation.virtual_device import MarkedRun, run_device

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import rig
-from daq.core.excitation.lock_in import lock_in, whole_periods
-from daq.core.excitation.sweep_control import estimate_amplitudes, observation_samples
+from daq.core.excitation.profiles.sweep_control import estimate_amplitudes, observation_samples
+from daq.core.excitation.tones.lock_in import lock_in, whole_periods
 from rig.core.base.errors import SceneError
 from rig.core.system.structural_model import receptance
 from tests.daq.measurement.bench_run import BenchRun, run, scene_with

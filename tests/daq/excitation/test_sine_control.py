@@ -14,8 +14,8 @@ import analysis
 import daq
 import rig
 from analysis.commands.cli import app
+from daq.core.excitation.profiles.sine_control_check import loop_gain
 from daq.core.excitation.sine_control import Caution, next_drive
-from daq.core.excitation.sine_control_check import loop_gain
 from rig.core.base.errors import SceneError
 from tests.daq.excitation.virtual_device import MarkedRun, run_device
 

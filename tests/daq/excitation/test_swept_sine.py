@@ -9,9 +9,9 @@ import pytest
 
 import rig
 from daq.core.excitation.controlled import spring_force
-from daq.core.excitation.nearest_mode import NearestMode
-from daq.core.excitation.pretest import pretest
+from daq.core.excitation.profiles.pretest import pretest
 from daq.core.excitation.station import Station
+from daq.core.excitation.tones.nearest_mode import NearestMode
 from rig.core.base.arrays import Array
 from tests.daq.measurement.bench_run import BenchRun, run, scene_with
 

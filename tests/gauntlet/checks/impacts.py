@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.core.damper_motion.impact_detection import Impacts, detect_impacts
-from analysis.core.responses.systematic import tolerance
+from analysis.core.responses.errors.systematic import tolerance
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
 from rig.core.system.assembly import assemble

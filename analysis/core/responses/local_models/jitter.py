@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy
 
+from analysis.core.responses.errors.systematic import JITTER
 from analysis.core.responses.local_models.local_rational import ORDER
-from analysis.core.responses.systematic import JITTER
 from rig.core.base.arrays import Array, ComplexArray
 
 if TYPE_CHECKING:

@@ -11,7 +11,17 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from analysis.core.responses.budget import assemble_budget
+from analysis.core.responses.errors.budget import assemble_budget
+from analysis.core.responses.errors.random_errors import LocalErrors, SharedErrors
+from analysis.core.responses.errors.systematic import (
+    MODEL,
+    REFERENCE_NOISE,
+    ChannelContributions,
+    common_scale,
+    reference_noise_bound,
+    rounding_bound,
+    shared_noise_bound,
+)
 from analysis.core.responses.force_pulse import slow_and_fast
 from analysis.core.responses.local_models.jitter import jitter_bound
 from analysis.core.responses.local_models.local_rational import (
@@ -22,16 +32,6 @@ from analysis.core.responses.local_models.local_rational import (
     local_fit,
 )
 from analysis.core.responses.measurands import Measurand, reject_zero_reference
-from analysis.core.responses.random_errors import LocalErrors, SharedErrors
-from analysis.core.responses.systematic import (
-    MODEL,
-    REFERENCE_NOISE,
-    ChannelContributions,
-    common_scale,
-    reference_noise_bound,
-    rounding_bound,
-    shared_noise_bound,
-)
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import Response
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from analysis.core.responses.errors.random_errors import LocalErrors
 from analysis.core.responses.local_models import local_rational
 from analysis.core.responses.local_models.local_rational import OutputSpectra, local_fit
-from analysis.core.responses.random_errors import LocalErrors
 
 BINS = 400
 MIDDLE = 200

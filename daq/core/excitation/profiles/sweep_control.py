@@ -9,8 +9,8 @@ from math import ceil
 
 import numpy as np
 
-from daq.core.excitation.nearest_mode import NearestMode, mean_exponential
-from daq.core.excitation.pretest import ShakerLaw
+from daq.core.excitation.profiles.pretest import ShakerLaw
+from daq.core.excitation.tones.nearest_mode import NearestMode, mean_exponential
 from rig.core.base.arrays import Array, ComplexArray
 
 # An observation (see `Observation`) has at least this number of periods; shorter observations amplify the noise.

@@ -14,7 +14,7 @@ from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from daq.core.excitation.controlled import Controlled
-from daq.core.excitation.spectrum_shaping import lines_between, sum_of_tones
+from daq.core.excitation.profiles.spectrum_shaping import lines_between, sum_of_tones
 from daq.core.excitation.station import Station
 from rig.core.base.arrays import Array, ComplexArray
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from daq.core.excitation.spectrum_shaping import Lines
+from daq.core.excitation.profiles.spectrum_shaping import Lines
 from rig.core.base.arrays import Array
 
 #: Standard deviation of a density of one spectrum, dB.

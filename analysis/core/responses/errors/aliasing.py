@@ -9,7 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.core.responses.systematic import ALIASING, ChannelContributions, gain_error_bound, relative_to_reading
+from analysis.core.responses.errors.systematic import (
+    ALIASING,
+    ChannelContributions,
+    gain_error_bound,
+    relative_to_reading,
+)
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import MOTIONS
 from rig.core.scene.shaker import Shaker

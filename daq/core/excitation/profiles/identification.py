@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.core.excitation.spectrum_shaping import Lines, crossfade, sum_of_tones
+from daq.core.excitation.profiles.spectrum_shaping import Lines, crossfade, sum_of_tones
 from daq.core.excitation.station import GivenUp, Station
 from rig.core.base.arrays import Array, ComplexArray
 

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from daq.core.excitation.controlled import Controlled
-from daq.core.excitation.lock_in import lock_in, min_samples, whole_periods
-from daq.core.excitation.settling import MIN_OBSERVATIONS, Settling
 from daq.core.excitation.station import Station
+from daq.core.excitation.tones.lock_in import lock_in, min_samples, whole_periods
+from daq.core.excitation.tones.settling import MIN_OBSERVATIONS, Settling
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.scene.excitation import FORCE_TOLERANCE
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from analysis.core.recordings.slices import read_slices
-from analysis.core.responses.dead_channels import dead_channels
+from analysis.core.responses.checks.dead_channels import dead_channels
 from rig.core.base.arrays import Array
 from rig.core.settings.quantities import ACCELERATION, FORCE, parse
 

@@ -18,11 +18,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from daq.core.excitation.controlled import Controlled
-from daq.core.excitation.lock_in import min_samples
-from daq.core.excitation.nearest_mode import NearestMode
-from daq.core.excitation.settling import Settling
 from daq.core.excitation.station import Station
-from daq.core.excitation.steady_tone import TRANSITION_S, SteadyTone, half_cosine
+from daq.core.excitation.tones.lock_in import min_samples
+from daq.core.excitation.tones.nearest_mode import NearestMode
+from daq.core.excitation.tones.settling import Settling
+from daq.core.excitation.tones.steady_tone import TRANSITION_S, SteadyTone, half_cosine
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.scene.excitation import FORCE_TOLERANCE
 

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from daq.core.dsp.shock_response import shock_response
-from daq.core.excitation.spectrum_shaping import Lines
+from daq.core.excitation.profiles.spectrum_shaping import Lines
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
 from rig.core.scene.excitation.profile import in_decibels

@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from analysis.core.responses.clean_segments import find_flaws
+from analysis.core.responses.checks.clean_segments import find_flaws
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results import format_number
 

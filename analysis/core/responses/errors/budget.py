@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.core.responses.aliasing import aliasing_bound
-from analysis.core.responses.systematic import (
+from analysis.core.responses.errors.aliasing import aliasing_bound
+from analysis.core.responses.errors.systematic import (
     ChannelContributions,
     clock_bound,
     clock_deviation,

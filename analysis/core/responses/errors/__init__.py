@@ -1,0 +1,4 @@
+"""Uncertainty of responses: random errors, systematic errors, and their budget.
+
+Start with `budget`, which combines both. `random_errors` contains covariances between lines and outputs.
+"""

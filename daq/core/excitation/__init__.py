@@ -1,7 +1,7 @@
 """Excitations: drive signals of tests, computed from the scene and from the channels, as on a real bench.
 
-Each kind of test has a module of its name with a `Procedure`. `station` is the interface to the bench. `steady_tone`
-and `sweep_control` control the force. `settling` detects the steady state. Start with `sine`.
+Each kind of test has a module of its name with a `Procedure`. `station` is the interface to the bench. The
+controllers are in `tones` and `profiles`. Start with `sine`.
 """
 
 from __future__ import annotations

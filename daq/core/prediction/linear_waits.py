@@ -7,15 +7,17 @@ the transients in the amplitude of every controlled or measured quantity is belo
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.core.excitation.stepped_sine import expected_wait, extrapolate_drive
 from daq.core.excitation.tones.lock_in import lock_in, whole_periods
 from daq.core.excitation.tones.steady_tone import TRANSITION_S, WINDOW_S, Tone
 from daq.core.prediction.linear import states_per_level
 from daq.core.signal_chain.channel import ChannelInfo
-from rig.core.base.arrays import Array
+from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
 from rig.core.scene.scene import Scene
 from rig.core.system.assembly import force_row
@@ -66,39 +68,74 @@ def linear_waits(scene: Scene, system: HybridSystem, channels: Sequence[ChannelI
         """Return the modal coordinates in the steady state of a tone at a phase of its drive."""
         return np.asarray(to_modes @ np.imag(per_drive[:, index] * amplitude * np.exp(1j * phase)))
 
-    waits = np.empty(tones.size)
-    lengths = [whole_periods(tone, rate, WINDOW_S) for tone in tones]
-    # All transients decay by the same factors; the exponentials take most of the time.
-    decay = np.exp(np.outer(poles, np.arange(max(*lengths, round(TRANSITION_S * rate)) + 1) / rate))
-    decay_parts = np.concatenate([decay.real, decay.imag])
+    windows = np.array([whole_periods(tone, rate, WINDOW_S) for tone in tones])
+    changes = 2 * (np.maximum(round(TRANSITION_S * rate), windows) // 2)
+    decay = np.exp(np.outer(poles, np.arange(changes.max() + 1) / rate))
+    transients = np.zeros((tones.size, poles.size))
     for index in range(1, tones.size):
-        window = lengths[index]
-        samples = 2 * (max(round(TRANSITION_S * rate), window) // 2)
+        samples = changes[index]
         known = [(tones[k], drive[k]) for k in range(max(0, index - 3), index)]
         start = extrapolate_drive(known, tones[index]) if scene.controlled_terms else float(drive[index])
         tone = Tone(rate, tones[index - 1])
         tone.amplitude = float(drive[index - 1])
         wave = tone.transition(samples, tones[index], start)
-        # Simpson's rule.
-        weights = np.where(np.arange(samples + 1) % 2, 4.0, 2.0)
-        weights[[0, -1]] = 1.0
-        integrand = np.append(wave, start * np.sin(tone.phase)) * weights / (3.0 * rate)
+        integrand = np.append(wave, start * np.sin(tone.phase)) * _simpson_weights(samples) / rate
         forced = modal_input * (decay[:, : samples + 1] @ integrand[::-1])
         end = decay[:, samples] * modes_at(index - 1, drive[index - 1], 0.0) + forced
-        transient = abs(end - modes_at(index, start, tone.phase))
-        real, imaginary = np.split(lock_in(decay_parts[:, :window], tones[index], rate), 2)
-        in_window = abs(real + 1j * imaginary)
-        amplitudes = abs(quantities @ per_drive[:, index]) * drive[index]
-        windows = np.arange(int(steady_state.longest * rate / window) + 2)
-        remaining = abs(quantities @ shapes) * (transient * in_window)
-        change = remaining @ np.exp(np.outer(poles.real, windows * window / rate))
-        # Beats of several modes are taken for noise after a number of windows.
-        factors = np.exp((poles - 1j * omega[index]) * window / rate)
-        powers = (remaining * abs(factors**_NOISE_WINDOWS * (factors - 1.0))) ** 2
-        coherence = abs(powers @ np.exp(1j * np.angle(factors))) ** 2 / np.maximum(powers.sum(axis=1) ** 2, 1e-280)
-        is_noise = (coherence < _MIN_COHERENCE)[:, None] & (windows >= _NOISE_WINDOWS)
-        is_steady = ((change < steady_state.tolerance * amplitudes[:, None]) | is_noise).all(axis=0)
-        count = int(np.argmax(is_steady)) if is_steady.any() else windows.size
-        waits[index] = (samples + (count + _CONFIRMING_WINDOWS) * window) / rate
+        transients[index] = abs(end - modes_at(index, start, tone.phase))
+    transients *= _amplitudes_in_window(poles, tones, np.round(tones * windows / rate).astype(int))
+    amplitudes = abs(quantities @ per_drive).T * drive[:, None]
+    limits = steady_state.tolerance * amplitudes
+    counts = _windows_until(
+        abs(quantities @ shapes) * transients[:, None], limits, poles, omega, windows / rate, steady_state.longest
+    )
+    waits = (changes + (counts + _CONFIRMING_WINDOWS) * windows) / rate
     waits[0] = waits[1:].mean()
     return np.clip(waits, min(_SHORTEST_WAIT_S, steady_state.longest), steady_state.longest)
+
+
+@lru_cache(maxsize=4)
+def _simpson_weights(samples: int) -> Array:
+    """Return the weights of Simpson's rule over an even number of samples, shape (samples + 1,), in samples."""
+    weights = np.where(np.arange(samples + 1) % 2, 4.0, 2.0) / 3.0
+    weights[[0, -1]] = 1.0 / 3.0
+    return weights
+
+
+def _amplitudes_in_window(poles: ComplexArray, tones: Array, periods: NDArray[np.intp]) -> Array:
+    """Return the amplitude that the lock-in of each tone estimates for each transient of amplitude 1, (tones, poles).
+
+    `periods`: those of each window. Windows of equally many periods have equal weights, whatever their frequency.
+    """
+    result = np.empty((tones.size, poles.size))
+    for count in np.unique(periods):
+        is_equal, samples = periods == count, int(count) * _SAMPLES_PER_PERIOD
+        steps = np.exp(poles / (_SAMPLES_PER_PERIOD * tones[is_equal, None])).reshape(-1, 1)
+        transients = np.cumprod(np.repeat(steps, samples, axis=1), axis=1) / steps
+        real, imaginary = lock_in(
+            np.concatenate([transients.real, transients.imag]), 1.0, float(_SAMPLES_PER_PERIOD)
+        ).reshape(2, -1, poles.size)
+        result[is_equal] = abs(real + 1j * imaginary)
+    return result
+
+
+def _windows_until(
+    transients: Array, limits: Array, poles: ComplexArray, omega: Array, window: Array, longest: float
+) -> NDArray[np.intp]:
+    """Return the number of windows of each tone until the transients are below the limits, by bisection, (tones,).
+
+    `transients`: amplitudes in the first window, (tones, quantities, poles); `limits`: (tones, quantities); `window`:
+    duration, s, (tones,); `longest`: limit of the wait, s.
+    """
+    # Beats of several modes are taken for noise after a number of windows.
+    factors = np.exp((poles - 1j * omega[:, None]) * window[:, None])
+    powers = (transients * abs(factors**_NOISE_WINDOWS * (factors - 1.0))[:, None]) ** 2
+    in_phase = np.einsum("kqp,kp->kq", powers, np.exp(1j * np.angle(factors)))
+    is_noise = abs(in_phase) ** 2 / np.maximum(powers.sum(axis=2) ** 2, 1e-280) < _MIN_COHERENCE
+    low, high = np.zeros(window.size, dtype=int), (longest / window).astype(int) + 2
+    while (low < high).any():
+        middle = (low + high) // 2
+        change = np.einsum("kqp,kp->kq", transients, np.exp(poles.real * (middle * window)[:, None]))
+        is_steady = ((change < limits) | (is_noise & (middle >= _NOISE_WINDOWS)[:, None])).all(axis=1)
+        low, high = np.where(is_steady, low, middle + 1), np.where(is_steady, middle, high)
+    return low

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -62,22 +63,26 @@ class DisplacementFilter:
     """
 
     def __init__(self, quantity: str, rate: float) -> None:
-        self._sections: Array | None = None
-        if quantity == "displacement":
-            return
+        self._order = {"displacement": 0, "velocity": 1, "acceleration": 2}[quantity]
+        self._rate = rate
+        self._state: Array | None = None
+
+    @cached_property
+    def _sections(self) -> Array:
+        """Second-order sections, designed with the first samples: a prediction writes none and imports no scipy."""
         from scipy.signal import bilinear_zpk, zpk2sos
 
         corner = 2 * np.pi * HIGH_PASS_HZ * np.exp(1j * np.pi * np.array([0.75, -0.75]))
-        order = {"velocity": 1, "acceleration": 2}[quantity]
-        zeros, poles = np.zeros(order), np.tile(corner, order)
-        self._sections = zpk2sos(*bilinear_zpk(zeros, poles, 1.0, fs=rate))
-        self._state = np.zeros((self._sections.shape[0], 2))
+        zeros, poles = np.zeros(self._order), np.tile(corner, self._order)
+        return np.asarray(zpk2sos(*bilinear_zpk(zeros, poles, 1.0, fs=self._rate)))
 
     def run(self, samples: Array) -> Array:
         """Return the displacement at the next samples, in m; the samples are in SI units, shape (samples,)."""
-        if self._sections is None or not samples.size:
+        if self._order == 0 or not samples.size:
             return samples
         from scipy.signal import sosfilt
 
+        if self._state is None:
+            self._state = np.zeros((self._sections.shape[0], 2))
         result, self._state = sosfilt(self._sections, samples, zi=self._state)
         return np.asarray(result)

@@ -24,7 +24,6 @@ from daq.core.virtual_bench.bench import Bench, Block
 from rig.core.base.arrays import Array
 from rig.core.scene.scene import Scene
 from rig.core.scene.shaker import Load, at_shaker
-from rig.core.simulation.motion import Motion
 
 #: A reading before this fraction of the settling time of the sensor's bias is part of the power-on transient.
 POWER_ON_RATIO = 0.5
@@ -66,30 +65,20 @@ class ShakerLoad(NamedTuple):
 
     name: str
     load: Load
-    table: int  # row of its table
-    body: int  # row of its body
-
-    def values(self, motion: Motion) -> Array:
-        """Return the quantity in a motion, shape (samples,)."""
-        table, displacement = self.table, motion.displacement
-        rows = displacement[table], motion.velocity[table], motion.acceleration[table], displacement[self.body]
-        terms = [weight * row for weight, row in zip(self.load.weights, rows, strict=True) if weight]
-        return np.asarray(sum(terms[1:], terms[0]))
+    weights: Array  # of displacements, velocities and accelerations, (3, points)
 
 
 def loads_of(scene: Scene, points: Sequence[str]) -> list[ShakerLoad]:
     """Return the loads of all shakers; `points`: names of the rows of the motion."""
-    count = len(scene.shakers)
-    return [
-        ShakerLoad(
-            f"{at_shaker(load.place, number, count)} {load.name}",
-            load,
-            points.index(at_shaker("table", number, count)),
-            shaker.first_body - 1,
-        )
-        for number, shaker in enumerate(scene.shakers, 1)
-        for load in shaker.loads
-    ]
+    result, count = [], len(scene.shakers)
+    for number, shaker in enumerate(scene.shakers, 1):
+        table = points.index(at_shaker("table", number, count))
+        for load in shaker.loads:
+            weights = np.zeros((3, len(points)))
+            weights[:, table] = load.weights[:3]
+            weights[0, shaker.first_body - 1] += load.weights[3]
+            result.append(ShakerLoad(f"{at_shaker(load.place, number, count)} {load.name}", load, weights))
+    return result
 
 
 class Rehearsal(BenchLoop):
@@ -112,8 +101,9 @@ class Rehearsal(BenchLoop):
         # Drive of each input of the rig, before the limits of output and amplifier.
         self.drives = Extremes(len(bench.inputs))
         self.accelerations = Extremes(len(bench.points))
-        self._loads = loads_of(scene, bench.points)
-        self.loads = Extremes(len(self._loads))  # as `loads_of`
+        loads = loads_of(scene, bench.points)
+        self._load_weights = np.stack([load.weights for load in loads], axis=1) if loads else None
+        self.loads = Extremes(len(loads))  # as `loads_of`
         # Largest closing speed of each damper before an impact, m/s.
         self.closing_speed = np.zeros(len(scene.dampers))
         # Times of the impacts of each damper, s.
@@ -172,7 +162,10 @@ class Rehearsal(BenchLoop):
             is_driven = block.first >= self._powered_on
             self.driven_readings.add(block.first, np.where(is_driven[:, None], readings, 0.0))
         self.accelerations.add(motion.first, motion.acceleration)
-        self.loads.add(motion.first, np.array([load.values(motion) for load in self._loads]))
+        if self._load_weights is not None:
+            displacement, velocity, acceleration = self._load_weights
+            values = displacement @ motion.displacement + velocity @ motion.velocity
+            self.loads.add(motion.first, values + acceleration @ motion.acceleration)
         if motion.events.size:
             self._add_events(motion.events)
 

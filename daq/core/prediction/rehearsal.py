@@ -72,10 +72,9 @@ def loads_of(scene: Scene, points: Sequence[str]) -> list[ShakerLoad]:
     """Return the loads of all shakers; `points`: names of the rows of the motion."""
     result, count = [], len(scene.shakers)
     for number, shaker in enumerate(scene.shakers, 1):
-        table = points.index(at_shaker("table", number, count))
         for load in shaker.loads:
             weights = np.zeros((3, len(points)))
-            weights[:, table] = load.weights[:3]
+            weights[:, points.index(at_shaker("table", number, count))] = load.weights[:3]
             weights[0, shaker.first_body - 1] += load.weights[3]
             result.append(ShakerLoad(f"{at_shaker(load.place, number, count)} {load.name}", load, weights))
     return result

@@ -34,6 +34,10 @@ _MAX_ERROR_RATIO = 0.5
 _MAX_ROUGHNESS = 0.35
 # The phase is not drawn where a quarter of the steps from point to point exceed this, rad.
 _MAX_PHASE_STEP = 0.3
+# Lines are undetermined where fewer of the lines around them are determined, as a fraction.
+_MIN_DETERMINED = 0.75
+# A gap of fewer lines does not end a determined range.
+_ANTIRESONANCE_LINES = 5
 # Height of the strip that marks undetermined points, relative to the axes.
 _STRIP_HEIGHT = 0.015
 # Curves with more lines than this are drawn without points.
@@ -89,7 +93,8 @@ def frf_figure(
         log_axis(
             magnitude_axes,
             [
-                *(factor * abs(frf.value) for frf in [*frfs, *theory]),
+                *(factor * abs(frf.value) for frf in theory),
+                *(factor * abs(frf.value[is_determined(frf)]) for frf in frfs if is_determined(frf).any()),
                 *(factor * _visible_edges(frf) for frf in frfs),
                 *(np.concatenate(heights) for heights in peaks),
             ],
@@ -208,7 +213,11 @@ def _draw_curve(frf: Response, style: CurveStyle, magnitude_axes: Axes, phase_ax
     phase_axes.plot(*break_at_wraps(frequency, phase_degrees(value)), **line)
     phase_axes.plot(frf.frequency, angle, **points)
     if _has_scatter(frf):
-        coherence_axes.plot(frf.frequency, frf.coherence, color=color, ls=style.line, zorder=3)
+        if is_unknown.any():
+            coherence_axes.plot(frf.frequency, frf.coherence, color=_NOISE_COLOR, lw=0.7, zorder=2)
+        coherence_axes.plot(
+            frf.frequency, np.where(is_known, frf.coherence, np.nan), color=color, ls=style.line, zorder=3
+        )
 
 
 def _draw_peaks(frf: Response, color: str, axes: Axes) -> tuple[list[float], list[float]]:
@@ -221,16 +230,20 @@ def _draw_peaks(frf: Response, color: str, axes: Axes) -> tuple[list[float], lis
     if frf.resolution > 0.0 or frf.reference != "force":
         return heights, arrows
     factor, ordered = frf.shown_in[1], np.sort(frf.frequency)
-    smooth = frf.frequency[is_smooth(frf)]
+    smooth, is_known = frf.frequency[is_smooth(frf)], is_determined(frf)
     for resonance, peak in resonance_peaks(frf):
-        if frf.frequency[resonance.line] not in smooth:
+        if frf.frequency[resonance.line] not in smooth or not is_known[resonance.line]:
             continue
         point, line_frequency = abs(frf.value[resonance.line]), frf.frequency[resonance.line]
         if peak.is_determined:
             height = factor * peak.value * (2.0 * np.pi * peak.frequency) ** MOTIONS.index(frf.motion)
             is_near = abs(np.searchsorted(ordered, peak.frequency) - np.searchsorted(ordered, line_frequency)) <= 1
             is_noise = _has_scatter(frf) and frf.coherence[resonance.line] < _MIN_PEAK_COHERENCE
-            if is_near and height > (1.0 + _MIN_PEAK_EXCESS) * factor * point and not peak.at_end and not is_noise:
+            # A jump next to the line is higher than its peak.
+            around = abs(frf.value[max(resonance.line - 2, 0) : resonance.line + 3])
+            is_highest = height >= factor * np.nanmax(around)
+            is_visible = is_near and is_highest and height > (1.0 + _MIN_PEAK_EXCESS) * factor * point
+            if is_visible and not peak.at_end and not is_noise:
                 axes.plot(peak.frequency, height, "o", mfc="white", mec=color, mew=1.0, ms=4.5, zorder=5)
                 heights.append(height)
         elif not peak.at_end:
@@ -279,7 +292,16 @@ def _visible_edges(frf: Response) -> Array:
 def is_determined(frf: Response) -> NDArray[np.bool_]:
     """Return whether each point exceeds its noise and its expanded uncertainty; single points are not determined."""
     known = exceeds_noise(frf) & ~(frf.expanded() >= abs(frf.value))
-    return known if known.size < _ROUGHNESS_POINTS else scipy.ndimage.median_filter(known, 3, mode="nearest") & known
+    if known.size < _ROUGHNESS_POINTS:
+        return known
+    known &= scipy.ndimage.median_filter(known, 3, mode="nearest")
+    if known.size <= MAX_POINTS:
+        return known
+    # A few lines between gaps exceed the noise by chance; an antiresonance is a gap of few lines.
+    nearby = scipy.ndimage.uniform_filter1d(known.astype(float), 2 * _ROUGHNESS_POINTS + 1, mode="reflect")
+    without_gaps = scipy.ndimage.binary_closing(known, np.ones(_ANTIRESONANCE_LINES)) | known
+    is_long = scipy.ndimage.binary_opening(without_gaps & (nearby >= _MIN_DETERMINED), np.ones(2 * _ROUGHNESS_POINTS))
+    return np.asarray(known & is_long)
 
 
 def is_smooth(frf: Response) -> NDArray[np.bool_]:

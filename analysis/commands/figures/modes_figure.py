@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -88,6 +88,10 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
             axes.errorbar(shape, heights, xerr=xerr, fmt="none", ecolor="#333333", capsize=2, lw=0.9, alpha=opacity)
             axes.set(xlim=(-1.25, 1.25), xlabel="shape" if row == shape_rows - 1 else "")
             axes.axvline(0.0, color="#777777", lw=0.7)
+            positive: dict[str, Any] = {"xycoords": "axes fraction", "textcoords": "axes fraction", "va": "center"}
+            arrow = {"arrowstyle": "->", "color": "#555555"}
+            axes.annotate("", (0.98, 0.08), (0.84, 0.08), arrowprops=arrow, **positive)
+            axes.annotate("+", (0.82, 0.08), (0.82, 0.08), ha="right", color="#555555", **positive)
             names = ["ground", *map(escape_figure, bodies.names)] if column == 0 else [""] * (heights.size + 1)
             axes.set_yticks(np.append(0, heights), names)
             axes.set_title(

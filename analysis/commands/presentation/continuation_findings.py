@@ -13,7 +13,7 @@ from analysis.commands.presentation.outputs import CommandOutput
 from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.tracking.continuation import AmplitudeCurve, continuation
 from rig.core.base.figure_style import add_caption
-from rig.core.base.palette import REFERENCE
+from rig.core.base.palette import level_styles
 from rig.core.orbits.branches import follow_orbits
 from rig.core.orbits.orbit_curve import OrbitBranch
 from rig.core.results import format_number
@@ -64,13 +64,15 @@ def present_continuation(
 
     def draw(result: AmplitudeCurve, figure: Figure, axes: Axes) -> None:
         result.draw(axes)
-        for number, (_, branch, amplitude) in enumerate(exact):
-            label = "exact orbits (dashed: unstable)" if not number else None
-            stable = np.where(branch.stable, 1e3 * amplitude, np.nan)
-            axes.plot(branch.value, stable, color=REFERENCE, lw=0.8, zorder=1, label=label)
-            axes.plot(branch.value, 1e3 * amplitude, "--", color=REFERENCE, lw=0.5, zorder=1)
+        colors = level_styles(result.level)
+        for level, branch, amplitude in exact:
+            # Broad and pale below the measured points of the same level.
+            line = {"color": colors[level].color, "alpha": 0.35, "zorder": 1}
+            axes.plot(branch.value, np.where(branch.stable, 1e3 * amplitude, np.nan), lw=3.0, **line)
+            axes.plot(branch.value, 1e3 * amplitude, "--", lw=1.0, **line)
         axes.legend()
-        add_caption(figure, "Hollow: unstable. Crosses: folds.")
+        orbits = ["Pale: exact orbits (dashed: unstable)."] if exact else []
+        add_caption(figure, "Hollow: unstable. Crosses: folds.", *orbits)
 
     title = "Response at constant level"
     return present_each(

@@ -222,9 +222,13 @@ def _draw_figures(
         first = labeled[0]
         same_frf = [frf for frf in theory if (frf.response, frf.input) == (first.response, first.input)]
         name = first.response if len(inputs) == 1 else first.ratio.replace(" / ", "-by-").replace(" ", "-")
-        title = f"{quantity}, {first.ratio}{test}"
+        title = f"{quantity}, {first.ratio}{f': {next(iter(excitations))}' if len(excitations) == 1 else ''}{test}"
         styles = recording_styles([belongs_to(curve.label, reference) for curve in labeled])
         named = [_with_test(curve, {} if test else excitations) for curve in labeled]
+        if len(excitations) == 1:
+            # The title names the recording.
+            named = [relabel(curve, next(iter(excitations)), "") for curve in named]
+            named = [replace(curve, label=curve.label.lstrip(", ")) for curve in named]
         figure_stem = stem if len(groups) == 1 else with_channel_name(stem, name)
         files += save_figure(
             frf_figure(named, title, _without_duplicates(same_frf), _jump_marks(labeled), styles), figure_stem

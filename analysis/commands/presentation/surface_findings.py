@@ -11,6 +11,7 @@ from analysis.commands.presentation.outputs import CommandOutput
 from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.tracking.force_surface import ForceSurface, force_surface
 from rig.core.base.figure_style import add_caption
+from rig.core.base.palette import level_styles
 from rig.core.results import format_number
 from rig.core.results.text import table_lines
 
@@ -41,12 +42,12 @@ def present_surface(
 
 def draw_responses(result: ForceSurface, forces: Sequence[float], axes: Axes) -> None:
     """Draw the responses at force amplitudes in N."""
-    for number, force in enumerate(forces):
-        draw_response(result, force, axes, f"C{number}")
+    for force, style in level_styles(forces).items():
+        draw_response(result, force, axes, style.color, style.marker)
     axes.set(xlabel="frequency / Hz", ylabel=f"amplitude of {result.body} / mm")
 
 
-def draw_response(result: ForceSurface, force: float, axes: Axes, color: str) -> None:
+def draw_response(result: ForceSurface, force: float, axes: Axes, color: str, marker: str) -> None:
     """Draw the response at a force amplitude in N, with its folds as crosses."""
     curve = result.at_force(force)
     for is_stable, face in ((True, color), (False, "white")):
@@ -56,7 +57,7 @@ def draw_response(result: ForceSurface, force: float, axes: Axes, color: str) ->
             curve[name][part] for name in ("frequency_Hz", "amplitude_m", "amplitude_bound_m")
         )
         axes.errorbar(
-            frequency, 1e3 * amplitude, 1e3 * bound, fmt="o", ms=4, color=color, mfc=face, label=label, capsize=2
+            frequency, 1e3 * amplitude, 1e3 * bound, fmt=marker, ms=4, color=color, mfc=face, label=label, capsize=2
         )
     for frequency, amplitude in result.folds(force):
         axes.plot(frequency, 1e3 * amplitude, "x", color=color, ms=8)

@@ -18,6 +18,7 @@ from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.tracking.body_motion import body_motion
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
+from rig.core.base.palette import level_styles
 from rig.core.results import Result, complete_style, format_number
 from rig.core.results.uncertainty import SENSITIVITY
 from rig.core.scene.excitation import FORCE_TOLERANCE
@@ -94,15 +95,15 @@ class AmplitudeCurve(Result):
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the settled points; unstable points are hollow, and folds are crosses."""
-        for number, level in enumerate(dict.fromkeys(self.level.tolist())):
+        for level, level_style in level_styles(self.level).items():
             chosen = (self.level == level) & self.settled
-            color = f"C{number}"
+            color = level_style.color
             frequency, amplitude = self.frequency[chosen], 1e3 * self.amplitude[chosen]
             label = f"{format_number(level)} {self.unit}"
             ax.plot(frequency, amplitude, **complete_style(style, color=color, lw=0.8, label=label))
             for is_stable, face in ((True, color), (False, "white")):
                 part = self.stable[chosen] == is_stable
-                ax.plot(frequency[part], amplitude[part], "o", ms=4, color=color, markerfacecolor=face)
+                ax.plot(frequency[part], amplitude[part], level_style.marker, ms=4, color=color, markerfacecolor=face)
             folds = [fold for fold in self.folds if fold.level == level]
             ax.errorbar(
                 [fold.frequency for fold in folds],

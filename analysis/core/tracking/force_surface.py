@@ -21,6 +21,7 @@ from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.tracking.body_motion import body_motion
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
+from rig.core.base.palette import recording_styles
 from rig.core.results import Result, complete_style
 
 if TYPE_CHECKING:
@@ -157,10 +158,11 @@ class ForceSurface(Result):
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the force over the frequency; points near one amplitude are one curve."""
         order = np.argsort(self.amplitude)
-        for chosen in np.split(order, np.flatnonzero(np.diff(np.log(self.amplitude[order])) > _LEVEL_STEP) + 1):
+        levels = np.split(order, np.flatnonzero(np.diff(np.log(self.amplitude[order])) > _LEVEL_STEP) + 1)
+        for chosen, (color, _, marker) in zip(levels, recording_styles([False] * len(levels)), strict=True):
             along = chosen[np.argsort(self.frequency[chosen])]
             label = f"{1e3 * float(np.median(self.amplitude[along])):.3g} mm"
-            bars = complete_style(style, label=label, marker="o", ms=3, lw=0.8, capsize=2)
+            bars = complete_style(style, label=label, color=color, marker=marker, ms=3, lw=0.8, capsize=2)
             ax.errorbar(self.frequency[along], self.force[along], self.force_bound[along], **bars)
         ax.set(xlabel="frequency / Hz", ylabel="force / N")
 

@@ -8,7 +8,7 @@ and Ito); dashes and markers distinguish curves in gray prints.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 #: Bodies 1, 2, ...; the styles repeat after six bodies.
@@ -75,6 +75,16 @@ def place_styles(places: Sequence[str]) -> list[CurveStyle]:
         other = body_style(_DASHES.index(style.dashes) + 1 + repeated) if repeated else style
         styles.append(style._replace(dashes=other.dashes, marker=other.marker))
     return styles
+
+
+def level_styles(levels: Iterable[float]) -> dict[float, CurveStyle]:
+    """Return the style of each level of a test, in the colors of recordings.
+
+    >>> [style.marker for style in level_styles([0.9, 0.9, 1.2]).values()]
+    ['s', '^']
+    """
+    distinct = dict.fromkeys(map(float, levels))
+    return dict(zip(distinct, recording_styles([False] * len(distinct)), strict=True))
 
 
 def recording_styles(is_reference: Sequence[bool]) -> list[CurveStyle]:

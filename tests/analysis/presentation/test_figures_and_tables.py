@@ -18,11 +18,11 @@ import daq
 import rig
 from analysis.commands.cli import app
 from analysis.commands.figures.decay_figure import decay_figure
-from analysis.commands.figures.frf_figure import frf_figure
+from analysis.commands.figures.frf_figure import frf_figure, is_determined
 from analysis.commands.figures.modes_figure import modes_figure
 from analysis.commands.presentation.decay_findings import present_decay
 from analysis.commands.presentation.fit_findings import present_fit
-from analysis.commands.presentation.frf_findings import describe_frfs, present_frf
+from analysis.commands.presentation.frf_findings import _draw_figures, describe_frfs, present_frf
 from analysis.commands.presentation.mode_findings import theory_warnings
 from analysis.commands.presentation.theory import theoretical_modes
 from analysis.core.modal.lscf import ChartPole
@@ -252,6 +252,25 @@ def test_undetermined_curve_is_gray_without_band(limit):
     bands = [band for band in axes.collections if len(band.get_paths()) and band.get_alpha()]
     assert not bands and "undetermined" in caption
     assert {line.get_color() for line in axes.lines if np.isfinite(line.get_ydata()).any()} == {"#c4c4c4"}
+
+
+def test_lines_between_gaps_are_undetermined():
+    f = np.linspace(1.0, 100.0, 1000)
+    is_noise = (f > 60.0) & (np.arange(f.size) % 10 < 4)
+    coherence = np.where(is_noise | (abs(f - 30.0) < 0.1), 0.1, 1.0)
+    magnitude = np.where(is_noise, 1e-9, 1e-6)
+    curve = Response.curve(f, magnitude + 0j, "body1", error=1e-9 * magnitude, coherence=coherence)
+    assert f[is_determined(curve)].min() == 1.0 and f[is_determined(curve)].max() == pytest.approx(60.0, abs=1.5)
+    assert (~is_determined(curve)[f < 58.0]).sum() == 2
+    assert frf_figure([curve], "Compliance").axes[0].get_ylim()[0] > 0.01
+
+
+def test_levels_of_one_recording_are_short_in_legend(tmp_path):
+    f = np.linspace(10.0, 20.0, 11)
+    curves = [Response.curve(f, np.ones(11, dtype=complex), "body1", label=f"a scene, {n} N up") for n in (1, 2)]
+    _draw_figures(curves, [], tmp_path / "held", "", {"a scene": "stepped sine, 1 to 2 N"})
+    text = (tmp_path / "held.svg").read_text("utf-8")
+    assert "1 N up" in text and "a scene, 1 N up" not in text and ": a scene" in text
 
 
 def test_reference_is_gray_in_any_order(folder):

@@ -17,6 +17,7 @@ from analysis.commands.presentation.surface_findings import fold_lines
 from analysis.core.tracking.force_surface import ForceSurface
 from rig.core.base.errors import RecordingError
 from rig.core.base.figure_style import new_figure
+from rig.core.base.palette import RECORDINGS
 
 
 def surface(frequencies: ArrayLike = (0.95, 1.1, 1.3)) -> ForceSurface:
@@ -41,6 +42,13 @@ def test_fold_is_where_the_force_is_extreme() -> None:
     # Without damping, force = (f^2 - 1 - a^2) a is largest at a^2 = (f^2 - 1) / 3.
     exact = np.sqrt(1.0 + 3.0 * 0.1 ** (2 / 3))
     assert fold == pytest.approx(exact, abs=0.003)
+
+
+def test_levels_have_colors_of_the_palette() -> None:
+    with new_figure(3.0) as figure:
+        axes = figure.subplots()
+        surface().draw(axes)
+    assert {line.get_color() for line in axes.lines} <= set(RECORDINGS)
 
 
 def test_force_outside_surface_has_no_points() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -67,7 +67,7 @@ def present_continuation(
         colors = level_styles(result.level)
         for level, branch, amplitude in exact:
             # Broad and pale below the measured points of the same level.
-            line = {"color": colors[level].color, "alpha": 0.35, "zorder": 1}
+            line: dict[str, Any] = {"color": colors[level].color, "alpha": 0.35, "zorder": 1}
             axes.plot(branch.value, np.where(branch.stable, 1e3 * amplitude, np.nan), lw=3.0, **line)
             axes.plot(branch.value, 1e3 * amplitude, "--", lw=1.0, **line)
         axes.legend()

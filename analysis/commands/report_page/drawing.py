@@ -24,6 +24,8 @@ _BODY_HEIGHT = 50
 _SPACING = 36
 # Position of the left edge of the bodies, px.
 _LEFT = 145
+# Position of shakers and hammers, left of the bodies, px.
+_DRIVE = 44
 # Width of the drawing, px.
 _WIDTH = 400
 # Margin above and below the drawing, px.
@@ -60,7 +62,7 @@ def rig_drawing(scene: Scene) -> str:
             elements += _shaker(shaker, tops[body - 1] + _BODY_HEIGHT / 2, number if len(scene.shakers) > 1 else None)
     if scene.test is not None and scene.hammer is not None:
         y = tops[scene.hammer - 1] + _BODY_HEIGHT / 2
-        elements.append(f'<text x="4" y="{y - 12:g}">hammer, {scene.test.level_text(None)}</text>{_arrow(y, HAMMER)}')
+        elements.append(f'<text x="4" y="{y - 12:g}">hammer, {scene.test.level_text(None)}</text>{_push(y, HAMMER)}')
     elements += _channels(scene, tops)
     names = ", ".join(structure.labels)
     return (
@@ -119,26 +121,28 @@ def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
             yield f'<text x="{x + 32:g}" y="{top + 43:g}">{mass}{locked}{clearance}</text>'
 
 
-def _spring(x: float, top: float, bottom: float) -> str:
+def _spring(x: float, top: float, bottom: float, color: str = "currentColor") -> str:
     step = (bottom - top) / (_COILS + 2)
     zigzag = "".join(f"L{x + (7 if k % 2 else -7):g} {top + (k + 1) * step:g}" for k in range(1, _COILS + 1))
-    return f'<path stroke="currentColor" d="M{x:g} {top:g}v{step:g}{zigzag}L{x:g} {bottom:g}"/>'
+    return f'<path stroke="{color}" d="M{x:g} {top:g}v{step:g}{zigzag}L{x:g} {bottom:g}"/>'
 
 
 def _shaker(shaker: Shaker, y: float, number: int | None) -> Iterator[str]:
-    """Draw a shaker to the left of the body that it drives, with its coil spring if it has one."""
-    yield f'<text x="4" y="{y - 30:g}">{escape_html(shaker.glyph.title)}{"" if number is None else f" {number}"}</text>'
+    """Draw a shaker below an arm of the body that it drives, with its coil spring if it has one."""
+    yield f'<text x="4" y="{y - 12:g}">{escape_html(shaker.glyph.title)}{"" if number is None else f" {number}"}</text>'
     if shaker.coil_spring is not None:
-        coils = "".join(f"l8 {9 if k % 2 else -9}" for k in range(_COILS))
-        yield f'<rect x="6" y="{y - 24:g}" width="44" height="48" rx="3" stroke="currentColor"/>'
-        yield f'<path stroke="{TABLE}" d="M50 {y:g}h8{coils}L{_LEFT} {y:g}"/>'
-        yield f'<text x="56" y="{y + 26:g}">{shaker.coil_spring / 1e3:.4g} kN/m</text>'
+        yield f'<path stroke="currentColor" d="M{_DRIVE - 14} {y:g}H{_LEFT}"/>'
+        yield _spring(_DRIVE, y, y + 33, TABLE)
+        yield f'<rect x="{_DRIVE - 20}" y="{y + 33:g}" width="40" height="28" rx="3" stroke="currentColor"/>'
+        yield f'<text x="{_DRIVE + 14}" y="{y + 22:g}">{shaker.coil_spring / 1e3:.4g} kN/m</text>'
     else:
-        yield _arrow(y, TABLE)
+        yield _push(y, TABLE)
 
 
-def _arrow(y: float, color: str) -> str:
-    return f'<path stroke="{color}" stroke-width="2" d="M60 {y:g}h{_LEFT - 66}m-9 -6l9 6l-9 6"/>'
+def _push(y: float, color: str) -> str:
+    """Draw a force along the motion of the bodies, at an arm of a body."""
+    arrow = f'<path stroke="{color}" stroke-width="2" d="M{_DRIVE} {y + 40:g}V{y + 3:g}m-6 9l6 -9l6 9"/>'
+    return f'<path stroke="currentColor" d="M{_DRIVE - 14} {y:g}H{_LEFT}"/>{arrow}'
 
 
 def _channels(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
@@ -161,8 +165,8 @@ def _channels(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
         elif place in tables:
             y = tops[tables[place].first_body - 1] + _BODY_HEIGHT / 2
             yield (
-                f'<rect x="22" y="{y - 6:g}" width="12" height="12" fill="{color}"/>'
-                f'<text x="4" y="{y + 42:g}">{escape_html(", ".join(names))}</text>'
+                f'<rect x="{_DRIVE - 6}" y="{y + 41:g}" width="12" height="12" fill="{color}"/>'
+                f'<text x="{_DRIVE + 26}" y="{y + 51:g}">{escape_html(", ".join(names))}</text>'
             )
         elif place != "hammer":
             other_channels.append(f"{', '.join(names)} ({place})")
@@ -197,6 +201,7 @@ def mode_drawing(shapes: BodyShapes, places: Sequence[str], mode: int, title: st
         )
     return (
         f'<figure><svg role="img" aria-label="Mode shape at {escape_html(title)}" viewBox="0 0 210 {height}" '
-        f'width="210" height="{height}" fill="none" opacity="{opacity}">{"".join(parts)}</svg>'
+        f'width="210" height="{height}" fill="none" opacity="{opacity}"><path stroke="currentColor" '
+        f'd="M10 34V14m-4 6l4 -6l4 6"/><text x="6" y="48">+</text>{"".join(parts)}</svg>'
         f"<figcaption>{escape_html(title)}</figcaption></figure>"
     )

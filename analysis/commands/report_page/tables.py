@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from rig.core.scene.damper import Damper
     from rig.core.scene.scene import Scene
 
+# An interval whose lower part is a smaller fraction of its upper part is stated by its ends.
+_MIN_SYMMETRY = 0.9
 # Maximum number of overloads or gaps that are listed individually.
 _MAX_LISTED = 5
 
@@ -72,13 +74,20 @@ def peak_height(highest: Peak, shown_in: tuple[str, float]) -> str:
 
     >>> peak_height(Peak(1e-3, 2e-3, 10.0, 9.9, 10.1), ("µm/N", 1e6))
     'not determined'
+    >>> peak_height(Peak(211e-6, 34e-6, 33.6, 33.3, 33.9, lower_limit=209e-6), ("µm/N", 1e6))
+    '211 (209 to 245)'
     """
     _, factor = shown_in
     if isinf(highest.bound):
         return f"at least {factor * highest.low:.4g}"
     if highest.bound > highest.value:
         return "not determined"
-    return with_bound(factor * highest.value, factor * highest.bound)
+    low, value, high = (factor * each for each in (highest.low, highest.value, highest.value + highest.bound))
+    if value - low < _MIN_SYMMETRY * (high - value):
+        # The measured points are a lower limit of the peak.
+        value_text, low_text, high_text = (round_to_bound(each, high - value) for each in (value, low, high))
+        return f"{value_text} ({low_text} to {high_text})"
+    return with_bound(value, high - value)
 
 
 def with_bound(value: float, bound: float) -> str:

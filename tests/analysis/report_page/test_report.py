@@ -33,7 +33,7 @@ from analysis.commands.report_page.tables import changes_table, peak_height
 from analysis.commands.report_page.tables import test_sentence as sentence_of
 from analysis.core.damper_motion.comparison import Peak, PeakChange
 from analysis.core.modal.modes import BodyShapes
-from rig.core.base.palette import TABLE
+from rig.core.base.palette import HAMMER, TABLE
 from rig.core.results import format_interval
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import SENSITIVITY, expand
@@ -347,6 +347,14 @@ def test_hammer_is_drawn_at_its_body() -> None:
     assert "hammer, 200 N" in drawing and "Other channels" not in drawing
 
 
+@pytest.mark.parametrize(("scene", "color"), [("fig10b-no-damper", HAMMER), ("fig8-no-damper", TABLE)])
+def test_force_is_drawn_along_the_motion(scene: str, color: str) -> None:
+    # The bodies move vertically: the line of the force, or the coil spring, is below their arm.
+    [path] = re.findall(rf'<path stroke="{color}"[^>]* d="([^"]*)"', rig_drawing(rig.load(scene)))
+    x = [float(value) for value in re.findall(r"[ML]([\d.]+) ", path)]
+    assert x[0] == x[-1] and max(x) - min(x) < 20
+
+
 def test_table_has_the_color_of_its_channel() -> None:
     drawing = rig_drawing(rig.load("shaker-table-random"))
     assert f'height="14" rx="3" stroke="{TABLE}"' in drawing
@@ -390,7 +398,7 @@ def test_contents_link_to_every_section(page: Path) -> None:
 @pytest.mark.thorough
 def test_readout_names_curves_and_units(page: Path, tmp_path: Path) -> None:
     document = browse(page, tmp_path, "--dump-dom")
-    readout = document[document.index('<table class="readout">') :].partition("</table>")[0]
+    readout = document[document.index('<table class="readout idle">') :].partition("</table>")[0]
     assert "hit scene" in readout and "|compliance| / (µm/N)" in readout and "frequency: –" in readout
 
 

@@ -3,11 +3,12 @@
 "use strict";
 (function () {
   const LIGHT = { text: "#1b1f24", grid: "#d8dde3", page: "#ffffff" };
-  const DARK = { text: "#dfe4ea", grid: "#333b44", page: "#14181d" };
+  const DARK = { text: "#dfe4ea", grid: "#333b44", page: "#14181d", undetermined: "#66707b" };
+  const UNDETERMINED = "#9aa2ab"; // the color of undetermined curves in the data
   const PRINT_WIDTH = 700; // px: the printable width of A4
   const PRINT_HEIGHT = 0.64; // of the height on screen: two charts fit on a page
   const MIN_CONTRAST = 6; // of curves on a dark page: they are thinner than text, for which WCAG requires 4.5
-  const MIN_DECADE = 60; // px: a shorter decade has no grid lines between its ends
+  const MIN_DECADE = 120; // px: a shorter decade has no grid lines between its ends
   const MIN_LABEL = 14; // px between labels of decades
   const SYMBOLS = ["crosses", "circles", "arrows"];
   const FONT = "12px system-ui, sans-serif";
@@ -23,8 +24,9 @@
     .map((value) => (value <= 0.04045 ? value / 12.92 : ((value + 0.055) / 1.055) ** 2.4))
     .reduce((sum, value, k) => sum + [0.2126, 0.7152, 0.0722][k] * value, 0);
 
-  // On a dark page a color is lightened until its contrast is sufficient.
+  // On a dark page a color is lightened until its contrast is sufficient; undetermined curves are dim on any page.
   function shade(color) {
+    if (color === UNDETERMINED) return isDark() ? DARK.undetermined : color;
     while (isDark() && (luminance(color) + 0.05) / (luminance(DARK.page) + 0.05) < MIN_CONTRAST) {
       color = `#${channels(color).map((value) => Math.round(value + 0.1 * (255 - value)).toString(16).padStart(2, "0")).join("")}`;
     }
@@ -112,7 +114,7 @@
     const inside = (x) => Math.min(Math.max(x, left), left + width);
     const position = (x, y) => [plot.valToPos(x, "x", true), plot.valToPos(y, "y", true)];
     context.save();
-    context.fillStyle = "#9aa2ab";
+    context.fillStyle = shade(UNDETERMINED);
     for (const ends of panel.strips) {
       const [low, high] = ends.map((x) => inside(plot.valToPos(x, "x", true)));
       context.fillRect(low, top + height - 5 * ratio, high - low, 5 * ratio);
@@ -324,9 +326,11 @@
         });
       }
     }
+    table.classList.add("idle");
     for (const show of update) show(null, null);
     return (plot) => {
       const i = plot.cursor.idx;
+      table.classList.toggle("idle", i == null);
       for (const show of update) show(i == null ? null : plot.data[0][i], i);
     };
   }
@@ -464,8 +468,8 @@
   window.addEventListener("resize", resize);
   scheme.addEventListener("change", redraw);
   document.querySelectorAll("details").forEach((details) => details.addEventListener("toggle", resize));
-  // Paper shows the settings and scene files, which repeat the test.
-  const showDetails = (open) => document.querySelectorAll("details").forEach((details) => { details.open = open; });
+  // Paper shows the settings and scene files, which repeat the test, and spectrograms that are open on the screen.
+  const showDetails = (open) => document.querySelectorAll("details:not(.spectrograms)").forEach((details) => { details.open = open; });
   window.addEventListener("beforeprint", () => { printing = true; showDetails(true); resize(); redraw(); });
   window.addEventListener("afterprint", () => { printing = false; showDetails(false); resize(); redraw(); });
 })();

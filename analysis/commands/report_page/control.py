@@ -14,7 +14,7 @@ from analysis.core.signals.profile_check import ProfileCheck
 from analysis.core.signals.shock_spectrum import srs
 from analysis.core.tracking.backbone import Backbone, backbone
 from analysis.core.tracking.continuation import AmplitudeCurve, continuation
-from daq.core.recording.recorded_test import shocks_of
+from daq.core.recording.recorded_test import FOLLOWED_CURVE, HELD_PHASE, shocks_of
 from rig.core.base.palette import REFERENCE, CurveStyle, place_style, place_styles
 from rig.core.scene.excitation.profile import from_decibels
 
@@ -52,7 +52,7 @@ def _profile_chart(check: ProfileCheck) -> Chart:
 def _tracking_chart(rec: Recording) -> Chart:
     """Return a chart of the amplitude over the frequency of followed curves or resonances."""
     result: AmplitudeCurve | Backbone
-    if any("distance" in mark.fields for mark in rec.markers):
+    if FOLLOWED_CURVE.measured(rec.markers):
         result = continuation(rec)
         parts = {
             f"{level:g} {result.unit}{', unstable' if not stable else ''}": (result.level == level)
@@ -79,7 +79,7 @@ def _tracking_chart(rec: Recording) -> Chart:
 def control_charts(measurement: Measurement) -> list[Chart]:
     """Return the charts of the controlled motion in a recording; empty without such a test."""
     rec = measurement.rec
-    if any({"distance", "phase"} & {*mark.fields} for mark in rec.markers if mark.kind == "measure"):
+    if FOLLOWED_CURVE.measured(rec.markers) or HELD_PHASE.measured(rec.markers):
         return [_tracking_chart(rec)]
     if measurement.profile is not None:
         return [_profile_chart(measurement.profile)]

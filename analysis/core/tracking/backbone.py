@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from analysis.core.recordings.names import takes_path
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.tracking.body_motion import body_motion
+from daq.core.recording.recorded_test import HELD_PHASE
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import place_styles
@@ -128,7 +129,7 @@ def backbone(rec: Recording) -> Backbone:
     RecordingError
         If the recording contains no test of phase resonance.
     """
-    markers = [marker for marker in rec.markers if marker.kind == "measure" and "phase" in marker.fields]
+    markers = HELD_PHASE.measured(rec.markers)
     held = None if rec.scene.test is None else rec.scene.test.held_phase
     if held is None or not markers:
         raise RecordingError(f"{rec.path}: no phase was held. Record a test of kind phase_resonance.")

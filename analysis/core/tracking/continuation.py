@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from analysis.core.recordings.names import takes_path
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.tracking.body_motion import body_motion
+from daq.core.recording.recorded_test import FOLLOWED_CURVE
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import level_styles
@@ -136,7 +137,7 @@ def continuation(rec: Recording) -> AmplitudeCurve:
     RecordingError
         If the recording contains no test of continuation.
     """
-    markers = [marker for marker in rec.markers if marker.kind == "measure" and "distance" in marker.fields]
+    markers = FOLLOWED_CURVE.measured(rec.markers)
     test = rec.scene.test
     if not markers or test is None:
         raise RecordingError(f"{rec.path}: no curve was followed. Record a test of kind continuation.")
@@ -148,7 +149,7 @@ def continuation(rec: Recording) -> AmplitudeCurve:
         motion = body_motion(response, location)
         k = motion.output
         poles = {
-            float(marker.fields["frequency"]): float(marker.fields["distance"])
+            float(marker.fields["frequency"]): float(marker.fields[FOLLOWED_CURVE.field])
             for marker in markers
             if marker.fields["level"] == level
         }

@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from daq.core.recording.recorded_test import shocks_of
+from daq.core.recording.recorded_test import own_analyses, shocks_of
 from rig.core.base.console import progress
 from rig.core.base.errors import ShotrigError
 from rig.core.results import format_frequencies
@@ -98,10 +98,6 @@ def summary(path: Path) -> str:
     return "\n".join(lines)
 
 
-# Fields of the markers that only one command evaluates, the most specific first.
-_STEPS_BY_FIELD = {"distance": "continuation", "invasive": "surface", "phase": "backbone"}
-
-
 def next_steps(rec: Recording) -> list[str]:
     """List the commands that can evaluate a recording, the most informative command first."""
     path = shlex.quote(str(rec.path))
@@ -121,10 +117,7 @@ def next_steps(rec: Recording) -> list[str]:
         # The response to one tone has no modes.
         is_one_tone = kind.steady and len({mark.fields.get("frequency") for mark in measured}) == 1
         steps += ["frf"] if is_one_tone else ["frf", "modes"]
-    fields = set[str]().union(*(mark.fields for mark in measured))
-    steps = [*[step for field, step in _STEPS_BY_FIELD.items() if field in fields][:1], *steps]
-    steps = ["srs"] if shocks_of(rec.markers) else steps
-    steps = ["profile", *steps] if {"identification", "measure"} <= kinds else steps
+    steps = [*own_analyses(rec.markers), *(["srs"] if shocks_of(rec.markers) else steps)]
     steps += ["dampers"] if kind.steady and "measure" in kinds and outline.n_dampers else []
     return [*(f"analysis {step} {path}" for step in steps), f"daq replay {path}"]
 

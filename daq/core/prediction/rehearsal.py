@@ -108,8 +108,8 @@ class Rehearsal(BenchLoop):
         # Times of the impacts of each damper, s.
         self.impact_times: list[list[float]] = [[] for _ in scene.dampers]
         self.steps: list[Step] = []
-        # First sample of the sweep, and the sample after its last; None without a complete sweep.
-        self.sweep: tuple[int, int] | None = None
+        # First sample of the last measured interval without a constant tone, and the sample after its last.
+        self.measured: tuple[int, int] | None = None
         # Simulated duration, s, and whether the test ran to its end.
         self.seconds, self.complete = 0.0, False
         # Reason why the test was aborted; None if it was not.
@@ -131,8 +131,8 @@ class Rehearsal(BenchLoop):
     def frequency_at(self, sample: int) -> float | None:
         """Return the frequency of the tone at a sample, Hz; None if there is no single tone."""
         test = self.scene.test
-        if self.sweep is not None and test is not None and sample >= self.sweep[0]:
-            fraction = (sample - self.sweep[0]) / max(1, self.sweep[1] - self.sweep[0])
+        if self.measured is not None and test is not None and sample >= self.measured[0]:
+            fraction = (sample - self.measured[0]) / max(1, self.measured[1] - self.measured[0])
             frequency = procedure_of(test).frequency_at(test, min(fraction, 1.0))
             if frequency is not None:
                 return frequency
@@ -187,12 +187,12 @@ class Rehearsal(BenchLoop):
 
     def mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
         """Store the tones and the sweep of the test."""
-        if kind == "measure" and "from" in fields:
-            self.sweep = first, stop
-        elif kind in ("settle", "measure") and "frequency" in fields:
+        if kind in ("settle", "measure") and "frequency" in fields:
             settled = bool(fields.get("settled", True))
             self.steps.append(Step(first, stop, float(fields["frequency"]), settled))
             self._excluded_steps -= kind == "measure" and self._excluded_steps > 0
+        elif kind == "measure":
+            self.measured = first, stop
 
 
 def recording_size(scene: Scene, bench: Bench, blocks: Iterable[Block], seconds: float) -> float:

@@ -126,6 +126,16 @@ class Marker:
         """
         return self.end + 1
 
+    @property
+    def lowest_frequency(self) -> float:
+        """Lowest frequency of the tone or the band in this interval, Hz; 0 without one."""
+        return min((float(self.fields[key]) for key in ("frequency", "from", "to") if key in self.fields), default=0.0)
+
+    @property
+    def repeated_samples(self) -> int:
+        """Number of samples of a period, or of a block with a burst; 0 if nothing is repeated."""
+        return max((int(self.fields[key]) for key in ("block", "period") if key in self.fields), default=0)
+
     def to_json(self) -> bytes:
         """Encode the marker as JSON.
 

@@ -83,6 +83,31 @@ class TestKind(StrEnum):
 
 
 @dataclass(frozen=True)
+class ControlledTones:
+    """Tones whose frequency or level a controller chose from the motion; they have their own analysis."""
+
+    field: str  # of their markers `measure`, which no test without this control writes
+    analysis: str  # command that evaluates them
+
+    def measured(self, markers: Iterable[Marker]) -> list[Marker]:
+        """Return the markers of the measured tones; empty for any other test."""
+        return [mark for mark in markers if mark.kind == "measure" and self.field in mark.fields]
+
+
+FOLLOWED_CURVE = ControlledTones("distance", "continuation")
+HELD_MOTION = ControlledTones("invasive", "surface")
+HELD_PHASE = ControlledTones("phase", "backbone")
+
+
+def own_analyses(markers: Sequence[Marker]) -> list[str]:
+    """Return the commands of `analysis` that evaluate only the control of a test, the most specific first."""
+    analyses = ["profile"] if {"identification", "measure"} <= {mark.kind for mark in markers} else []
+    # A followed curve consists of held motions.
+    tones = [each.analysis for each in (FOLLOWED_CURVE, HELD_MOTION, HELD_PHASE) if each.measured(markers)]
+    return analyses + tones[:1]
+
+
+@dataclass(frozen=True)
 class RecordedTest:
     """The kind of a recorded test, and its settings in the scene; None if the scene has no test."""
 

@@ -96,11 +96,9 @@ def _block_samples(rec: Recording, marks: Sequence[Marker]) -> int:
     hits = [mark.first_sample for mark in marks if mark.kind == "hit"]
     lengths = [_MIN_SAMPLES, *np.diff(hits).tolist()]
     for mark in marks:
-        lengths += [int(mark.fields[key]) for key in ("block", "period") if key in mark.fields]
-        lowest = min(
-            (float(mark.fields[key]) for key in ("frequency", "from", "to") if key in mark.fields), default=0.0
-        )
-        lengths += [int(_MIN_PERIODS * rec.rate / lowest)] if lowest > 0.0 else []
+        lengths.append(mark.repeated_samples)
+        if mark.lowest_frequency > 0.0:
+            lengths.append(int(_MIN_PERIODS * rec.rate / mark.lowest_frequency))
     return max(lengths)
 
 

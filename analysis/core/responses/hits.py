@@ -223,6 +223,8 @@ class Hits:
         """
         steps = quantization_steps(rec, names)[:, None]
         step = np.where(steps > 0.0, steps, 1.0)
+        # Power spectra of the errors, summed over hits. Each error ends `n_after_hit` samples after its hit, so that a
+        # short transform determines the autocorrelation.
         errors, noise, max_counts = [np.zeros((1, 1)) for _ in _COARSER_CONVERTERS], [], np.zeros(steps.shape)
         power = np.zeros((1, 1))
         for (block, spectra), (start, stop) in zip(readings, segments, strict=True):
@@ -230,13 +232,14 @@ class Hits:
             n_samples = 2 * (spectra.shape[1] - 1)
             # The polynomials of a local fit represent errors within this number of samples after a hit like a response.
             n_after_hit = int(n_samples * (ORDER + 1) / half_width)
+            n_transform = fft.next_fast_len(2 * n_after_hit, real=True)
             for begin, _ in self.inside(start, stop):
                 first = begin - (stop - block.shape[1])
                 counts = np.rint(block[:, first : first + n_after_hit] / step)
                 max_counts = np.maximum(max_counts, abs(counts).max(axis=1, keepdims=True))
                 for k, (coarse_step, ratio) in enumerate(_COARSER_CONVERTERS):
                     added_rounding = coarse_step * np.rint(counts / coarse_step) - counts
-                    errors[k] = errors[k] + abs(fft.rfft(added_rounding, n_samples, axis=1)) ** 2 / ratio
+                    errors[k] = errors[k] + abs(fft.rfft(added_rounding, n_transform, axis=1)) ** 2 / ratio
                 before = [rec.read(name, max(start, begin - int(PRE_HIT_S * rec.rate)), begin) for name in names]
                 if before[0].size > 2:
                     noise.append(np.mean(np.diff(before, axis=1) ** 2, axis=1, keepdims=True) / 2.0)
@@ -246,7 +249,13 @@ class Hits:
         n_bins = 2 * -(-half_width // FIT_HALF_WIDTH) + 1  # rounded up
         mean_power = scipy.ndimage.uniform_filter1d(power, n_bins, axis=1, mode="nearest")
         mean_errors = np.max(
-            [scipy.ndimage.uniform_filter1d(error, half_width, axis=1, mode="nearest") for error in errors], axis=0
+            [
+                scipy.ndimage.uniform_filter1d(
+                    _longer_transform(error, n_transform, n_samples), half_width, axis=1, mode="nearest"
+                )
+                for error in errors
+            ],
+            axis=0,
         )
         with np.errstate(divide="ignore", invalid="ignore"):
             # The squared magnitude of a complex normal error is below three times its mean with a probability of 95 %.
@@ -267,6 +276,16 @@ class Hits:
         weak = np.flatnonzero(power[peak:] < _MIN_POWER_RATIO * power[peak])
         last = peak + int(weak[0]) if weak.size else power.size
         return float(min(last, 0.4 * size) * rec.rate / size)
+
+
+def _longer_transform(power: Array, size: int, new_size: int) -> Array:
+    """Compute the power spectrum at the bins of a transform of `new_size` samples, of signals of at most `size` / 2."""
+    correlation = fft.irfft(power, size, axis=1)
+    n_lags = (size + 1) // 2
+    padded = np.zeros((len(power), new_size))
+    padded[:, :n_lags] = correlation[:, :n_lags]
+    padded[:, new_size - n_lags + 1 :] = correlation[:, size - n_lags + 1 :]
+    return np.maximum(fft.rfft(padded, axis=1).real, 0.0)
 
 
 def _amplitude(reading: Array) -> float:

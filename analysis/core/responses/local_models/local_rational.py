@@ -22,7 +22,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -31,7 +31,6 @@ from numpy.typing import NDArray
 from rig.core.base.arrays import Array, ComplexArray
 
 Lines = NDArray[np.int64]
-Result = TypeVar("Result", "LocalFit", "_Unknown")
 
 # Order of the polynomials of the numerator, the denominator and the transients. A fit of the next higher order gives
 # the model error.
@@ -47,7 +46,7 @@ _MIN_REDUCTION = 1e-3
 # and if the residual exceeds this share of the power of the output. The error after one step is proportional to it.
 _MIN_RESIDUAL = 1e-5
 # Maximum number of elements of the systems of equations that are solved at a time; their arrays fit into the cache.
-_MAX_ELEMENTS = 1 << 16
+_MAX_ELEMENTS = 1 << 17
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,6 @@ class LocalFit(NamedTuple):
     first_bin: Lines  # first bin of each fit; shape (lines,)
     # value after one step, shape (lines,): noise changes the values of two orders alike up to there
     one_step_value: ComplexArray
-    criterion: Array  # Schwarz's criterion: the model with the smallest value is the best [3]_; shape (lines,)
     # change of the value if the fit has the next higher order, at the line or as root mean square around it, less the
     # change due to noise [2]_; shape (lines,)
     model_error: Array
@@ -116,25 +114,17 @@ def local_fit(
     >>> np.allclose(fit.value, 1.0 / pole[[100, 103]])
     True
     """
-    fits = []
-    for order, poles in ((ORDER, 0), (ORDER, ORDER), (ORDER + 1, ORDER + 1)):
-        inputs = 1 if other_inputs is None else 1 + len(other_inputs)
-        unknowns = inputs * (order + 1) + poles + 2 * len(reference) * (order + 1 + len(output.high_pass_transients))
-        step = max(1, _MAX_ELEMENTS // ((2 * half_width + 1) * unknowns))
-        parts = [
-            _fit(
-                output, reference, end_phases, lines[start : start + step], half_width, measured_share, order, poles,
-                other_inputs,
-            )
-            for start in range(0, lines.size, step)
-        ]  # fmt: skip
-        fits.append(LocalFit(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True))))
-    polynomial, rational, higher_order = fits
-    prefers_polynomial = polynomial.criterion < rational.criterion
-    best = _select(prefers_polynomial, polynomial, rational)
-    # The lower order is contained in the higher, so that the variance of the change is the difference of the variances.
-    squared_change = abs(higher_order.one_step_value - best.one_step_value) ** 2
-    change_variance = 2.0 * np.maximum(higher_order.variance - best.variance, 0.0)
+    inputs = 1 if other_inputs is None else 1 + len(other_inputs)
+    # Number of columns of the largest fit.
+    columns = (ORDER + 2) * (inputs + 1) + 2 * (ORDER + 2 + len(output.high_pass_transients))
+    step = max(1, _MAX_ELEMENTS // ((2 * half_width + 1) * len(reference) * columns))
+    parts = []
+    for start in range(0, lines.size, step):
+        selected = lines[start : start + step]
+        data = _LocalData.of(output, reference, end_phases, selected, half_width, other_inputs)
+        parts.append(_fit(data, measured_share))
+    best = LocalFit(*(np.concatenate(arrays) for arrays in zip(*(fit for fit, _, _ in parts), strict=True)))
+    squared_change, change_variance = (np.concatenate(arrays) for arrays in list(zip(*parts, strict=True))[1:])
     # Lines within half the width of a fit.
     n_lines = max(1, half_width // max(1, int(np.median(np.diff(lines)))) if lines.size > 1 else 1)
     local_mean = scipy.ndimage.uniform_filter1d(squared_change - change_variance, n_lines, mode="nearest")
@@ -143,96 +133,198 @@ def local_fit(
     return best._replace(model_error=np.sqrt(np.maximum(np.maximum(local_mean, at_line), 0.0)))
 
 
-def _fit(
-    output: OutputSpectra,
-    reference: ComplexArray,
-    end_phases: ComplexArray,
-    lines: Lines,
-    half_width: int,
-    measured_share: float,
-    order: int,
-    poles: int,
-    other_inputs: ComplexArray | None,
-) -> LocalFit:
-    """Fit polynomials of one order, without the model error.
+class _LocalData(NamedTuple):
+    """Spectra at the bins around some lines, relative to their root mean square."""
 
-    `order`: order of numerator and transients; `poles`: order of the denominator; other arguments as in `local_fit`.
-    """
-    segments, width = len(reference), 2 * half_width + 1
-    # Segments whose transients at the beginning and at the end are separate terms.
-    separate = [s for s in range(segments) if np.any(end_phases[s]) and not np.all(end_phases[s] == 1.0)]
-    first_bin = np.clip(lines - half_width, 0, reference.shape[1] - width)
-    bins = first_bin[:, None] + np.arange(width)
-    offset = ((bins - lines[:, None]) / half_width)[:, None, :]
-    local_output, reference_input, phase = (
-        np.moveaxis(spectra[:, bins], 1, 0) for spectra in (output.spectra, reference, end_phases)
-    )
-    channel = output.response[bins][:, None, :]
-    reference_input = reference_input * channel
-    output_rms, input_rms = (np.maximum(_rms(spectra), _ZERO_POWER) for spectra in (local_output, reference_input))
-    local_output, reference_input = local_output / output_rms, reference_input / input_rms
-    powers = np.stack([offset**k for k in range(order + 1)], axis=-1)
-    columns = [powers]
-    columns += [((local := decay[bins][:, None, :]) / _rms(local))[..., None] for decay in output.high_pass_transients]
-    transients = np.concatenate(columns, axis=-1)
-    if separate:
-        # The columns are zero if a segment has no separate transient at its beginning; the regularization omits them.
-        at_start = np.where(np.isin(np.arange(segments), separate)[:, None], phase, 0.0)[..., None]
-        transients = np.concatenate(
-            [np.broadcast_to(transients, (*local_output.shape, transients.shape[-1])), at_start * transients], axis=-1
+    output: ComplexArray  # shape (lines, segments, width)
+    inputs: tuple[ComplexArray, ...]  # readings due to the reference and to other inputs; each of the shape of `output`
+    channel: ComplexArray  # response of the channel; shape (lines, 1, width)
+    decays: tuple[ComplexArray, ...]  # transients of high-pass filters; each of shape (lines, 1, width)
+    # phase factors of the separate transients at the beginning of the segments, or 0; shape (lines, segments, width)
+    start_phases: ComplexArray
+    n_separate: int  # number of segments whose transients at the beginning and at the end are separate terms
+    # powers of the distance of a bin from the line, relative to half the width; shape (lines, 1, order + 1, width)
+    powers: Array
+    output_rms: Array  # shape (lines,)
+    reference_rms: Array  # shape (lines,)
+    first_bin: Lines  # shape (lines,)
+
+    @classmethod
+    def of(
+        cls,
+        output: OutputSpectra,
+        reference: ComplexArray,
+        end_phases: ComplexArray,
+        lines: Lines,
+        half_width: int,
+        other_inputs: ComplexArray | None,
+    ) -> _LocalData:
+        """Select the bins around the lines; arguments as in `local_fit`."""
+        width = 2 * half_width + 1
+        separate = np.any(end_phases, axis=1) & ~np.all(end_phases == 1.0, axis=1)
+        first_bin = np.clip(lines - half_width, 0, reference.shape[1] - width)
+        bins = first_bin[:, None] + np.arange(width)
+        powers = np.ones((lines.size, ORDER + 2, width))
+        for k in range(1, ORDER + 2):
+            powers[:, k] = powers[:, k - 1] * (bins - lines[:, None]) / half_width
+        channel = output.response[bins][:, None, :]
+        spectra = [reference, *(() if other_inputs is None else other_inputs)]
+        inputs = [np.moveaxis(values[:, bins], 1, 0) * channel for values in spectra]
+        local_output = np.moveaxis(output.spectra[:, bins], 1, 0)
+        decays = [decay[bins][:, None, :] for decay in output.high_pass_transients]
+        start_phases = np.moveaxis(end_phases[:, bins], 1, 0)
+        return cls(
+            local_output / (output_rms := np.maximum(_rms(local_output), _ZERO_POWER)),
+            tuple(values / np.maximum(_rms(values), _ZERO_POWER) for values in inputs),
+            channel,
+            tuple(decay / _rms(decay) for decay in decays),
+            np.where(separate[:, None], start_phases, 0.0) if separate.any() else start_phases[:, :0],
+            int(separate.sum()),
+            powers[:, None],
+            output_rms[:, 0, 0],
+            np.maximum(_rms(inputs[0]), _ZERO_POWER)[:, 0, 0],
+            np.asarray(first_bin),
         )
-    numerator = [reference_input[..., None] * powers]
-    for other in () if other_inputs is None else other_inputs:
-        local_input = np.moveaxis(other[:, bins], 1, 0) * channel
-        numerator.append((local_input / np.maximum(_rms(local_input), _ZERO_POWER))[..., None] * powers)
-    terms = _Terms(np.concatenate(numerator, axis=-1), transients, offset[..., None] ** np.arange(1, poles + 1))
+
+    def at(self, lines: NDArray[np.intp]) -> _LocalData:
+        """Select some lines."""
+        names = ("output", "channel", "start_phases", "powers", "output_rms", "reference_rms", "first_bin")
+        arrays = {name: getattr(self, name)[lines] for name in names}
+        inputs, decays = (tuple(values[lines] for values in group) for group in (self.inputs, self.decays))
+        return self._replace(inputs=inputs, decays=decays, **arrays)
+
+    @property
+    def scale(self) -> Array:
+        """Return the factor of a response, NaN without excitation; shape (lines,)."""
+        return self.output_rms / np.where(self.reference_rms > _ZERO_POWER, self.reference_rms, np.nan)
+
+    def terms(self, order: int, poles: int) -> _Terms:
+        """Return the columns of a fit: numerators and transients of one order, a denominator of another."""
+        powers = self.powers[:, :, : order + 1]
+        transients = np.concatenate([powers, *(decay[:, :, None] for decay in self.decays)], axis=2)
+        if self.n_separate:
+            # The columns are zero if a segment has no separate transient at its beginning; the regularization omits
+            # them.
+            segments, width = self.output.shape[1:]
+            at_end = np.broadcast_to(transients, (len(transients), segments, transients.shape[2], width))
+            transients = np.concatenate([at_end, self.start_phases[:, :, None] * transients], axis=2)
+        numerator = np.concatenate([values[:, :, None] * powers for values in self.inputs], axis=2)
+        return _Terms(numerator, transients, powers[:, :, 1 : poles + 1])
+
+
+class _Estimate(NamedTuple):
+    """Polynomials of one order, at each line."""
+
+    unknown: _Unknown
+    point: _Unknown  # polynomials before the last step, at which it is linearized
+    one_step: ComplexArray  # constant of the numerator after one step; shape (lines,)
+    constant_variance: Array  # variance of the constant for errors of variance 1; shape (lines,)
+    residual_squares: Array  # sum of squares of the residual; shape (lines,)
+    order: int  # of the numerators and transients
+    poles: int  # order of the denominator
+    n_free: float  # complex degrees of freedom of the residual
+    criterion: Array  # Schwarz's criterion: the model with the smallest value is the best [3]_; shape (lines,)
+
+    @property
+    def noise_power(self) -> Array:
+        """Return the noise power of a bin, shape (lines,)."""
+        return self.residual_squares / self.n_free
+
+    @property
+    def variance(self) -> Array:
+        """Return the variance of either quadrature component of the constant, shape (lines,)."""
+        return 0.5 * self.noise_power * self.constant_variance
+
+    def at(self, lines: NDArray[np.intp]) -> _Estimate:
+        """Select some lines."""
+        names = ("one_step", "constant_variance", "residual_squares", "criterion")
+        arrays = {name: getattr(self, name)[lines] for name in names}
+        return self._replace(unknown=self.unknown.at(lines), point=self.point.at(lines), **arrays)
+
+
+def _fit(data: _LocalData, measured_share: float) -> tuple[LocalFit, Array, Array]:
+    """Fit polynomials of all orders at some lines, and select at each line.
+
+    Also return the squared change of the value if the order is increased, and the variance of this change.
+    """
+    polynomial, rational, higher_order = (
+        _estimate(data, measured_share, order, poles)
+        for order, poles in ((ORDER, 0), (ORDER, ORDER), (ORDER + 1, ORDER + 1))
+    )
+    prefers_polynomial = polynomial.criterion < rational.criterion
+    choices = [np.flatnonzero(prefers_polynomial), np.flatnonzero(~prefers_polynomial)]
+    fits = [
+        _propagate(data.at(lines), estimate.at(lines))
+        for lines, estimate in zip(choices, (polynomial, rational), strict=True)
+        if lines.size
+    ]
+    order = np.argsort(np.concatenate(choices))
+    best = LocalFit(*(np.concatenate(arrays)[order] for arrays in zip(*fits, strict=True)))
+    # The lower order is contained in the higher, so that the variance of the change is the difference of the variances.
+    scale = data.scale
+    squared_change = abs(higher_order.one_step * scale - best.one_step_value) ** 2
+    return best, np.asarray(squared_change), 2.0 * np.maximum(higher_order.variance * scale**2 - best.variance, 0.0)
+
+
+def _estimate(data: _LocalData, measured_share: float, order: int, poles: int) -> _Estimate:
+    """Fit polynomials; `order`: order of numerators and transients; `poles`: order of the denominator."""
+    terms = data.terms(order, poles)
     # The first fit is linear, because the equations are multiplied by the denominator. The denominator thereby weights
     # the noise, and the poles are partly fitted to it, which widens peaks. Gauss-Newton steps correct both.
-    unknown, bin_weights = _solve(terms, local_output, local_output)
+    unknown, variance = _solve(terms.multiplied_by_denominator(data.output), data.output)
+    point = unknown
     if poles:
-        unknown, bin_weights, noisy = _improve(terms, unknown, bin_weights, local_output, np.arange(lines.size))
+        unknown, variance, noisy = _improve(terms, point, data.output, np.arange(len(data.output)))
     one_step = unknown.numerator[:, 0]
     if poles == ORDER and noisy.size:
-        unknown, bin_weights, _ = _improve(terms, unknown, bin_weights, local_output, noisy)
-    residual = local_output - terms.quotient(unknown)[0]
+        is_noisy = np.isin(np.arange(len(data.output)), noisy)
+        point = _Unknown(*(np.where(is_noisy, new.T, old.T).T for new, old in zip(unknown, point, strict=True)))
+        unknown, variance[noisy], _ = _improve(terms, unknown, data.output, noisy)
+    squares = _sum_of_squares(data.output - terms.quotient(unknown)[0])
+    segments, width = data.output.shape[1:]
+    # Zero padding correlates neighboring bins and reduces the degrees of freedom.
+    equations = measured_share * segments * width
+    n_transients = (segments + data.n_separate) * (order + 1 + len(data.decays))
+    unknowns = terms.numerator.shape[2] + poles + n_transients
+    n_free = max(equations - unknowns, 0.5)
+    criterion = equations * np.log(np.maximum(squares, _ZERO_POWER)) + unknowns * np.log(2 * equations)
+    return _Estimate(unknown, point, one_step, variance, squares, order, poles, n_free, criterion)
+
+
+def _propagate(data: _LocalData, estimate: _Estimate) -> LocalFit:
+    """Return an estimate with the propagation of errors, without the model error."""
+    terms, powers = data.terms(estimate.order, estimate.poles), data.powers[:, :, : estimate.order + 1]
+    segments, width = data.output.shape[1:]
+    bin_weights = _bin_weights(terms.linearized(estimate.point)[0], segments)
     # Response at all bins of the fit: the model for a unit reference.
-    reference_only = unknown._replace(numerator=unknown.numerator[:, : order + 1])
-    fitted_response = terms._replace(numerator=powers).response(reference_only)
-    variance_per_reference_noise = _sum_of_squares(bin_weights * fitted_response * channel) / 2.0
+    unknown = estimate.unknown
+    reference_only = unknown._replace(numerator=unknown.numerator[:, : estimate.order + 1])
+    fitted_response = terms._replace(numerator=powers).response(reference_only) * data.channel
+    constant_variance = _sum_of_squares(bin_weights)
     # With the columns of the numerator alone, the constant would have the variance of a polynomial fit. Other columns
     # that are not independent of them increase this variance.
-    polynomial_variance = np.linalg.inv(np.swapaxes(powers[:, 0], 1, 2) @ powers[:, 0])[:, 0, 0] / segments
-    constant_variance, residual_squares = _sum_of_squares(bin_weights), _sum_of_squares(residual)
+    polynomial_variance = np.linalg.inv(powers[:, 0] @ np.swapaxes(powers[:, 0], 1, 2))[:, 0, 0] / segments
     independent_share = np.minimum(polynomial_variance / np.maximum(constant_variance, _ZERO_POWER), 1.0)
-    excitation = np.where(input_rms > _ZERO_POWER, input_rms, np.nan)[:, 0, 0]
-    scale = output_rms[:, 0, 0] / excitation
-    constant = unknown.numerator[:, 0]
-    # Zero padding correlates neighboring bins and reduces the degrees of freedom.
-    equations = segments * width
-    n_transients = (segments + len(separate)) * (order + 1 + len(output.high_pass_transients))
-    unknowns = terms.numerator.shape[-1] + poles + n_transients
-    n_free = max(measured_share * equations - unknowns, 0.5)
-    noise_power = residual_squares / n_free
+    constant, noise_power, scale = unknown.numerator[:, 0], estimate.noise_power, data.scale
+    has_excitation = data.reference_rms > _ZERO_POWER
+    excitation = np.where(has_excitation, data.reference_rms, np.nan)
     # Noise contributes to the magnitude of the estimate even if the true response is zero.
     true_power = np.maximum(np.square(abs(constant)) - noise_power * constant_variance, 0.0)
-    explained = true_power * independent_share * equations
-    penalty = unknowns * np.log(2 * measured_share * equations)
-    criterion = measured_share * equations * np.log(np.maximum(residual_squares, _ZERO_POWER)) + penalty
+    explained = true_power * independent_share * segments * width
     return LocalFit(
         value=constant * scale,
         variance=0.5 * noise_power * constant_variance * scale**2,
-        coherence=explained / np.maximum(explained + residual_squares, _ZERO_POWER),
-        degrees_of_freedom=np.full(lines.size, 2.0 * n_free),
-        variance_per_reference_noise=variance_per_reference_noise * (scale / excitation) ** 2,
+        coherence=explained / np.maximum(explained + estimate.residual_squares, _ZERO_POWER),
+        degrees_of_freedom=np.full(len(constant), 2.0 * estimate.n_free),
+        variance_per_reference_noise=_sum_of_squares(bin_weights * fitted_response) / 2.0 * (scale / excitation) ** 2,
         independent_share=independent_share,
-        noise_power=noise_power * output_rms[:, 0, 0] ** 2,
-        bin_weights=bin_weights / np.where(input_rms > _ZERO_POWER, input_rms, np.inf),
-        residual=residual * output_rms,
-        fitted_response=fitted_response * channel * (output_rms / input_rms),
-        first_bin=np.asarray(first_bin),
-        one_step_value=one_step * scale,
-        criterion=criterion,
-        model_error=np.zeros(lines.size),
+        noise_power=noise_power * data.output_rms**2,
+        bin_weights=bin_weights / np.where(has_excitation, data.reference_rms, np.inf)[:, None, None],
+        residual=(data.output - terms.quotient(unknown)[0]) * data.output_rms[:, None, None],
+        fitted_response=fitted_response * (data.output_rms / data.reference_rms)[:, None, None],
+        first_bin=data.first_bin,
+        one_step_value=estimate.one_step * scale,
+        model_error=np.zeros(len(constant)),
     )
 
 
@@ -251,11 +343,12 @@ class _Unknown(NamedTuple):
 class _Terms(NamedTuple):
     """Known columns of the linear system, at the bins around each line."""
 
-    # inputs times powers of the frequency offset, for the common numerators of all segments; shape (lines, segments,
-    # width, inputs (order + 1))
+    # inputs times powers of the frequency offset, for the common numerators of all segments; shape (lines, segments or
+    # 1, inputs (order + 1), width)
     numerator: ComplexArray | Array
-    transients: ComplexArray | Array  # columns of each segment; shape (lines, segments or 1, width, terms)
-    denominator: Array  # powers of the frequency offset; shape (lines, 1, width, poles)
+    transients: ComplexArray | Array  # columns of each segment; shape (lines, segments or 1, terms, width)
+    # powers of the frequency offset, or the derivatives of the model; shape (lines, segments or 1, poles, width)
+    denominator: ComplexArray | Array
 
     def at(self, lines: NDArray[np.intp]) -> _Terms:
         """Select some lines."""
@@ -265,86 +358,123 @@ class _Terms(NamedTuple):
         """Compute the quotient of the two polynomials; shape (lines, segments or 1, width)."""
         return self._numerator(unknown.numerator) / self._denominator(unknown.denominator)
 
+    def multiplied_by_denominator(self, model: ComplexArray) -> _Terms:
+        """Return the columns of equations that are multiplied by the denominator."""
+        return self._replace(denominator=-model[:, :, None] * self.denominator)
+
+    def linearized(self, unknown: _Unknown) -> tuple[_Terms, ComplexArray]:
+        """Return the derivatives of the model of the output with respect to the unknowns, and this model."""
+        model, denominator = self.quotient(unknown)
+        divisor = denominator[:, :, None]
+        divided = self._replace(numerator=self.numerator / divisor, transients=self.transients / divisor)
+        return divided.multiplied_by_denominator(model / denominator), model
+
     def quotient(self, unknown: _Unknown) -> tuple[ComplexArray, ComplexArray]:
         """Compute the model of the output at the bins, transients included, and its denominator."""
         denominator = self._denominator(unknown.denominator)
-        transients = (self.transients @ unknown.transients[..., None])[..., 0]
+        transients = (unknown.transients[:, :, None] @ self.transients)[:, :, 0]
         return self._numerator(unknown.numerator) / denominator + transients / denominator, denominator
 
     def _numerator(self, coefficients: ComplexArray) -> ComplexArray:
-        return np.asarray((self.numerator @ coefficients[:, None, :, None])[..., 0])
+        return np.asarray((coefficients[:, None, None] @ self.numerator)[:, :, 0])
 
     def _denominator(self, coefficients: ComplexArray) -> ComplexArray:
-        value = 1.0 + (self.denominator @ coefficients[:, None, :, None])[..., 0]
+        value = 1.0 + (coefficients[:, None, None] @ self.denominator)[:, :, 0]
         # A denominator of zero would be an undamped pole exactly on a bin.
         return np.where(abs(value) > _REGULARIZATION, value, _REGULARIZATION)
 
 
 def _improve(
-    terms: _Terms, unknown: _Unknown, bin_weights: ComplexArray, output: ComplexArray, lines: NDArray[np.intp]
-) -> tuple[_Unknown, ComplexArray, NDArray[np.intp]]:
-    """Improve the fits at some lines by a Gauss-Newton step; also return the lines that need another step."""
-    part, current = terms.at(lines), unknown.at(lines)
-    model, denominator = part.quotient(current)
-    residual, divisor = output[lines] - model, denominator[..., None]
-    linearized = part._replace(numerator=part.numerator / divisor, transients=part.transients / divisor)
-    step, weights = _solve(linearized, model / denominator, residual)
+    terms: _Terms, unknown: _Unknown, output: ComplexArray, lines: NDArray[np.intp]
+) -> tuple[_Unknown, Array, NDArray[np.intp]]:
+    """Improve the fits at some lines by a Gauss-Newton step.
+
+    Also return the variance of the constant at these lines, and the lines that need another step.
+    """
+    # Copies of all lines would take longer than the model.
+    part, current, local_output = (
+        (terms, unknown, output) if lines.size == len(output) else (terms.at(lines), unknown.at(lines), output[lines])
+    )
+    linearized, model = part.linearized(current)
+    residual = local_output - model
+    step, variance = _solve(linearized, residual)
     stepped = _Unknown(*(np.add(*pair) for pair in zip(current, step, strict=True)))
     before = _sum_of_squares(residual)
-    after = _sum_of_squares(output[lines] - part.quotient(stepped)[0])
+    after = _sum_of_squares(local_output - part.quotient(stepped)[0])
     improved = _Unknown(*(values.copy() for values in unknown))
     for values, new_values in zip(improved, stepped, strict=True):
         values[lines[after < before]] = new_values[after < before]
-    improved_weights = bin_weights.copy()
-    improved_weights[lines] = weights
-    min_residual = _MIN_RESIDUAL * _sum_of_squares(output[lines])
-    return improved, improved_weights, lines[(after < (1.0 - _MIN_REDUCTION) * before) & (after > min_residual)]
+    min_residual = _MIN_RESIDUAL * _sum_of_squares(local_output)
+    return improved, variance, lines[(after < (1.0 - _MIN_REDUCTION) * before) & (after > min_residual)]
 
 
-def _solve(terms: _Terms, model: ComplexArray, right: ComplexArray) -> tuple[_Unknown, ComplexArray]:
-    """Solve by least squares; also return the weight of each element of `right` in the first unknown.
+def _solve(terms: _Terms, right: ComplexArray) -> tuple[_Unknown, Array]:
+    """Solve by least squares; also return the variance of the first unknown for errors of variance 1.
 
     The first unknown is the constant of the numerator: the response at the line itself, where the denominator is 1.
-    The transients of each segment are eliminated by projection onto the orthogonal complement of their columns. The
-    common unknowns are then estimated from the projected equations.
+    The transients of each segment are eliminated by a QR decomposition of its equations. The common unknowns are then
+    estimated from the remaining equations of all segments. Only the triangular factors are computed, because the
+    orthogonal factors take several times as long.
 
     If a lower order suffices, denominator, numerator and transients have an arbitrary common factor. A weak
     regularization towards small coefficients determines it without effect on the response at the line.
-    `model`: factor of the denominator's columns; `right`: right-hand sides; both of shape (lines, segments, width).
+    `right`: right-hand sides, shape (lines, segments, width).
     """
     lines, segments, width = right.shape
-    count = terms.transients.shape[-1]
-    q, r = np.linalg.qr(_regularize(terms.transients))
-    adjoint = np.conj(np.swapaxes(q, 2, 3))
-    common = np.concatenate([terms.numerator, -model[..., None] * terms.denominator], axis=-1)
-    system = np.concatenate([common, right[..., None]], axis=-1)
-    projection = adjoint[..., :width] @ system
-    orthogonal = -(q @ projection)
-    orthogonal[..., :width, :] += system
-    unknowns = common.shape[-1]
-    equations = orthogonal.reshape(lines, -1, unknowns + 1)
-    q, r_common = np.linalg.qr(_regularize(equations[..., :unknowns]))
-    adjoint = np.conj(np.swapaxes(q[:, : equations.shape[1]], 1, 2))
-    solved = np.linalg.solve(r_common, adjoint @ equations[..., unknowns:])
-    transients = np.linalg.solve(r, projection[..., unknowns:] - projection[..., :unknowns] @ solved[:, None])[..., 0]
+    count, numerators = terms.transients.shape[2], terms.numerator.shape[2]
+    unknowns = numerators + terms.denominator.shape[2]
+    system = np.zeros((lines, segments, count + unknowns + 1, width + count), dtype=complex)
+    equations = system[..., :width]
+    equations[:, :, :count] = terms.transients
+    equations[:, :, count : count + numerators] = terms.numerator
+    equations[:, :, count + numerators : -1] = terms.denominator
+    equations[:, :, -1] = right
+    system[:, :, :count, width:] = _REGULARIZATION * np.eye(count)
+    r = _triangular_factor(np.swapaxes(system, 2, 3))
+    remaining = r[:, :, count:, count:].reshape(lines, -1, unknowns + 1)
+    r_common = _triangular_factor(_regularize(remaining, unknowns))[:, :unknowns]
+    solved = np.linalg.solve(r_common[..., :unknowns], r_common[..., unknowns:])
+    right_of_transients = r[:, :, :count, -1:] - r[:, :, :count, count:-1] @ solved[:, None]
+    transients = np.linalg.solve(r[:, :, :count, :count], right_of_transients)[..., 0]
+    first_row = _first_row_of_inverse(r_common[..., :unknowns])
+    variance = np.asarray(np.sum(abs(first_row) ** 2, axis=(1, 2)))
+    coefficients = np.asarray(solved[..., 0])
+    return _Unknown(coefficients[:, :numerators], coefficients[:, numerators:], np.asarray(transients)), variance
+
+
+def _bin_weights(terms: _Terms, segments: int) -> ComplexArray:
+    """Return the weight of each element of the right-hand sides of `_solve` in the first unknown."""
+    numerator, transients, denominator = (np.swapaxes(columns, 2, 3) for columns in terms)
+    lines, _, width, count = transients.shape
+    common = np.concatenate(
+        [np.broadcast_to(columns, (lines, segments, *columns.shape[2:])) for columns in (numerator, denominator)],
+        axis=3,
+    )
+    q, _ = np.linalg.qr(_regularize(transients, count))
+    orthogonal = -(q @ (np.conj(np.swapaxes(q, 2, 3))[..., :width] @ common))
+    orthogonal[:, :, :width] += common
+    unknowns = common.shape[3]
+    q, r = np.linalg.qr(_regularize(orthogonal.reshape(lines, -1, unknowns), unknowns))
+    weights = _first_row_of_inverse(r) @ np.conj(np.swapaxes(q, 1, 2))[:, :, : segments * (width + count)]
+    return np.asarray(weights.reshape(lines, segments, width + count)[..., :width])
+
+
+def _triangular_factor(matrices: ComplexArray) -> ComplexArray:
+    """Return the triangular factor of the QR decomposition of each matrix."""
+    return np.asarray(np.linalg.qr(matrices, mode="r"))
+
+
+def _first_row_of_inverse(matrices: ComplexArray) -> ComplexArray:
+    """Return the first row of the inverse of each matrix, shape (lines, 1, columns)."""
+    lines, unknowns = matrices.shape[:2]
     first_unit = np.broadcast_to(np.eye(unknowns, 1), (lines, unknowns, 1))
-    first_row = np.swapaxes(np.linalg.solve(np.swapaxes(r_common, 1, 2), first_unit), 1, 2)
-    bin_weights = (first_row @ adjoint).reshape(lines, segments, width + count)[..., :width]
-    numerators = terms.numerator.shape[-1]
-    return _Unknown(solved[:, :numerators, 0], solved[:, numerators:, 0], transients), bin_weights
+    return np.asarray(np.swapaxes(np.linalg.solve(np.swapaxes(matrices, 1, 2), first_unit), 1, 2))
 
 
-def _select(lines: NDArray[np.bool_], first: Result, second: Result) -> Result:
-    """Combine two results: the arrays of the first at the selected `lines`, of the second at all others."""
-    pairs = zip(first, second, strict=True)
-    return type(first)(*(np.where(lines.reshape(-1, *[1] * (pair[0].ndim - 1)), *pair) for pair in pairs))
-
-
-def _regularize(system: ComplexArray | Array) -> ComplexArray:
-    """Add the equations of a weak regularization towards small unknowns."""
-    unknowns = system.shape[-1]
-    weak = np.broadcast_to(_REGULARIZATION * np.eye(unknowns), (*system.shape[:-2], unknowns, unknowns))
-    return np.concatenate([system, weak], axis=-2)
+def _regularize(system: ComplexArray | Array, unknowns: int) -> ComplexArray:
+    """Add the equations of a weak regularization towards small unknowns, the first columns of the system."""
+    weak = _REGULARIZATION * np.eye(unknowns, system.shape[-1])
+    return np.concatenate([system, np.broadcast_to(weak, (*system.shape[:-2], *weak.shape))], axis=-2)
 
 
 def _sum_of_squares(spectra: ComplexArray) -> Array:

@@ -47,6 +47,8 @@ sphinx_gallery_conf = {
     "ignore_pattern": "__init__",
     "abort_on_example_error": True,
     "download_all_examples": False,
+    # Labels of axes are legible in three columns.
+    "thumbnail_size": (640, 480),
     "write_computation_times": False,
     # Only results have a representation that a reader needs.
     "capture_repr": ("_repr_html_",),
@@ -63,6 +65,9 @@ def copy_pages() -> None:
             copy.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(page, copy)
     shutil.copy(ROOT / ".docs" / "index.md", SOURCE)
+    # The start page has the name of the product: links to the README name its content.
+    readme = SOURCE / "README.md"
+    readme.write_text(readme.read_text(encoding="utf-8").replace("# shotrig\n", "# Overview\n", 1), encoding="utf-8")
 
 
 def write_examples() -> None:

@@ -203,6 +203,14 @@ def test_texts_and_scales_suit_the_values(bench, browser):
     assert value("levelText({target: 200, level_kind: 'peak', force: null})") == "200 N peak"
     note = "response.note({hits: [], running: true, frf_reason: ''})"
     assert "1 average: no γ²" in value(f"(response.head = {{averages: 1}}, {note})")
+    # The phase of a single hit, without coherence, is drawn where it changes little from line to line.
+    phase = "Float32Array.from({length: 200}, (_, k) => k < 100 ? k / 10 : (40 * k) % 180)"
+    drawn = value(f"Array.from(cut({phase}, new Float32Array(200).fill(NaN)), (value) => !isNaN(value))")
+    assert all(drawn[:80]) and not any(drawn[120:])
+    # The axis of a hammer test is logarithmic and ends at the highest excited frequency.
+    curves = "{frequency: Float32Array.of(0, 0.5, 1, 300, 400), rows: [{magnitude: Float32Array.of(1, 1, 1, 1, NaN)}]}"
+    low, high = value(f"response.range.call({{curves: {curves}}})")
+    assert (round(low, 2), high) == (0.95, 300)
     panel = "{name: 'µm', range: [-2000, 2000], curves: [{y: Float32Array.of(1500)}]}"
     assert value(f"inMillimeters({panel}).name") == "mm"
     assert value(f"inMillimeters({panel}).curves[0].y[0]") == 1.5

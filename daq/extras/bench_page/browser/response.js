@@ -51,13 +51,13 @@ const response = {
     return (averages ? (averages > 1 ? `H1, ${averages} averages` : "1 average: no γ²") : state.frf_reason || empty) + (this.problem ? `; ${this.problem}` : "");
   },
 
-  // The band of the test, or of a pulse: from zero to the highest excited frequency.
+  // The band of the test, or of a pulse: at most DECADES up to the highest excited frequency.
   range() {
     if (this.band) return this.band;
     const shown = this.curves ?? this.previous;
-    if (!shown) return [0, 100];
-    const last = shown.rows[0].magnitude.findLastIndex((value) => isFinite(value));
-    return [0, roundUp(shown.frequency[Math.max(last, 1)])];
+    if (!shown) return [1, 100];
+    const last = shown.rows[0].magnitude.findLastIndex((value) => isFinite(value)), high = shown.frequency[Math.max(last, 1)];
+    return [Math.max(shown.frequency.find((value) => value > 0), high / 10 ** DECADES), high];
   },
 
   draw() {
@@ -74,11 +74,13 @@ const response = {
       const style = { x: curves.frequency, color: row.color, dots: true };
       magnitude.push({ ...style, y: micro(row.magnitude), width: 0.7 });
       magnitude.push({ ...style, y: micro(row.magnitude).map((value, k) => (row.coherence[k] >= COHERENT ? value : NaN)), width: 2 });
-      phase.push({ ...style, y: cut(row.phase, row.coherence) });
+      phase.push({ ...style, y: cut(row.phase, row.coherence), width: this.head?.averages === 1 ? 0.7 : 1.4 });
       coherence.push({ ...style, y: row.coherence });
     }
-    const fixed = (values) => values.map((value) => [value, true]);
-    this.chart.show(this.range(), [
+    const fixed = (values) => values.map((value) => [value, true]), range = this.range();
+    // As in figures and report: logarithmic unless the band is short.
+    this.chart.x.log = range[1] >= 2 * range[0] && range[0] > 0;
+    this.chart.show(range, [
       { name: "|compliance| / (µm/N)", log: true, share: 3.2, curves: magnitude },
       { name: "phase / °", range: [-285, 105], ticks: fixed([-270, -180, -90, 0, 90]), curves: phase },
       { name: "γ²", range: [0, 1.02], ticks: fixed([0, 0.5, 1]), share: 0.7, curves: coherence },
@@ -103,17 +105,26 @@ const response = {
     fillTable($("cursors"), rows.length ? [["cursor", "frequency", ...curves.rows.map((row) => row.name)], ...rows] : [["Click: cursor A. Shift and click: cursor B. Double-click: none."]]);
     const peaks = this.head?.peaks ?? [];
     if (!peaks.length) return $("peaks").replaceChildren();
-    fillTable($("peaks"), [["peak", "frequency", "value", "half-power damping"], ...peaks.map(([name, f, value, damping]) => [
-      name, `${digits(f, 5)} Hz`, withUnit(value, "m/N"), damping == null ? "not resolved" : `${digits(100 * damping, 2)} %`])]);
+    fillTable($("peaks"), [["peak", "frequency", "value", "damping"], ...peaks.map(([name, f, value, damping]) => [
+      name, `${digits(f, 5)} Hz`, withUnit(value, "m/N"), damping == null ? "–" : `${digits(100 * damping, 2)} %`])]);
   },
 };
 
-// Below this coherence, or if it is not known, the magnitude is thin and the phase empty.
+// Below this coherence, the magnitude is thin and the phase empty.
 const COHERENT = 0.7;
+// Without coherence (a single average), the phase is noise where a quarter of the lines around have larger steps, degrees.
+const LARGEST_STEP = 17;
+const AROUND = 25; // lines on either side
+const DECADES = 2.5;
 
 // The phase where it is coherent, without the lines across the chart where it wraps.
 function cut(phase, coherence) {
-  return phase.map((value, k) => (!(coherence[k] >= COHERENT) || (k && Math.abs(value - phase[k - 1]) > 180) ? NaN : value));
+  const steps = phase.map((value, k) => (k ? Math.abs(value - phase[k - 1]) : 0));
+  const isSmooth = (k) => {
+    const around = steps.subarray(Math.max(k - AROUND, 0), k + AROUND + 1);
+    return around.filter((step) => Math.min(step, 360 - step) > LARGEST_STEP).length < around.length / 4;
+  };
+  return phase.map((value, k) => (steps[k] > 180 || !(isNaN(coherence[k]) ? isSmooth(k) : coherence[k] >= COHERENT) ? NaN : value));
 }
 
 // The phase from -270° to 90°, as in the report: a receptance out of phase stays at -180° whatever the noise.

@@ -100,7 +100,7 @@ def record(
                 raise typer.Exit(code)
 
 
-@app.command("import", example="daq import bench.csv --table channels.yaml -o bench.mcap")
+@app.command("import", example="daq import bench.csv --scene mine.yaml --table channels.yaml -o bench.mcap")
 def import_recording(
     files: Annotated[
         list[Path],

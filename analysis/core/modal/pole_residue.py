@@ -290,9 +290,8 @@ class Projection:
 
     def reduced_residual(self, x: Array) -> Array:
         """Return the residuals after the rotation in which only the first is not zero; see `reduced_jacobian`."""
-        residual = self.factors(x).residual
-        reduced = np.zeros(min(residual.size, x.size + 1))
-        reduced[0] = np.linalg.norm(residual)
+        reduced = np.zeros(x.size + 1)
+        reduced[0] = np.linalg.norm(self.factors(x).residual)
         return reduced
 
     def reduced_jacobian(self, x: Array) -> Array:
@@ -303,7 +302,10 @@ class Projection:
         """
         factors = self.factors(x)
         rows = np.concatenate([factors.residual, -self._by_parameter(x, factors.derivatives)], axis=2)
-        triangle = np.asarray(np.linalg.qr(rows.reshape(-1, rows.shape[2]), mode="r"))
+        # With few lines, there are fewer residuals than parameters.
+        triangle = np.zeros((x.size + 1, x.size + 1))
+        factor = np.linalg.qr(rows.reshape(-1, rows.shape[2]), mode="r")
+        triangle[: len(factor)] = factor
         triangle[0] *= np.copysign(1.0, triangle[0, 0])
         return triangle[:, 1:]
 

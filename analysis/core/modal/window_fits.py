@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from analysis.core.modal.band_choice import band_choice
 from analysis.core.modal.line_choice import reduce_lines
-from analysis.core.modal.modal_fit import FittedModes, fit_modes, remove_unbounded
+from analysis.core.modal.modal_fit import MODEL_ERRORS, FittedModes, fit_modes, remove_unbounded
 from analysis.core.modal.modes import MAX_RELATIVE_UNCERTAINTY
 from analysis.core.modal.order_selection import are_in_band, are_narrower_than_resolution, half_width
 from analysis.core.modal.peak_windows import Window, peak_windows
@@ -60,10 +60,11 @@ def identify_windows(curves: Sequence[Response], value: ComplexArray, count: int
         step = -(-(window.stop - window.first) // _MAX_LINES)  # rounded up
         lines = np.arange(window.first, window.stop, step)
         try:
-            parts.append(_identify_window([curve.at(lines) for curve in curves], window))
+            part = _identify_window([curve.at(lines) for curve in curves], window, frequency.size)
         except RecordingError:
             # Too few lines of the window have a value.
             continue
+        parts.append(part)
     poles = np.concatenate([part.poles for part in parts])
     residue = np.concatenate([part.residue for part in parts], axis=1)
     # Heights of the peaks of acceleration, because those of displacement favor low frequencies.
@@ -82,8 +83,8 @@ def identify_windows(curves: Sequence[Response], value: ComplexArray, count: int
     )
 
 
-def _identify_window(curves: Sequence[Response], window: Window) -> IdentifiedPoles:
-    """Identify the modes of a window."""
+def _identify_window(curves: Sequence[Response], window: Window, n_lines: int) -> IdentifiedPoles:
+    """Identify the modes of a window; `n_lines`: number of lines of the whole band."""
     reduced = remove_unbounded(reduce_lines(curves))
     fitted = fit_modes(reduced)
     model, weighted = fitted.model, fitted.weighted
@@ -93,10 +94,17 @@ def _identify_window(curves: Sequence[Response], window: Window) -> IdentifiedPo
     if not model.poles.size:
         return no_poles(fitted.measured.value)._replace(rejected=rejected)
     accepted &= _largest_shares(fitted) >= _MIN_SHARE
+    # A pole whose half-power band extends to the lines of other windows represents their modes.
+    low = weighted.frequency[0] if window.first > 0 else 0.0
+    high = weighted.frequency[-1] if window.stop < n_lines else np.inf
+    accepted &= (natural - half_width(model.poles) > low) & (natural + half_width(model.poles) < high)
+
+    # A part may need a larger model error than all lines of the window, for example without a mode at its limit.
+    assumed_errors = [each for each in MODEL_ERRORS if each >= fitted.assumed_error]
 
     def identify(lines: NDArray[np.intp]) -> ComplexArray:
         part = remove_unbounded(reduce_lines([curve.at(lines) for curve in curves]))
-        fitted_part = fit_modes(part, None, (fitted.assumed_error,))
+        fitted_part = fit_modes(part, None, assumed_errors)
         return fitted_part.model.poles[are_in_band(fitted_part.weighted, fitted_part.model.poles)]
 
     if not accepted.any():

@@ -29,11 +29,11 @@ from rig.core.results.universal_file import BOUND_LINE, DEVIATION_LINE, FRF, GEN
 from rig.core.settings.quantities import FREQUENCY
 
 _ARRAY_ENDINGS = (".mat", ".npz", ".npy")
-ENDINGS = (".uff", ".unv", ".csv", ".txt", ".asc", *_ARRAY_ENDINGS)
+ENDINGS = (".uff", ".unv", ".csv", ".txt", ".tsv", ".asc", ".dat", *_ARRAY_ENDINGS)
 # Heading of a column: name of the response, component, and unit of the phase.
 _COLUMN_NAME = re.compile(
     r"(.*?)[\s_.:,|-]*\b(real|re|imaginary|imag|im|magnitude|mag|amplitude|ampl|amp|abs|phase|arg"
-    r"|realteil|imaginärteil|betrag)"
+    r"|realteil|imaginärteil|betrag|coherence|coh|kohärenz)"
     r"[\s_.]*(deg|rad|degrees|°)?",
     re.IGNORECASE,
 )
@@ -57,7 +57,10 @@ _IMPORT = "If the file contains time histories, make a recording of it with `daq
 _NO_NAME = UNNAMED.format("")
 _NO_SYSTEMATIC_ERRORS = "Systematic errors are not in the file: the uncertainties include the scatter only."
 # Components of a response by the first letter of their names.
-_COMPONENTS = {"r": "real", "i": "imag", "m": "magnitude", "a": "magnitude", "b": "magnitude", "p": "phase"}
+_COMPONENTS = {
+    "r": "real", "i": "imag", "m": "magnitude", "a": "magnitude", "b": "magnitude", "p": "phase",
+    "c": "coherence", "k": "coherence",
+}  # fmt: skip
 
 
 def read_frfs(path: str | Path, reference: str | None = None, unit: str | None = None) -> Response:
@@ -233,7 +236,10 @@ def _ratio(where: str, unit: str) -> tuple[str, float]:
             continue
         if motion in MOTIONS and force == "force":
             return motion, motion_unit / force_unit
-    raise SceneError(f"{where}: unit {unit!r}; expected motion per force, such as m/N, m/s/N, m/s^2/N or g/N")
+    raise SceneError(
+        f"{where}: unit {unit!r}; expected motion per force, such as m/N, m/s/N, m/s^2/N or g/N. For the poles of "
+        "other responses, such as sound pressures, give --unit m/s^2/N; their shapes then have the unit of the file."
+    )
 
 
 def _from_long_table(path: Path, unit: str | None) -> list[Response]:
@@ -312,9 +318,14 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
         components.setdefault(match[1] or "response", {})[component] = (match[3] or column_unit, values)
     curves = []
     for name, pair in components.items():
+        _, coherence = pair.pop("coherence", ("", None))
+        if not pair:
+            # A coherence without the name of a response.
+            continue
         if pair.keys() not in ({"real", "imag"}, {"magnitude", "phase"}):
             raise RecordingError(
-                f"{path}: {name} has columns for {', '.join(pair)}; expected real and imag, or magnitude and phase"
+                f"{path}: {name} has columns for {', '.join(pair)}; expected real and imag, or magnitude and phase. "
+                "Export both."
             )
         column_unit, first_column = pair["real"] if "real" in pair else pair["magnitude"]
         if "magnitude" in pair:
@@ -325,7 +336,7 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
         else:
             phase_unit, phase = pair["phase"]
             value = first_column * np.exp(1j * (phase if phase_unit.startswith("rad") else np.radians(phase)))
-        curves.append(_curve(path, name, frequency, scale * value, motion))
+        curves.append(_curve(path, name, frequency, scale * value, motion, coherence))
     return curves
 
 

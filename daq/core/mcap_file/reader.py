@@ -69,7 +69,7 @@ class Container:
         if self.size == 0:
             raise RecordingError(f"{self.path}: the file is empty. Remove it, and record again.")
         if self.read(0, len(MAGIC)) != MAGIC:
-            remedy = "Give the path of a recording."
+            remedy = "Give the path of a recording; `daq import` makes one from a file of another program."
             if self.path.suffix.lower() in (".yaml", ".yml"):
                 remedy = f"A scene must be recorded first: `daq record {shlex.quote(str(self.path))}`."
             raise RecordingError(f"{self.path}: not an MCAP file (no MCAP signature). {remedy}")

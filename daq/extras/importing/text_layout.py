@@ -33,6 +33,8 @@ _ABSCISSA_UNITS = ("", *TIME_UNITS, "Hz")
 _MAX_UNIT_LENGTH = 12
 #: Name of a column without a name.
 UNNAMED = "column {}"
+# A complex number, as MATLAB and numpy write it.
+_COMPLEX_CELL = re.compile(r"\(?[-+]?[\d.]+(?:e[-+]?\d+)?[-+][\d.]+(?:e[-+]?\d+)?[ij]\)?", re.IGNORECASE)
 # Decimal digits of the seconds in a time of day.
 _SECOND_FRACTION = re.compile(r":\d\d[.,](\d+)")
 # A date or time of day is read to microseconds.
@@ -102,9 +104,10 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
                 names, units = keyed.names, keyed.units
                 read_cells = tuple(range(keyed.first_column, column_count)) if keyed.first_column else read_cells
             return Layout(encoding, delimiter, decimal_comma, heading, names, units, read_cells)
-    raise RecordingError(
-        f"{path}: no line of numbers among the first {len(lines)} lines. Export the data as a table of numbers."
-    )
+    remedy = "Export the data as a table of numbers."
+    if any(_COMPLEX_CELL.fullmatch(cell) for line in lines for cell in split_cells(line, ",")):
+        remedy = "Write complex numbers as two columns: real and imaginary part."
+    raise RecordingError(f"{path}: no line of numbers among the first {len(lines)} lines. {remedy}")
 
 
 def _names_and_units(rows_above: list[list[str]], column_count: int) -> tuple[list[str], list[str]]:

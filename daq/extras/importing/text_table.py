@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -173,7 +174,8 @@ class _Table:
         except _InvalidLine as error:
             return error.fault
         last_cells = [split_cells(each, self._layout.delimiter)[-1] for each in (*self._examined_lines[:-1], line)]
-        lengths = [len(cell.lstrip("+-")) for cell in last_cells]
+        # The digits before the decimal mark depend on the value.
+        lengths = [len(re.split("[.,]", cell, maxsplit=1)[-1]) if re.search("[.,]", cell) else 0 for cell in last_cells]
         if not line.endswith(("\n", "\r")) and len(lengths) > _MIN_LINES and lengths[-1] < min(lengths[:-1]):
             return f"line {line_number}: {last_cells[-1]!r:.40} is shorter than in other lines, and the line has no end"
         return ""

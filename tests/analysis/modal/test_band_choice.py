@@ -1,11 +1,16 @@
 """Poles of a band are compared with those of its parts: differences add uncertainty, unconfirmed poles are left out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 import analysis
+from analysis.core.modal import window_fits
 from analysis.core.modal.band_choice import band_choice, parts_of_band
+from analysis.core.modal.modal_fit import MODEL_ERRORS, fit_modes
+from analysis.core.modal.pole_residue import Curves, fit
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.results.response import Response
@@ -77,3 +82,38 @@ def test_peak_narrower_than_lines_is_confirmed() -> None:
 
     assert choice.confirmed.all()
     assert choice.frequency_error[0] == pytest.approx(1.2 * 0.1)
+
+
+def test_parts_may_need_larger_model_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried, needed = [], []
+
+    def record(curves: list[Response], count: int | None = None, errors: tuple[float, ...] = MODEL_ERRORS) -> object:
+        fitted = fit_modes(curves, count, errors)
+        tried.append(list(errors))
+        needed.append(fitted.assumed_error)
+        return fitted
+
+    monkeypatch.setattr(window_fits, "fit_modes", record)
+    curve = _with_echo(np.arange(80.0, 135.0, 0.4))
+    analysis.identify([replace(curve, value=curve.value * (1.0 + 0.1 * np.cos(curve.frequency)))])
+
+    assert 0.0 < needed[0] < MODEL_ERRORS[-1]
+    assert tried[1] == [error for error in MODEL_ERRORS if error >= needed[0]]
+
+
+@pytest.mark.parametrize(("n_lines", "n_modes"), [(FREQUENCY.size, 1), (2 * FREQUENCY.size, 0)])
+def test_pole_wider_than_window_is_rejected(n_lines: int, n_modes: int) -> None:
+    s, omega = 2j * np.pi * FREQUENCY, 2 * np.pi * 180.0
+    curve = Response.curve(FREQUENCY, 1.0 / (s**2 + 0.4 * omega * s + omega**2), "a1")
+    window = window_fits.Window(0, FREQUENCY.size, 0.0, np.inf)
+
+    assert window_fits._identify_window([curve], window, n_lines).poles.size == n_modes
+
+
+def test_fewer_residuals_than_parameters_are_fitted() -> None:
+    frequency = np.array([10.0, 12.0, 14.0, 16.0, 18.0, 20.0])
+    value = 1.0 / (frequency - 15.0 + 0.5j)[None]
+
+    model = fit(Curves(frequency, value, np.ones((1, 6))), poles_at([11.0, 15.0, 19.0]))
+
+    assert np.isfinite(model.poles).all()

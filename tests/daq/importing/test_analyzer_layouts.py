@@ -11,7 +11,7 @@ import pytest
 import analysis
 from daq.extras.importing.text_table import text_signals
 from daq.extras.importing.units import quantity_and_scale
-from rig.core.base.errors import SceneError
+from rig.core.base.errors import RecordingError, SceneError
 
 FREQUENCY = np.arange(0.25, 50.0, 0.25)
 OMEGA = 2 * np.pi * FREQUENCY
@@ -94,6 +94,20 @@ def test_several_responses_have_pairs_of_columns(tmp_path: Path) -> None:
     curves = analysis.read_frfs(write(tmp_path / "a.txt", heading, rows))
     assert list(curves.keys()) == ["1Z:3Z", "2Z:3Z"]
     np.testing.assert_allclose(curves["2Z:3Z"].value, -2.0 * 9.80665 * ACCELERANCE, rtol=1e-6)
+
+
+def test_columns_of_coherence_are_read(tmp_path: Path) -> None:
+    heading = "Freq\tPt1 Re\tPt1 Im\tPt1 Coh\nHz\tm/s²/N\tm/s²/N\t\n"
+    rows = np.column_stack([REAL_IMAG, np.full(FREQUENCY.size, 0.98)])
+    curve = analysis.read_frfs(write(tmp_path / "a.dat", heading, rows))["Pt1"]
+    np.testing.assert_allclose(curve.value, ACCELERANCE, rtol=1e-6)
+    np.testing.assert_allclose(curve.coherence, 0.98)
+
+
+def test_complex_cells_are_refused_with_remedy(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("f,H\n" + "".join(f"{f},{f}-1.5e-3i\n" for f in range(20)))
+    with pytest.raises(RecordingError, match="two columns: real and imaginary part"):
+        analysis.read_frfs(tmp_path / "a.csv")
 
 
 def test_unit_of_decibels_may_be_given(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from contextlib import ExitStack
 from pathlib import Path
 
 import nptdms
@@ -13,7 +14,7 @@ import pyuff
 import daq
 from daq.extras.importing.channel_table import Column
 from daq.extras.importing.clock import clock_of_times, missing_rows
-from daq.extras.importing.text_table import BLOCK_LINES
+from daq.extras.importing.text_table import BLOCK_LINES, text_signals
 from rig.core.base.errors import RecordingError, RunWarning
 from tests.daq.importing.files import NAMES, SI_PER_UNIT, UNITS, make_scene, random_samples
 
@@ -127,6 +128,14 @@ def test_truncated_last_line_is_omitted(cut_bytes, tmp_path):
         assert recording.samples == 3999
         np.testing.assert_allclose(recording.read("force"), SAMPLES[2, :3999], rtol=1e-9)
     assert any("last line is truncated, and is not imported" in message for message in messages)
+
+
+def test_complete_last_line_without_end_is_read(tmp_path):
+    # The last number has fewer digits before its decimal mark than all others.
+    path = tmp_path / "a.csv"
+    path.write_text("t [s],a [g]\n" + "\n".join(f"{k / 100:.2f},{1.5 if k == 40 else 123.5:.3f}" for k in range(41)))
+    with ExitStack() as stack:
+        assert text_signals(path, stack)[0].read(0, 41)[-1] == 1.5
 
 
 def test_truncated_inner_line_is_rejected(tmp_path):

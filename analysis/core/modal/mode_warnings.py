@@ -13,6 +13,7 @@ from analysis.core.responses.estimator import estimator_of
 from rig.core.base.arrays import Array
 from rig.core.results import format_percent
 from rig.core.results.response import Response
+from rig.core.results.uncertainty import expand
 
 # A larger relative standard uncertainty of a damping ratio causes a warning.
 _MAX_DAMPING_UNCERTAINTY = 0.02
@@ -21,6 +22,11 @@ _MAX_DAMPING_UNCERTAINTY = 0.02
 _WIDENING_RATIO = float(np.sqrt(_MAX_DAMPING_UNCERTAINTY / LEAKAGE_FACTOR))
 # A linear structure with lightly damped modes leaves a smaller residual than this fraction of the peak height.
 _MAX_LINEAR_RESIDUAL = 0.005
+_MAINS_FREQUENCIES = (50.0, 60.0)  # Hz
+# Hum of a higher multiple is rarely distinct.
+_MAX_MAINS_MULTIPLE = 10
+# Largest tolerance as a fraction of the mains frequency: other peaks match a multiple with twice this probability.
+_MAX_COINCIDENCE = 0.05
 
 
 def mode_warnings(
@@ -86,6 +92,14 @@ def mode_warnings(
             f"{_listed(f[narrow])} Hz: the peak is narrower than the resolution of {resolution:.3g} Hz, so only an "
             "upper bound of the damping is known. Use much longer blocks, burst random, multisine or stepped sine."
         )
+    tolerance = np.maximum(expand(modes.frequency_error), 0.5 * resolution)
+    hum = [(k, mains) for k in np.flatnonzero(narrow) if (mains := mains_multiple(f[k], tolerance[k]))]
+    if hum:
+        yield (
+            f"{', '.join(f'{f[k]:.4g} Hz ({mains})' for k, mains in hum)}: probably mains hum, not a mode, because the "
+            "peak has no width and its frequency is a multiple of the mains frequency. Record without excitation to "
+            "check it; mend cables and grounding."
+        )
     leaking = widened & ~narrow
     if leaking.any():
         yield (
@@ -115,6 +129,21 @@ def mode_warnings(
             for ratio, frequency in zip(zeta_error[uncertain] / zeta[uncertain], f[uncertain], strict=True)
         )
         yield f"Damping is poorly determined: {parts} (standard uncertainty)."
+
+
+def mains_multiple(frequency: float, tolerance: float) -> str:
+    """Return the multiple of a mains frequency within `tolerance` of a frequency, both Hz, or "".
+
+    If the tolerance includes a large part of all frequencies, a multiple is a coincidence.
+
+    >>> mains_multiple(149.8, 0.7), mains_multiple(119.9, 0.2), mains_multiple(130.0, 0.7), mains_multiple(149.8, 9.0)
+    ('3 x 50 Hz', '2 x 60 Hz', '', '')
+    """
+    for mains in _MAINS_FREQUENCIES:
+        multiple = min(max(round(frequency / mains), 1), _MAX_MAINS_MULTIPLE)
+        if abs(frequency - multiple * mains) <= tolerance < _MAX_COINCIDENCE * mains:
+            return f"{multiple} x {mains:g} Hz"
+    return ""
 
 
 def _listed(values: Array, digits: int = 4) -> str:

@@ -230,6 +230,21 @@ def test_leakage_warns_of_increased_damping(ratio, warned):
     assert modes.damping[0] / zeta - 1.0 == pytest.approx(LEAKAGE_FACTOR * ratio**2, rel=0.25)
 
 
+@pytest.mark.parametrize(("hum", "named"), [(150.0, True), (130.0, False)])
+def test_mains_hum_is_named(hum: float, named: bool) -> None:
+    frequency = np.arange(1.0, 300.0, 0.5)
+    s, omega = 2j * np.pi * frequency, 2 * np.pi * 90.0
+    value = s**2 / (s**2 + 0.04 * omega * s + omega**2)
+    value[np.argmin(abs(frequency - hum))] += 20.0
+    random = np.random.default_rng(3)
+    value += 0.01 * (random.standard_normal(value.size) + 1j * random.standard_normal(value.size))
+
+    modes = analysis.identify([Response.curve(frequency, value, "a1", motion="acceleration", resolution=0.75)])
+
+    assert abs(modes.frequency - hum).min() < 1.0
+    assert any(f"{hum:g} Hz (3 x 50 Hz): probably mains hum" in warning for warning in modes.warnings) is named
+
+
 @pytest.mark.parametrize("windowed", [False, True])
 def test_narrow_peaks_in_files_have_large_uncertainty(windowed, tmp_path):
     # Peaks narrower than the line spacing: without a window, or from a random test with Hann windows.

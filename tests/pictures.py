@@ -16,6 +16,7 @@ FOLDER = ROOT / "recordings"
 _MENU = 38
 #: Commands for each picture; they write to the folder or file OUT, and the picture is the file that matches.
 PICTURES = {
+    "bench.png": ("tests.browser_picture bench OUT/bench.png", "bench.png"),
     "bracket.png": (
         "rig design OUT/bracket.yaml --budget 60g --bodies 2 --levels 4N --band 55Hz,70Hz -o OUT",
         "design-*.png",
@@ -24,6 +25,11 @@ PICTURES = {
     "cost.png": ("rig cost fig9 -o OUT", "cost-*.png"),
     "design.png": ("rig design fig9 --budget 100g --levels 1.5N,3N,6N -o OUT", "design-*.png"),
     "map.png": ("rig map fig9 -o OUT", "map-*.png"),
+    "report.png": (
+        "analysis report recordings/demo-sweep-no-damper.mcap recordings/demo-sweep-three-dampers.mcap "
+        "-o OUT/report.html; tests.browser_picture OUT/report.html OUT/report.png",
+        "report.png",
+    ),
     "replay.png": (
         "daq record fig10b-three-dampers --set test.repeats=1 --set recording.truth=true -o OUT/hit.mcap; "
         "daq replay OUT/hit.mcap --at 0.3 --screenshot OUT/replay.png",

@@ -13,7 +13,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.core.drawing.palette import DAMPER, DARK_STEEL, DRIVE, GROUND, HAMMER, INACTIVE, MARK, STEEL, Color, body_color
+from daq.core.drawing.palette import (
+    DAMPER,
+    DARK_STEEL,
+    DRIVE,
+    GROUND,
+    HAMMER,
+    INACTIVE,
+    LABEL,
+    MARK,
+    STEEL,
+    Color,
+    body_color,
+)  # fmt: skip
 from daq.core.drawing.shapes import Point, arrow, boxes, coils, cylinder, label, lines
 from daq.core.drawing.stack import (
     COIL_LENGTH,
@@ -173,7 +185,7 @@ class RigView:
         if lug_end:
             middle, length = (lug_end + WIDTH / 2) / 2, lug_end - WIDTH / 2
             yield f"{name}/lug", boxes([((middle, 0, WALL / 2), (length, DEPTH / 2, WALL))], color)
-        yield f"{name}/name", label(_label_position(text, 0.75 * height), text, color)
+        yield f"{name}/name", label(_label_position(text, 0.75 * height), text, LABEL)
         pointer: list[Point] = [(-WIDTH / 2 - distance_x, -DEPTH / 2, height / 2) for distance_x in (0.0, 0.028)]
         yield f"{name}/pointer", lines([pointer], color, 0.0012)
 
@@ -228,7 +240,7 @@ class RigView:
         """Draw an upward arrow with a text at the front of the underside of a body."""
         foot = (x, -DEPTH / 2 - 0.02, -0.055)
         yield entity, arrow(foot, 0.055, color)
-        yield f"{entity}/name", label(foot, text, color)
+        yield f"{entity}/name", label(foot, text, LABEL)
 
     def _scale_marks(self) -> Iterator[tuple[str, rr.AsComponents]]:
         """Draw the rest positions of the bodies, and a scale bar with its length and the exaggeration, at the left."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from daq.core.drawing.palette import channel_color
 from rig.core.base.escaping import escape_figure
+from rig.core.base.figure_style import set_log_scale
 
 if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 _SEGMENT_S = 4.0
 # Maximum number of segments, which bounds the computing time of long recordings.
 _MAX_SEGMENTS = 200
+# The picture fills its view without margins.
+_SIZE_INCH = (7.6, 3.6)
 _BACKGROUND = "#16181d"
 _FOREGROUND = "#c8ccd4"
 
@@ -56,7 +59,7 @@ def spectrum_picture(recording: Recording, start: int, stop: int) -> bytes:
 
     natural_hz = structural_model(recording.scene).modes.frequency
     quantities = sorted({(info.quantity, info.unit) for info in recording.channels.values()})
-    figure = Figure(figsize=(7.6, 4.4), dpi=100, facecolor=_BACKGROUND, layout="constrained")
+    figure = Figure(figsize=_SIZE_INCH, dpi=150, facecolor=_BACKGROUND, layout="constrained")
     panels = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]
     for panel, (quantity, unit) in zip(panels, quantities, strict=True):
         channels = {name: info for name, info in recording.channels.items() if info.quantity == quantity}
@@ -65,20 +68,21 @@ def spectrum_picture(recording: Recording, start: int, stop: int) -> bytes:
         in_range = (frequency >= 1.0) & (frequency <= max(100.0, 8 * natural_hz[-1]))
         for name, (_, amplitude) in spectra.items():
             color = tuple(component / 255 for component in channel_color(channels[name].at))
-            panel.loglog(
-                frequency[in_range], amplitude[in_range], color=color, label=escape_figure(name), linewidth=1.0
-            )
+            panel.plot(frequency[in_range], amplitude[in_range], color=color, label=escape_figure(name), linewidth=1.0)
         for natural_frequency in natural_hz[natural_hz > 1.0]:
             panel.axvline(natural_frequency, color=_FOREGROUND, linewidth=0.8, linestyle=":", alpha=0.7)
-        panel.set_ylabel(f"{quantity} / ({unit})".replace("^2", "²"), color=_FOREGROUND)
+        set_log_scale(panel.xaxis)
+        set_log_scale(panel.yaxis, 5)
+        divisor = f"({unit})" if "/" in unit else unit
+        panel.set_ylabel(f"{quantity} / {divisor}".replace("^2", "²"), color=_FOREGROUND)
         panel.set_facecolor(_BACKGROUND)
-        panel.grid(which="both", color=_FOREGROUND, alpha=0.10)
+        panel.grid(color=_FOREGROUND, alpha=0.15)
         panel.tick_params(colors=_FOREGROUND, which="both")
         panel.spines[:].set_color(_FOREGROUND)
         panel.legend(facecolor=_BACKGROUND, edgecolor="none", labelcolor=_FOREGROUND, fontsize="small", framealpha=0.6)
     panels[-1].set_xlabel("frequency / Hz", color=_FOREGROUND)
     panels[0].set_title(
-        "largest amplitude (Hann); dotted: natural frequencies, no dampers",
+        "peak-hold spectrum (Hann); dotted: natural frequencies without dampers",
         color=_FOREGROUND, fontsize="medium",
     )  # fmt: skip
     picture = io.BytesIO()

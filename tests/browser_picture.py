@@ -1,0 +1,66 @@
+"""Draw a page as the browser shows it: `python -m tests.browser_picture PAGE.html|bench PICTURE.png`."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from selenium import webdriver
+from selenium.webdriver.common.by import By
+from selenium.webdriver.support.ui import WebDriverWait
+
+# Duration of the sweep on the bench, with the time until the force is settled, s.
+_LONGEST_SWEEP_S = 180.0
+
+
+def open_browser() -> webdriver.Chrome:
+    """Open chromium without a window, 1280 x 800 pixels."""
+    options = webdriver.ChromeOptions()
+    options.binary_location = "/usr/bin/chromium"
+    for word in ("headless=new", "no-sandbox", "disable-dev-shm-usage", "disable-gpu", "hide-scrollbars"):
+        options.add_argument(f"--{word}")
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService("/usr/bin/chromedriver"))
+    size = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    return driver
+
+
+def draw_bench(picture: str) -> None:
+    """Draw the bench near the end of a sweep."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "daq", "bench", "fig8-three-dampers", "--no-browser", "--port", "0"]
+        command += ["--device-port", "0", "-o", str(Path(folder) / "sweep.mcap")]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as bench:
+            driver = open_browser()
+            try:
+                assert bench.stdout is not None
+                driver.get(bench.stdout.readline().split()[-1])
+                waiting = WebDriverWait(driver, _LONGEST_SWEEP_S)
+                waiting.until(lambda page: page.find_element(By.ID, "message").text == "ready")
+                driver.find_element(By.ID, "start").click()
+                waiting.until(lambda page: re.match(r"9\d %", page.find_element(By.ID, "progress").text))
+                driver.save_screenshot(picture)
+            finally:
+                driver.quit()
+                bench.terminate()
+
+
+def draw_page(page: str, picture: str) -> None:
+    """Draw the first screen of a page."""
+    driver = open_browser()
+    try:
+        driver.get(Path(page).resolve().as_uri())
+        driver.save_screenshot(picture)
+    finally:
+        driver.quit()
+
+
+if __name__ == "__main__":
+    source, target = sys.argv[1:]
+    if source == "bench":
+        draw_bench(target)
+    else:
+        draw_page(source, target)

@@ -72,7 +72,8 @@ def spectrum_picture(recording: Recording, start: int, stop: int) -> bytes:
         for natural_frequency in natural_hz[natural_hz > 1.0]:
             panel.axvline(natural_frequency, color=_FOREGROUND, linewidth=0.8, linestyle=":", alpha=0.7)
         set_log_scale(panel.xaxis)
-        set_log_scale(panel.yaxis, 5)
+        if any(np.any(amplitude[in_range] > 0.0) for _, amplitude in spectra.values()):
+            set_log_scale(panel.yaxis, 5)
         divisor = f"({unit})" if "/" in unit else unit
         panel.set_ylabel(f"{quantity} / {divisor}".replace("^2", "²"), color=_FOREGROUND)
         panel.set_facecolor(_BACKGROUND)

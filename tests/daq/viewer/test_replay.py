@@ -280,3 +280,10 @@ def test_truth_of_another_rig_is_ignored(change, recording):
     assert not motion.gaps_known
     for _, rig_motion in motion.segments(0, 512, 64):
         assert rig_motion.gap is None and len(rig_motion.displacement) == recording.scene.structure.bodies
+
+
+def test_spectrum_picture_fills_its_view(recording):
+    # The width and height of a PNG follow its signature; the view is about twice as wide as high.
+    picture = spectrum_picture.spectrum_picture(recording, 0, round(recording.duration * recording.rate))
+    width, height = np.frombuffer(picture, ">u4", 2, 16)
+    assert 1.9 < width / height < 2.3

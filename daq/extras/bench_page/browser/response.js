@@ -112,9 +112,9 @@ const response = {
 
 // Below this coherence, the magnitude is thin and the phase empty.
 const COHERENT = 0.7;
-// Without coherence (a single average), the phase is noise where a quarter of the lines around have larger steps, degrees.
+// The phase is noise where a quarter of the lines around have larger steps, degrees.
 const LARGEST_STEP = 17;
-const AROUND = 25; // lines on either side
+const AROUND = 40; // lines on either side
 const DECADES = 2.5;
 
 // The phase where it is coherent, without the lines across the chart where it wraps.
@@ -124,7 +124,8 @@ function cut(phase, coherence) {
     const around = steps.subarray(Math.max(k - AROUND, 0), k + AROUND + 1);
     return around.filter((step) => Math.min(step, 360 - step) > LARGEST_STEP).length < around.length / 4;
   };
-  return phase.map((value, k) => (steps[k] > 180 || !(isNaN(coherence[k]) ? isSmooth(k) : coherence[k] >= COHERENT) ? NaN : value));
+  // A single average has no coherence.
+  return phase.map((value, k) => (steps[k] > 180 || coherence[k] < COHERENT || !isSmooth(k) ? NaN : value));
 }
 
 // The phase from -270° to 90°, as in the report: a receptance out of phase stays at -180° whatever the noise.

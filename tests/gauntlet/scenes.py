@@ -45,6 +45,8 @@ KINDS = (
     "constant_response_dampers",
     "phase_resonance_dampers",
     "continuation_dampers",
+    "sine_control",
+    "random_control",
 )
 # The first mode has at most this time constant, because transients must decay within seconds.
 _MAX_TIME_CONSTANT_S = 1.6

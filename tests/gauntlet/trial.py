@@ -18,6 +18,7 @@ from tests.gauntlet.close_modes import CURVES, MULTISINE, STEPPED, TWO_SHAKERS, 
 from tests.gauntlet.controlled_tones import BACKBONE, CURVE, HELD, draw_controlled_tone
 from tests.gauntlet.finite_contact import STEPS_FINITE_CONTACT, TONE_FINITE_CONTACT, draw_finite_contact
 from tests.gauntlet.instant_contact import DECAY, STEPS, TONE, draw_decay, draw_instant_contact
+from tests.gauntlet.profile_control import NOISE, SINE, draw_profile_control
 from tests.gauntlet.result import Case, CheckResult
 from tests.gauntlet.scenes import draw
 from tests.gauntlet.two_shakers import MULTISINE as MULTISINE_TWO_SHAKERS
@@ -29,6 +30,7 @@ _DRAW_FUNCTIONS = {TONE: draw_instant_contact, STEPS: draw_instant_contact, DECA
 _DRAW_FUNCTIONS |= dict.fromkeys((TONE_FINITE_CONTACT, STEPS_FINITE_CONTACT), draw_finite_contact)
 _DRAW_FUNCTIONS |= dict.fromkeys((CURVES, MULTISINE, STEPPED, TWO_SHAKERS), draw_close_modes)
 _DRAW_FUNCTIONS |= dict.fromkeys((HELD, BACKBONE, CURVE), draw_controlled_tone)
+_DRAW_FUNCTIONS |= dict.fromkeys((SINE, NOISE), draw_profile_control)
 _DRAW_FUNCTIONS |= dict.fromkeys((RANDOM, MULTISINE_TWO_SHAKERS), draw_two_shakers)
 
 

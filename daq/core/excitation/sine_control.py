@@ -21,6 +21,7 @@ from daq.core.excitation.profiles.sine_control_check import (
     check_sweep,
     loop_delay,
     loop_gain,
+    sideband_amplification,
 )
 from daq.core.excitation.profiles.spectrum_shaping import lines_between
 from daq.core.excitation.profiles.sweep_control import estimate_amplitudes, observation_samples
@@ -108,15 +109,18 @@ class SineSweep:
         self._recent, self._phases = np.zeros((len(self.rows), 0)), np.zeros(0)
         self.limited = False  # whether the output limited the drive
         self._caution = Caution()
+        # Frequencies of the identification, Hz, and the drives that profile and limits require there, one row each.
+        self._frequencies, self._required = np.ones(1), np.ones((1 + len(test.limits), 1))
 
     def first_drive(self, found: Identified, period: int) -> float:
         """Return the drive at the first frequency; give up if the output cannot drive the sweep."""
-        frequency = found.lines * self.station.rate / period
-        drive = self.prescription.required(np.abs(found.gain), frequency).min(axis=0).tolist()
+        self._frequencies = found.lines * self.station.rate / period
+        self._required = self.prescription.required(np.abs(found.gain), self._frequencies)
+        drive = self._required.min(axis=0).tolist()
         worst = int(np.argmax(drive))
-        place = f"at {frequency[worst]:.4g} Hz the profile"
+        place = f"at {self._frequencies[worst]:.4g} Hz the profile"
         self.station.check_output(drive[worst], place, "Lower the profile there.")
-        return drive[int(np.argmin(abs(frequency - self.test.from_)))]
+        return drive[int(np.argmin(abs(self._frequencies - self.test.from_)))]
 
     def window(self, samples: int, frequency: float, drive: float) -> Generator[Array, Array, None]:
         """Output a window, in which the drive changes to a new amplitude, and store its readings."""
@@ -153,7 +157,10 @@ class SineSweep:
         drive, observation = self.drive, None
         if amplitudes is not None:
             ratios = self.prescription.required(amplitudes[:, None], np.array([frequency]))[:, 0]
-            gain = loop_gain(self.test.speed, loop_delay(frequency, self.station.latency / self.station.rate))
+            delay = loop_delay(frequency, self.station.latency / self.station.rate)
+            required = self.drive * float(ratios.min())
+            sidebands = sideband_amplification(required, frequency, self._required[ratios.argmin()], self._frequencies)
+            gain = loop_gain(self.test.speed, delay, sidebands)
             error = float(np.clip(log(max(ratios.min(), 1e-12)), -_MAX_DECREASE, _MAX_INCREASE))
             drive = next_drive(self.drive, float(ratios.min()), gain * self._caution.factor(error))
             self.limited |= drive > self.station.output_limit

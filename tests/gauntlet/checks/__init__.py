@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from tests.gauntlet.checks import controlled_tones, decays, impacts, modes, motion_types, responses, restitution
+from tests.gauntlet.checks import (
+    controlled_tones,
+    decays,
+    impacts,
+    modes,
+    motion_types,
+    profile_control,
+    responses,
+    restitution,
+)
 from tests.gauntlet.result import Case, CheckResult
 
 # A check takes a case and its kind of test; it returns no result for other kinds of tests than its own.
@@ -18,4 +27,5 @@ CHECKS: dict[str, Check] = {
     "motion_types": motion_types.check,
     "decays": decays.check,
     "orbits": controlled_tones.check,
+    "profile": profile_control.check,
 }

@@ -1,9 +1,12 @@
 """Check of a sine test with profile control before it runs: deviations from the profile, and bands of the limits.
 
 The drive amplitude d is changed after each window by ln d += gain * ln(required / measured amplitude). An integrator
-with a delay of m windows is stable for a gain below 2 sin(pi / (2 (2m + 1))). In a sweep, the deviation at a resonance
-with the damping ratio D and the decay rate d is S (T / gain + 1 / d) / (2 D) in ln, for the relative sweep rate S and
-the window T. The check uses the slope of the required drive, whose largest value is 1 / (2 D).
+with a delay of m windows is stable for a gain below 2 sin(pi / (2 (2m + 1))). The changing drive has sidebands about
+the tone. At an anti-resonance, or where a resonance is near, the structure amplifies them by a ratio R relative to the
+tone: where R is large, the gain of the loop, gain R / (2 sin(pi T f)) at the distance f of the sidebands, must be
+below 1. In a sweep, the deviation at a resonance with the damping ratio D and the decay rate d is
+S (T / gain + 1 / d) / (2 D) in ln, for the relative sweep rate S and the window T. The check uses the slope of the
+required drive, whose largest value is 1 / (2 D).
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from rig.core.base.arrays import Array
 from rig.core.numerics.runs import runs_of
 from rig.core.system.assembly import assemble
 from rig.core.system.open_loop_drive import riding_response
@@ -27,17 +31,45 @@ if TYPE_CHECKING:
 WINDOW_PERIODS = 1.0
 # An observation takes four periods: free vibrations at lower resonances then hardly change it.
 OBSERVATION_PERIODS = 4.0
+# Distances of the sidebands from the tone, in cycles of the drive amplitude per window.
+_SIDEBANDS = np.arange(1, 101) / 200.0
+# A maximum of the amplification below this is not a resonance.
+_PEAK = 1.25
+# The largest slope within this relative distance gives the damping.
+_NEAR = 0.05
 # Number of frequencies at which the slope of the drive is computed.
 _FREQUENCIES = 2000
 
 
-def loop_gain(speed: float, delay: float) -> float:
-    """Return the gain for a delay in windows; `speed`: relative to the limit of stability.
+def loop_gain(speed: float, delay: float, amplification: Array | None = None) -> float:
+    """Return the gain for a delay in windows.
+
+    `speed`: relative to the limit of stability; `amplification`: of the sidebands at distances `_SIDEBANDS`.
 
     >>> [round(loop_gain(1.0, delay), 2) for delay in (1, 2, 3)]
     [1.0, 0.62, 0.45]
     """
-    return speed * 2.0 * sin(pi / (2.0 * (2.0 * ceil(delay) + 1.0)))
+    oscillation = 1.0 / (2.0 * (2.0 * ceil(delay) + 1.0))
+    limit = 2.0 * sin(pi * oscillation)
+    if amplification is not None:
+        relevant = oscillation <= _SIDEBANDS
+        # A resonance at a smaller distance.
+        relevant[1:-1] |= (amplification[1:-1] > np.maximum(amplification[:-2], amplification[2:])) & (
+            amplification[1:-1] > _PEAK
+        )
+        limits = 2.0 * np.sin(pi * _SIDEBANDS[relevant]) / np.maximum(amplification[relevant], 1e-12)
+        limit = min(limit, float(limits.min()))
+    return speed * limit
+
+
+def sideband_amplification(required: float, frequency: float, drives: Array, frequencies: Array) -> Array:
+    """Return how much more the structure amplifies the sidebands of a changing drive than the tone.
+
+    `required`: drive at the frequency in Hz; `drives`: required drives at `frequencies`, Hz.
+    """
+    distance = _SIDEBANDS * frequency / WINDOW_PERIODS
+    below, above = (np.interp(frequency + sign * distance, frequencies, 1.0 / drives) for sign in (-1.0, 1.0))
+    return np.asarray(0.5 * required * (below + above))
 
 
 def loop_delay(frequency: float, latency: float) -> float:
@@ -45,12 +77,15 @@ def loop_delay(frequency: float, latency: float) -> float:
     return (OBSERVATION_PERIODS + latency * frequency) / WINDOW_PERIODS
 
 
-def sweep_deviation(test: SineControl, frequency: float, slope: float, latency: float = 0.0) -> float:
-    """Return the deviation in dB where the drive has a slope d ln(drive) / d ln(frequency); `latency`: s.
+def sweep_deviation(
+    test: SineControl, frequency: float, slope: float, latency: float = 0.0, amplification: Array | None = None
+) -> float:
+    """Return the deviation in dB where the drive has a slope d ln(drive) / d ln(frequency).
 
-    The largest slope at a resonance is 1 / (2 D).
+    `latency`: s; `amplification`: of the sidebands. The largest slope at a resonance is 1 / (2 D).
     """
-    lag = WINDOW_PERIODS / frequency / loop_gain(test.speed, loop_delay(frequency, latency)) + slope / (pi * frequency)
+    gain = loop_gain(test.speed, loop_delay(frequency, latency), amplification)
+    lag = WINDOW_PERIODS / frequency / gain + slope / (pi * frequency)
     return float(20.0 / log(10.0) * test.rate_at(frequency) * slope * lag)
 
 
@@ -92,14 +127,19 @@ def check_sweep(test: SineControl, scene: Scene, channels: Sequence[ChannelInfo]
     states = riding_response(system, scene.at_driven("shaker"), 2.0 * pi * frequency)
     rows = [system.points.index(places[name]) for _, name in test.named_channels]
     required = test.prescription.required(np.abs(states[rows]) * (2.0 * pi * frequency) ** 2, frequency)
-    slopes = abs(np.gradient(np.log(required.min(axis=0)), np.log(frequency)))
-    pairs = zip(frequency.tolist(), slopes.tolist(), strict=True)
-    deviations = [sweep_deviation(test, f, slope, latency) for f, slope in pairs]
+    limiting, drives = required.argmin(axis=0), required.min(axis=0)
+    slopes = abs(np.gradient(np.log(drives), np.log(frequency)))
+    deviations = [
+        sweep_deviation(test, f, slope, latency, sideband_amplification(drive, f, required[row], frequency))
+        for f, slope, drive, row in zip(*(row.tolist() for row in (frequency, slopes, drives, limiting)), strict=True)
+    ]
     worst = int(np.argmax(deviations))
     notches = [
         (limit.channel, float(frequency[start]), float(frequency[stop - 1]))
         for index, limit in enumerate(test.limits, 1)
-        for start, stop in runs_of(required.argmin(axis=0) == index)
+        for start, stop in runs_of(limiting == index)
     ]
-    damping = 0.5 / max(float(slopes[worst]), 1e-12)
+    # The slope is largest beside the resonance or anti-resonance.
+    near = abs(np.log(frequency / frequency[worst])) < _NEAR
+    damping = 0.5 / max(float(slopes[near].max()), 1e-12)
     return SweepCheck(test, float(frequency[worst]), deviations[worst], damping, tuple(notches))

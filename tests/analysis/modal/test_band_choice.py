@@ -1,6 +1,7 @@
 """Poles of a band are compared with those of its parts: differences add uncertainty, unconfirmed poles are left out."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 
 import analysis
 from analysis.core.modal import window_fits
-from analysis.core.modal.band_choice import band_choice, parts_of_band
+from analysis.core.modal.band_choice import BandChoice, band_choice, parts_of_band
 from analysis.core.modal.modal_fit import MODEL_ERRORS, fit_modes
 from analysis.core.modal.pole_residue import Curves, fit
 from rig.core.base.arrays import Array, ComplexArray
@@ -108,6 +109,21 @@ def test_pole_wider_than_window_is_rejected(n_lines: int, n_modes: int) -> None:
     window = window_fits.Window(0, FREQUENCY.size, 0.0, np.inf)
 
     assert window_fits._identify_window([curve], window, n_lines).poles.size == n_modes
+
+
+def test_pole_of_uncertain_frequency_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
+    s, omega = 2j * np.pi * FREQUENCY, 2 * np.pi * 120.0
+    curve = Response.curve(FREQUENCY, 1.0 / (s**2 + 0.06 * omega * s + omega**2), "a1")
+    assert analysis.identify([curve]).frequency.size == 1
+    # Its half-width is 3.6 Hz.
+    exact = window_fits.band_choice
+
+    def shifted(*arguments: Any) -> BandChoice:
+        return exact(*arguments)._replace(frequency_error=np.array([1.0]))
+
+    monkeypatch.setattr(window_fits, "band_choice", shifted)
+    with pytest.raises(RecordingError, match="no resonance"):
+        analysis.identify([curve])
 
 
 def test_fewer_residuals_than_parameters_are_fitted() -> None:

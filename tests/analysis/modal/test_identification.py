@@ -245,6 +245,17 @@ def test_mains_hum_is_named(hum: float, named: bool) -> None:
     assert any(f"{hum:g} Hz (3 x 50 Hz): probably mains hum" in warning for warning in modes.warnings) is named
 
 
+def test_peak_without_width_is_not_the_highest() -> None:
+    frequency = np.arange(1.0, 300.0, 0.5)
+    s, omega = 2j * np.pi * frequency, 2 * np.pi * 90.0
+    value = s**2 / (s**2 + 0.04 * omega * s + omega**2)
+    # The pole of this peak lies between two lines, on the imaginary axis.
+    value += 5.0 / (150.25 - frequency)
+    curve = Response.curve(frequency, value, "a1", motion="acceleration", resolution=0.75)
+
+    assert analysis.identify([curve], count=1).frequency == pytest.approx([90.0], abs=0.1)
+
+
 @pytest.mark.parametrize("windowed", [False, True])
 def test_narrow_peaks_in_files_have_large_uncertainty(windowed, tmp_path):
     # Peaks narrower than the line spacing: without a window, or from a random test with Hann windows.

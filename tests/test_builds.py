@@ -15,6 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from daq.core.virtual_bench.bench import Bench
+from daq.extras.ni_device.connecting import connect_scene
 from rig.core.base.once import once_per_object
 from rig.core.scene import loading
 from rig.core.system import assembly, structural_model
@@ -57,6 +58,17 @@ def test_explanation_builds_once(builds: Counter[str]) -> None:
 def test_recording_builds_once(builds: Counter[str], tmp_path: Path) -> None:
     run(f"daq record {SHORT} -o {tmp_path / 'steps.mcap'}")
     assert builds == {"structure_matrices": 1, "_system": 1, "__init__": 2}
+
+
+@pytest.mark.parametrize("command", ["simulate", "response"])
+def test_simulation_builds_once(command: str, builds: Counter[str], tmp_path: Path) -> None:
+    run(f"rig {command} reference-A -o {tmp_path / 'motion.csv'}")
+    assert builds == {"structure_matrices": 1, "_system": 1}
+
+
+def test_device_builds_once(builds: Counter[str]) -> None:
+    connect_scene("fig9", "manual")
+    assert builds == {"structure_matrices": 1, "_system": 1, "__init__": 1}
 
 
 @pytest.mark.parametrize("command", ["frf", "dampers", "report"])

@@ -13,6 +13,7 @@ import pytest
 
 from analysis.core.responses.estimator import MODULES, Estimator
 from daq.core.excitation import procedure_of
+from daq.core.excitation.procedure import Procedure
 from daq.core.recording.recorded_test import FOLLOWED_CURVE, HELD_MOTION, HELD_PHASE, TestKind
 from rig.core.scene.excitation import KINDS as TESTS
 from rig.core.scene.excitation import KindOfTest
@@ -51,6 +52,14 @@ def test_kind_of_test_has_procedure(kind: type[KindOfTest]) -> None:
     procedure = procedure_of(kind)
     is_complete = "excite" in vars(type(procedure)) or kind.wave is not KindOfTest.wave
     assert is_complete, f"daq.core.excitation.{kind.kind_name()}: define excite, or wave in the settings"
+
+
+@pytest.mark.parametrize("kind", TESTS, ids=lambda kind: kind.kind_name())
+def test_long_kind_of_test_has_part(kind: type[KindOfTest]) -> None:
+    procedure = procedure_of(kind)
+    has_part = procedure.rehearsal == "peaks" or type(procedure).part is not Procedure.part
+    name = f"daq.core.excitation.{kind.kind_name()}"
+    assert has_part or "duration" in kind.model_fields, f"{name}: define part; the test has no key duration"
 
 
 @pytest.mark.parametrize("kind", TESTS, ids=lambda kind: kind.kind_name())

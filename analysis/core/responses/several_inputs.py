@@ -5,10 +5,11 @@ Block averages are the alternative: H1 [1]_, and Hv (total least squares, each c
 multisine test consists of as many experiments as shakers, with mutually orthogonal phases, so that the matrix of inputs
 can be inverted at each line [3]_.
 
-One input is not computed as a matrix with one column. Its reference may be a combination of readings, such as the force
-of a spring from two displacements, whose errors are correlated with those of the outputs; and all outputs share one
-fit. Here each reference is a measured force, and each element has a fit with numerators for the other forces. Both use
-the same local fits, block averages, spectra of periods and budgets.
+One measured force has the values and random errors of a matrix with one column, because both use the same local fits,
+block averages and budgets. It is computed separately for the other uncertainties: its reference may be a combination of
+readings, such as the force of a spring, whose errors are correlated with those of the outputs; and its covariance
+extends over neighboring lines, which the modal fit uses. Here every reference is a measured force, and the covariance
+is that of all elements at one line.
 
 References
 ----------

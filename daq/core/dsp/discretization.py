@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from daq.core.dsp.circuit import Circuit
+from daq.core.dsp.interpolation import cubic_coefficients
 from rig.core.base.arrays import Array
 from rig.core.base.errors import SceneError
 from rig.core.numerics.simd import LANES, aligned_zeros, padded_length
@@ -29,9 +30,8 @@ SUBDIVISIONS = 64
 MAX_GENERATOR_NORM = 50.0
 # Matrix from start, end, mean and moment of a cubic (see `CubicInput`) to its value and three derivatives at the start,
 # for a segment as long as the unit of time.
-CUBIC_DERIVATIVES = np.array(
-    [[1.0, 0.0, 0.0, 0.0], [-9.0, 3.0, -24.0, 60.0], [36.0, -24.0, 168.0, -360.0], [-60.0, 60.0, -360.0, 720.0]]
-)
+_START, _SLOPE, _HALF_CURVATURE, _SIXTH_OF_THIRD = np.eye(4)[0], *cubic_coefficients(*np.eye(4))
+CUBIC_DERIVATIVES = np.array([_START, _SLOPE, 2.0 * _HALF_CURVATURE, 6.0 * _SIXTH_OF_THIRD])
 
 
 # Value, slope and curvature of the Legendre polynomials of degree 0, 1 and 2 at the start of the interval.

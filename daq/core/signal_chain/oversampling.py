@@ -11,6 +11,7 @@ import numpy as np
 
 from daq.core.signal_chain.decimation_filter import PASSBAND_EDGE, STOPBAND_EDGE
 from rig.core.base.arrays import Array
+from rig.core.scene.measurement_chain import Converter
 from rig.core.scene.presets import complete_from_preset
 from rig.core.scene.scene import Scene
 from rig.core.system.assembly import assemble
@@ -25,8 +26,8 @@ MAX_RESOLVED_RATIO = 0.1
 MAX_RATE = 1.024e6
 
 
-def choose_oversampling(scene: Scene) -> int:
-    """Return the number of intervals per sample of a scene's converter, at least 1.
+def choose_oversampling(scene: Scene, converter: Converter | None = None) -> int:
+    """Return the number of intervals per sample of a scene's converter, or of another, at least 1.
 
     Without a decimation filter, motion between samples matters only if a sensor or amplifier can saturate or a contact
     has a finite duration. With a filter, oscillations above half the sample rate must be resolved, so that the filter
@@ -41,7 +42,7 @@ def choose_oversampling(scene: Scene) -> int:
     2
     1
     """
-    system, rate = assemble(scene), scene.converter.true_rate
+    system, rate = assemble(scene), (converter or scene.converter).true_rate
     has_filter = complete_from_preset(scene.converter).filter is not None
     # The limits of sensor and amplifier act on the signal before the filter.
     channels = scene.channels or ()

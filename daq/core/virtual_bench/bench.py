@@ -158,7 +158,7 @@ class Stream:
         channel_settings: Sequence[Channel] | None = None,
     ) -> None:
         self._scene = at_rate(scene, rate)
-        min_intervals = choose_oversampling(self._scene)
+        min_intervals = choose_oversampling(scene, self._scene.converter)
         if any(channel.measures_force or channel.measures_voltage for channel in scene.channels or ()):
             # Force and drive channels measure the drive, which must be resolved from tick to tick.
             min_intervals = max(min_intervals, math.ceil(1 / per_tick))

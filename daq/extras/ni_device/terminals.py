@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from daq.core.excitation import Excitation as TestExcitation
 from daq.core.excitation import Station, excitation
 from daq.core.signal_chain.oversampling import choose_oversampling
-from daq.core.virtual_bench.bench import Bench, at_rate
+from daq.core.virtual_bench.bench import Bench
 from daq.extras.ni_device.background_test import BackgroundTest
 from daq.extras.ni_device.devices.modules import DEFAULT_RATES
 from daq.extras.ni_device.devices.sensor_teds import electronic_data_sheet
@@ -58,7 +58,9 @@ class Terminals:
         )
         min_tick_rates = [sample_rate * choose_oversampling(scene), *fastest_outputs]
         if fastest_input > sample_rate:
-            min_tick_rates.append(fastest_input * choose_oversampling(at_rate(scene, fastest_input)))
+            min_tick_rates.append(
+                fastest_input * choose_oversampling(scene, scene.converter.replace(rate=fastest_input))
+            )
         self.bench = bench = Bench(scene, math.ceil(max(min_tick_rates) / sample_rate - 1e-6))
         has_counts = bool(bench.channels) and bench.channels[0].volts_per_count is not None
         self.dtype: type[np.generic] = np.int32 if has_counts else np.float64  # of samples: counts or volts

@@ -194,17 +194,33 @@ def expected_quantity(value: Any, kinds: Sequence[Kind]) -> str:
 
     >>> expected_quantity("4.2 kgs", [MASS])
     "a mass such as 74 g. Did you mean 'kg'?"
+    >>> expected_quantity("5 kg", [ACCELERATION])  # a unit of another quantity is not misspelled
+    'an acceleration such as 9.80665 m/s^2'
     """
-    nouns, examples = (" or ".join(words) for words in zip(*((k.noun, k.example) for k in kinds), strict=True))
     hint = _similar_unit(value, kinds)
-    return suggest_decimal_point(value, kinds) or f"{nouns} such as {examples}{hint and '. ' + hint}"
+    return suggest_decimal_point(value, kinds) or f"{describe_kinds(kinds)}{hint and '. ' + hint}"
+
+
+def describe_kinds(kinds: Sequence[Kind]) -> str:
+    """Return the kinds of a quantity with examples.
+
+    >>> describe_kinds([VOLTAGE, LENGTH, FORCE])
+    'a voltage, a length or a force such as 5 V, 0.98 mm or 2.6 N'
+    """
+    return " such as ".join(alternatives([getattr(kind, word) for kind in kinds]) for word in ("noun", "example"))
+
+
+def alternatives(words: Sequence[str]) -> str:
+    """Return words as a list with *or*."""
+    return " or ".join(filter(None, (", ".join(words[:-1]), *words[-1:])))
 
 
 def _similar_unit(value: Any, kinds: Sequence[Kind]) -> str:
     """Return a question with the usual unit that resembles the unit of a quantity; empty if there is none."""
     match = _NUMBER.fullmatch(value.strip()) if isinstance(value, str) else None
     units = [unit for kind in kinds for unit in _usual_units(kind) if unit]
-    if match is None or match[2] in units:
+    known = {unit for unit, _ in COMMON_FACTORS} | {si for _, si in COMMON_FACTORS}
+    if match is None or match[2] in (*units, *known):
         return ""
     # A wrong case is frequent, and changes half of the characters of a short unit: hz, Kg.
     return suggestion({unit.casefold(): unit for unit in units}.get(match[2].casefold(), match[2]), units)

@@ -8,7 +8,7 @@ from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from rig.core.base.escaping import is_single_line
-from rig.core.settings.quantities import Kind, expected_quantity, parse
+from rig.core.settings.quantities import Kind, alternatives, describe_kinds, expected_quantity, parse
 
 
 class Quantity:
@@ -38,8 +38,7 @@ class Quantity:
         self.kinds = kinds
         self.above, self.at_least, self.below = above, at_least, below
         self.infinite, self.listed = infinite, listed
-        nouns, examples = (" or ".join(words) for words in zip(*((k.noun, k.example) for k in kinds), strict=True))
-        self.description = f"{nouns} such as {examples}"
+        self.description = describe_kinds(kinds)
         limits = [
             f"above {above:g}" if above is not None else "",
             f"at least {at_least:g}" if at_least is not None else "",
@@ -47,7 +46,7 @@ class Quantity:
             "" if infinite else "finite",
         ]
         self.bounded_description = f"{self.description}, {' and '.join(filter(None, limits))}".rstrip(", ")
-        units = " or ".join(kind.si for kind in kinds if kind.si)
+        units = alternatives([kind.si for kind in kinds if kind.si])
         self.help_text = (
             f"{self.bounded_description}; a bare number is in {units}" if units else self.bounded_description
         )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import pyuff
@@ -14,6 +16,8 @@ from analysis.commands.presentation.comparison import compare_peaks
 from analysis.commands.presentation.mode_findings import present_modes
 from analysis.core.modal.modes import Modes
 from analysis.core.modal.several_references import separate
+from analysis.core.responses import several_inputs
+from analysis.core.responses.estimator import Blocks, Request
 from analysis.core.responses.measurands import driven_forces
 from analysis.core.responses.several_inputs import input_output_spectra, reciprocity
 from analysis.extras.formats.results import export_results
@@ -104,6 +108,20 @@ def test_block_options_apply_to_several_inputs(random_path):
         (separate,) = analysis.frequency_responses(rec, ["a1"], block=2.0, overlap=0.0)
         (overlapping,) = analysis.frequency_responses(rec, ["a1"], block=2.0)
     assert np.all(separate.degrees < overlapping.degrees)
+
+
+@pytest.mark.parametrize("block", [None, 2.0])
+def test_column_equals_response_to_one_input(block, tmp_path):
+    text = SCENE.format(test=RANDOM.replace(", also: [2]", ""), seed=0, noise=200, masses=MASSES, springs=SPRINGS)
+    with daq.open(daq.record(rig.loads(text), tmp_path / "one.mcap")) as rec:
+        [expected] = analysis.frequency_responses(rec, ["a1", "a3"], block=block)
+        force = replace(expected.inputs[0], name="f1")
+        request = Request(
+            rec, ["a1", "a3"], "force", "displacement", Blocks(block=block), None, [], rec.markers[-1:], [force]
+        )
+        [matrix] = several_inputs.ESTIMATOR.compute(request)
+    np.testing.assert_allclose(matrix.value, expected.value, rtol=1e-12)
+    np.testing.assert_allclose(matrix.error, expected.error, rtol=1e-9)
 
 
 def test_bounds_contain_truth_for_orthogonal_multisines(multisine_path):

@@ -5,6 +5,7 @@ A measurement contains whole periods.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator, Sequence
 from typing import TYPE_CHECKING, TypeVar
 
@@ -96,12 +97,12 @@ def extrapolate_drive(last_drives: Sequence[tuple[float, float]], frequency: flo
     >>> extrapolate_drive([(12.0, 1.0), (13.0, 2.0), (14.0, 40.0)], 15.0)
     40.0
     """
-    frequencies, drives = np.array([point[0] for point in last_drives]), np.log([point[1] for point in last_drives])
+    frequencies, drives = [point[0] for point in last_drives], np.log([point[1] for point in last_drives])
     if len(last_drives) < 3 or len(set(frequencies)) < 3:
         return float(np.exp(drives[-1]))
     # Weights of Lagrange interpolation.
     weights = [
-        np.prod([(frequency - other) / (node - other) for other in frequencies if other != node])
+        math.prod((frequency - other) / (node - other) for other in frequencies if other != node)
         for node in frequencies
     ]
     change = float(np.dot(weights, drives) - drives[-1])

@@ -6,6 +6,7 @@ the transients in the amplitude of every controlled or measured quantity is belo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -64,17 +65,20 @@ def linear_waits(scene: Scene, system: HybridSystem, channels: Sequence[ChannelI
         quantities = np.concatenate([force_row(scene, system)[None], quantities])
     drive, rate = abs(gain) * max(test.levels), _SAMPLES_PER_PERIOD * float(tones.max())
 
-    def modes_at(index: int, amplitude: float, phase: float) -> Array:
+    in_phase, in_quadrature = (to_modes @ part for part in (per_drive.imag, per_drive.real))
+
+    def modes_at(index: int, amplitude: float, phase: float) -> ComplexArray:
         """Return the modal coordinates in the steady state of a tone at a phase of its drive."""
-        return np.asarray(to_modes @ np.imag(per_drive[:, index] * amplitude * np.exp(1j * phase)))
+        parts = in_phase[:, index] * math.cos(phase), in_quadrature[:, index] * math.sin(phase)
+        return np.asarray(amplitude * (parts[0] + parts[1]))
 
     windows = np.array([whole_periods(tone, rate, WINDOW_S) for tone in tones])
     changes = 2 * (np.maximum(round(TRANSITION_S * rate), windows) // 2)
     decay = np.exp(np.outer(poles, np.arange(changes.max() + 1) / rate))
-    transients = np.zeros((tones.size, poles.size))
+    transients, points = np.zeros((tones.size, poles.size)), list(zip(tones.tolist(), drive.tolist(), strict=True))
     for index in range(1, tones.size):
         samples = changes[index]
-        known = [(tones[k], drive[k]) for k in range(max(0, index - 3), index)]
+        known = points[max(0, index - 3) : index]
         start = extrapolate_drive(known, tones[index]) if scene.controlled_terms else float(drive[index])
         tone = Tone(rate, tones[index - 1])
         tone.amplitude = float(drive[index - 1])

@@ -219,8 +219,8 @@ def _similar_unit(value: Any, kinds: Sequence[Kind]) -> str:
     """Return a question with the usual unit that resembles the unit of a quantity; empty if there is none."""
     match = _NUMBER.fullmatch(value.strip()) if isinstance(value, str) else None
     units = [unit for kind in kinds for unit in _usual_units(kind) if unit]
-    known = {unit for unit, _ in COMMON_FACTORS} | {si for _, si in COMMON_FACTORS}
-    if match is None or match[2] in (*units, *known):
+    other_units = {unit for pair in COMMON_FACTORS for unit in pair if unit.isalpha()}
+    if match is None or match[2] in (*units, *other_units):
         return ""
     # A wrong case is frequent, and changes half of the characters of a short unit: hz, Kg.
     return suggestion({unit.casefold(): unit for unit in units}.get(match[2].casefold(), match[2]), units)

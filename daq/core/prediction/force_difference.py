@@ -33,8 +33,11 @@ _N_FREQUENCIES = 400
 def unresolved_force(scene: Scene, system: HybridSystem, channels: Sequence[ChannelInfo]) -> Iterator[str]:
     """Yield a warning if the sensors do not resolve the spring force at resonances in the band of the test."""
     test, shaker, band = scene.test, scene.driven_shaker, test_frequencies(scene.test, _N_FREQUENCIES)
-    is_measured = any(info.at == scene.at_driven("shaker") for info in channels)
-    if test is None or shaker is None or shaker.coil_spring is None or is_measured or not band.size:
+    if test is None or shaker is None or shaker.coil_spring is None or not band.size:
+        return
+    has_cell = any(info.at == scene.at_driven("shaker") for info in channels)
+    is_controlled_by_ends = bool(scene.controlled_terms) and not test.controls_by_cell
+    if has_cell and not is_controlled_by_ends:
         return
     weights = shaker.force_terms(scene.at_driven("shaker"), scene.at_driven("table"))
     ends = {info.at: info for info in reversed(channels) if info.at in weights and info.derivative is not None}
@@ -64,11 +67,15 @@ def unresolved_force(scene: Scene, system: HybridSystem, channels: Sequence[Chan
         listed = ", ".join(f"{frequency:.4g}" for frequency in resonances[is_unresolved][:_MAX_LISTED])
         every = " (every resonance of the test)" if is_unresolved.all() else ""
         softer = shaker.coil_spring * _MAX_ERROR_RATIO / ratio.max()
+        # A sweep is controlled by both ends of the spring, whether or not a cell measures the force.
+        remedy = "Measure the force (at: shaker)"
+        if is_controlled_by_ends:
+            cell = "that is at the shaker" if has_cell else "at: shaker"
+            remedy = f"Use a stepped sine, which is controlled by a force cell ({cell})"
         yield (
             f"coil spring: at {listed} Hz{every}, the spring is so stiff that its force is a small difference of two "
             f"readings; tolerances and noise of their sensors cause errors of up to {ratio.max():.2g} times the "
-            f"force. Measure the force (at: shaker), calibrate the sensors, or choose a spring of "
-            f"at most {format_number(softer)} N/m."
+            f"force. {remedy}, calibrate the sensors, or choose a spring of at most {format_number(softer)} N/m."
         )
 
 

@@ -13,7 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from daq.core.excitation import procedure_of, test_of
+from daq.core.excitation.controlled import controlled
 from daq.core.excitation.impulse import settling_time
+from daq.core.excitation.station import Station
 from daq.core.measurement.estimate import estimate
 from daq.core.prediction.chain_limits import reading_limit, without_limits
 from daq.core.prediction.flights import flight_lines, onset_level, outside_band
@@ -88,6 +90,8 @@ def foresee(scene: Scene | str | Path) -> Foresight:
         loaded = loaded.replace(dampers=tuple(damper.replace(grains=None) for damper in loaded.dampers))
     test_of(loaded)
     bench = Bench(loaded)
+    # The stepped sine that represents a sweep in the rehearsal may need fewer channels than the sweep.
+    controlled(Station(loaded, bench.channels, bench.inputs, bench.rate, mark=lambda *arguments, **fields: None))
     rehearsed_test = rehearse_test(loaded, bench.channels, bench)
     unlimited_test = rehearsed_test
     if any(part.aborted or any(part.overloaded) for part in rehearsed_test.parts):

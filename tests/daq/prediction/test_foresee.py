@@ -191,6 +191,24 @@ def test_force_cell_needs_no_resolved_spring_force() -> None:
     assert not list(unresolved_force(scene, assemble(scene), Bench(scene).channels))
 
 
+SWEEP = {"kind": "swept_sine", "from": "10 Hz", "to": "30 Hz", "duration": "20 s", "force": "1 N"}
+
+
+def test_unresolved_control_of_sweep_is_named_with_cell() -> None:
+    sensor = {"sensitivity": "100 mV/g", "sensitivity_tolerance": "1 %"}
+    ends = [{"name": name, "at": at, "accelerometer": sensor} for name, at in (("t", "table"), ("b", "body 1"))]
+    scene = one_body(SWEEP, shaker=STEEL_ROD, channels=[*ends, {"name": "f", "at": "shaker"}])
+    (warning,) = unresolved_force(scene, assemble(scene), Bench(scene).channels)
+    assert "Use a stepped sine, which is controlled by a force cell (that is at the shaker)" in warning
+
+
+def test_sweep_without_both_spring_ends_is_refused() -> None:
+    cell = {"name": "f", "at": "shaker"}
+    scene = one_body(SWEEP, shaker=V203, channels=[{"name": "b", "at": "body 1"}, cell])
+    with pytest.raises(rig.SceneError, match="motion channel at the table"):
+        daq.foresee(scene)
+
+
 def test_unresolved_spring_force_is_in_the_prediction() -> None:
     sensor = {"sensitivity": "100 mV/g", "sensitivity_tolerance": "10 %"}
     channels = [{"name": name, "at": at, "accelerometer": sensor} for name, at in (("t", "table"), ("b", "body 1"))]

@@ -11,5 +11,5 @@ except KeyboardInterrupt:
 import lazy_loader
 
 # A module is imported when one of the names of `__init__.pyi` is first used, which keeps the import of the package
-# fast: the import of numba alone takes longer than an impulse test.
+# fast: the import of numba alone takes longer than an impact test.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -118,7 +118,7 @@ def decay(
     channel: Annotated[
         str | None, typer.Option(metavar="CHANNEL", help="Response channel. Default: the channel of the last body.")
     ] = None,
-    hit: Annotated[int, typer.Option(metavar="N", help="Number of the hit to analyze, counted from 1.")] = 1,
+    hit: Annotated[int, typer.Option(metavar="N", help="Number of the impact to analyze, counted from 1.")] = 1,
     overwrite: Overwrite = False,
 ) -> None:
     """Estimate natural frequencies and damping from a free decay."""
@@ -327,7 +327,7 @@ def demo(
 ) -> None:
     """Record and analyze tests of Inoue, Yokomichi, Hiraki (2011).
 
-    It makes two stepped sines and two impulse tests, and draws Figs 8 and 10b of the paper from the recordings.
+    It makes two stepped sines and two impact tests, and draws Figs 8 and 10b of the paper from the recordings.
     """
     from analysis.commands.presentation.demo import demonstrate
 

@@ -6,7 +6,7 @@ Particle dampers increase the damping of a free decay until the acceleration of 
 """
 
 # %%
-# Two hammer tests: without dampers and with three.
+# Two impact tests: without dampers and with three.
 import matplotlib.pyplot as plt
 
 import analysis

@@ -1,8 +1,8 @@
 """
-Hammer test: double hits and clipping
+Impact test: double impacts and clipping
 =====================================
 
-A rebound of the hammer and a range that is too small are the two common faults of a hammer test. Here both are
+A rebound of the hammer and a range that is too small are the two common faults of an impact test. Here both are
 simulated, so that their effect on the response is known.
 """
 
@@ -26,13 +26,13 @@ channels:
 converter: {rate: 5120 Hz, bits: 24, range: 5 V}
 """
 tests = {
-    "clean hits": BRACKET,
-    "double hits": BRACKET.replace("interval: 2 s", "interval: 2 s, double_hit: {after: 25 ms, ratio: 0.5}"),
+    "clean impacts": BRACKET,
+    "double impacts": BRACKET.replace("interval: 2 s", "interval: 2 s, double_hit: {after: 25 ms, ratio: 0.5}"),
     "clipped": BRACKET.replace("range: 5 V", "range: 1 V"),
 }
 
 # %%
-# Force and response of each test. The force spectrum of a double hit has deep minima, at which noise dominates.
+# Force and response of each test. The force spectrum of a double impact has deep minima, at which noise dominates.
 figure, (above, below) = plt.subplots(2, layout="constrained", figsize=(6.4, 6.4))
 overloads, peaks = {}, {}
 for name, text in tests.items():

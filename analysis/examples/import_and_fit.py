@@ -26,7 +26,7 @@ with Path("bench.csv").open("w", newline="", encoding="utf-8") as file:
     writer.writerows(np.column_stack([np.arange(samples.shape[1]) / rate, samples.T]).tolist())
 
 # %%
-# Import: the scene defines the channels, and an assignment states columns and units. The hit is detected in the force.
+# Import: the scene defines the channels, and an assignment columns and units. The impact is detected in the force.
 units = {name: "N" if name == "hammer" else "m/s^2" for name in names}
 assignment = "".join(f"{name}: {{column: {name}, unit: {unit}}}\n" for name, unit in units.items())
 Path("channels.yaml").write_text(assignment, encoding="utf-8")
@@ -34,7 +34,7 @@ path = daq.import_files("bench.csv", scene, "bench.mcap", table="channels.yaml",
 with daq.open(path) as imported:
     hits = [marker for marker in imported.markers if marker.kind == "hit"]
     frfs = analysis.frfs(imported)
-print(f"{len(hits)} hit, at {hits[0].first_sample / rate:.3f} s")
+print(f"{len(hits)} impact, at {hits[0].first_sample / rate:.3f} s")
 
 # %%
 # Fit masses, springs and damping, from a guess with 10 % errors.

@@ -129,7 +129,7 @@ def import_recording(
 
     Without --scene, the contents of the files are listed.
 
-    The scene's test specifies the excitation. Hammer hits and the steps of a stepped sine are detected in the samples.
+    The scene's test specifies the excitation. Hammer impacts and steps of a stepped sine are detected in the samples.
     """
     from daq.commands.import_report import import_and_report, listing
 
@@ -313,7 +313,7 @@ def bench_in_the_browser(
 ) -> None:
     """Run a rig live in the browser.
 
-    The page shows all channels, starts tests, assesses hammer hits and records.
+    The page shows all channels, starts tests, assesses hammer impacts and records.
     NI clients can use the device at the same time.
     """
     # gRPC would also print the error of a port that is in use.

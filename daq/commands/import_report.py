@@ -47,7 +47,7 @@ def import_and_report(
     to_s: float | None,
     overwrite: bool,
 ) -> None:
-    """Import files with a progress bar; print the detected hits or steps, and a summary."""
+    """Import files with a progress bar; print the detected impacts or steps, and a summary."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", RunWarning)
         with progress(f"importing {files[0].name}") as report_progress:
@@ -63,14 +63,14 @@ def import_and_report(
 
 
 def _detection_lines(recording: Recording, scene: Scene) -> Iterator[str]:
-    """Yield lines about the hits or steps that were detected in the samples."""
+    """Yield lines about the impacts or steps that were detected in the samples."""
     hits = [marker for marker in recording.markers if marker.kind == "hit"]
     if hits:
         peaks = [float(hit.fields["peak"]) for hit in hits]
         test, count = scene.test, len(hits)
         # A default of the settings is not the plan of the test.
         planned = test.hits[0] if test is not None and "repeats" in test.model_fields_set else count
-        share = f"{count} of {planned} hits" if count < planned else "1 hit" if count == 1 else f"{count} hits"
+        share = f"{count} of {planned} impacts" if count < planned else "1 impact" if count == 1 else f"{count} impacts"
         plan = "" if count == planned else f" (test.repeats is {planned})"
         peak_range = f"a peak of {peaks[0]:.3g} N" if count == 1 else f"peaks of {min(peaks):.3g} to {max(peaks):.3g} N"
         yield f"{share} detected in the force{plan}, with {peak_range}"

@@ -1,4 +1,4 @@
-"""Impulse capture with pretrigger: wait for a hammer hit and read the samples around it.
+"""Impulse capture with pretrigger: wait for a hammer impact and read the samples around it.
 
 The scene's own test runs: body 1 is hit with the hammer every few seconds.
 """
@@ -15,7 +15,7 @@ LEVEL = 10.0  # trigger level of the force, N
 
 
 def main() -> None:
-    """Print the peaks before and after one hit."""
+    """Print the peaks before and after one impact."""
     with daq.connect("fig10b-no-damper", clock="fast") as bench, nidaqmx.Task(grpc_options=bench) as task:
         for number, sensor in enumerate(bench.sensors):
             print(f"ai{number}: {sensor.name}, {1e3 * sensor.sensitivity:.4g} mV per {sensor.unit}")
@@ -30,9 +30,9 @@ def main() -> None:
         trigger_index = int(np.argmax(force > LEVEL))
         print(f"first sample above {LEVEL:g} N: index {trigger_index}; peak force {force.max():.1f} N")
         for name, samples in zip(task.channel_names[1:], bodies, strict=True):
-            # The last 32 samples before the trigger are omitted, because the hit begins below the trigger level.
+            # The last 32 samples before the trigger are omitted, because the impact begins below the trigger level.
             before_hit, after_hit = (np.abs(samples[: PRETRIGGER - 32]).max(), np.abs(samples[PRETRIGGER:]).max())
-            print(f"{name}: up to {before_hit:.4f} g before the hit, {after_hit:.2f} g after it")
+            print(f"{name}: up to {before_hit:.4f} g before the impact, {after_hit:.2f} g after it")
 
 
 if __name__ == "__main__":

@@ -120,7 +120,7 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], left_out: Sequence[fl
     return [
         *table_lines(rows, "<<<"),
         *([f"Restitution: {'; '.join(restitutions)}."] if restitutions else []),
-        f"Impacts with a velocity step below {detection_limits(bodies)} are not detected.",
+        f"Damper impacts with a velocity step below {detection_limits(bodies)} are not detected.",
     ]
 
 

@@ -55,9 +55,9 @@ def present_decay(
 ) -> CommandOutput:
     """Draw and tabulate free decays; the curves of several recordings are overlaid.
 
-    `paths`: recordings of impulse tests or free decays; `output`: folder for figures and tables, by default the folder
+    `paths`: recordings of impact tests or free decays; `output`: folder for figures and tables, by default the folder
     of the first recording; `channel`: motion channel, by default the channel of the last body; `hit`: number of the
-    hit, from 1.
+    impact, from 1.
     """
     from analysis.commands.figures.decay_figure import decay_figure
     from analysis.commands.presentation.tables import damping_table, envelope_table
@@ -80,7 +80,7 @@ def present_decay(
         places.append(rec.channels[decays[-1].channel].at)
         warnings += with_recording_name(path, decays[-1].warnings)
     first = decays[0]
-    title = f"Free decay of {first.channel}{f' after hit {hit}' if has_hits else ''}"
+    title = f"Free decay of {first.channel}{f' after impact {hit}' if has_hits else ''}"
     if excitations[0] and len(set(excitations)) == 1:
         title += f" ({excitations[0]})"
     reference = reference_label(moving)

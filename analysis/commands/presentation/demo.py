@@ -20,7 +20,7 @@ from rig.core.base.workers import Workers
 if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
-# Built-in scenes of the stepped sines and of the impulse tests, which are also the names of the recordings.
+# Built-in scenes of the stepped sines and of the impact tests, which are also the names of the recordings.
 SWEEPS = ("fig8-no-damper", "fig8-three-dampers")
 IMPULSES = ("fig10b-no-damper", "fig10b-three-dampers")
 
@@ -42,7 +42,7 @@ def frequencies() -> list[float]:
 def demonstrate(
     folder: Path, print_line: Callable[[str], None], sweep_hz: Sequence[float] | None = None, overwrite: bool = False
 ) -> list[Path]:
-    """Record two stepped sines and two impulse tests in parallel, analyze them, and suggest next commands.
+    """Record two stepped sines and two impact tests in parallel, analyze them, and suggest next commands.
 
     Figures and tables of an earlier demonstration are replaced.
 
@@ -52,9 +52,9 @@ def demonstrate(
     """
     start = time.monotonic()
     create_folder(folder)
-    print_line("Recording two stepped sines (without and with three dampers) and two impulse tests ...")
+    print_line("Recording two stepped sines (without and with three dampers) and two impact tests ...")
     recordings = {name: folder / f"{name}.mcap" for name in (*SWEEPS, *IMPULSES)}
-    # The long sweeps are first, so that the short impulse tests use the cores that become free.
+    # The long sweeps are first, so that the short impact tests use the cores that become free.
     jobs = [(name, path, tuple(sweep_hz or frequencies())) for name, path in recordings.items()]
     for name, path, frequencies_hz in jobs:
         if path.exists() and not (overwrite or is_recorded(_scene(name, frequencies_hz), path)):

@@ -159,9 +159,9 @@ def _impact_texts(measurement: Measurement, result: Dampers) -> list[str]:
     has_impacts = np.zeros(frequency.size, dtype=bool)
     for motions in result.bodies:
         has_impacts |= [motion.floor > 0 or motion.ceiling > 0 for motion in motions]
-    limits = f"impacts with a velocity step below {detection_limits(result.bodies)} are not detectable"
+    limits = f"damper impacts with a velocity step below {detection_limits(result.bodies)} are not detectable"
     if not has_impacts.any():
-        undetected = f"no impact of a damper was detected at any of {frequency.size} frequencies"
+        undetected = f"no damper impact was detected at any of {frequency.size} frequencies"
         return [f"“{measurement.label}”: {undetected}; {limits}."]
     text = (
         f"“{measurement.label}”: damper impacts were detected at {int(has_impacts.sum())} of {frequency.size} "
@@ -190,5 +190,5 @@ def _decay_texts(measurements: Sequence[Measurement]) -> list[str]:
         text = "stays above 1 g" if np.isnan(time_below_1_g) else f"falls below 1 g after {time_below_1_g:.3g} s"
         if not np.isnan(time_of_6_db):
             text += f" and its energy level decreases by 6 dB in {time_of_6_db:.3g} s"
-        parts.append(f"“{measurement.label}”: after the hit, {result.channel} {text}")
+        parts.append(f"“{measurement.label}”: after the impact, {result.channel} {text}")
     return [f"{'; '.join(parts)}."] if parts else []

@@ -1,4 +1,4 @@
-"""Free decay of a channel after a hit: envelope, energy, damping of each mode, and the time to fall below 1 g.
+"""Free decay of a channel after an impact: envelope, energy, damping of each mode, and the time to fall below 1 g.
 
 Energy: backward integration (M. R. Schroeder, J. Acoust. Soc. Am. 37 (1965) 409). A damper is a loose mass that rests
 on a floor of its body under gravity. The damper does not leave the floor if the acceleration of the body stays below 1
@@ -56,14 +56,14 @@ _DEFAULT_MODE_HZ = 10.0
 
 @dataclass(frozen=True, repr=False)
 class Decay(Result):
-    """Free decay of one channel after one hit.
+    """Free decay of one channel after one impact.
 
     Attributes
     ----------
     channel, label : str
         Channel, and scene name for legends.
     hit : int
-        Number of the hit, from 1.
+        Number of the impact, from 1.
     time : ndarray, shape (n,)
         Time from the beginning of the free decay, s.
     acceleration, envelope : ndarray, shape (n,)
@@ -103,7 +103,7 @@ class Decay(Result):
         """Return the channel, its largest acceleration, and the damping ratio of each mode at large amplitude."""
         modes = [f"{m.frequency_text()} ({100 * m.damping[0]:.3g} %)" for m in self.modes if m.damping.size]
         largest = float(abs(self.acceleration).max())
-        return f"{self.label}, {self.channel} after hit {self.hit}: from {largest:.3g} m/s²; {', '.join(modes)}"
+        return f"{self.label}, {self.channel} after impact {self.hit}: from {largest:.3g} m/s²; {', '.join(modes)}"
 
     def columns(self) -> dict[str, Array]:
         """Return time, acceleration, envelope and backward-integrated energy."""
@@ -119,7 +119,7 @@ class Decay(Result):
         (line,) = ax.plot(self.time, self.envelope, **complete_style(style, lw=1.2, label=self.label))
         ax.plot(self.time, -self.envelope, color=line.get_color(), lw=line.get_linewidth())
         ax.plot(self.time, self.acceleration, color=line.get_color(), lw=0.5, alpha=0.6)
-        ax.set(xlabel="time after the hit / s", ylabel="acceleration / (m/s²)")
+        ax.set(xlabel="time after the impact / s", ylabel="acceleration / (m/s²)")
 
     def time_below(self, amplitude: float) -> float:
         """Return the time in s from which the acceleration stays below an amplitude; NaN if it never does."""
@@ -165,16 +165,16 @@ def upper_bound(acceleration: Array, period: float) -> Array:
 
 @takes_path
 def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int | None = None) -> Decay:
-    """Analyze the free decay of a channel's acceleration after a hit.
+    """Analyze the free decay of a channel's acceleration after an impact.
 
     Parameters
     ----------
     rec : daq.Recording, str or Path
-        Recording of an impulse test or a free decay.
+        Recording of an impact test or a free decay.
     channel : str, optional
         Motion channel; default: the channel of the last body.
     hit : int
-        Number of the hit, from 1.
+        Number of the impact, from 1.
     modes : int, optional
         Maximum number of modes; default: the number of bodies of the structure.
 
@@ -193,7 +193,7 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     samples, warnings = _read_samples(rec, info, hit, read_start, read_stop)
     warnings += _overload_warnings(rec, info, hit, decay_start, read_stop)
     if fault := faulty_hits(rec.markers, ()).get(hit):
-        warnings.append(f"Hit {hit} was {fault}. Choose another hit, or record again.")
+        warnings.append(f"Impact {hit} was {fault}. Choose another impact, or record again.")
     max_modes = modes if modes is not None else rec.scene.structure.bodies
     # At least an octave above the highest mode of the scene.
     highest_mode = max(HIGHEST_MODE_HZ, 2.0 * float(structural_model(rec.scene).modes.frequency.max()))
@@ -218,7 +218,7 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     end = acceleration.size - min(period, (acceleration.size - begin) // 10)
     free_decay = acceleration[begin:end]
     # Unlike the magnitude of the analytic signal, this envelope does not exceed the largest acceleration next to the
-    # hit, and does not oscillate when several modes beat.
+    # impact, and does not oscillate when several modes beat.
     longest_period = rec.rate / min((mode.frequency for mode in decays), default=rec.rate / (free_decay.size - 1))
     envelope = upper_bound(acceleration[begin:], longest_period)[: free_decay.size]
     peak_indices, _ = scipy.signal.find_peaks(abs(free_decay), distance=max(period, 1))
@@ -245,21 +245,21 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
 
 
 def _read_samples(rec: Recording, info: ChannelInfo, hit: int, start: int, stop: int) -> tuple[Array, list[str]]:
-    """Return the samples of a hit with lost samples interpolated, and a warning if there were any."""
+    """Return the samples of an impact with lost samples interpolated, and a warning if there were any."""
     samples, warnings = rec.read(info.name, start, stop), list[str]()
     lost = ~np.isfinite(samples)
     if lost.any():
         if lost.mean() > _MAX_LOST_FRACTION:
             raise RecordingError(
-                f"{rec.path}: {format_percent(lost.mean())} of the samples of hit {hit} are lost. Choose another hit, "
-                "or record again."
+                f"{rec.path}: {format_percent(lost.mean())} of the samples of impact {hit} are lost. Choose another "
+                "impact, or record again."
             )
         samples = interpolated(samples, ~lost)
         warnings.append(f"{int(lost.sum())} lost samples of {info.name} were interpolated; the decay is inexact there.")
     if not np.any(abs(samples - samples[0]) > 0):
         raise RecordingError(
-            f"{rec.path}: {info.name} is constant throughout the decay of hit {hit}. Choose another channel, or check "
-            "the sensor and record again."
+            f"{rec.path}: {info.name} is constant throughout the decay of impact {hit}. Choose another channel, or "
+            "check the sensor and record again."
         )
     return samples, warnings
 
@@ -273,7 +273,7 @@ def _overload_warnings(rec: Recording, info: ChannelInfo, hit: int, start: int, 
     fraction = overloaded / max(stop - first, 1)
     if fraction > _MAX_OVERLOADED_FRACTION:
         raise RecordingError(
-            f"{rec.path}: {info.name} was overloaded for {format_percent(fraction)} of hit {hit}'s decay. Hit more "
+            f"{rec.path}: {info.name} was overloaded for {format_percent(fraction)} of impact {hit}'s decay. Hit more "
             "softly, widen the converter's range, or lower the sensitivity in the scene."
         )
     if not fraction:
@@ -314,18 +314,18 @@ def _decay_limits(rec: Recording, info: ChannelInfo, hit: int) -> tuple[int, int
     """Return sample indices: start of reading, start and end of the decay, end of reading; ends are exclusive."""
     hit_limits = hits(rec)
     if not 1 <= hit <= len(hit_limits):
-        raise SceneError(f"{rec.path}: no hit {hit}. Choose one of hits 1 to {len(hit_limits)}.")
+        raise SceneError(f"{rec.path}: no impact {hit}. Choose one of impacts 1 to {len(hit_limits)}.")
     first, last = hit_limits[hit - 1]
     # The converter's filter delays the samples. To correct the delay, samples after the end of the decay are read, too.
-    # After the correction, the filter's response to the next hit begins before the hit; the decay ends before it.
+    # After the correction, the filter's response to the next impact begins before the impact; the decay ends before it.
     read_stop = arrival(info, hit_limits[hit][0], hit_limits[hit][0])[0] if hit < len(hit_limits) else rec.samples
     max_response_delay = arrival(info, 0, 0)[1]
     decay_start, decay_stop = last + 1, read_stop - max_response_delay
-    # Include samples before the hit, so that the band-pass starts with the structure at rest.
+    # Include samples before the impact, so that the band-pass starts with the structure at rest.
     read_start = max(first - int(0.5 * rec.rate), hit_limits[hit - 2][1] + 1 if hit > 1 else 0, 0)
     if decay_stop - decay_start < _MIN_SAMPLES:
         raise RecordingError(
-            f"{rec.path}: only {max(decay_stop - decay_start, 0)} samples follow hit {hit}; expected {_MIN_SAMPLES} or "
-            "more. Increase test.interval (for a free decay: test.duration), and record again."
+            f"{rec.path}: only {max(decay_stop - decay_start, 0)} samples follow impact {hit}; expected {_MIN_SAMPLES} "
+            "or more. Increase test.interval (for a free decay: test.duration), and record again."
         )
     return read_start, decay_start, decay_stop, read_stop

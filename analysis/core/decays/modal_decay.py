@@ -50,7 +50,7 @@ class ModalDecay(Result):
     frequency: float
     frequency_error: float  # Hz; NaN if no amplitude determines the frequency
     center: float  # center frequency of the band-pass, Hz: the peak of the spectrum
-    time: Array  # after the hit, s
+    time: Array  # after the impact, s
     envelope: Array  # amplitude of the acceleration, m/s²
     noise: float  # noise of the band-passed acceleration, rms, m/s²
     # acceleration amplitudes in descending order, m/s²; noise causes a relative uncertainty below `MAX_RELATIVE_ERROR`
@@ -154,7 +154,7 @@ def band_width(frequencies: Array, index: int) -> float:
 
 
 def modal_decay(
-    acceleration: Array,  # m/s², from before the hit
+    acceleration: Array,  # m/s², from before the impact
     rate: float,
     frequency: float,  # center of the band-pass, Hz
     width: float,  # standard deviation of the band-pass, Hz
@@ -166,7 +166,7 @@ def modal_decay(
 
     A Gaussian band-pass over positive frequencies yields the analytic signal directly. It multiplies an exponential
     decay by a constant factor. The slope of the envelope is therefore unbiased from three standard deviations of the
-    impulse response after the hit. The damping ratio at an amplitude is the slope of the logarithm of the envelope
+    impulse response after the impact. The damping ratio at an amplitude is the slope of the logarithm of the envelope
     while it falls by 6 dB around that amplitude.
     """
     analytic, affected = _band_pass(acceleration, rate, frequency, width)

@@ -64,12 +64,12 @@ def mode_warnings(
     if found.rejected:
         yield (
             f"Rejected the stable poles at {_listed(np.sort(found.rejected))} Hz: their damping or height is below the "
-            "uncertainty of these curves. Impacts of dampers also cause such peaks, which are not modes."
+            "uncertainty of these curves. Damper impacts also cause such peaks, which are not modes."
         )
     if found.unconfirmed:
         yield (
             f"Rejected the poles at {_listed(np.sort(found.unconfirmed))} Hz: parts of the lines around them do not "
-            "confirm them. Leakage, double hits and a nonlinear structure cause such poles. Measure with a smaller "
+            "confirm them. Leakage, double impacts and a nonlinear structure cause such poles. Measure with a smaller "
             "frequency step or more averages to identify modes there."
         )
     if uncertain_poles.size:

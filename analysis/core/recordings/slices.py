@@ -125,13 +125,13 @@ def interpolated(samples: Array, is_valid: NDArray[np.bool_]) -> Array:
 
 
 def hits(rec: Recording) -> list[tuple[int, int]]:
-    """Return the first and last sample of every hit; a free decay counts as one hit at sample 0."""
+    """Return the first and last sample of every impact; a free decay counts as one impact at sample 0."""
     hit_limits = sorted((m.first_sample, m.end) for m in rec.markers if m.kind == "hit")
     if hit_limits:
         return hit_limits
     if not rec.test.drives:
         return [(0, 0)]
     raise RecordingError(
-        f"{rec.path}: no free decay, and no hit is marked ({rec.test.name}). Record a scene with "
+        f"{rec.path}: no free decay, and no impact is marked ({rec.test.name}). Record a scene with "
         "test: {kind: impulse, ...} or {kind: free, ...}."
     )

@@ -1,4 +1,4 @@
-"""Force pulse of a hammer hit, without the noise before and after it and without the tail due to high-pass filters.
+"""Force pulse of a hammer impact, without the noise before and after it and without the tail due to high-pass filters.
 
 The high-pass filters of a force channel are the discharge of the sensor and the AC coupling of amplifier and converter.
 """
@@ -16,19 +16,19 @@ if TYPE_CHECKING:
     from daq.core.signal_chain.channel import ChannelInfo
 
 
-# Time for which the force window is 1 after the last sample of the hit, and then the duration of its taper, s.
+# Time for which the force window is 1 after the last sample of the impact, and then the duration of its taper, s.
 TAPER_S = 2e-3
 # Additional time before the taper, for the ringing of the channel's low-pass filters: in time constants of the slowest.
 _RINGING_TIME_CONSTANTS = 7.0
 
 
 def isolate_pulse(info: ChannelInfo, force: Array, first: int, last: int) -> Array:
-    """Return the readings of a force channel, N, compensated for its high-pass filters, and zero outside the hit.
+    """Return the readings of a force channel, N, compensated for its high-pass filters, and zero outside the impact.
 
-    `first`, `last`: first and last sample of the hit.
+    `first`, `last`: first and last sample of the impact.
 
     The high-pass filters add a long, small tail of opposite sign to a pulse, which may be longer than the recording.
-    They are therefore inverted first; a window then removes the noise after the hit. The spectrum of the readings is
+    They are therefore inverted first; a window then removes the noise after the impact. The spectrum of the readings is
     that of the result times `high_pass_response`.
     """
     slow_poles = slow_and_fast(info)[0]
@@ -46,7 +46,7 @@ def isolate_pulse(info: ChannelInfo, force: Array, first: int, last: int) -> Arr
 
 
 def samples_after_hit(info: ChannelInfo) -> tuple[int, int]:
-    """Return for how many samples after a hit the force window is 1, and the number of samples of its taper."""
+    """Return for how many samples after an impact the force window is 1, and the number of samples of its taper."""
     fast_poles = slow_and_fast(info)[1]
     ringing_s = _RINGING_TIME_CONSTANTS / min((abs(pole.real) for pole in fast_poles), default=np.inf)
     n_taper = max(2, int(TAPER_S * info.rate))

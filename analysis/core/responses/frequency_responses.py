@@ -62,7 +62,7 @@ def frequency_responses(
         Receptance, mobility or accelerance.
     estimator : {'H1', 'H2', 'Hv'}, optional
         Average the spectra of blocks, for random tests and hits. If omitted, the local rational method processes
-        random tests, hits and sweeps as a whole, without leakage. For tones the amplitudes are averaged.
+        random tests, impacts and sweeps as a whole, without leakage. For tones the amplitudes are averaged.
     block : float, optional
         Length of the blocks in s, for random tests and hits; each hit begins a block. This selects block averaging,
         with H1 by default.
@@ -71,7 +71,7 @@ def frequency_responses(
     overlap : float, optional
         Overlap of successive blocks as a fraction of the block length, for random tests; 0.5 if omitted.
     window : str, optional
-        Window of the blocks, as in `scipy.signal.get_window`; if omitted, ``hann`` for random, none for hits.
+        Window of the blocks, as in `scipy.signal.get_window`; if omitted, ``hann`` for random, none for impacts.
     level : float or str, optional
         Level to select if the test ran several, such as ``"2.6 N"``; if omitted, all levels.
     direction : {'up', 'down'}, optional

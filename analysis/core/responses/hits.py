@@ -1,4 +1,4 @@
-"""Hammer hits: their times and forces, the motion before them, and the noise and rounding of the readings."""
+"""Hammer impacts: their times and forces, the motion before them, and the noise and rounding of the readings."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
 
-# Interval before a hit in which residual motion is detected and the zero offset of each channel is measured, s.
+# Interval before an impact in which residual motion is detected and the zero offset of each channel is measured, s.
 PRE_HIT_S = 0.2
 # Number of parts of the force window with independent noise.
 _NOISE_PARTS = 16
-# The rig is at rest in this interval if its motion is at most this fraction of the response to the hit.
+# The rig is at rest in this interval if its motion is at most this fraction of the response to the impact.
 _MAX_REST_RATIO = 2e-3
 # Motion is detected above this number of standard deviations of the estimate due to noise.
 _DETECTION_SIGMAS = 4.0
-# The largest force within the marker of a hit must be at least this fraction of the largest force until the next hit.
+# The largest force within the marker of an impact must be at least this fraction of the force until the next impact.
 _MIN_MARKED_RATIO = 0.5
 # A rebound of the hammer is detected if its force is at least this fraction of the force within the marker.
 _MIN_REBOUND_RATIO = 0.05
 # The force of a rebound must also be at least this multiple of the noise, the median change between samples.
 _REBOUND_SIGMAS = 8.0
-# Maximum number of samples after a hit in which rebounds and unmarked hits are detected.
+# Maximum number of samples after an impact in which rebounds and unmarked impacts are detected.
 _MAX_SCAN_SAMPLES = 1 << 20
 # The usable force spectrum ends where its power falls to this fraction of its maximum (-20 dB).
 _MIN_POWER_RATIO = 1e-2
@@ -50,23 +50,23 @@ _MIN_POWER_RATIO = 1e-2
 _COARSER_CONVERTERS = ((2.0, 6.0), (3.0, 8.0))
 # Smallest signal, in counts, that can be rounded again without noise as dither.
 _MIN_COUNTS = 6.0
-# If noise dithers the signal, at most this fraction of the rounding error repeats from hit to hit. It is the fraction
-# for noise of half a count.
+# If noise dithers the signal, at most this fraction of the rounding error repeats from impact to impact. It is the
+# fraction for noise of half a count.
 _MAX_REPRODUCIBLE = 0.007
 
 
 @dataclass(frozen=True)
 class Hits:
-    """The hits of a recording."""
+    """The impacts of a recording."""
 
     channel: str  # the force channel
-    arrivals: tuple[tuple[int, int], ...]  # first and last sample of each hit in the force channel
-    unmarked: tuple[Flaw, ...]  # hits whose largest force is outside their marker
-    interval: int  # smallest number of samples from a hit to the next hit, or from the last hit to the end
+    arrivals: tuple[tuple[int, int], ...]  # first and last sample of each impact in the force channel
+    unmarked: tuple[Flaw, ...]  # impacts whose largest force is outside their marker
+    interval: int  # smallest number of samples from an impact to the next impact, or from the last impact to the end
 
     @classmethod
     def of(cls, rec: Recording) -> Hits:
-        """Locate the hits that are marked in a recording."""
+        """Locate the impacts that are marked in a recording."""
         channel = next((name for name, info in rec.channels.items() if info.quantity == "force"), None)
         if channel is None:
             raise RecordingError(
@@ -82,7 +82,7 @@ class Hits:
         interval = int(min(np.diff([*starts, rec.samples])))
         if interval < 0.2 * rec.rate:
             raise RecordingError(
-                f"{rec.path}: only {interval / rec.rate:.3g} s from a hit to the next hit (or to the end of the "
+                f"{rec.path}: only {interval / rec.rate:.3g} s from an impact to the next impact (or to the end of the "
                 "recording); expected 0.2 s or more. Increase test.interval, and record again."
             )
         unmarked, complete_hits, dead = [], [], dead_channels(rec).get(channel, rec.samples)
@@ -94,11 +94,11 @@ class Hits:
             largest = float(np.nanmax(force, initial=0.0))
             if marked < _MIN_MARKED_RATIO * largest and begin < dead:
                 reason = (
-                    f"reads at most {marked:.3g} N at the marker of the hit, {begin / rec.rate:.4g} s, and "
+                    f"reads at most {marked:.3g} N at the marker of the impact, {begin / rec.rate:.4g} s, and "
                     f"{largest:.3g} N elsewhere: the marker or the channel's delay is wrong"
                 )
                 unmarked.append(Flaw(begin, stop, channel, reason))
-            # Rebounds of the hammer are part of the hit.
+            # Rebounds of the hammer are part of the impact.
             min_rebound = max(_MIN_REBOUND_RATIO * marked, _REBOUND_SIGMAS * noise)
             last = int(np.flatnonzero(force > min_rebound)[-1:].sum())
             filter_length = 2 * int(np.ceil(info.filter.get("delay", 0.0))) + 2
@@ -106,15 +106,15 @@ class Hits:
         return cls(channel, tuple(complete_hits), tuple(unmarked), interval)
 
     def inside(self, start: int, stop: int) -> list[tuple[int, int]]:
-        """List the hits that lie completely within a segment."""
+        """List the impacts that lie completely within a segment."""
         first, last = (bisect_left(self.arrivals, (sample,)) for sample in (start, stop))
         return [(begin, end) for begin, end in self.arrivals[first:last] if end < stop]
 
     def prior_motion(self, rec: Recording, names: Sequence[str], start: int, stop: int) -> float:
-        """Estimate the largest motion or drift before the first hit of a segment, relative to the response to the hit.
+        """Estimate the largest motion or drift before the first impact of a segment, relative to the response.
 
-        The result, over the channels `names`, is infinite if the segment begins too shortly before the hit, or if this
-        is not the first hit of the recording.
+        The result, over the channels `names`, is infinite if the segment begins too shortly before the impact, or if
+        this is not the first impact of the recording.
         """
         begin = self.inside(start, stop)[0][0]
         first = max(start, begin - int(PRE_HIT_S * rec.rate))
@@ -130,9 +130,9 @@ class Hits:
         return largest
 
     def is_response_to_hits_alone(self, motion: float, start: int, stop: int, samples: int) -> bool:
-        """Return whether a segment, zero-padded to `samples`, is treated as the response to its hits alone.
+        """Return whether a segment, zero-padded to `samples`, is treated as the response to its impacts alone.
 
-        This is true if `motion`, the result of `prior_motion`, is small. It is also true for a single hit close
+        This is true if `motion`, the result of `prior_motion`, is small. It is also true for a single impact close
         to the beginning: the spectra of earlier motion and of the response are then too similar for separate terms.
         """
         if motion < _MAX_REST_RATIO:
@@ -141,10 +141,10 @@ class Hits:
         return bool(np.isfinite(motion) and len(inside) == 1 and 2 * FIT_HALF_WIDTH * (inside[0][0] - start) < samples)
 
     def isolate(self, rec: Recording, names: Sequence[str], block: Array, start: int, at_rest: bool) -> Array:
-        """Subtract the zero of all channels; restrict the force to the hits and invert its high-pass filters.
+        """Subtract the zero of all channels; restrict the force to the impacts and invert its high-pass filters.
 
         `block`: readings of the channels `names` from sample `start` on, shape (channels, samples). If `at_rest`, the
-        result begins `PRE_HIT_S` before the first hit and is faded in.
+        result begins `PRE_HIT_S` before the first impact and is faded in.
         """
         inside = self.inside(start, start + block.shape[1])
         pre_hit = slice(max(inside[0][0] - start - int(PRE_HIT_S * rec.rate), 0), max(inside[0][0] - start, 1))
@@ -154,21 +154,21 @@ class Hits:
         for begin, end in inside:
             first = begin - start
             before = block[row, max(first - int(PRE_HIT_S * rec.rate), 0) : first]
-            # The mean before the hit is the tail of earlier hits, which is nearly constant during this hit.
+            # The mean before the impact is the tail of earlier impacts, which is nearly constant during this impact.
             force_after = block[row, first:] - (before.mean() if before.size else 0.0)
             force[first:] += isolate_pulse(rec.channels[self.channel], force_after, 0, end - begin)
         isolated[row] = force
         if at_rest:
             # A sudden onset of integrator drift is a step, whose smooth spectrum decreases more slowly than that of a
-            # displacement. The readings are therefore faded in over the first half of the samples before the hit.
-            # In the second half a filter may already show the hit.
+            # displacement. The readings are therefore faded in over the first half of the samples before the impact.
+            # In the second half a filter may already show the impact.
             isolated, n_fade = isolated[:, pre_hit.start :], (pre_hit.stop - pre_hit.start) // 2
             fade_in = 0.5 - 0.5 * np.cos(np.pi * (np.arange(n_fade) + 0.5) / max(n_fade, 1))
             isolated = np.concatenate([isolated[:, :n_fade] * fade_in, isolated[:, n_fade:]], axis=1)
         return isolated
 
     def force_noise(self, rec: Recording, segments: Sequence[tuple[int, int]], frequency: Array) -> ComplexArray:
-        """Compute the relative change of the force due to noise during the hits, shape (lines, parts).
+        """Compute the relative change of the force due to noise during the impacts, shape (lines, parts).
 
         The parts are independent, each with a real normal coefficient of variance 1: the noise of successive parts of
         the force window. The noise of a short window changes slowly from line to line, so that the scatter between
@@ -181,7 +181,7 @@ class Hits:
         longest = max((end + n_window - begin for span in segments for begin, end in self.inside(*span)), default=0)
         power, noise, total = np.zeros(frequency.size), [], np.zeros(frequency.size, dtype=complex)
         phases = np.exp(-2j * np.pi / rec.rate * frequency[:, None] * np.arange(longest))
-        # Rounding adds 1/12 count² even if it is not visible before the hit.
+        # Rounding adds 1/12 count² even if it is not visible before the impact.
         rounding_variance = 0.0 if info.volts_per_count is None else info.unit_per_count**2 / 12.0
         for start, stop in segments:
             for begin, end in self.inside(start, stop):
@@ -190,7 +190,7 @@ class Hits:
                 spectrum = phases[:, : pulse.size] @ (pulse - before.mean() if before.size else pulse)
                 power, total = power + abs(spectrum) ** 2, total + spectrum
                 if before.size > 2:
-                    # Differences between samples are insensitive to the tail of an earlier hit.
+                    # Differences between samples are insensitive to the tail of an earlier impact.
                     variance = max(float(np.mean(np.diff(before) ** 2)) / 2.0, rounding_variance)
                     noise.append((end + n_window - begin) * variance)
         n_parts = min(longest, _NOISE_PARTS)
@@ -212,11 +212,11 @@ class Hits:
     ) -> Array:
         """Compute the maximum relative change of each channel's gain due to rounding, shape (channels, lines).
 
-        Equal hits give equal counts, so averaging does not reduce the rounding error. The error shortly after a hit
-        resembles a response and is not visible in the scatter. The error is estimated from the change of the readings
-        when they are rounded again, to every second and every third count (coarser converters). Noise of s counts
-        reduces the error by ``exp(-2 pi^2 s^2)`` (as in `noise_gain_error`). The result is infinite for readings of too
-        few counts to be rounded again.
+        Equal impacts give equal counts, so averaging does not reduce the rounding error. The error shortly after an
+        impact resembles a response and is not visible in the scatter. The error is estimated from the change of the
+        readings when they are rounded again, to every second and every third count (coarser converters). Noise of s
+        counts reduces the error by ``exp(-2 pi^2 s^2)`` (as in `noise_gain_error`). The result is infinite for readings
+        of too few counts to be rounded again.
 
         `readings`: readings and their spectra for each of `segments`; `lines`: bins of the result;
         `half_width`: bins on either side of a line that a local fit uses.
@@ -230,7 +230,7 @@ class Hits:
         for (block, spectra), (start, stop) in zip(readings, segments, strict=True):
             power = power + abs(spectra) ** 2
             n_samples = 2 * (spectra.shape[1] - 1)
-            # The polynomials of a local fit represent errors within this number of samples after a hit like a response.
+            # The polynomials of a local fit represent errors within this number of samples like a response.
             n_after_hit = int(n_samples * (ORDER + 1) / half_width)
             n_transform = fft.next_fast_len(2 * n_after_hit, real=True)
             for begin, _ in self.inside(start, stop):
@@ -244,7 +244,7 @@ class Hits:
                 if before[0].size > 2:
                     noise.append(np.mean(np.diff(before, axis=1) ** 2, axis=1, keepdims=True) / 2.0)
         reproducible = reproducible_rounding(np.mean(noise, axis=0) / step**2 if noise else np.zeros(steps.shape))
-        # The spectrum of several hits is a comb. The power is averaged over one spacing of its teeth and no farther,
+        # The spectrum of several impacts is a comb. The power is averaged over one spacing of its teeth and no farther,
         # because the power in peaks of the response differs from the power in its valleys.
         n_bins = 2 * -(-half_width // FIT_HALF_WIDTH) + 1  # rounded up
         mean_power = scipy.ndimage.uniform_filter1d(power, n_bins, axis=1, mode="nearest")
@@ -265,7 +265,7 @@ class Hits:
         return np.asarray(np.where(steps > 0.0, reproducible * gain_error, 0.0))
 
     def highest_frequency(self, rec: Recording) -> float:
-        """Compute the highest frequency that the hits excite, Hz, but at most 40 % of the sample rate."""
+        """Compute the highest frequency that the impacts excite, Hz, but at most 40 % of the sample rate."""
         size = fft.next_fast_len(int(0.2 * rec.rate) + 64, real=True)
         power = np.zeros(size // 2 + 1)
         for begin, end in self.arrivals:

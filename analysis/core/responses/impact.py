@@ -1,4 +1,4 @@
-"""Impact test: frequency responses from hits with an instrumented hammer, by local fits or by averages of blocks."""
+"""Impact test: frequency responses from impacts with an instrumented hammer, by local fits or by averages of blocks."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
 
-# Length of a block, relative to its pretrigger (its samples before the hit).
+# Length of a block, relative to its pretrigger (its samples before the impact).
 _BLOCK_PER_PRETRIGGER = 50
 # Leakage is significant if the response at the end of a block exceeds this fraction of its maximum.
 _MAX_END_RATIO = 0.02
 
 
 def segment_fits(rec: Recording, channels: Sequence[str]) -> SegmentFits:
-    """Return the local fits to all hits; the response to a hit may overlap the next hit."""
+    """Return the local fits to all impacts; the response to an impact may overlap the next impact."""
     hits = Hits.of(rec)
-    # Lowest frequency that is estimated: four periods between successive hits.
+    # Lowest frequency that is estimated: four periods between successive impacts.
     low = 4.0 * rec.rate / hits.interval
     return SegmentFits(
         tuple(channels), 0, rec.samples, low, hits.highest_frequency(rec), hits.unmarked, hits,
@@ -46,9 +46,9 @@ def segment_fits(rec: Recording, channels: Sequence[str]) -> SegmentFits:
 def averaged_spectra(
     rec: Recording, channels: Sequence[str], block: float | None = None, window: str = "none"
 ) -> AveragedSpectra:
-    """Average the spectra of blocks, one for each hit, as most programs do.
+    """Average the spectra of blocks, one for each impact, as most programs do.
 
-    `block`: length of a block in s; if omitted, the shortest time from a hit to the next hit, or to the end.
+    `block`: length of a block in s; if omitted, the shortest time from an impact to the next impact, or to the end.
     """
     hits = Hits.of(rec)
     begins = [begin for begin, _ in hits.arrivals]
@@ -58,22 +58,22 @@ def averaged_spectra(
     if block_samples < 16 or not starts:
         raise SceneError(
             f"{rec.path}: block: got {block_samples / rec.rate:.3g} s; expected {16 / rec.rate:.3g} s (16 samples) to "
-            f"{(rec.samples - begins[0]) / rec.rate:.4g} s (from the first hit to the end of the recording)"
+            f"{(rec.samples - begins[0]) / rec.rate:.4g} s (from the first impact to the end of the recording)"
         )
     weights = sampled_window(window, block_samples)
     averaged = block_spectra(rec, channels, starts, block_samples, weights, 0.0, hits.highest_frequency(rec))
     reasons = describe_flaws(rec, averaged.flaws) or "the recording ends"
     if not averaged.used:
         raise RecordingError(
-            f"{rec.path}: no hit can be used ({reasons}). {remedy(rec, averaged.flaws)}, and record again."
+            f"{rec.path}: no impact can be used ({reasons}). {remedy(rec, averaged.flaws)}, and record again."
         )
     notes = []
     if averaged.used < len(begins):
-        notes.append(f"{len(begins) - averaged.used} of {len(begins)} hits left out: {reasons}.")
+        notes.append(f"{len(begins) - averaged.used} of {len(begins)} impacts left out: {reasons}.")
     if averaged.used == 1:
         notes.append(
-            "Only one hit was used, so that the coherence is 1 for any noise and the random error is unknown. Record "
-            "more hits."
+            "Only one impact was used, so that the coherence is 1 for any noise and the random error is unknown. "
+            "Record more impacts."
         )
     has_leakage = averaged.end_ratio > _MAX_END_RATIO
     if has_leakage:
@@ -105,7 +105,7 @@ def _readings(
 
 
 def _compute(request: Request) -> list[Response]:
-    """Estimate the response to all hits, by local models or from averaged blocks."""
+    """Estimate the response to all impacts, by local models or from averaged blocks."""
     blocks = request.blocks
     if blocks == Blocks():
         return request.compute([segment_fits(request.rec, request.channels)])
@@ -114,7 +114,7 @@ def _compute(request: Request) -> list[Response]:
 
 
 def _parts(request: Request) -> list[Parts]:
-    """Return the responses to the hits."""
+    """Return the responses to the impacts."""
     hits = Hits.of(request.rec)
     begins = np.array([begin for begin, _ in hits.arrivals])
     pretrigger = int(min(hits.interval // _BLOCK_PER_PRETRIGGER, begins[0]))
@@ -124,10 +124,10 @@ def _parts(request: Request) -> list[Parts]:
 
 ESTIMATOR = Estimator(
     _compute,
-    "a block belongs to one hit",
+    "a block belongs to one impact",
     frozenset({"estimator", "block", "window"}),
     parts=_parts,
     resolves_between_lines=True,
-    peak_remedy=lambda needed: "Record longer after each hit (test.interval)",
-    line_remedy=lambda step: f"Record longer after each hit (test.interval: {1.0 / step:.2g} s or more).",
+    peak_remedy=lambda needed: "Record longer after each impact (test.interval)",
+    line_remedy=lambda step: f"Record longer after each impact (test.interval: {1.0 / step:.2g} s or more).",
 )

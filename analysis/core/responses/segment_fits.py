@@ -2,8 +2,8 @@
 
 A *segment* is a part of the test without overloaded or lost samples. The local rational method (see `local_models`)
 treats random excitation, bursts and hits in the same manner: it uses the measured force, and the transients at the
-beginning and end of a segment are part of the fit. The response need not decay, no window adds damping, and double hits
-are acceptable.
+beginning and end of a segment are part of the fit. The response need not decay, no window adds damping, and double
+impacts are acceptable.
 """
 
 from __future__ import annotations
@@ -46,15 +46,15 @@ _MIN_LENGTH_RATIO = 0.25
 _MIN_BURST_RATIO = 0.5
 # Maximum number of lines of an estimated response.
 _MAX_LINES = 1000
-# Maximum number of hits of one local fit. More hits are fitted in groups, whose responses are averaged.
+# Maximum number of impacts of one local fit. More impacts are fitted in groups, whose responses are averaged.
 _MAX_HITS = 24
-# Maximum number of hits of a group times responses: the residuals of all responses remain in memory, 1.2 MB each.
+# Maximum number of impacts of a group times responses: the residuals of all responses remain in memory, 1.2 MB each.
 _MAX_RESIDUALS = 192
-# Maximum number of samples of a group of hits; the spectra of a response and of the force need 0.5 GB.
+# Maximum number of samples of a group of impacts; the spectra of a response and of the force need 0.5 GB.
 _MAX_SAMPLES = 3 << 20
-#: Name of the systematic error due to motion before a hit.
-MOTION_BEFORE = "motion before the hit"
-# This motion causes a warning if its amplitude exceeds this fraction of the response to the hit.
+#: Name of the systematic error due to motion before an impact.
+MOTION_BEFORE = "motion before the impact"
+# This motion causes a warning if its amplitude exceeds this fraction of the response to the impact.
 _MAX_MOTION_RATIO = 0.01
 
 
@@ -69,7 +69,7 @@ class SegmentFits:
     low: float  # lower edge of the band in which responses are estimated, Hz
     high: float  # its upper edge, Hz
     other_flaws: Sequence[Flaw] = ()  # flaws other than overloads and lost samples
-    hits: Hits | None = None  # hits of a hammer; None for other tests
+    hits: Hits | None = None  # impacts of a hammer; None for other tests
     # period of bursts and duration of each burst in samples; None for tests without bursts
     bursts: tuple[int, int] | None = None
     label: str = ""  # for legends
@@ -85,7 +85,7 @@ class SegmentFits:
         if self.hits is None:
             spectra = self.spectra(rec, self.channels, segments)
             return spectra.frf(rec, numerator, denominator, reference, motion, self.label, warnings)
-        # The channels of each response determine whether the rig was at rest before its hits.
+        # The channels of each response determine whether the rig was at rest before its impacts.
         names = tuple(dict.fromkeys([*numerator.channels, *denominator.channels]))
         longest = max(stop - start for start, stop in segments)
         curves: list[Response] = []
@@ -127,7 +127,7 @@ class SegmentFits:
         return segments, notes
 
     def spectra(self, rec: Recording, names: tuple[str, ...], segments: Sequence[tuple[int, int]]) -> LocalSpectra:
-        """Return the spectra of channels of a test without hits."""
+        """Return the spectra of channels of a test without impacts."""
         if names not in self.stored:
             self.stored[names] = self._spectra(rec, names, segments, [], max(stop - start for start, stop in segments))
         return self.stored[names]
@@ -135,7 +135,7 @@ class SegmentFits:
     def _sufficient_segments(
         self, rec: Recording, clean: Sequence[tuple[int, int]]
     ) -> tuple[list[tuple[int, int]], list[str]]:
-        """Select segments of sufficient length; for a hammer, only segments with a hit."""
+        """Select segments of sufficient length; for a hammer, only segments with an impact."""
         if self.hits is not None:
             clean = [segment for segment in clean if self.hits.inside(*segment)]
         if self.bursts is not None:
@@ -148,7 +148,7 @@ class SegmentFits:
                 if np.sum((np.arange(start, stop) - self.first) % period < on_samples)
                 > max(4 * FIT_HALF_WIDTH, _MIN_BURST_RATIO * on_samples)
             ]
-        # The frequency range of a fit must be smaller than the band. Hits are at least 0.2 s apart.
+        # The frequency range of a fit must be smaller than the band. Impacts are at least 0.2 s apart.
         min_length_s = 2 * FIT_HALF_WIDTH / (self.high - self.low) if self.hits is None else 0.2
         longest = max((stop - start for start, stop in clean), default=0)
         selected = [
@@ -162,20 +162,20 @@ class SegmentFits:
 
     @property
     def _max_hits(self) -> int:
-        """Return the maximum number of hits that are fitted at once; the last channel is the force."""
+        """Return the maximum number of impacts that are fitted at once; the last channel is the force."""
         return min(max(_MAX_RESIDUALS // max(len(self.channels) - 1, 1), 1), _MAX_HITS)
 
     def _split_at_hits(self, segments: list[tuple[int, int]], rate: float) -> tuple[list[tuple[int, int]], list[str]]:
-        """Split segments before hits, so that no segment has more hits or samples than can be fitted at once.
+        """Split segments before impacts, so that no segment has more impacts or samples than can be fitted at once.
 
-        The vibration that remains from earlier hits is a transient of the fit.
+        The vibration that remains from earlier impacts is a transient of the fit.
         """
         assert self.hits is not None
         hits = self.hits
         count = sum(len(hits.inside(*segment)) for segment in segments)
         if count <= self._max_hits and sum(stop - start for start, stop in segments) <= _MAX_SAMPLES:
             return segments, []
-        # The groups have nearly equal numbers of hits, because their responses have equal weight.
+        # The groups have nearly equal numbers of impacts, because their responses have equal weight.
         max_hits = -(-count // -(-count // self._max_hits))  # both rounded up
         n_before = min(int(PRE_HIT_S * rate), hits.interval // 2)
         parts, is_cut = [], False
@@ -188,18 +188,18 @@ class SegmentFits:
                     n_hits = 0
                 n_hits += 1
             for first, last in pairwise([*edges, stop]):
-                # Only a segment with a single hit can be longer.
+                # Only a segment with a single impact can be longer.
                 if last - first > _MAX_SAMPLES:
                     is_cut, first = True, max(first, hits.inside(first, last)[0][0] - _MAX_SAMPLES // 4)
                 parts.append((first, min(last, first + _MAX_SAMPLES)))
         note = (
-            f"Of the response to a hit, at most {_MAX_SAMPLES / rate:.4g} s are used, because more needs a gigabyte of "
-            "memory. Record at a lower rate to use more."
+            f"Of the response to an impact, at most {_MAX_SAMPLES / rate:.4g} s are used, because more needs a "
+            "gigabyte of memory. Record at a lower rate to use more."
         )
         return parts, [note] if is_cut else []
 
     def _groups(self, segments: Sequence[tuple[int, int]]) -> list[list[tuple[int, int]]]:
-        """Join segments with hits to groups that are fitted at once."""
+        """Join segments with impacts to groups that are fitted at once."""
         assert self.hits is not None
         groups: list[list[tuple[int, int]]] = []
         n_hits = n_samples = 0
@@ -221,11 +221,11 @@ class SegmentFits:
         longest: int,
     ) -> LocalSpectra:
         """Compute the spectra of segments, each padded with zeros to the length of the longest of the test."""
-        # The transform is periodic: zeros separate the vibration at the end of a segment from the response to its hit.
+        # The transform is periodic: zeros separate the end of a segment from the response to its impact.
         leading_zeros = 0 if self.hits is None else min(self.hits.interval, longest)
-        # The length does not depend on motion before the hits, so that all responses have the same lines.
+        # The length does not depend on motion before the impacts, so that all responses have the same lines.
         size = fft.next_fast_len(longest + leading_zeros, real=True)
-        # The spectrum of periodic hits is a comb: it has no excitation between its lines.
+        # The spectrum of periodic impacts is a comb: it has no excitation between its lines.
         lines_per_comb_line = 1.0 if self.hits is None else max(1.0, size / leading_zeros)
         lines, half_width = self._lines(rec, size), int(np.ceil(FIT_HALF_WIDTH * lines_per_comb_line))
         # Bins that the fits use.
@@ -233,7 +233,7 @@ class SegmentFits:
         fitted_bins = slice(first, min(max(int(lines[-1]) + half_width, first + 2 * half_width), size // 2) + 1)
         bins = np.arange(fitted_bins.stop)
         lengths = [stop - start for start, stop in segments]
-        # Whether each segment is the response to its hits alone, without motion before them.
+        # Whether each segment is the response to its impacts alone, without motion before them.
         at_rest = [False] * len(segments)
         jitter = np.zeros((0, len(names)))
         if self.hits is None:
@@ -294,7 +294,7 @@ class SegmentFits:
 
 
 def _average(curves: Sequence[Response]) -> Response:
-    """Average the responses of groups of hits, whose random errors are independent."""
+    """Average the responses of groups of impacts, whose random errors are independent."""
     first, count = curves[0], len(curves)
     if count == 1:
         return first
@@ -323,13 +323,13 @@ def _average(curves: Sequence[Response]) -> Response:
 
 
 def _with_motion_before(frf: Response, prior_motion: Sequence[float]) -> Response:
-    """Add the error due to motion before the hits to a response's uncertainty, and warn if it is large."""
+    """Add the error due to motion before the impacts to a response's uncertainty, and warn if it is large."""
     largest = max((ratio for ratio in prior_motion if np.isfinite(ratio)), default=None)
     if largest is None:
         return frf
     warning = (
-        f"{frf.response}: motion or drift before a hit, of {format_percent(largest)} of the response, affects the "
-        "curve. Hit the structure at rest, start recording earlier, or record several hits in a row."
+        f"{frf.response}: motion or drift before an impact, of {format_percent(largest)} of the response, affects the "
+        "curve. Hit the structure at rest, start recording earlier, or record several impacts in a row."
     )
     # The spectrum of a free decay has the shape of a resonance of the response. Every line is therefore treated as a
     # resonance with the magnitude of the response at this line; its skirts decrease with the distance from it.

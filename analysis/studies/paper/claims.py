@@ -318,7 +318,7 @@ def _c6(parts: Parts) -> Claim:
         "Impulse response: with three dampers the free oscillation dies out faster.",
         (
             Evidence(
-                "After a hit on body 1 the energy of body 3's acceleration falls by 6 dB in "
+                "After an impact on body 1 the energy of body 3's acceleration falls by 6 dB in "
                 f"{1e3 * bare['time_of_6_db']:.0f} ms without dampers and in {1e3 * three['time_of_6_db']:.0f} ms "
                 f"with three: {speed_ratio:.1f} times faster. It stays below 1 g from {bare['time_below_1_g']:.2f} "
                 f"s and from {three['time_below_1_g']:.2f} s.",

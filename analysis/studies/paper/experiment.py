@@ -150,7 +150,7 @@ def _force_phase(recording: Recording, channels: list[str], frequency: float, fi
 
 
 def ring_down(scene: Scene, path: Path) -> Arrays:
-    """Record a hammer test, and evaluate the free decay of the acceleration of body 3 after the first hit.
+    """Record an impact test, and evaluate the free decay of the acceleration of body 3 after the first impact.
 
     Returns `time` in s, `acceleration` and `envelope` in m/s², each of shape (samples,); `time_of_6_db`, the time in
     which the energy decreases by 6 dB, s; and `time_below_1_g`, the time after which the acceleration stays below

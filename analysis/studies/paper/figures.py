@@ -220,7 +220,7 @@ def figure_10a(parts: Parts) -> Figure:
 
 
 def figure_10b(parts: Parts) -> Figure:
-    """Draw Fig 10b: free decay of body 3's acceleration after a hit on body 1."""
+    """Draw Fig 10b: free decay of body 3's acceleration after an impact on body 1."""
     with new_figure(4.2) as figure:
         axes = figure.subplots()
         for name, shade, label in (("none", GRAY, "no damper"), ("three", BLUE, "three dampers")):

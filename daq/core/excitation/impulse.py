@@ -1,4 +1,4 @@
-"""Impulse test: half-sine hammer hits on a body with the shaker at rest, and recording of the free decay."""
+"""Impact test: half-sine hammer impacts on a body with the shaker at rest, and recording of the free decay."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
 
-# Recording time before the first hit, s, which shows offsets and noise.
+# Recording time before the first impact, s, which shows offsets and noise.
 BASELINE_S = 0.25
 # Length of the windows in which the drive is output, s.
 _WINDOW_S = 0.1
@@ -33,7 +33,7 @@ _DRIFT_SIGMAS = 4.0
 
 
 def excite(station: Station, test: Impulse) -> Excitation:
-    """Run the hits of an impulse test."""
+    """Run the impacts of an impact test."""
     pulses = test.pulses(station.rate)
     interval, window = (station.samples(time) for time in (test.interval, _WINDOW_S))
     yield station.zero_drive(station.samples(BASELINE_S))
@@ -51,11 +51,11 @@ def excite(station: Station, test: Impulse) -> Excitation:
                     "hit", first, first + pulse.size, number=hit, body=test.body, peak=peak, width=test.width,
                     double=test.is_double(hit),
                 )  # fmt: skip
-            station.report((hit - 1 + stop / interval) / test.repeats, f"hit {hit} of {test.repeats}")
+            station.report((hit - 1 + stop / interval) / test.repeats, f"impact {hit} of {test.repeats}")
 
 
 def _wait_for_sensors(station: Station) -> Excitation:
-    """Wait until the bias of the sensors has settled after power-on, so that no reading drifts during a hit."""
+    """Wait until the bias of the sensors has settled after power-on, so that no reading drifts during an impact."""
     max_samples = round(max((settling_time(info) for info in station.channels), default=0.0) * station.rate)
     if not max_samples:
         return
@@ -102,9 +102,9 @@ def _is_drifting(readings: Array) -> bool:
 
 
 def _with_hits(test: Impulse, repeats: int, interval: float) -> Impulse:
-    """Return the test with another number of hits and another interval between them, s; missing hits do not bounce.
+    """Return the test with another number of impacts and interval between them, s; missing impacts do not bounce.
 
-    If hits are missing, all have the highest peak.
+    If impacts are missing, all have the highest peak.
     """
     peak = test.peak if repeats == test.repeats else max(test.levels)
     double_hit = test.double_hit
@@ -115,7 +115,7 @@ def _with_hits(test: Impulse, repeats: int, interval: float) -> Impulse:
 
 
 class ImpulseProcedure(Procedure["Impulse"]):
-    """Hammer hits."""
+    """Hammer impacts."""
 
     detection = "hits"
     form = Form("hammer", ("level", "interval", "hits"))
@@ -125,17 +125,17 @@ class ImpulseProcedure(Procedure["Impulse"]):
         return excite(station, test)
 
     def power_on_wait(self, channels: Sequence[ChannelInfo]) -> float:
-        """Return the longest wait before the first hit, s."""
+        """Return the longest wait before the first impact, s."""
         return BASELINE_S + max((settling_time(info) for info in channels), default=0.0)
 
     def part(self, test: Impulse, seconds: float, scene: Scene) -> Impulse:
-        """Return the test with the first hits, as many as fit into `seconds`, at least one; later hits are equal."""
+        """Return the test with the first impacts, as many as fit into `seconds`, at least one; later ones are equal."""
         delay = 0.0 if test.double_hit is None else test.double_hit.after
         interval = test.interval if test.interval < seconds else max(seconds, 2.0 * (test.width + delay))
         return _with_hits(test, max(1, int(seconds / test.interval)), interval)
 
     def from_form(self, values: FormValues, test: KindOfTest | None) -> Impulse:
-        """Return hits of the given peak at the point of the scene's test."""
+        """Return impacts of the given peak at the point of the scene's test."""
         assert isinstance(test, Impulse)
         return _with_hits(test, int(values.hits), values.interval).at_level(values.level)
 

@@ -28,13 +28,13 @@ class FormValues:
     """Values of the controls on the bench page."""
 
     kind: str  # title of a form
-    level: float  # amplitude of a sine or sweep, rms of a random test, or peak of a hit, N
+    level: float  # amplitude of a sine or sweep, rms of a random test, or peak of an impact, N
     frequency: float  # of a sine, Hz
     low: float  # lower limit of a sweep or random test, Hz
     high: float  # upper limit of a sweep or random test, Hz
     duration: float  # of a sweep or random test, s
-    interval: float  # between hits, s
-    hits: int  # number of hits
+    interval: float  # between impacts, s
+    hits: int  # number of impacts
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Form:
 class Procedure(Generic[TestT]):
     """The procedure of a kind of test; subclasses override what differs from a drive of fixed duration.
 
-    `detection`: what an import searches in the samples: hits, steps of constant frequency, the start of a decay, or
+    `detection`: what an import searches in the samples: impacts, steps of constant frequency, the start of a decay, or
     only the band of the test. `rehearsal`: whether a long test is represented by its first part, or by steps about the
     peaks of the linear response. `budget`: multiple of the CPU time for a rehearsal. `form`: how the bench page offers
     the test; None if it does not.

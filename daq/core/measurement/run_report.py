@@ -196,6 +196,6 @@ def _instantaneous_impact_note(rec: Recording, overloaded: Iterable[str]) -> str
     ):
         return ""
     return (
-        ". An impact of zero duration overloads most real sensors. "
+        ". A damper impact of zero duration overloads most real sensors. "
         f"Set dampers[{has_instant_impacts.index(True) + 1}].contact: {{duration: 2 ms}}, which is typical of shot."
     )

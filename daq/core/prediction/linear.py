@@ -93,7 +93,7 @@ def lowest_signal_to_noise(scene: Scene, channels: tuple[ChannelInfo, ...]) -> d
     """Return the lowest signal-to-noise ratio of each channel with noise, by name, from the linear response.
 
     The noise is the noise of a measured tone or of a spectral line: for a noise density S and a lock-in measurement
-    over the time T, it is sqrt(2 S / T). The ratio is not defined for hits and free decays.
+    over the time T, it is sqrt(2 S / T). The ratio is not defined for impacts and free decays.
     """
     test, frequencies = scene.test, test_frequencies(scene.test, _N_FREQUENCIES)
     settings = {channel.name: channel for channel in scene.channels or ()}

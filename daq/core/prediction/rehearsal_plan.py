@@ -3,7 +3,7 @@
 Such a simulation is called a rehearsal. A short test is rehearsed completely. A stepped or swept sine is represented by
 its beginning, where sensors have just been switched on, and by the frequencies about the peaks of the linear response.
 These peaks are computed with the dampers on their floors and without dampers. A long random test is represented by its
-beginning, equal hits by the first hits, and repeated periods by one period.
+beginning, equal impacts by the first impacts, and repeated periods by one period.
 """
 
 from __future__ import annotations

@@ -185,7 +185,7 @@ class Gap:
 
 
 def faulty_hits(markers: Sequence[Marker], channels: Collection[str] | None = None) -> dict[int, str]:
-    """Return the faults of hits by the number of the hit: a second pulse followed, or channels were overloaded.
+    """Return the faults of impacts by the number of the impact: a second pulse followed, or channels were overloaded.
 
     `channels`: those whose overloads count; by default all.
 
@@ -201,7 +201,7 @@ def faulty_hits(markers: Sequence[Marker], channels: Collection[str] | None = No
     for marker in markers:
         if marker.kind != "overload" or (channels is not None and marker.fields.get("channel") not in channels):
             continue
-        # An overload belongs to the hits before or in it, because the response follows the hit.
+        # An overload belongs to the impacts before or in it, because the response follows the impact.
         first = max(bisect_right(starts, marker.first_sample), 1)
         for number in range(first, bisect_left(starts, marker.stop) + 1):
             faults.setdefault(number, {})[f"clipped ({marker.fields.get('channel', '')})"] = None
@@ -213,8 +213,8 @@ def describe_faulty_hits(markers: Sequence[Marker], channels: Collection[str] | 
     faults: dict[str, list[str]] = {}
     for number, text in faulty_hits(markers, channels).items():
         faults.setdefault(text, []).append(str(number))
-    texts = [f"hit{'s' * (len(hits) > 1)} {', '.join(hits)} {text}" for text, hits in faults.items()]
-    return f"Faulty hits: {'; '.join(texts)}." if texts else ""
+    texts = [f"impact{'s' * (len(hits) > 1)} {', '.join(hits)} {text}" for text, hits in faults.items()]
+    return f"Faulty impacts: {'; '.join(texts)}." if texts else ""
 
 
 def gaps_of(markers: Iterable[Marker], channels: Sequence[str]) -> list[Gap]:

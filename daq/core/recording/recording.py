@@ -296,7 +296,7 @@ class Recording(Result):
 
     @cached_property
     def markers(self) -> list[Marker]:
-        """Ranges of samples with a kind, such as a hit or a measurement, in the order of their first samples."""
+        """Ranges of samples with a kind, such as an impact or a measurement, in the order of their first samples."""
         with add_path(self.path):
             markers = [Marker.from_json(data) for data in self._messages(layout.MARKERS)]
         return sorted((marker for marker in markers if marker.kind != "start"), key=lambda marker: marker.first_sample)

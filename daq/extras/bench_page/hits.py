@@ -1,4 +1,4 @@
-"""Detect hammer hits in the live force signal, and their faults: clipping, a double hit, or a peak that is too low."""
+"""Detect hammer impacts in the live force signal, and their faults: clipping, a double impact, a low peak."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
 
-# Time before the trigger that belongs to the window of a hit, s.
+# Time before the trigger that belongs to the window of an impact, s.
 _PRETRIGGER_S = 0.01
-# A hit is double if its second pulse is at least this fraction of the highest pulse. A double hit is rejected, because
-# its spectrum has deep minima.
+# An impact is double if its second pulse is at least this fraction of the highest pulse. A double impact is rejected,
+# because its spectrum has deep minima.
 _REBOUND_RATIO = 0.05
-# The trigger level is this fraction of the smallest accepted peak: smaller hits are detected, too, and rejected.
+# The trigger level is this fraction of the smallest accepted peak: smaller impacts are detected, too, and rejected.
 _TRIGGER_RATIO = 0.3
 # Samples above the trigger level with a shorter gap than this belong to one pulse, s. The force of a ringing hammer
 # crosses zero several times in a pulse.
@@ -25,7 +25,7 @@ _DISPLAYED_S = 0.05
 
 @dataclass(eq=False)
 class Hit:
-    """A hit, its faults, and whether it is accepted."""
+    """An impact, its faults, and whether it is accepted."""
 
     number: int  # From 1
     first: int  # First sample of its window
@@ -45,10 +45,10 @@ class Hit:
 
 
 class HitDetector:
-    """Detects hits in the channel of the hammer, and checks each hit for faults at the end of its window.
+    """Detects impacts in the channel of the hammer, and checks each impact for faults at the end of its window.
 
     `row` is the row of this channel in the readings, `min_peak` the smallest accepted peak, N. `window` is the duration
-    of a window, s: the time after the trigger, and a short time before it, that belong to one hit.
+    of a window, s: the time after the trigger, and a short time before it, that belong to one impact.
     """
 
     def __init__(self, row: int, rate: float, min_peak: float, window: float) -> None:
@@ -60,7 +60,7 @@ class HitDetector:
         self.hits: list[Hit] = []
 
     def add(self, first: int, readings: Array, overload: NDArray[np.bool_]) -> list[Hit]:
-        """Add the next readings, the first with the number `first`; return the hits whose windows are complete."""
+        """Add the next readings, the first with the number `first`; return the impacts whose windows are complete."""
         if self._readings is None or first != self._first + self._readings.shape[1]:
             self._readings, self._overload, self._first = readings, overload, first
         else:
@@ -72,7 +72,7 @@ class HitDetector:
         return self.hits[n_before:]
 
     def _next_hit(self) -> Hit | None:
-        """Return and remove the first hit whose window is complete; None if there is none."""
+        """Return and remove the first impact whose window is complete; None if there is none."""
         assert self._readings is not None
         force = self._readings[self._row]
         is_above = force > _TRIGGER_RATIO * self.min_peak
@@ -87,8 +87,8 @@ class HitDetector:
         if overload.any():
             faults.append("clipped")
         if count_pulses(force, max(_REBOUND_RATIO * peak, 0.1 * self.min_peak), _PULSE_GAP_S * self._rate) > 1:
-            faults.append("double hit")
-        # The true peak of a clipped hit is higher.
+            faults.append("double impact")
+        # The true peak of a clipped impact is higher.
         if peak < self.min_peak and "clipped" not in faults:
             faults.append("too weak")
         displayed = force[: round(_DISPLAYED_S * self._rate)]

@@ -41,12 +41,12 @@ _MIN_BLOCK_S = 1.0
 _MAX_BLOCK_S = 4.0
 # The band of NI clients ends at the sample rate divided by this number, as is usual for anti-aliasing filters.
 _NYQUIST_MARGIN = 2.56
-# The window of a hit lasts at most this time, and the next hit begins at least this time after a window, s.
+# The window of an impact lasts at most this time, and the next impact begins at least this time after a window, s.
 _MAX_HIT_S = 4.0
 _MIN_PAUSE_S = 0.1
-# Lowest frequency of the response to hits, periods per window: below, the sensors' low cutoff dominates.
+# Lowest frequency of the response to impacts, periods per window: below, the sensors' low cutoff dominates.
 _MIN_PERIODS_PER_WINDOW = 4.0
-# A hit is accepted if its peak is at least this fraction of the requested peak.
+# An impact is accepted if its peak is at least this fraction of the requested peak.
 _MIN_PEAK_RATIO = 0.5
 
 
@@ -56,7 +56,7 @@ def offered_forms(scene: Scene) -> dict[str, Procedure[Any]]:
     exerts_force = any("force" in shaker.level_keys for shaker in scene.shakers)
     kinds = [kind for kind in KINDS if kind.uses_shaker]
     if scene.test is not None and scene.hammer is not None:
-        # Only a scene with a hammer test has a channel for the hammer.
+        # Only a scene with an impact test has a channel for the hammer.
         kinds = [type(scene.test)]
     forms: dict[str, Procedure[Any]] = {}
     for kind in kinds:
@@ -113,12 +113,12 @@ class TestController:
         self._test: tuple[Procedure[Any], Any] | None = None
         self._background_test: BackgroundTest | None = None
         self._controls: ToneControls | None = None
-        # First sample, stop and marker fields of each hit of the test.
+        # First sample, stop and marker fields of each impact of the test.
         self._hits: list[tuple[int, int, dict[str, Any]]] = []
 
     @property
     def has_hammer(self) -> bool:
-        """Whether the tests are hammer hits."""
+        """Whether the tests are hammer impacts."""
         return self._scene.hammer is not None
 
     @property
@@ -133,7 +133,7 @@ class TestController:
             self._chassis.keep_time_running(cast(Any, self))
 
     def switch_off(self) -> None:
-        """Mark the hits, and stop the clock of the bench unless a client runs a task."""
+        """Mark the impacts, and stop the clock of the bench unless a client runs a task."""
         with self._chassis.changed:
             self._mark_hits()
         self._chassis.unregister(cast(Any, self))
@@ -147,7 +147,7 @@ class TestController:
 
     @property
     def level_kind(self) -> str:
-        """Meaning of the level of the last test: peak of a hit, amplitude of a tone, or rms of noise."""
+        """Meaning of the level of the last test: peak of an impact, amplitude of a tone, or rms of noise."""
         if self.has_hammer:
             return "peak"
         procedure, test = self._test or (None, None)
@@ -156,7 +156,7 @@ class TestController:
 
     @property
     def band(self) -> tuple[float, float] | None:
-        """Band of the last test, or of the settings before the first, Hz; None for hits, whose pulse determines it."""
+        """Band of the last test, or of the settings before it, Hz; None for impacts: their pulse determines it."""
         if self.has_hammer:
             return None
         if self._controls is not None:
@@ -167,7 +167,7 @@ class TestController:
     def theory(self, frequency: Array) -> ComplexArray:
         """Return the receptance of the linear structure without dampers, m/N, as the live response is estimated.
 
-        Shape (channels on bodies, frequencies). Raises `SceneError` if shakers remain attached in a hammer test.
+        Shape (channels on bodies, frequencies). Raises `SceneError` if shakers remain attached in an impact test.
         """
         scene, shaker = self._scene, self._scene.driven_shaker
         if scene.shakers and (scene.hammer is not None or shaker is None or shaker.carries_structure):
@@ -208,7 +208,7 @@ class TestController:
     def start(self, hits: int | None = None) -> None:
         """Start the test that the settings describe; on failure `message` states the reason.
 
-        `hits`: number of hits, instead of that of the settings.
+        `hits`: number of impacts, instead of that of the settings.
         """
         if self.running:
             return
@@ -268,7 +268,7 @@ class TestController:
         return self._scene.replace(test=procedure.from_form(values, self._scene.test)), excite, controls
 
     def _build_estimate(self, scene: Scene) -> tuple[LiveFrf | None, HitDetector | None]:
-        """Return the live estimate and the detector of hits; each is None if its channel is missing.
+        """Return the live estimate and the detector of impacts; each is None if its channel is missing.
 
         Without an estimate, `frf_unavailable_reason` is set.
         """
@@ -303,13 +303,13 @@ class TestController:
 
     def _on_mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
         if kind == "hit":
-            # The operator can accept or reject hits until the test ends.
+            # The operator can accept or reject impacts until the test ends.
             self._hits.append((first, stop, fields))
         else:
             self._recordings.mark(kind, first, stop, **fields)
 
     def _mark_hits(self) -> None:
-        """Mark each hit in the recording as accepted (`hit`) or `rejected`, with the reason."""
+        """Mark each impact in the recording as accepted (`hit`) or `rejected`, with the reason."""
         detected = () if self._monitor.detector is None else self._monitor.detector.hits
         for first, stop, fields in self._hits:
             overlapping = (h for h in detected if h.first <= stop and first <= h.first + h.window_samples)

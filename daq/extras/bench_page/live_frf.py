@@ -1,4 +1,4 @@
-"""Estimate frequency responses during a test: H1 and coherence, averaged over hits or over Hann-windowed blocks.
+"""Estimate frequency responses during a test: H1 and coherence, averaged over impacts or over Hann-windowed blocks.
 
 Successive blocks overlap by half. A line is estimated from the blocks in which the test excited it; other lines remain
 empty. The estimate is a quick view for the operator. `analysis frf` estimates the response from the recording, with its
@@ -41,11 +41,11 @@ class LiveCurves:
     frequency: Array  # Hz; (frequencies,)
     value: ComplexArray  # receptance (displacement over force), m/N; (channels, frequencies)
     coherence: Array  # (channels, frequencies)
-    averages: int  # largest number of averaged blocks or hits of a line
+    averages: int  # largest number of averaged blocks or impacts of a line
 
 
 class _SpectrumSums:
-    """Sums of the auto- and cross-spectra of force (lines,) and motion (channels, lines) over blocks or hits."""
+    """Sums of the auto- and cross-spectra of force (lines,) and motion (channels, lines) over blocks or impacts."""
 
     def __init__(self, channels: int, lines: int) -> None:
         self.force = np.zeros(lines)
@@ -63,8 +63,8 @@ class _SpectrumSums:
 class LiveFrf:
     """Estimates the responses of all channels on bodies to the force on the structure.
 
-    `scene` contains the test; `block` is the duration of a block, or of the window of a hit, in s; `band` contains the
-    lowest and the highest frequency, Hz. Raises `SceneError` if no channel measures the force.
+    `scene` contains the test; `block` is the duration of a block, or of the window of an impact, in s; `band` contains
+    the lowest and the highest frequency, Hz. Raises `SceneError` if no channel measures the force.
     """
 
     def __init__(
@@ -114,14 +114,14 @@ class LiveFrf:
             self._pending_band = self._pending_band[:, self._block_samples // 2 :]
 
     def add_hit(self, hit: Hit) -> None:
-        """Add the window of a hit; it is used as long as the hit is accepted."""
+        """Add the window of an impact; it is used as long as the impact is accepted."""
         window = hit.readings[:, : self._block_samples]
         padding = self._block_samples - window.shape[1]
         self._hits.append((hit, self._spectra(np.pad(window, ((0, 0), (0, padding))))))
 
     @property
     def version(self) -> tuple[int, list[bool]]:
-        """What changes with the estimate: number of blocks or hits, and which hits are accepted."""
+        """What changes with the estimate: number of blocks or impacts, and which impacts are accepted."""
         return int(self._block_sums.count.sum()), [hit.accepted for hit, _ in self._hits]
 
     def curves(self) -> LiveCurves | None:

@@ -67,10 +67,10 @@ class History:
 class Monitor:
     """Processes the blocks of a bench for the page.
 
-    `frf` estimates the frequency response, and `detector` detects the hits, of the current or the last test.
-    `is_estimating` is true while a test without hits runs. `overloads` contains time (s since power-on) and reading of
-    the first overload of a row of the readings since the operator cleared it. `lost_samples` is the number of samples
-    missing between blocks. `skipped_blocks` is the number of blocks that are not shown.
+    `frf` estimates the frequency response, and `detector` detects the impacts, of the current or the last test.
+    `is_estimating` is true while a test without impacts runs. `overloads` contains time (s since power-on) and reading
+    of the first overload of a row of the readings since the operator cleared it. `lost_samples` is the number of
+    samples missing between blocks. `skipped_blocks` is the number of blocks that are not shown.
     """
 
     def __init__(self, chassis: Chassis) -> None:

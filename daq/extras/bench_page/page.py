@@ -35,7 +35,7 @@ _REFRESHES_PER_ANIMATION = round(_ANIMATION_S / REFRESH_S)
 _HISTORY_COLUMNS = 300
 # Maximum number of frequency bands of a drawn spectrum; each shows its largest line.
 _SPECTRUM_BANDS = 400
-# Maximum number of listed hits and tasks of clients, and of peaks of a response.
+# Maximum number of listed impacts and tasks of clients, and of peaks of a response.
 _MAX_LISTED = 6
 _MAX_PEAKS = 4
 # Number of points of the theoretical curve.

@@ -1,4 +1,4 @@
-"""Detect hammer hits in the force channel of an imported file, which has no markers."""
+"""Detect hammer impacts in the force channel of an imported file, which has no markers."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from rig.core.numerics.runs import merge_spans, runs_of
 
 # A pulse begins and ends at this fraction of the largest force.
 _PULSE_RATIO = 0.05
-# A pulse is a hit if its peak is at least this fraction of the largest force.
+# A pulse is an impact if its peak is at least this fraction of the largest force.
 _HIT_RATIO = 0.1
 # The force of a hammer acts for at most this fraction of the time.
 _MAX_CONTACT_SHARE = 0.2
-# Time after a hit in which further pulses are ignored as bounces of the hammer, s.
+# Time after an impact in which further pulses are ignored as bounces of the hammer, s.
 _BOUNCE_S = 0.2
-# A hit is double if such a pulse has at least this fraction of its peak.
+# An impact is double if such a pulse has at least this fraction of its peak.
 _DOUBLE_RATIO = 0.1
 # Crossings of the threshold within this time belong to the same pulse, s.
 _CHATTER_S = 1e-3
@@ -59,7 +59,7 @@ class ForcePulses:
             self._pulses += [Pulse(first + a, first + b, float(magnitude[a:b].max())) for a, b in runs]
 
     def hits(self, rate: float) -> list[Pulse]:
-        """Return the hits at a sample rate in Hz; an empty list if this is not the force of a hammer."""
+        """Return the impacts at a sample rate in Hz; an empty list if this is not the force of a hammer."""
         pulses = [pulse for pulse in self._pulses if pulse.peak > _PULSE_RATIO * self._peak]
         contact_samples = sum(pulse.stop - pulse.first for pulse in pulses)
         if not pulses or len(self._pulses) >= _MAX_PULSES or contact_samples > _MAX_CONTACT_SHARE * self._samples:

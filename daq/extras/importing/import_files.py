@@ -70,9 +70,9 @@ def import_files(
     r"""Make a recording of time histories that other programs have measured.
 
     Signals become the channels of the scene, by name or as a table specifies, in SI. Missing samples are marked `lost`,
-    clipped samples `overload`. The scene's test specifies the excitation: hits are detected in the force channel, steps
-    of a sine or stepped sine where a tone is held. Any other excitation is one measurement from end to end. Files of
-    a hammer test that contain the same signals are joined, as hits of one test.
+    clipped samples `overload`. The scene's test specifies the excitation: impacts are detected in the force channel,
+    steps of a sine or stepped sine where a tone is held. Any other excitation is one measurement from end to end. Files
+    of an impact test that contain the same signals are joined, as impacts of one test.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def import_files(
         chosen, notes = choose_signals(bench_scene, signals, columns)
         notes += contradicted_units(chosen)
         if is_joined:
-            notes.append(f"{len(paths)} files with the same signals are joined as hits of one test")
+            notes.append(f"{len(paths)} files with the same signals are joined as impacts of one test")
         rate = _common_rate(chosen, bench_scene)
         assigned = _cut_to_times(_with_start_delays(assign(bench_scene, chosen, rate)), rate, from_s, to_s)
         longest = max(assignment.signal.samples for assignment in assigned)
@@ -282,7 +282,7 @@ def _scene_as_measured(scene: Scene, assigned: Sequence[AssignedSignal], rate: f
 
 
 def _detection(scene: Scene) -> str:
-    """Return what is searched in the samples; without a test, hits."""
+    """Return what is searched in the samples; without a test, impacts."""
     return "hits" if scene.test is None else procedure_of(scene.test).detection
 
 
@@ -338,7 +338,7 @@ class _RecordingWriter:
             return [*self._mark_channels(recorder), *self._mark_test(recorder)]
 
     def _read_block(self, row: int, first: int, stop: int) -> Array:
-        """Return a block in volts, NaN where the file has no number; search it for gaps, clipping and hits."""
+        """Return a block in volts, NaN where the file has no number; search it for gaps, clipping and impacts."""
         assignment = self._assigned[row]
         volts = assignment.volts(first, stop)
         volts[~(np.abs(volts) < MAX_VOLTS)] = np.nan
@@ -371,7 +371,7 @@ class _RecordingWriter:
             yield warning
 
     def _mark_test(self, recorder: Recorder) -> Iterator[str]:
-        """Mark hits, steps, or the whole recording as measured, as the test of the scene requires; yield warnings."""
+        """Mark impacts, steps, or the whole recording as measured, as the scene's test requires; yield warnings."""
         test = self._scene.test
         if self._detection == "start":
             motion_peaks = [
@@ -395,11 +395,11 @@ class _RecordingWriter:
         if hits:
             doubles = [str(number) for number, hit in enumerate(hits, 1) if hit.is_double]
             if doubles:
-                yield f"hit {', '.join(doubles)}: double (a second pulse of the force follows)"
+                yield f"impact {', '.join(doubles)}: double (a second pulse of the force follows)"
             return
         if test is not None and self._detection == "hits":
             yield (
-                "no hit was detected: the scene's test is an impulse, but no channel contains a force pulse. "
+                "no impact was detected: the scene's test is an impulse, but no channel contains a force pulse. "
                 "Check whether columns are swapped, or whether the scene has another test."
             )
         elif not any(info.quantity == "force" for info in self._infos) and not self._scene.shakers:

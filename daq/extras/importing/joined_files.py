@@ -1,4 +1,4 @@
-"""Files of one hammer hit each, joined to one test: lost samples separate the hits, as the time between is unknown."""
+"""Files of one hammer impact each, joined to one test: lost samples separate them, as the time between is unknown."""
 
 from __future__ import annotations
 

@@ -128,7 +128,7 @@ class Overloads:
         flat_tops = [
             run
             for extreme in self._extremes
-            # A constant near zero, such as a force between hits, is not a flat top.
+            # A constant near zero, such as a force between impacts, is not a flat top.
             if extreme.top > 0.5 * self.peak
             for run in extreme.runs(self._samples, _MIN_FLAT_SAMPLES, _MIN_RISE_COUNTS * self._smallest_step)
         ]

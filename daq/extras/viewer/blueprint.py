@@ -47,7 +47,7 @@ def layout(
     phase_view = rrb.StateTimelineView(
         origin="test",
         contents=["test/phase", f"{OVERLOAD_ENTITY}/**"],
-        name="test (gray: settling, green: measuring, or the decay after a hit; red: overloaded)",
+        name="test (gray: settling, green: measuring, or the decay after an impact; red: overloaded)",
         time_view=axis,
     )
     curve_views = [_curve_view(entity, f"{title} around the cursor", cursor_range) for entity, title in plots]

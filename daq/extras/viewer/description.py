@@ -145,7 +145,7 @@ def describe(recording: Recording) -> Iterator[str]:
     counts = Counter(marker.kind for marker in recording.markers)
     yield f"  markers   {', '.join(f'{count} {kind}' for kind, count in counts.items()) or 'none'}"
     if faulty := describe_faulty_hits(recording.markers):
-        yield f"  hits      {faulty}"
+        yield f"  impacts      {faulty}"
     lost_segments = recording.gaps
     yield f"  lost      {_count_segments(len(lost_segments))}{_lost_range_note(recording)}"
     for segment in lost_segments[:_MAX_LISTED_SEGMENTS]:

@@ -1,6 +1,6 @@
 """Markers of a recording, prepared for the viewer: lines of a log, and labeled segments of a timeline.
 
-A marker labels a sample or a segment of samples: a step that settles or is measured, a hit, an overload, a gap.
+A marker labels a sample or a segment of samples: a step that settles or is measured, an impact, an overload, a gap.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def log_lines(recording: Recording, start: int, stop: int) -> list[LogLine]:
 def phases(recording: Recording, start: int, stop: int) -> list[LabeledSegment]:
     """Return the phases of the test within [start, stop), in order of time and without overlap.
 
-    A phase is a segment with a marker. It ends where the next phase begins. The phase of a hit includes its decay.
+    A phase is a segment with a marker. It ends where the next phase begins. The phase of an impact includes its decay.
     Overloads, alarms and levels are not phases.
     """
     phases_so_far: list[LabeledSegment] = []
@@ -76,7 +76,7 @@ def phases(recording: Recording, start: int, stop: int) -> list[LabeledSegment]:
         frequency = marker.fields.get("frequency")
         label = f"{format_decimals(frequency, 2)} Hz" if isinstance(frequency, int | float) else marker.kind
         if marker.kind == "hit":
-            label = f"hit {hits.index(marker.first_sample) + 1}"
+            label = f"impact {hits.index(marker.first_sample) + 1}"
         first, last = max(start, marker.first_sample), min(stop, end)
         if phases_so_far and phases_so_far[-1].stop > first:
             phases_so_far[-1] = phases_so_far[-1]._replace(stop=first)

@@ -96,7 +96,7 @@ def _check_location_at_shaker(
     elif kind == "shaker" and shaker is not None and kind not in shaker.points:
         yield Problem(key_path, shaker.force_hint(at_shaker("table", channel.number or 1, n_shakers)))
     elif kind == "shaker" and test is not None and test.hammer is not None:
-        message = "in a hammer test the shaker is idle, so its force is not measured."
+        message = "in an impact test the shaker is idle, so its force is not measured."
         yield Problem(key_path, f"{message} Mount this channel at the hammer (at: hammer).")
 
 

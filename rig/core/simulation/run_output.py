@@ -84,7 +84,7 @@ def summary(run: Run) -> str:
         "",
         f"work of the drive      {energy.work:12.6g} J",
         f"dissipated in damping  {energy.dissipated:12.6g} J",
-        f"lost in impacts        {energy.impacts:12.6g} J",
+        f"lost in damper impacts {energy.impacts:12.6g} J",
         f"lost in contacts       {energy.contacts:12.6g} J",
         *([f"transferred to grains  {energy.grains:12.6g} J"] if energy.grains else []),
         f"increase of stored     {energy.stored - energy.stored_before:12.6g} J",

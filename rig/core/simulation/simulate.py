@@ -150,7 +150,7 @@ def simulate(
     Notes
     -----
     Without `drive` and `frequency` the scene's test is run open loop: a sine unchanged, a stepped sine at
-    its first frequency, a swept sine, hammer hits, or free vibration. If the test controls the amplitude of a
+    its first frequency, a swept sine, hammer impacts, or free vibration. If the test controls the amplitude of a
     spring force, the drive produces that amplitude in the linear structure with dampers at rest on their floors.
 
     Examples

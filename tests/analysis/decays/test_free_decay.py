@@ -146,8 +146,8 @@ def test_displacement_channel_gives_acceleration_decay(tmp_path):
     ("interval", "hit", "error", "message"),
     [
         (None, 1, RecordingError, "kind: impulse"),
-        (1.0, 2, SceneError, "hits 1 to 1"),
-        (0.1, 1, RecordingError, "only 240 samples follow hit 1"),
+        (1.0, 2, SceneError, "impacts 1 to 1"),
+        (0.1, 1, RecordingError, "only 240 samples follow impact 1"),
     ],
 )
 def test_missing_decay_is_explained(tmp_path, interval, hit, error, message):

@@ -433,7 +433,7 @@ def test_list_of_several_tests_is_rejected(sweep):
 
 
 @pytest.mark.parametrize(
-    ("noise", "remedies"), [(1e-5, []), (1.0, ["Record longer after each hit (test.interval: 31 s or more)."])]
+    ("noise", "remedies"), [(1e-5, []), (1.0, ["Record longer after each impact (test.interval: 31 s or more)."])]
 )
 def test_remedy_of_few_lines_suits_hits(tmp_path, noise, remedies):
     with daq.open(synthetic.impulses(tmp_path / "a.mcap", interval=4.0, hits=2, noise=noise)) as rec:

@@ -326,7 +326,7 @@ def test_force_outside_its_tolerance_is_stated(recordings: list[Path]) -> None:
     ("name", "text"),
     [
         ("fig8-no-damper", "stepped sine, 8 to 60 Hz, 2.6 N, 150 points"),
-        ("fig10b-no-damper", "impulse, 200 N, 3 hits of 4 ms"),
+        ("fig10b-no-damper", "impulse, 200 N, 3 impacts of 4 ms"),
         ("shaker-table-shock", "shock, half sine of 49 m/s² and 11 ms at table, 3 shocks"),
         (
             "shaker-table-random",

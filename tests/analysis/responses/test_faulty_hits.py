@@ -31,7 +31,7 @@ def double_hit(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_double_hit_is_named_in_results(double_hit: Path) -> None:
-    text = "Faulty hits: hit 2 double."
+    text = "Faulty impacts: impact 2 double."
     frfs = analysis.frfs(double_hit)
     assert text in frfs.warnings and text in analysis.identify(frfs).warnings
     assert any(text in line for line in daq.info(double_hit).lines)
@@ -46,5 +46,5 @@ def test_double_hit_of_imported_file_is_named(double_hit: Path, tmp_path: Path) 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         imported = daq.import_files(tmp_path / "a.npz", scene, tmp_path / "b.mcap")
-    assert any("hit 2: double" in str(warning.message) for warning in caught)
-    assert "Faulty hits: hit 2 double." in analysis.frfs(imported).warnings
+    assert any("impact 2: double" in str(warning.message) for warning in caught)
+    assert "Faulty impacts: impact 2 double." in analysis.frfs(imported).warnings

@@ -262,7 +262,7 @@ def test_only_accepted_hits_are_marked_and_averaged(bench):
     bench.controller.start()
     pass_time(bench, 7.5)
     hits = bench.monitor.detector.hits
-    assert [hit.faults for hit in hits] == [[], ["double hit"], []]
+    assert [hit.faults for hit in hits] == [[], ["double impact"], []]
     assert bench.monitor.frf.curves().averages == 2
     hits[2].accepted = False
     assert bench.monitor.frf.curves().averages == 1
@@ -273,7 +273,7 @@ def test_only_accepted_hits_are_marked_and_averaged(bench):
     bench.close()
     with daq.open(bench.recordings.paths[0]) as recording:
         kinds = [(each.kind, each.fields.get("reason")) for each in recording.markers]
-        assert kinds == [("hit", None), ("rejected", "double hit"), ("rejected", "operator"), ("hit", None)]
+        assert kinds == [("hit", None), ("rejected", "double impact"), ("rejected", "operator"), ("hit", None)]
         frf = analysis.frfs(recording)["arm"]
         band = (frf.frequency > 50) & (frf.frequency < 75)
         assert frf.frequency[band][np.argmax(abs(frf.value[band]))] == pytest.approx(62.0, abs=0.5)

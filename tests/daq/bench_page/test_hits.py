@@ -36,8 +36,8 @@ def detect_hits(readings, overload=None, block=100):
     [
         ([(0.2, 50.0)], []),
         ([(0.2, 12.0)], ["too weak"]),
-        ([(0.2, 50.0), (0.23, 15.0)], ["double hit"]),
-        ([(0.2, 15.0), (0.23, 15.0)], ["double hit", "too weak"]),
+        ([(0.2, 50.0), (0.23, 15.0)], ["double impact"]),
+        ([(0.2, 15.0), (0.23, 15.0)], ["double impact", "too weak"]),
     ],
 )
 def test_faults_of_a_hit_are_named(pulses, faults):

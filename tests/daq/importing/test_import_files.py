@@ -123,16 +123,16 @@ def test_unmarked_hits_are_detected(tmp_path):
             for hit, index in zip(hits, (1000, 5000, 9000), strict=True)
         )
         assert [hit.fields["double"] for hit in hits] == [True, False, False]
-    assert messages == ["hit 1: double (a second pulse of the force follows)"]
+    assert messages == ["impact 1: double (a second pulse of the force follows)"]
 
 
 @pytest.mark.parametrize(
     ("repeats", "expected"),
     [
-        ("", "2 hits detected in the force, with peaks of 80 to 80 N"),
-        ("repeats: 2", "2 hits detected in the force, with peaks"),
-        ("repeats: 5", "2 of 5 hits detected in the force (test.repeats is 5), with peaks"),
-        ("repeats: 1", "2 hits detected in the force (test.repeats is 1), with peaks"),
+        ("", "2 impacts detected in the force, with peaks of 80 to 80 N"),
+        ("repeats: 2", "2 impacts detected in the force, with peaks"),
+        ("repeats: 5", "2 of 5 impacts detected in the force (test.repeats is 5), with peaks"),
+        ("repeats: 1", "2 impacts detected in the force (test.repeats is 1), with peaks"),
     ],
 )
 def test_detected_hits_are_compared_with_test_repeats(repeats, expected, tmp_path):
@@ -566,7 +566,7 @@ def test_files_of_one_hit_are_joined(tmp_path):
         hits = [marker for marker in recording.markers if marker.kind == "hit"]
         assert [round(hit.fields["peak"]) for hit in hits] == [80, 100]
         assert {marker.first_sample for marker in recording.markers if marker.kind == "lost"} == {2048}
-    assert any("2 files with the same signals are joined as hits of one test" in note for note in notes)
+    assert any("2 files with the same signals are joined as impacts of one test" in note for note in notes)
 
 
 def test_joined_files_have_one_rate(tmp_path):

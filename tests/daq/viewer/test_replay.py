@@ -244,7 +244,7 @@ def test_hit_phase_extends_to_next_hit(tmp_path):
         recorder.mark("hit", 2560, 2580)
     with daq.open(path) as opened:
         result = [(phase.label, phase.start, phase.stop) for phase in phases(opened, 0, 5120)]
-    assert result == [("hit 1", 512, 2560), ("hit 2", 2560, 5120)]
+    assert result == [("impact 1", 512, 2560), ("impact 2", 2560, 5120)]
 
 
 @pytest.mark.usefixtures("without_spectrum")

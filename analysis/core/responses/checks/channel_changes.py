@@ -1,10 +1,10 @@
 """Channels whose gain changes during a test, such as those with a broken cable, a loose sensor or a switched range.
 
-A test is divided into *parts* with equal excitation, such as hits, periods or sections of a random test. The ratio of
-an output to the inputs, averaged over all parts, predicts its spectrum in each part. The *relative gain* of a part is
-the regression coefficient of measured and predicted spectrum. It scatters with noise and leakage, and has a step where
-the gain of the channel changes. The step is located by the least sum of squares on both sides of it (D. M. Hawkins,
-J. Am. Stat. Assoc. 72 (1977) 180-186). A change of the structure affects all outputs, and is not reported.
+A test is divided into *parts* with equal excitation, such as impacts, periods or sections of a random test. The ratio
+of an output to the inputs, averaged over all parts, predicts its spectrum in each part. The *relative gain* of a part
+is the regression coefficient of measured and predicted spectrum. It scatters with noise and leakage, and has a step
+where the gain of the channel changes. The step is located by the least sum of squares on both sides of it (D. M.
+Hawkins, J. Am. Stat. Assoc. 72 (1977) 180-186). A change of the structure affects all outputs, and is not reported.
 """
 
 from __future__ import annotations

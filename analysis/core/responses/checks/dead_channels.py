@@ -25,7 +25,7 @@ _MIN_PERIODS = 4.0
 # Minimum number of dead blocks at the end, and maximum number of blocks before them with which they are compared.
 _MIN_DEAD = 2
 _COMPARED = 8
-# Minimum number of blocks, or of hits.
+# Minimum number of blocks, or of impacts.
 _MIN_BLOCKS = 4
 # A signal is dead below this fraction of the signal before.
 _DEAD_RATIO = 0.01
@@ -92,7 +92,7 @@ def _find(rec: Recording) -> dict[str, int]:
 
 
 def _block_samples(rec: Recording, marks: Sequence[Marker]) -> int:
-    """Return the length of the blocks, which contain a period, a burst or a hit, or several periods of a tone."""
+    """Return the length of the blocks, which contain a period, a burst or an impact, or several periods of a tone."""
     hits = [mark.first_sample for mark in marks if mark.kind == "hit"]
     lengths = [_MIN_SAMPLES, *np.diff(hits).tolist()]
     for mark in marks:

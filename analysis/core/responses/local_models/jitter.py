@@ -1,4 +1,4 @@
-"""Effect of sampling jitter on the response to a hit: noise that is proportional to the slope of the signal."""
+"""Effect of sampling jitter on the response to an impact: noise that is proportional to the slope of the signal."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ _FIT_ORDER = 2 * ORDER
 def jitter_factor(
     rec: Recording, names: Sequence[str], hits: Sequence[tuple[int, int]], size: int, half_width: int
 ) -> Array:
-    """Compute the square-root factor of the covariance of jitter errors that resemble a response to a hit.
+    """Compute the square-root factor of the covariance of jitter errors that resemble a response to an impact.
 
-    A sample with a delay t has an error of t times the slope of its signal. Slopes are steepest during a hit and
+    A sample with a delay t has an error of t times the slope of its signal. Slopes are steepest during an impact and
     shortly after it. The errors of these samples are as smooth over the lines as the response, so that the scatter does
     not show them. Each sample is weighted by its effect on a local fit to `half_width` bins on either side. All
-    channels have the same delay. `hits`: first and last sample of each hit; `size`: samples of the Fourier transform.
-    The result has the shape (rows, channels).
+    channels have the same delay. `hits`: first and last sample of each impact; `size`: samples of the Fourier
+    transform. The result has the shape (rows, channels).
     """
     deviation_samples = (rec.scene.converter.jitter or 0.0) * rec.rate
     factor = np.zeros((0, len(names)))
     if not deviation_samples:
         return factor
-    # Samples from the hit to the first zero of their weights in a polynomial fit to neighboring bins.
+    # Samples from the impact to the first zero of their weights in a polynomial fit to neighboring bins.
     n_samples = size * (_FIT_ORDER + 1) // (2 * half_width + 1)
     weights = scipy.signal.savgol_coeffs(2 * half_width + 1, _FIT_ORDER)
     cosines = np.cos(2.0 * np.pi / size * np.arange(n_samples)[:, None] * np.arange(-half_width, half_width + 1))
@@ -52,10 +52,10 @@ def jitter_factor(
 
 
 def jitter_bound(factor: Array, weights: ComplexArray, power: Array) -> dict[str, Array]:
-    """Compute the maximum error of a response due to jitter during and shortly after the hits.
+    """Compute the maximum error of a response due to jitter during and shortly after the impacts.
 
     `weights`, shape (channels, lines): change of the response per unit change of each reading, for a reference of 1.
-    `power`: power of the reference, summed over all hits.
+    `power`: power of the reference, summed over all impacts.
 
     >>> part = jitter_bound(np.array([[2.0, 1.0]]), np.array([[1.0], [-2.0]]) + 0j, np.ones(1))
     >>> {name: size.tolist() for name, size in part.items()}  # equal relative errors

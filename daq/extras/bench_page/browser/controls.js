@@ -3,13 +3,13 @@
 
 const LABELS = {
   kind: ["Test", "Kind of test"],
-  level: ["Level / N", "Force in N: amplitude of a sine or sweep, rms of a random test, peak of a hit"],
+  level: ["Level / N", "Force in N: amplitude of a sine or sweep, rms of a random test, peak of an impact"],
   frequency: ["Frequency / Hz", "Frequency of the sine, Hz"],
   low: ["From / Hz", "Lower end of the band, Hz"],
   high: ["To / Hz", "Upper end of the band, Hz"],
   duration: ["Duration / s", "Duration of the measurement, s"],
-  interval: ["Interval / s", "Time between hits, s"],
-  hits: ["Hits", "Number of hits"],
+  interval: ["Interval / s", "Time between impacts, s"],
+  hits: ["Impacts", "Number of impacts"],
 };
 const SPANS = [0.1, 1, 5]; // s
 

@@ -47,7 +47,7 @@ const response = {
   // What the chart contains, or why it is empty.
   note(state) {
     const averages = this.head?.averages;
-    const empty = state.hits.length ? "no accepted hit yet" : state.running ? "begins with the measurement" : "begins with a test";
+    const empty = state.hits.length ? "no accepted impact yet" : state.running ? "begins with the measurement" : "begins with a test";
     return (averages ? (averages > 1 ? `H1, ${averages} averages` : "1 average: no γ²") : state.frf_reason || empty) + (this.problem ? `; ${this.problem}` : "");
   },
 

@@ -1,4 +1,4 @@
-// The bar at the top: state, progress, force, delay, recording; outputs, NI clients and hits below the controls.
+// The bar at the top: state, progress, force, delay, recording; outputs, NI clients and impacts below the controls.
 "use strict";
 
 const bar = {
@@ -25,7 +25,7 @@ const bar = {
     setText("clients", state.clients.join("\n") || "no task of an NI client");
     setText("problem", state.problem);
     $("pulse").hidden = !arrays.pulse;
-    setText("no-hit", arrays.pulse ? "" : "no hit yet");
+    setText("no-hit", arrays.pulse ? "" : "no impact yet");
     if (arrays.pulse) {
       const force = arrays.pulse[0];
       this.pulse.show([0, 1000 * step * force.length], [
@@ -50,7 +50,7 @@ const bar = {
     $("hit-list").replaceChildren();
     for (const [number, peak, verdict, accepted] of hits) {
       const row = make($("hit-list"), "tr"), box = make(make(row, "td"), "input");
-      Object.assign(box, { type: "checkbox", checked: accepted, title: "Use this hit for the response" });
+      Object.assign(box, { type: "checkbox", checked: accepted, title: "Use this impact for the response" });
       box.addEventListener("change", () => send("accept", [number, box.checked]));
       make(row, "td", `${number}`);
       make(row, "td", `${digits(peak, 3)} N`);

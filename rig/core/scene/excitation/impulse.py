@@ -1,4 +1,4 @@
-"""Hammer hits."""
+"""Hammer impacts."""
 
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -18,10 +18,10 @@ from rig.core.settings.settings import Settings
 
 
 class DoubleHit(Settings):
-    """Double hit: the hammer bounces, and a second, weaker pulse follows."""
+    """Double impact: the hammer bounces, and a second, weaker pulse follows."""
 
     hits: tuple[Count, ...] | None = Field(None, min_length=1)
-    """Numbers of the hits that bounce, from 1; None: all."""
+    """Numbers of the impacts that bounce, from 1; None: all."""
     after: Duration = 20e-3
     """Time from the start of the first pulse to the start of the second [s]."""
     ratio: Annotated[float, Quantity(RATIO, above=0.0)] = 0.4
@@ -29,7 +29,7 @@ class DoubleHit(Settings):
 
 
 class Impulse(KindOfTest):
-    """Hammer hits: half-sine pulses of force on a body."""
+    """Hammer impacts: half-sine pulses of force on a body."""
 
     kind: Literal["impulse"] = "impulse"
     recorded_as: ClassVar = "hits"
@@ -37,28 +37,28 @@ class Impulse(KindOfTest):
     uses_shaker: ClassVar = False
     start: Start = "settled"
     body: Body
-    """The body hit, by its number from 1 or its name."""
+    """The body on which the hammer acts, by its number from 1 or its name."""
     peak: Annotated[float | tuple[float, ...], Quantity(FORCE, above=0.0, listed=True)]
-    """Peak of the pulse [N], or a list with one for each hit."""
+    """Peak of the pulse [N], or a list with one for each impact."""
     width: Duration
     """Duration of the half sine [s]; a softer tip makes it longer."""
     repeats: Count = 1
-    """Number of hits."""
+    """Number of impacts."""
     interval: Duration = 6.0
-    """Time from one hit to the next, and recording time after the last [s]."""
+    """Time from one impact to the next, and recording time after the last [s]."""
     double_hit: DoubleHit | None = None
-    """Bounces of the hammer, each with a second, weaker pulse; None: single hits only."""
+    """Bounces of the hammer, each with a second, weaker pulse; None: single impacts only."""
 
     def check_consistency(self) -> Iterable[Problem]:
         """Check that pulses do not overlap."""
         if self.width >= self.interval:
             yield Problem(
                 ("width",),
-                f"got {self.width:g} s, which is not shorter than the interval between hits, {self.interval:g} s. Give "
-                "a shorter width or a longer interval.",
+                f"got {self.width:g} s, which is not shorter than the interval between impacts, {self.interval:g} s. "
+                "Give a shorter width or a longer interval.",
             )
         if isinstance(self.peak, tuple) and len(self.peak) != self.repeats:
-            message = f"got {len(self.peak)} values; expected {self.repeats}, one for each hit (repeats)"
+            message = f"got {len(self.peak)} values; expected {self.repeats}, one for each impact (repeats)"
             yield Problem(("peak",), message)
         if self.double_hit is None:
             return
@@ -66,39 +66,39 @@ class Impulse(KindOfTest):
             yield Problem(
                 ("double_hit", "after"),
                 f"got {self.double_hit.after:g} s, but the second pulse must lie between the first pulse and the next "
-                f"hit. Give at least {self.width:g} s and less than {self.interval - self.width:g} s, or a longer "
+                f"impact. Give at least {self.width:g} s and less than {self.interval - self.width:g} s, or a longer "
                 "interval.",
             )
         for k, hit in enumerate(self.double_hit.hits or ()):
             if hit > self.repeats:
                 yield Problem(
                     ("double_hit", "hits", k),
-                    f"hit {hit} does not exist; expected at most {self.repeats}, the number of repeats",
+                    f"impact {hit} does not exist; expected at most {self.repeats}, the number of repeats",
                 )
 
     @property
     def hammer(self) -> int:
-        """Number of the body hit, from 1."""
+        """Number of the body on which the hammer acts, from 1."""
         return self.body
 
     @property
     def details(self) -> tuple[str, ...]:
-        """Number and duration of the hits."""
-        return (f"{self.repeats} hit{'s' * (self.repeats != 1)} of {1e3 * self.width:.3g} ms",)
+        """Number and duration of the impacts."""
+        return (f"{self.repeats} impact{'s' * (self.repeats != 1)} of {1e3 * self.width:.3g} ms",)
 
     @property
     def shortest(self) -> float:
-        """Time of all hits, s."""
+        """Time of all impacts, s."""
         return self.repeats * self.interval
 
     @property
     def simulated(self) -> float:
-        """Time of all hits, s."""
+        """Time of all impacts, s."""
         return self.shortest
 
     @property
     def peaks(self) -> tuple[float, ...]:
-        """Peak of each hit, N."""
+        """Peak of each impact, N."""
         return self.peak if isinstance(self.peak, tuple) else (self.peak,) * self.repeats
 
     def at_level(self, level: float) -> Self:
@@ -108,11 +108,11 @@ class Impulse(KindOfTest):
         return self.replace(peak=tuple(peak * (level / max(self.peak)) for peak in self.peak))
 
     def is_double(self, hit: int) -> bool:
-        """Return whether the hammer bounces at a hit; `hit`: its number, from 1."""
+        """Return whether the hammer bounces at an impact; `hit`: its number, from 1."""
         return self.double_hit is not None and (self.double_hit.hits is None or hit in self.double_hit.hits)
 
     def pulses(self, rate: float) -> list[Array]:
-        """Return the force of each hit with its bounce, N, from its first sample; `rate`: samples per second."""
+        """Return the force of each impact with its bounce, N, from its first sample; `rate`: samples per second."""
         shape = half_sine(1.0, self.width, rate)
 
         def pulse(peak: float, is_double: bool) -> Array:
@@ -130,7 +130,7 @@ class Impulse(KindOfTest):
         return [pulses[hit] for hit in hits]
 
     def wave(self, samples: int, rate: float) -> Pulses:
-        """Return the force, N: the hits of a recording, of which the first begins at t = 0."""
+        """Return the force, N: the impacts of a recording, of which the first begins at t = 0."""
         force, interval = np.zeros(samples), max(1, round(self.interval * rate))
         for first, pulse in zip(range(0, samples, interval), self.pulses(rate), strict=False):
             force[first : first + pulse.size] = pulse[: samples - first]

@@ -143,7 +143,7 @@ class KindOfTest(Settings):
 
     @property
     def hits(self) -> tuple[int, float]:
-        """Number of hits or pulses, and time between them, s; default: the keys `repeats` and `interval`."""
+        """Number of impacts or pulses, and time between them, s; default: the keys `repeats` and `interval`."""
         return int(getattr(self, "repeats", 1)), float(getattr(self, "interval", 0.0))
 
     @property
@@ -234,7 +234,7 @@ class KindOfTest(Settings):
 
     @property
     def hammer(self) -> int | None:
-        """Number of the body that a hammer hits, from 1; None without a hammer."""
+        """Number of the body on which a hammer acts, from 1; None without a hammer."""
         return None
 
     def initial_motion(self, bodies: int, shapes: Callable[[], Array]) -> tuple[Array, Array] | None:

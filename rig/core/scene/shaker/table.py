@@ -54,7 +54,7 @@ class TableShaker(CoilSpringShaker):
         return servo_inverse(self.corner, s), np.zeros_like(s)
 
     def effects(self, bodies: str, modes_at_rest: Callable[[], str]) -> Iterable[ShakerEffect]:
-        """Yield spring and table; a hammer test excites the modes at rest, because the spring remains attached."""
+        """Yield spring and table; an impact test excites the modes at rest, because the spring remains attached."""
         modes = f"with it and the table at rest {modes_at_rest()}"
         detail = f"spring of {self.spring:.4g} N/m to {bodies}, {modes}; position servo of {self.bandwidth:.4g} Hz"
         yield ShakerEffect("coil spring and table", 2, detail)

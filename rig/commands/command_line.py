@@ -32,6 +32,16 @@ if TYPE_CHECKING:
 
 # Upper limit of numeric options in any unit.
 MAX_OPTION_VALUE = 1e12
+# Options of parameters that have another name in Python.
+_OPTIONS_OF_PARAMETERS = {
+    "from_s": "--from",
+    "to_s": "--to",
+    "host": "--address",
+    "protocol": "--proto",
+    "certificates": "--certificate",
+    "uncertain": "--damping-off",
+    "path": "--output",
+}
 # Number of allocations between runs of the cyclic garbage collector (Python default 700). An analysis allocates about
 # 220 000 objects with its imports, so that the collector does not run.
 _GC_THRESHOLD = 500_000
@@ -118,12 +128,24 @@ def _execute(module: str, arguments: Sequence[str]) -> int:
     for subcommand in (command, *getattr(command, "commands", {}).values()):
         for option in subcommand.params:
             option.callback = option.callback or _check_option
+    console.name_options(_options_of(command, arguments))
     try:
         with command.make_context(program, list(arguments)) as context:
             command.invoke(context)
     except typer.Exit as end:
         return end.exit_code
     return 0
+
+
+def _options_of(command: Any, arguments: Sequence[str]) -> dict[str, str]:
+    """Return the options of the requested subcommand by the names of the parameters in Python."""
+    subcommand = getattr(command, "commands", {}).get(next(iter(arguments), ""))
+    if subcommand is None:
+        return {}
+    # The longest name of an option is the one that explains itself: --output, not -o.
+    options = {param.name: max(param.opts, key=len) for param in subcommand.params if param.param_type_name == "option"}
+    options |= {option[2:].replace("-", "_"): option for option in options.values()}
+    return options | {name: option for name, option in _OPTIONS_OF_PARAMETERS.items() if option in options.values()}
 
 
 def _check_option(context: Any, option: Any, value: Any) -> Any:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import errno
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -272,3 +274,30 @@ def test_help_and_version_are_plain_text(command, capsys, monkeypatch) -> None:
         monkeypatch.setattr(sys, "argv", ["rig", word])
         assert command(lambda: None) == 0
         assert capsys.readouterr().out.startswith(start)
+
+
+def test_parameter_in_message_becomes_option(command, capsys):
+    def act(from_s: Annotated[float, typer.Option("--from")] = 0.0) -> None:
+        raise SceneError("`from_s` 2 s is too late; `channel` and `rig help` are no options")
+
+    assert command(act) == 2
+    assert capsys.readouterr().err == "error: --from 2 s is too late; `channel` and `rig help` are no options\n"
+
+
+# Files of functions whose texts name options of other programs, options before a command, or whole commands.
+TEXTS_WITH_COMMANDS = {
+    *("workers", "changes", "unexpected", "choice", "figure", "overloads", "announcement", "plugin", "page"),
+    *("outputs", "rerun_viewer", "bed_claim"),
+}
+
+
+def test_messages_of_functions_name_no_options():
+    files = [file for wing in ("core", "extras", "studies") for file in Path().glob(f"*/{wing}/**/*.py")]
+    wrong = []
+    for file in (file for file in files if file.stem not in TEXTS_WITH_COMMANDS):
+        nodes = list(ast.walk(ast.parse(file.read_text(encoding="utf-8"))))
+        owners = [node for node in nodes if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)]
+        documents = {ast.get_docstring(node, clean=False) for node in owners}
+        texts = {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+        wrong += [f"{file}: {text}" for text in texts - documents if re.search(r"(?<![-\w])--[a-z]", text)]
+    assert len(files) > 300 and wrong == []

@@ -207,7 +207,7 @@ def test_piece_that_ends_cluster_workers_is_reported(monkeypatch: pytest.MonkeyP
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 1}),
         Workers("local") as workers,
-        pytest.raises(RunError, match="--cluster local: the workers of a part of the study ended"),
+        pytest.raises(RunError, match="`cluster` local: the workers of a part of the study ended"),
     ):
         list(workers.compute(exit_process, [1]))
 

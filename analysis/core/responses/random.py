@@ -86,10 +86,10 @@ def averaged_spectra(
     if block_samples < _MIN_BLOCK_SAMPLES:
         raise RecordingError(
             f"{rec.path}: a block has {block_samples} samples ({block_s:.3g} s); expected at least "
-            f"{_MIN_BLOCK_SAMPLES}. Choose longer blocks (--block) or record longer."
+            f"{_MIN_BLOCK_SAMPLES}. Choose longer blocks (`block`) or record longer."
         )
     if count < 2:
-        shorter_blocks = " or choose shorter blocks (--block)" if burst_block is None else ""
+        shorter_blocks = " or choose shorter blocks (`block`)" if burst_block is None else ""
         raise RecordingError(
             f"{rec.path}: {max(count, 0)} blocks of {block_s:.3g} s in {(stop - first) / rec.rate:.3g} s of "
             f"random excitation are too few to average. Record longer{shorter_blocks}."
@@ -103,14 +103,14 @@ def averaged_spectra(
     if averaged.used < 2:
         raise RecordingError(
             f"{rec.path}: fewer than two blocks are usable ({reasons}). {remedy(rec, averaged.flaws)}, or choose "
-            "shorter blocks (--block)."
+            "shorter blocks (`block`)."
         )
     resolution = noise_bandwidth_bins(weights) * rec.rate / block_samples
     has_leakage = burst_block is None or averaged.end_ratio > _MAX_END_RATIO
     if burst_block is None:
         notes.append(
             f"Blocks of {block_s:.3g} s resolve {resolution:.3g} Hz: narrower peaks appear wider and lower, within "
-            "the stated leakage. Leave out --estimator, --block, --overlap and --window for a response without leakage."
+            "the stated leakage. Leave out `estimator`, `block`, `overlap` and `window` for a response without leakage."
         )
     elif has_leakage:
         notes.append(

@@ -122,7 +122,7 @@ class SegmentFits:
             if not all_flaws:
                 advice = "the test is too short to average. Record longer"
             elif others and not flawed & set(references):
-                advice += f", or use only the other channels: --response {' --response '.join(others)}"
+                advice += f", or use only the other channels (`response`: {', '.join(others)})"
             raise RecordingError(f"{rec.path}: {' '.join([*notes, f'No response can be estimated: {advice}.'])}")
         return segments, notes
 

@@ -135,13 +135,13 @@ def write_wav(segment: Slice, path: Path, speed: float = 1.0) -> list[str]:
     if not (math.isfinite(rate) and 1 <= round(rate) < 2**31 // (3 * n_channels)):
         limit = 2**31 // (3 * n_channels)
         raise SceneError(
-            f"{recording}: --speed {speed:g} gives {rate:g} samples per second; a WAV file allows 1 to {limit:.2g}. "
-            "Choose another --speed."
+            f"{recording}: `speed` {speed:g} gives {rate:g} samples per second; a WAV file allows 1 to {limit:.2g}. "
+            "Choose another `speed`."
         )
     if (n_bytes := (segment.stop - segment.start) * n_channels * 3) >= 2**32 - 1024:
         raise SceneError(
             f"{recording}: a WAV file is limited to 4 GB (these samples: {n_bytes / 1e9:.3g} GB). Export fewer "
-            "channels (--channel) or a segment (--from, --to)."
+            "channels (`channel`) or a segment (`start`, `stop`)."
         )
     peaks = np.zeros(n_channels)
     for _, samples in segment.pieces(segment.channels):
@@ -225,7 +225,7 @@ def export(
     """
     kind = kind_of(path)
     if speed != 1.0 and kind != ".wav":
-        raise SceneError(f"{path}: --speed applies only to sound. Leave it out, or choose a name that ends in .wav.")
+        raise SceneError(f"{path}: `speed` applies only to sound. Leave it out, or choose a name that ends in .wav.")
     if progress is not None:
         # WAV reads all samples twice, because it needs the peak values first.
         total = (2 if kind == ".wav" else 1) * len(segment.channels) * (segment.stop - segment.start)
@@ -236,7 +236,7 @@ def export(
         if needed > 4 * free_bytes:
             raise RunError(
                 f"{path}: the file would take about {needed / 1e6:.3g} MB, and its disk has {free_bytes / 1e6:.3g} MB "
-                "left. Write to another disk (-o), or export a segment (--from, --to) or fewer channels (--channel)."
+                "left. Write to another disk, or export a segment (`start`, `stop`) or fewer channels (`channel`)."
             )
         if kind == ".wav":
             return write_wav(segment, temporary, speed)

@@ -147,7 +147,7 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
     references = list(dict.fromkeys(uff.point(data_set, "ref") for data_set in frf_sets))
     if reference is None and len(references) > 1:
         raise SceneError(
-            f"{path}: the file contains responses to {len(references)} references. Choose one with --reference: "
+            f"{path}: the file contains responses to {len(references)} references. Choose one with `reference`: "
             f"{', '.join(references)[:300]}."
         )
     selected = [data_set for data_set in frf_sets if reference in (None, uff.point(data_set, "ref"))]
@@ -217,7 +217,7 @@ def _ratio(where: str, unit: str) -> tuple[str, float]:
     (('acceleration', 1.0), ('acceleration', 9.80665), ('displacement', 1.0))
     """
     if not unit:
-        raise SceneError(f"{where}: the file states no unit. Give the unit, such as --unit m/s^2/N.")
+        raise SceneError(f"{where}: the file states no unit. Give the unit, such as `unit` m/s^2/N.")
     for pattern in (
         r"\(?1/\(?(?P<denominator>[^()*]+)\)?\)?\s*\*\s*\(?(?P<numerator>[^()]+)\)?",
         r"\((?P<numerator>.+)\)\s*/\s*\(?(?P<denominator>[^()/]+)\)?",

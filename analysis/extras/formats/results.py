@@ -33,7 +33,7 @@ def export_results(
     """
     kind = path.suffix.lower()
     if what not in ("frfs", "modes"):
-        raise SceneError(f"--what: unknown {what!r}. Choose samples, frfs or modes.")
+        raise SceneError(f"`what`: unknown {what!r}. Choose samples, frfs or modes.")
     if kind not in ENDINGS:
         raise SceneError(
             f"{path}: unknown format {kind!r} for {what}. Choose a name that ends in one of {', '.join(ENDINGS)}."

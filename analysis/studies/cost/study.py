@@ -165,7 +165,7 @@ def steady_frequencies(scene: Scene) -> tuple[float, ...]:
         raise RunError(
             f"{scene.name}: none of {len(candidates)} frequencies from {candidates[0]:.4g} to {candidates[-1]:.4g} Hz "
             "has a steady motion that repeats every period and is the same upwards and downwards, so that no exact "
-            "compliance exists for comparison. Choose other frequencies (--frequency), or change the level (test.force "
+            "compliance exists for comparison. Choose other frequencies (`frequency`), or change the level (test.force "
             "or test.drive)."
         )
     steady = candidates[is_steady]
@@ -285,6 +285,6 @@ def _steady_compliance(scene: Scene, frequency: float, drive: float) -> ComplexA
     if not response.converged[0]:
         raise RunError(
             f"no steady state at {frequency:g} Hz, so that there is no reference for the compliance. Choose other "
-            "frequencies with --frequency."
+            "frequencies with `frequency`."
         )
     return response.compliance[:, 0]

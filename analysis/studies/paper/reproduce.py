@@ -57,7 +57,7 @@ def reproduce(
     unknown = set(fresh) - {part.name for part in parts}
     if unknown:
         raise SceneError(
-            f"--fresh: unknown part {', '.join(sorted(unknown))}. "
+            f"`fresh`: unknown part {', '.join(sorted(unknown))}. "
             f"Choose among {', '.join(part.name for part in parts)}."
         )
     outputs = [folder / f"{name}.{suffix}" for name in FIGURES for suffix in ("png", "svg")]

@@ -82,5 +82,5 @@ class PaperPart:
             partial.replace(target)
         except OSError as error:
             raise RunError(
-                f"{target}: cannot write the results of a part ({error.strerror}). Choose another folder with --output."
+                f"{target}: cannot write the results of a part ({error.strerror}). Choose another folder (`output`)."
             ) from None

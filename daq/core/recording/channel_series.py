@@ -206,7 +206,7 @@ class Series:
         if max_samples * _MAX_REQUESTED_PER_STORED < stop - start:
             raise self._error(
                 f"samples {start} to {stop - 1}: at most {max_samples} of them are in the file. Choose a range "
-                "before or after them (--from, --to)."
+                "before or after them."
             )
 
     def missing_ranges(self) -> Iterator[tuple[int, int]]:

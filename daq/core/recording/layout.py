@@ -133,7 +133,7 @@ class Timebase:
 def require_ordered_times(from_s: float | None, to_s: float | None) -> None:
     """Raise `SceneError` if a segment, in s, ends before it begins."""
     if from_s is not None and to_s is not None and to_s < from_s:
-        raise SceneError(f"--from {from_s:g} s is after --to {to_s:g} s. Give the earlier time first.")
+        raise SceneError(f"`from_s` {from_s:g} s is after `to_s` {to_s:g} s. Give the earlier time first.")
 
 
 def stated_clock(metadata: Mapping[str, str]) -> Timebase | None:

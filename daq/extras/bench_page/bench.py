@@ -73,7 +73,7 @@ def bench(
             server = Server(chassis, f"127.0.0.1:{device_port}", other_handlers=(BenchTime(chassis),))
         except RuntimeError:
             raise SceneError(
-                f"port {device_port} on 127.0.0.1 is in use. Choose another with --device-port; 0 chooses a free port."
+                f"port {device_port} on 127.0.0.1 is in use. Choose another with `device_port`; 0 chooses a free port."
             ) from None
         stack.callback(server.close)
         live_bench = LiveBench(chassis, f"127.0.0.1:{server.port}", Path(recording), overwrite)
@@ -116,9 +116,7 @@ def _serve_page(live_bench: LiveBench, host: str, port: int) -> Any:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
         listener = socket.create_server((host, port), family=family)
     except (OSError, UnicodeError):
-        raise SceneError(
-            f"cannot listen at {host}:{port}. Choose another port with --port, or another --address."
-        ) from None
+        raise SceneError(f"cannot listen at {host}:{port}. Choose another `port` or `host`.") from None
     bound_port = listener.getsockname()[1]
     token_gate = TokenGate(Application(live_bench).asgi, host, f"shotrig_bench_{bound_port}")
     config = uvicorn.Config(

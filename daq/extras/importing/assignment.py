@@ -111,7 +111,7 @@ def choose_signals(
         listed = "\n".join(f"  {signal.file}, {signal.number}: {signal}" for signal in signals)
         raise SceneError(
             f"no signal has the name of a channel of the scene ({', '.join(missing)}). The files contain\n"
-            f"{listed}\nAssign signals in a channel table (--table FILE.yaml) with lines such as {EXAMPLE}"
+            f"{listed}\nAssign signals in a channel table (`table`) with lines such as {EXAMPLE}"
         )
     notes = [f"no signal for the channels {', '.join(missing)}: they are not recorded"] if missing else []
     unused = [signal.name for signal in signals if id(signal) not in channels_of_signal]

@@ -206,7 +206,7 @@ def require_even(
         raise RecordingError(
             f"{where} are not evenly spaced: sample {numbers[index] + 1} is at {float(times[index]):.9g} s instead of "
             f"{start + numbers[index] / rate:.9g} s ({rate:.6g} Hz from {start:.6g} s on). Resample the file, or "
-            "import the segments before and after with --from and --to."
+            "import the segments before and after with `from_s` and `to_s`."
         )
 
 

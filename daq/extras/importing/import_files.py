@@ -204,7 +204,7 @@ def _common_rate(chosen: Sequence[ChosenSignal], scene: Scene) -> float:
         remedy = (
             f"If the first column is in {time_units[0]}, name it `time [{time_units[0]}]`"
             if time_units
-            else f"If the files are right, use --set converter.rate={rate:.10g}Hz"
+            else f"If the files are right, set converter.rate of the scene to {rate:.10g} Hz"
         )
         raise SceneError(
             f"the files state {rate:.10g} Hz, but the scene's converter {converter.sample_rate:.10g} Hz. {remedy}; "
@@ -251,7 +251,7 @@ def _cut_to_times(
     stop = longest if to_s is None else min(longest, math.ceil(to_s * rate))
     if stop - start < 2:
         raise SceneError(
-            f"fewer than 2 samples between --from and --to. Give times from 0 s to {longest / rate:.6g} s."
+            f"fewer than 2 samples between `from_s` and `to_s`. Give times from 0 s to {longest / rate:.6g} s."
         )
 
     def cut_signal(signal: Signal) -> Signal:
@@ -383,7 +383,7 @@ class _RecordingWriter:
             if latest_peak >= _MAX_PEAK_SHARE * self._n_samples:
                 yield (
                     f"the decay of a free test must begin with the first sample, but {name} moves most at "
-                    f"{latest_peak / self._rate:.4g} s. Remove the time before it with --from."
+                    f"{latest_peak / self._rate:.4g} s. Remove the time before it with `from_s`."
                 )
             return
         if self._steps is not None:

@@ -131,7 +131,7 @@ def _signal(path: Path, number: int, channel: Any, has_several_groups: bool, clo
         except Exception as error:
             raise RecordingError(
                 f"{where} cannot be read from sample {first} on: {_error_text(error)}. Import the part before it with "
-                "--to."
+                "`to_s`."
             ) from error
 
     unit = str(properties.get("unit_string") or properties.get("NI_UnitDescription") or "")

@@ -106,7 +106,7 @@ def _labview_signals(path: Path, heading: LabviewHeading, encoding: str, stack: 
     if 0 < stated_samples < table.rows and not has_times:
         warn(
             f"{path}: the heading states {stated_samples} samples, but the table has {table.rows}, which are imported "
-            "without a gap. If the measurement was paused, import the parts one by one with --from and --to."
+            "without a gap. If the measurement was paused, import the parts one by one with `from_s` and `to_s`."
         )
     uncertain = [each for each in channels if each.rate and each.rate_error > _MAX_RATE_UNCERTAINTY * each.rate]
     if uncertain and not has_times:

@@ -88,10 +88,10 @@ def write_proto_files(folder: Path) -> list[Path]:
         path, text = folder / name, proto_text(file)
         try:
             if path.exists() and path.read_bytes() != text.encode():
-                raise SceneError(f"{path}: a different file of this name exists. Give --proto another folder.")
+                raise SceneError(f"{path}: a different file of this name exists. Give `protocol` another folder.")
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(text.encode())
         except OSError as error:
-            raise SceneError(f"{path}: {error.strerror}. Give --proto a folder that can be written.") from None
+            raise SceneError(f"{path}: {error.strerror}. Give `protocol` a folder that can be written.") from None
         paths.append(path)
     return paths

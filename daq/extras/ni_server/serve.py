@@ -95,8 +95,8 @@ def serve(
     host, port = parse_address(host, port)
     if certificates is None and not _is_loopback(host):
         raise SceneError(
-            f"{host}: this address requires certificates, because other machines can reach it. Give --certificate and "
-            "--key (--client-ca admits only clients with a certificate), or omit the address."
+            f"{host}: this address requires certificates, because other machines can reach it. Give `certificates` "
+            "(with a CA of the clients, only clients with a certificate are admitted), or omit the address."
         )
     credentials = None if certificates is None else certificates.credentials()
     if protocol is not None:
@@ -108,9 +108,7 @@ def serve(
         try:
             server = Server(chassis, _endpoint(host, port), credentials, limits, (BenchTime(chassis),))
         except RuntimeError:
-            raise SceneError(
-                f"cannot listen at {_endpoint(host, port)}. Choose another port with --port, or another --address."
-            ) from None
+            raise SceneError(f"cannot listen at {_endpoint(host, port)}. Choose another `port` or `host`.") from None
         stack.callback(server.close)
         if record is not None:
             stack.callback(LiveRecording(chassis, record, overwrite).close)

@@ -33,7 +33,7 @@ from rig.core.base.progress import FractionProgress
 
 APPLICATION = "shotrig"
 NO_DISPLAY_REMEDY = (
-    "Use --web to look with a browser, --screenshot FILE.png for a picture, or --save FILE.rrd for a file."
+    "Use `web` to look with a browser, `screenshot` FILE.png for a picture, or `save` FILE.rrd for a file."
 )
 # Memory of the viewer per sample, bytes: its value, time and index.
 _BYTES_PER_VALUE = 20
@@ -50,7 +50,7 @@ def save(replay: Replay, file: Path, progress: FractionProgress | None = None) -
 
     Raises `SceneError` for another suffix, `RunError` if the file cannot be written.
     """
-    _check_suffix(file, ".rrd", "--save")
+    _check_suffix(file, ".rrd", "save")
 
     with atomic_write(file) as part, _stream_into(part) as (stream, raise_failure):
 
@@ -117,12 +117,12 @@ def draw_picture(
 
     Raises `SceneError` for another suffix or a time outside the replay, `RunError` if the picture cannot be made.
     """
-    _check_suffix(file, ".png", "--screenshot")
+    _check_suffix(file, ".png", "screenshot")
     rate = replay.recording.rate
     time_s = replay.largest_motion_s if at_s is None else at_s
     if not replay.start / rate <= time_s <= replay.stop / rate:
         raise SceneError(
-            f"--at {time_s:g} s is outside the replay. Give {replay.start / rate:g} s to {replay.stop / rate:g} s."
+            f"`at` {time_s:g} s is outside the replay. Give {replay.start / rate:g} s to {replay.stop / rate:g} s."
         )
     prepare_outputs(file)
     with tempfile.TemporaryDirectory(prefix="shotrig-") as folder:
@@ -155,7 +155,7 @@ def show(
         if gigabytes > _NOTE_ABOVE_GB:
             print(
                 f"note: the viewer will take about {gigabytes:.0f} GB of memory. To use less, show a part of the "
-                "recording with --from and --to.",
+                "recording with `from_s` and `to_s`.",
                 file=sys.stderr,
             )
         with recording_stream() as stream:
@@ -166,7 +166,7 @@ def show(
                 if running.process.poll() is None:
                     raise RunError(
                         f"the rerun viewer stopped receiving data ({error}). Show the recording again, or a part of it "
-                        "with --from and --to."
+                        "with `from_s` and `to_s`."
                     ) from error
         with pause_reports():
             running.process.wait()
@@ -210,6 +210,6 @@ def _send(
     wait_until_received()
 
 
-def _check_suffix(file: Path, suffix: str, option: str) -> None:
+def _check_suffix(file: Path, suffix: str, parameter: str) -> None:
     if file.suffix.lower() != suffix:
-        raise SceneError(f"{option} {file}: expected a file name that ends in {suffix}")
+        raise SceneError(f"`{parameter}` {file}: expected a file name that ends in {suffix}")

@@ -47,7 +47,7 @@ class Replay:
         from rig.core.system.structural_model import structural_model
 
         if not (math.isfinite(speed) and speed > 0):
-            raise SceneError(f"--speed {speed:g}: expected a positive factor, such as 0.1 for slow motion")
+            raise SceneError(f"`speed` {speed:g}: expected a positive factor, such as 0.1 for slow motion")
         require_ordered_times(begin_s, end_s)
         self.recording = recording
         self.speed = speed
@@ -56,7 +56,7 @@ class Replay:
         self.stop = recording.samples if end_s is None else min(recording.samples, math.floor(end_s * rate) + 1)
         if self.stop <= self.start:
             raise SceneError(
-                "nothing to replay: no sample of the recording is between --from and --to; its length is "
+                "nothing to replay: no sample of the recording is between `from_s` and `to_s`; its length is "
                 f"{recording.samples / rate:.3f} s. Choose times within this length."
             )
         seconds = (self.stop - self.start) / rate

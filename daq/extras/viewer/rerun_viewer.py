@@ -71,7 +71,7 @@ _COMPARED_POINTS = 800
 # The recording is loaded when the duration that the viewer reports differs from the duration of the recording by at
 # most this, s.
 _END_TOLERANCE_S = 0.02
-_SHOW_PART = "Show a part of it with --from and --to."
+_SHOW_PART = "Show a part of it with `from_s` and `to_s`."
 
 
 class Viewer:
@@ -182,7 +182,7 @@ def binary() -> Path:
     for name in ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun"):
         if (folder / name).is_file():
             return folder / name
-    raise RunError(f"there is no rerun viewer in {folder}. Install rerun-sdk again, or write a file with --save.")
+    raise RunError(f"there is no rerun viewer in {folder}. Install rerun-sdk again, or write a file with `save`.")
 
 
 def free_port() -> int:

@@ -67,11 +67,11 @@ def replay(
         If there is no display, the viewer does not start, or the file cannot be written.
     """
     if sum([save is not None, screenshot is not None, web]) > 1:
-        raise SceneError("--save, --screenshot and --web exclude each other: choose one of them.")
+        raise SceneError("`save`, `screenshot` and `web` exclude each other: choose one of them.")
     if at is not None and screenshot is None:
-        raise SceneError("--at requires --screenshot. Add --screenshot FILE.png, or leave out --at.")
+        raise SceneError("`at` requires `screenshot`. Add `screenshot` FILE.png, or leave out `at`.")
     if speed != 1.0 and screenshot is not None:
-        raise SceneError("--speed cannot be combined with --screenshot. Leave one of them out.")
+        raise SceneError("`speed` cannot be combined with `screenshot`. Leave one of them out.")
     if not isinstance(recording, Recording):
         with Recording(recording) as opened:
             return replay(

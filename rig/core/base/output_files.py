@@ -81,7 +81,7 @@ def prepare_outputs(*paths: Path, error_type: type[ShotrigError] = SceneError) -
     if existing and not _is_allowed(*existing):
         names = ", ".join(map(str, existing))
         verb = "exists" if len(existing) == 1 else "exist"
-        raise error_type(f"{names} {verb}. Choose another name or folder with -o, or pass --overwrite.")
+        raise error_type(f"{names} {verb}. Choose another name or folder, or pass `overwrite`.")
 
 
 def resolve_output(path: Path, overwrite: bool, error_type: type[ShotrigError] = SceneError) -> Path:
@@ -101,7 +101,7 @@ def resolve_output(path: Path, overwrite: bool, error_type: type[ShotrigError] =
         if not stat.S_ISREG(existing.st_mode):
             raise error_type(f"{path} is a folder or a device. Choose another name.")
         if not (overwrite or _is_allowed(path)):
-            raise error_type(f"{path} exists. Choose another name, or pass --overwrite.")
+            raise error_type(f"{path} exists. Choose another name, or pass `overwrite`.")
         if not os.access(file, os.W_OK):
             raise error_type(f"{path} is write-protected. Choose another name.")
     create_folder(file.parent, error_type)

@@ -133,7 +133,7 @@ class Workers:
             return job.result()
         except KilledWorker as error:
             raise RunError(
-                f"--cluster {self._cluster}: the workers of a part of the study ended several times, possibly because "
+                f"`cluster` {self._cluster}: the workers of a part of the study ended several times, possibly because "
                 f"memory ran out ({error}). Give the workers more memory, or make the study smaller."
             ) from None
 
@@ -144,7 +144,7 @@ class Workers:
                 return finished.get(timeout=_WORKER_CHECK_INTERVAL_S)
             if not self._has_warned and not self._client.nthreads():
                 warnings.warn(
-                    f"--cluster {self._cluster}: the scheduler has no workers. The study waits; start a worker with: "
+                    f"`cluster` {self._cluster}: the scheduler has no workers. The study waits; start a worker with: "
                     f"dask worker {self._client.scheduler.address} --nthreads 1",
                     stacklevel=2,
                 )
@@ -276,7 +276,7 @@ def _connect_to_dask(address: str, cleanup: ExitStack) -> Any:
     try:
         from distributed import Client, LocalCluster
     except ImportError:
-        raise SceneError("--cluster: Dask is not installed. Run pip install 'shotrig[cluster]'.") from None
+        raise SceneError("`cluster`: Dask is not installed. Run pip install 'shotrig[cluster]'.") from None
     scheduler: Any = address
     if address == "local":
         with _deferred_signals(), _blocked_sigint():
@@ -286,7 +286,7 @@ def _connect_to_dask(address: str, cleanup: ExitStack) -> Any:
                 )
             except RuntimeError as error:
                 raise RunError(
-                    f"--cluster local: the workers did not start ({error}). Leave out --cluster to compute without "
+                    f"`cluster` local: the workers did not start ({error}). Leave out `cluster` to compute without "
                     "Dask."
                 ) from None
             cleanup.callback(_close_cluster, cluster)
@@ -295,7 +295,7 @@ def _connect_to_dask(address: str, cleanup: ExitStack) -> Any:
         client = cleanup.enter_context(closing(Client(scheduler, timeout=10)))
     except (OSError, ValueError) as error:
         raise SceneError(
-            f"--cluster {address}: no Dask scheduler answers ({error}). Give its address, such as "
+            f"`cluster` {address}: no Dask scheduler answers ({error}). Give its address, such as "
             "tcp://host:8786, or local."
         ) from None
     return client

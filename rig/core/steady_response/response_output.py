@@ -20,8 +20,7 @@ from rig.core.steady_response.frequency_response import SteadyResponse
 _NEGLIGIBLE_ERROR = 1e-4
 # Maximum number of listed peaks with few frequencies.
 _MAX_LISTED = 8
-# Parameters in Python, and options on the command line.
-_GIVE_BAND = "Give first and last (--from and --to)."
+_GIVE_BAND = "Give `first` and `last`."
 
 
 def sweep_frequencies(
@@ -38,11 +37,11 @@ def sweep_frequencies(
         first, last = test_first if first is None else first, test_last if last is None else last
         points = count(points if points is not None else test_points or 101, 2, "points")
         if first is None or last is None:
-            missing = "first (--from)" if first is None else "last (--to)"
+            missing = "`first`" if first is None else "`last`"
             raise SceneError(f"frequencies: {missing} is missing. {_GIVE_BAND}")
         if not 0.0 < first < last:
             raise SceneError(
-                f"frequencies: got {first:g} Hz as first (--from) and {last:g} Hz as last (--to); expected values "
+                f"frequencies: got {first:g} Hz as `first` and {last:g} Hz as `last`; expected values "
                 "above 0, first the lower value"
             )
         return spaced_frequencies(first, last, points, "linear"), direction or "up"
@@ -169,7 +168,7 @@ def _peak_table(response: SteadyResponse, motion: list[str]) -> list[str]:
         lines.append(
             f"fewer than {MIN_LINES} frequencies in the half-power width of the peaks near "
             f"{', '.join(f'{frequency:.4g}' for frequency in frequencies[:_MAX_LISTED])} Hz: the true "
-            f"peaks may be higher. {advice} (--points)."
+            f"peaks may be higher. {advice} (`points`)."
         )
     return lines
 

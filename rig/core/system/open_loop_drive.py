@@ -210,8 +210,8 @@ def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float)
         drive[system.inputs.index(scene.at_driven("shaker"))] = values
     elif wave is None:
         raise SceneError(
-            f"test: the signal of a {test.kind} test is generated during a recording. Use daq.record, or give "
-            "frequency (of a tone at the test's level) or drive (an array of shape (inputs, samples))."
+            f"test: the signal of a {test.kind} test is generated during a recording. Record it with daq record, "
+            "or give `frequency` (of a tone at the test's level) or `drive` (an array of shape (inputs, samples))."
         )
     return drive
 

@@ -100,7 +100,7 @@ def default_frequency(scene: Scene, system: HybridSystem) -> float:
     elif isinstance(test, SweptSine):
         grid = np.linspace(*test.band, 400)
     else:
-        raise SceneError("test: has no frequency. Give frequency (--frequency).")
+        raise SceneError("test: has no frequency. Give `frequency`.")
     accelerations = [accelerations_per_level(scene, system, 2.0 * np.pi * f).max() for f in grid]
     return float(grid[int(np.argmax(accelerations))])
 

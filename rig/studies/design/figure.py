@@ -69,7 +69,7 @@ def summary(design: Design) -> str:
         if any(abs(np.log(clearance / searched)) < LIMIT_TOLERANCE for clearance in best.choice.clearances):
             lines += [
                 "",
-                f"the chosen clearance is the {name} that was searched. Search a wider range with --clearance.",
+                f"the chosen clearance is the {name} that was searched. Search a wider range with `clearance`.",
             ]
     return "\n".join(lines)
 
@@ -102,7 +102,7 @@ def _verdict(design: Design) -> list[str]:
         smallest = f"{1000.0 * MIN_MACHINABLE_CLEARANCE:g} mm"
         lines.append(
             f"clearances below {smallest} are hard to build. Designs with larger clearances are easier to build, but "
-            "less effective. To exclude small clearances, give --clearance."
+            "less effective. To exclude small clearances, give `clearance`."
         )
     return lines
 

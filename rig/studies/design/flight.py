@@ -125,16 +125,16 @@ def describe_shortfall(
         reductions_text = ", ".join(
             f"{largest_reductions_db[level]:.1f} dB at {format_number(level)} {unit}" for level in effective_levels
         )
-        lines.append(f"dampers can reduce the peak by up to {reductions_text}. Give --levels {levels}.")
+        lines.append(f"dampers can reduce the peak by up to {reductions_text}. Give `levels` {levels}.")
     elif charted_levels:
         lines.append(
             f"at levels of {format_number(min(charted_levels))} {unit} and more, these dampers reduce the peak by "
-            f"{EFFECTIVE_DB:g} dB or more. Give such levels with --levels."
+            f"{EFFECTIVE_DB:g} dB or more. Give such levels with `levels`."
         )
     else:
         suggested = format_number(_EFFECTIVE_G * flight.take_off)
         lines.append(
             f"dampers are usually effective if their body exceeds {_EFFECTIVE_G:g} g. Give levels above {suggested} "
-            f"{unit} with --levels."
+            f"{unit} with `levels`."
         )
     return lines

@@ -34,8 +34,8 @@ MIN_CLEARANCE_RATIO = 0.03
 MAX_CLEARANCE_RATIO = 1.5
 #: By default, the added mass (`budget`) is at most this fraction of the mass of the structure.
 DEFAULT_MASS_RATIO = 0.05
-#: Argument of both uncertainties in messages, with their options on the command line.
-_UNCERTAINTIES = "uncertain (--damping-off, --stiffness-off)"
+#: Argument of both uncertainties in messages.
+_UNCERTAINTIES = "`uncertain`"
 
 
 def mass_limit(budget: float | str | None, scene: Scene) -> float:
@@ -77,7 +77,7 @@ def _with_controlled_force(scene: Scene, levels: Sequence[float | str] | None) -
     if levels is None:
         raise SceneError(
             "levels: not given, and the scene's test specifies a drive instead of a force. Give force amplitudes, such "
-            "as --levels 3N."
+            "as `levels` 3N."
         )
     assert scene.test is not None
     return scene.replace(test=scene.test.replace(drive=None, force=levels[0]))

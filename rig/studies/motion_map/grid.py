@@ -90,7 +90,7 @@ def natural_frequencies(scene: Scene, low: float, high: float) -> Array:
 def _test_range(scene: Scene) -> tuple[float, float]:
     band = None if scene.test is None else scene.test.band
     if band is None:
-        raise SceneError("test: has no frequency. Give first and last (--from and --to).")
+        raise SceneError("test: has no frequency. Give `first` and `last`.")
     low, high = band
     return band if low < high else (0.8 * low, 1.2 * low)
 
@@ -137,7 +137,7 @@ def select_row_values(
     low, high = default[0] if lowest is None else lowest, default[1] if highest is None else highest
     rows = count(rows, 2, "rows")
     if not 0.0 < low < high:
-        raise SceneError(f"{over}: got {low:.4g} to {high:.4g}; expected an ascending range above 0 (--least, --most)")
+        raise SceneError(f"{over}: got {low:.4g} to {high:.4g}; expected an ascending range above 0 (`least`, `most`)")
     step = np.log(high / low) / (rows - 1)
     if lowest is not None and highest is not None:
         return np.geomspace(low, high, rows)

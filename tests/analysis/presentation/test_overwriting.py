@@ -48,7 +48,7 @@ def check_replacement(folder: Path, command: str, output: str) -> None:
     """Check that a command replaces an output file only with --overwrite, with the same bytes each time."""
     (folder / output).write_bytes(b"mine")
     rejected = run_command(*command.split())
-    assert isinstance(rejected.exception, ShotrigError) and "pass --overwrite" in str(rejected.exception)
+    assert isinstance(rejected.exception, ShotrigError) and "pass `overwrite`" in str(rejected.exception)
     assert (folder / output).read_bytes() == b"mine"
     assert run_command(*command.split(), "--overwrite").exit_code == 0
     written = {path.name: path.read_bytes() for path in folder.iterdir()}

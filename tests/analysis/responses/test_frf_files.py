@@ -102,12 +102,12 @@ def test_commands_accept_files_of_other_programs(tmp_path, monkeypatch):
 
 def test_incomplete_responses_name_missing_options(tmp_path):
     write_uff(tmp_path / "a.uff", accelerance())
-    with pytest.raises(SceneError, match=r"states no unit.*--unit m/s\^2/N"):
+    with pytest.raises(SceneError, match=r"states no unit.*`unit` m/s\^2/N"):
         analysis.read_frfs(tmp_path / "a.uff")
     (first, _) = analysis.read_frfs(tmp_path / "a.uff", unit="mm/s^2/N")
     assert first.value[9] == pytest.approx(1e-3 * accelerance()[0, 10], rel=1e-9)
     write_uff(tmp_path / "a.uff", accelerance(), reference=(7, 1))
-    with pytest.raises(SceneError, match=r"2 references. Choose one with --reference: 1 \+Z, 7 \+X"):
+    with pytest.raises(SceneError, match=r"2 references. Choose one with `reference`: 1 \+Z, 7 \+X"):
         analysis.read_frfs(tmp_path / "a.uff", unit="m/N")
     assert len(analysis.read_frfs(tmp_path / "a.uff", "7 +X", "m/N")) == 2
     with pytest.raises(SceneError, match="expected motion per force"):

@@ -125,7 +125,7 @@ def test_other_channels_remain_after_overload(tmp_path):
     path = record_hits(tmp_path / "a.mcap", {"cutoff": "", "converter": "{rate: 2560 Hz, range: 5 V}"})
     with daq.open(path) as rec:
         rec.markers.append(Marker("overload", 0, rec.samples - 1, {"channel": "a1"}))
-        with pytest.raises(RecordingError, match=r"or use only the other channels: --response a2\.$"):
+        with pytest.raises(RecordingError, match=r"or use only the other channels \(`response`: a2\)\.$"):
             analysis.frequency_responses(rec)
         [[frf]] = analysis.frequency_responses(rec, ["a2"])
     assert not frf.warnings

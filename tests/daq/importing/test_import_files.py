@@ -263,7 +263,7 @@ def test_range_applies_to_voltages_with_their_offset(tmp_path):
 
 def test_reversed_times_are_rejected(tmp_path):
     write_csv(tmp_path / "a.csv", random_samples(600))
-    with pytest.raises(SceneError, match=r"--from 0\.2 s is after --to 0\.1 s"):
+    with pytest.raises(SceneError, match=r"`from_s` 0\.2 s is after `to_s` 0\.1 s"):
         daq.import_files(tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap", from_s=0.2, to_s=0.1)
 
 
@@ -451,7 +451,8 @@ def test_wrong_table_is_rejected_with_message(text, tmp_path):
 def test_contradicting_rates_name_the_remedy(tmp_path):
     write_csv(tmp_path / "a.csv", random_samples(100))
     with pytest.raises(
-        SceneError, match=r"files state 2048 Hz.*5120 Hz\. If the files are right, use --set converter.rate=2048Hz"
+        SceneError,
+        match=r"files state 2048 Hz.*5120 Hz\. If the files are right, set converter\.rate of the scene to 2048 Hz",
     ):
         import_recording(tmp_path / "a.csv", make_scene(converter="converter: {rate: 5120 Hz}"), tmp_path / "r.mcap")
     table = {name: Column(name, rate=5120.0) for name in NAMES}

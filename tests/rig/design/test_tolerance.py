@@ -163,7 +163,7 @@ def test_levels_below_take_off_are_reported() -> None:
     charted = {level: Peak(compliance, 61.0, level, 2, 1.0, 0.0) for level, compliance in ((1.0, 9.5e-5), (1.41, 8e-5))}
     lines = describe_shortfall(trial, bare, Flight(0.8, 1, np.nan), charted, [trial], "N")
     assert "at 0.5 N the dampers cannot fly" in lines[0] and "body 1 reaches 0.625 g" in lines[0]
-    assert lines[1].endswith("Give --levels 4N.")
+    assert lines[1].endswith("Give `levels` 4N.")
     weak_trial = Trial(trial.choice, peaks[:1])
     lines = describe_shortfall(weak_trial, bare, Flight(0.8, 1, np.nan), charted, [weak_trial], "N")
     assert "at levels of 1.41 N and more" in lines[1]

@@ -49,9 +49,11 @@ def dead_channel_warnings(rec: Recording, names: Sequence[str], responses: Seque
     """Return a warning for each of the channels `names` that dies; `responses`: those that are not the reference."""
     warnings = []
     for name, first in dead_channels(rec).items():
-        others = " ".join(f"--response {other}" for other in responses if other != name)
+        others = ", ".join(other for other in responses if other != name)
         remedy = (
-            f"To use the other channels to the end, choose them ({others})." if name in responses and others else ""
+            f"To use the other channels to the end, choose them (`response`: {others})."
+            if name in responses and others
+            else ""
         )
         if name in names:
             warnings.append(

@@ -45,7 +45,7 @@ def low_spectra(
     to `size` samples. The mean squares have the shape (channels,).
     """
     require_memory_with_program(
-        _COPIES * 16 * bins * len(names), f"{rec.path}: the spectra of {len(names)} channels (--response selects fewer)"
+        _COPIES * 16 * bins * len(names), f"{rec.path}: the spectra of {len(names)} channels (`response` selects fewer)"
     )
     spectra, squares = np.empty((len(names), bins), dtype=complex), np.empty(len(names))
     decimation = _decimation(size, bins)

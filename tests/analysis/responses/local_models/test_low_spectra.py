@@ -55,5 +55,5 @@ def test_many_channels_need_little_memory(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_too_many_channels_are_refused() -> None:
-    with pytest.raises(RunError, match=r"a\.mcap: the spectra of 26 channels .*--response"):
+    with pytest.raises(RunError, match=r"a\.mcap: the spectra of 26 channels .*`response`"):
         low_spectra(recording_of(np.empty((0, 0))), "abcdefghijklmnopqrstuvwxyz", 0, 10**8, 10**8, 10**6)

@@ -61,7 +61,7 @@ def test_explanation_is_a_table_with_a_plot() -> None:
     ("call", "message"),
     [
         (lambda scene: rig.response(scene, 18.0, 22.0, 2.5), "points: got 2.5; expected a whole number of at least 2"),
-        (lambda scene: rig.response(scene, 22.0, 18.0), r"got 22 Hz as first \(--from\) and 18 Hz as last \(--to\)"),
+        (lambda scene: rig.response(scene, 22.0, 18.0), r"got 22 Hz as `first` and 18 Hz as `last`"),
         (lambda scene: rig.map(scene, rows=2.5, first=18.0, last=22.0), "rows: got 2.5"),
         (lambda scene: rig.map(scene, points="3", first=18.0, last=22.0), "points: got '3'"),
         (lambda scene: rig.grains(scene, periods=0), "periods: got 0; expected a whole number of at least 1"),

@@ -107,7 +107,7 @@ def test_missing_folder_of_output_is_created(tmp_path: Path) -> None:
         ("a-folder", "is a folder or a device"),
         ("a-file/out.csv", "a file has this name"),
         ("a-file/below/out.csv", "a file has this name"),
-        ("a-file", r"a-file exists\. .*--overwrite"),
+        ("a-file", r"a-file exists\. .*`overwrite`"),
         (f"{'long' * 100}.csv", "too long"),
         pytest.param(
             "/proc/out.csv",

@@ -189,7 +189,7 @@ def test_accelerations_are_integrated_and_described(tmp_path):
 
 @pytest.mark.parametrize(
     ("begin", "end", "speed", "message"),
-    [(2.0, None, 1.0, r"length is 1\.000 s"), (0.6, 0.5, 1.0, "is after --to 0.5 s"), (None, None, 0.0, "--speed 0")],
+    [(2.0, None, 1.0, r"length is 1\.000 s"), (0.6, 0.5, 1.0, "is after `to_s` 0.5 s"), (None, None, 0.0, "`speed` 0")],
 )
 def test_impossible_part_or_speed_is_rejected(recording, begin, end, speed, message):
     with pytest.raises(SceneError, match=message):

@@ -263,8 +263,8 @@ def export(
     recording: OneRecording,
     output: str | Path,
     channel: Sequence[str] | None = None,
-    start: float | None = None,
-    stop: float | None = None,
+    from_s: float | None = None,
+    to_s: float | None = None,
     speed: float = 1.0,
     overwrite: bool = False,
     what: str = "samples",
@@ -280,7 +280,7 @@ def export(
         File to write: .uff, .mat, .csv, .npz or .wav.
     channel : sequence of str, optional
         Channels; if omitted, all.
-    start, stop : float, optional
+    from_s, to_s : float, optional
         Limits of the segment in s; if omitted, the whole recording.
     speed : float
         Playback speed factor of a .wav file: with 10, a tone of 30 Hz sounds at 300 Hz.
@@ -306,7 +306,7 @@ def export(
         export_results(path, target, what, overwrite, progress)
         return target
     with open_existing(path) as rec:
-        export_segment(Slice.of(rec, channel, start, stop), target, speed, overwrite, progress)
+        export_segment(Slice.of(rec, channel, from_s, to_s), target, speed, overwrite, progress)
     return target
 
 

@@ -71,7 +71,7 @@ def test_compare_returns_the_changes_of_the_peaks(axes):
 
 
 def test_export_and_report_return_their_files(tmp_path):
-    target = analysis.export(BARE, tmp_path / "a.npz", ["body1"], stop=1.0)
+    target = analysis.export(BARE, tmp_path / "a.npz", ["body1"], to_s=1.0)
     assert target.exists()
     hit = synthetic.impulses(tmp_path / "hit.mcap", interval=1.0)
     page = analysis.report(hit, tmp_path / "page.html")

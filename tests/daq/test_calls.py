@@ -50,8 +50,8 @@ def test_replay_returns_the_file_it_writes(recording: Path, tmp_path: Path) -> N
     ("options", "message"),
     [
         ({"save": "a.rrd", "web": True}, "choose one of"),
-        ({"at": 1.0}, "--screenshot"),
-        ({"screenshot": "a.png", "speed": 2.0}, "--speed"),
+        ({"at": 1.0}, "`screenshot`"),
+        ({"screenshot": "a.png", "speed": 2.0}, "`speed`"),
     ],
 )
 def test_contradicting_replay_options_are_rejected(recording: Path, options, message: str) -> None:

@@ -88,8 +88,8 @@ class Slice:
                 first, last = (sample / self.recording.rate for sample in (gap.first_sample, gap.last_sample + 1))
                 raise RecordingError(
                     f"{self.recording.path}: the samples of {', '.join(gap.channels)} from {first:.6g} to "
-                    f"{last:.6g} s are lost, which {file_format} cannot represent. Export another part (`start`, "
-                    "`stop`), or use .csv, .npz or .mat."
+                    f"{last:.6g} s are lost, which {file_format} cannot represent. Export another part (`from_s`, "
+                    "`to_s`), or use .csv, .npz or .mat."
                 )
 
 

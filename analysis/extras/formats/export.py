@@ -141,7 +141,7 @@ def write_wav(segment: Slice, path: Path, speed: float = 1.0) -> list[str]:
     if (n_bytes := (segment.stop - segment.start) * n_channels * 3) >= 2**32 - 1024:
         raise SceneError(
             f"{recording}: a WAV file is limited to 4 GB (these samples: {n_bytes / 1e9:.3g} GB). Export fewer "
-            "channels (`channel`) or a segment (`start`, `stop`)."
+            "channels (`channel`) or a segment (`from_s`, `to_s`)."
         )
     peaks = np.zeros(n_channels)
     for _, samples in segment.pieces(segment.channels):
@@ -236,7 +236,7 @@ def export(
         if needed > 4 * free_bytes:
             raise RunError(
                 f"{path}: the file would take about {needed / 1e6:.3g} MB, and its disk has {free_bytes / 1e6:.3g} MB "
-                "left. Write to another disk, or export a segment (`start`, `stop`) or fewer channels (`channel`)."
+                "left. Write to another disk, or export a segment (`from_s`, `to_s`) or fewer channels (`channel`)."
             )
         if kind == ".wav":
             return write_wav(segment, temporary, speed)

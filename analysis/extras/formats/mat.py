@@ -30,7 +30,7 @@ def write_mat(segment: Slice, path: Path) -> None:
     if count > MAX_SAMPLES:
         raise SceneError(
             f"{segment.recording.path}: a MATLAB file holds at most {MAX_SAMPLES} samples per channel; this segment "
-            f"has {count}. Export a shorter segment (`start`, `stop`), or an .npz file."
+            f"has {count}. Export a shorter segment (`from_s`, `to_s`), or an .npz file."
         )
     names = variable_names(segment.channels, {"channels", "units", "fs", "start_s"})
     rate = segment.recording.rate

@@ -35,7 +35,7 @@ def write_uff(segment: Slice, path: Path) -> None:
     if not 2 <= count <= MAX_TEXT_SAMPLES:
         raise SceneError(
             f"{segment.recording.path}: UFF 58 as text holds 2 to {MAX_TEXT_SAMPLES} samples per channel; this "
-            f"segment has {count}. Choose another segment (`start`, `stop`), or export an .npz file."
+            f"segment has {count}. Choose another segment (`from_s`, `to_s`), or export an .npz file."
         )
     recording = segment.recording
     universal_file(path, recording.scene.name, [info.body for info in segment.infos])

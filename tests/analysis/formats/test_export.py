@@ -184,7 +184,7 @@ def test_piece_length_does_not_change_file(recording, tmp_path, monkeypatch):
     [
         ({"channels": ["body9"]}, "no channel 'body9'. Choose one of body1, body2"),
         ({"from_s": 5.0}, "times from 0 s to 1.95312 s"),
-        ({"from_s": 1.0, "to_s": 0.5}, "--from 1 s is after --to 0.5 s"),
+        ({"from_s": 1.0, "to_s": 0.5}, "`from_s` 1 s is after `to_s` 0.5 s"),
     ],
 )
 def test_missing_segment_names_available_range(recording, selection, message):
@@ -197,9 +197,9 @@ def test_missing_segment_names_available_range(recording, selection, message):
     [
         ("a.xls", {}, "unknown format '.xls'"),
         ("a", {}, "ends in one of .csv"),
-        ("a.csv", {"speed": 2.0}, "--speed"),
-        ("a.wav", {"speed": 1e9}, "Choose another --speed"),
-        ("a.wav", {"speed": 0.0}, "Choose another --speed"),
+        ("a.csv", {"speed": 2.0}, "`speed`"),
+        ("a.wav", {"speed": 1e9}, "Choose another `speed`"),
+        ("a.wav", {"speed": 0.0}, "Choose another `speed`"),
     ],
 )
 def test_impossible_export_leaves_no_file(recording, tmp_path, name, options, message):

@@ -35,7 +35,7 @@ def test_double_hit_is_named_in_results(double_hit: Path) -> None:
     frfs = analysis.frfs(double_hit)
     assert text in frfs.warnings and text in analysis.identify(frfs).warnings
     assert any(text in line for line in daq.info(double_hit).lines)
-    assert any("Hit 2 was double" in note for note in analysis.decay(double_hit, "low", hit=2).warnings)
+    assert any("Impact 2 was double" in note for note in analysis.decay(double_hit, "low", hit=2).warnings)
     assert not any("double" in note for note in analysis.decay(double_hit, "low", hit=1).warnings)
 
 

@@ -164,7 +164,7 @@ def test_uncertainty_contains_error_due_to_motion_before_hit(interval, is_report
         [curves] = analysis.frequency_responses(rec)
         share, error = coverage(rec, curves)
     assert share > 0.9 and error < 0.2
-    assert is_reported == any("before a hit" in text for text in curves[0].warnings)
+    assert is_reported == any("before an impact" in text for text in curves[0].warnings)
     np.testing.assert_array_equal(curves[0].frequency, curves[1].frequency)
 
 
@@ -258,7 +258,7 @@ def test_missed_hit_is_reported(tmp_path):
     scene = synthetic.scene("{kind: impulse, body: 1, peak: 50 N, width: 6.25 ms}")
     rows = np.vstack([synthetic.simulate(force), force])
     path = synthetic.write(tmp_path / "a.mcap", scene, infos, rows, [("hit", 640, 655, {})])
-    with daq.open(path) as rec, pytest.raises(RecordingError, match="at most 0 N at the marker of the hit"):
+    with daq.open(path) as rec, pytest.raises(RecordingError, match="at most 0 N at the marker of the impact"):
         analysis.frequency_responses(rec)
 
 

@@ -238,7 +238,7 @@ def _ratio(where: str, unit: str) -> tuple[str, float]:
             return motion, motion_unit / force_unit
     raise SceneError(
         f"{where}: unit {unit!r}; expected motion per force, such as m/N, m/s/N, m/s^2/N or g/N. For the poles of "
-        "other responses, such as sound pressures, give --unit m/s^2/N; their shapes then have the unit of the file."
+        "other responses, such as sound pressures, give `unit` m/s^2/N; their shapes then have the unit of the file."
     )
 
 

@@ -1,7 +1,8 @@
 """Predict the waits for the steady state of a series of tones, from the linear response with all dampers riding.
 
 A change of the tone leaves a transient in each mode, which decays freely. The steady state is reached when the sum of
-the transients in the amplitude of every controlled or measured quantity is below the tolerance.
+the transients in the amplitude of every controlled or measured quantity is below the tolerance. Where the noise of a
+quantity is larger than that, the detector has to average, after a correction of the force.
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ from numpy.typing import NDArray
 
 from daq.core.excitation.stepped_sine import expected_wait, extrapolate_drive
 from daq.core.excitation.tones.lock_in import lock_in, whole_periods
+from daq.core.excitation.tones.settling import MIN_OBSERVATIONS
 from daq.core.excitation.tones.steady_tone import TRANSITION_S, WINDOW_S, Tone
-from daq.core.prediction.linear import states_per_level
+from daq.core.prediction.linear import noise_density, states_per_level
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
@@ -33,6 +35,11 @@ _CONFIRMING_WINDOWS = 2
 _SHORTEST_WAIT_S = 2.0
 # As in `daq.core.excitation.tones.settling`: incoherent changes are noise after this number of windows.
 _NOISE_WINDOWS, _MIN_COHERENCE = 24, 0.8
+# Noise above this fraction of the tolerance prevents that a few windows agree; the scatter of half of `_NOISE_WINDOWS`
+# is averaged up to the second multiple of the tolerance, of all above it.
+_FEW_WINDOWS_RATIO, _HALF_OF_WINDOWS_RATIO = 0.12, 3.0
+# Number of windows until the force is predictable, with the change of the drive.
+_CORRECTION_WINDOWS = MIN_OBSERVATIONS + 3
 # Without modes that are this independent, the waits follow from the slowest mode.
 _MAX_CONDITION = 1e13
 
@@ -57,12 +64,7 @@ def linear_waits(scene: Scene, system: HybridSystem, channels: Sequence[ChannelI
         return usual
     to_modes = np.linalg.inv(shapes)
     modal_input = to_modes @ np.linalg.solve(descriptor, input_vector)
-    rows = [
-        system.points.index(info.at) for info in channels if info.at in system.points and info.derivative is not None
-    ]
-    quantities = np.eye(system.states)[rows]
-    if scene.controlled_terms:
-        quantities = np.concatenate([force_row(scene, system)[None], quantities])
+    quantities, noise = _quantities(scene, system, channels, tones)
     drive, rate = abs(gain) * max(test.levels), _SAMPLES_PER_PERIOD * float(tones.max())
 
     in_phase, in_quadrature = (to_modes @ part for part in (per_drive.imag, per_drive.real))
@@ -93,9 +95,47 @@ def linear_waits(scene: Scene, system: HybridSystem, channels: Sequence[ChannelI
     counts = _windows_until(
         abs(quantities @ shapes) * transients[:, None], limits, poles, omega, windows / rate, steady_state.longest
     )
+    averaged = _averaged_windows(noise * np.sqrt(2.0 * rate / windows), limits.T)
+    # With noise, the force is corrected: its drive is extrapolated from the tones before.
+    counts = np.maximum(counts, averaged) + (_CORRECTION_WINDOWS * (averaged > 0) if scene.controlled_terms else 0)
     waits = (changes + (counts + _CONFIRMING_WINDOWS) * windows) / rate
     waits[0] = waits[1:].mean()
     return np.clip(waits, min(_SHORTEST_WAIT_S, steady_state.longest), steady_state.longest)
+
+
+def _quantities(
+    scene: Scene, system: HybridSystem, channels: Sequence[ChannelInfo], tones: Array
+) -> tuple[Array, Array]:
+    """Return the quantities of the detector as products with the states, and their noise density at the tones.
+
+    Shapes (quantities, states) and (quantities, tones). The first quantity is the controlled force, if any; the others
+    are the displacements that channels measure.
+    """
+    settings = {channel.name: channel for channel in scene.channels or ()}
+    rows, noises = [], []
+    noise_at: dict[str, Array] = {}
+    for info in channels:
+        gain = abs(info.response(tones)) * (2.0 * np.pi * tones) ** (info.derivative or 0)
+        noise = noise_density(scene, settings.get(info.name), info, tones) / np.maximum(gain, np.finfo(float).tiny)
+        noise_at.setdefault(info.at, noise)
+        if info.at in system.points and info.derivative is not None:
+            rows.append(np.eye(system.states)[system.points.index(info.at)])
+            noises.append(noise)
+    if scene.controlled_terms:
+        rows.insert(0, force_row(scene, system))
+        terms = [factor * noise_at.get(at, np.zeros(tones.size)) for at, factor in scene.controlled_terms.items()]
+        noises.insert(0, np.sqrt(np.sum(np.square(terms), axis=0)))
+    return np.array(rows).reshape(-1, system.states), np.array(noises).reshape(-1, tones.size)
+
+
+def _averaged_windows(scatter: Array, limits: Array) -> NDArray[np.intp]:
+    """Return the number of windows over which the detector averages the noise of any quantity, (tones,).
+
+    `scatter`: standard deviation of the amplitude in a window; `limits`: tolerance; both (quantities, tones).
+    """
+    ratio = (scatter / np.maximum(limits, np.finfo(float).tiny)).max(axis=0, initial=0.0)
+    parts = np.where(ratio > _HALF_OF_WINDOWS_RATIO, _NOISE_WINDOWS, _NOISE_WINDOWS // 2)
+    return np.where(ratio > _FEW_WINDOWS_RATIO, parts, 0)
 
 
 @lru_cache(maxsize=4)

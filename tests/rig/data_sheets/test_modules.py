@@ -82,3 +82,8 @@ def test_shaker_preset_fills_coil_and_armature() -> None:
     # 3.744 N/A and 2897 N/m are values of the preset; the explicit key `mass` overrides it.
     assert scene.shaker.coil.force_factor == 3.744
     assert scene.shaker.armature.mass == 0.04 and scene.shaker.armature.stiffness == 2897.0
+
+
+def test_presets_of_shakers_have_all_limits():
+    limits = [sheet.settings["shaker"]["limits"] for sheet in data_sheets().values() if "shaker" in sheet.settings]
+    assert limits and all(set(each) == {"current", "force", "travel", "velocity"} for each in limits)

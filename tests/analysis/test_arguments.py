@@ -100,6 +100,10 @@ def test_recorded_scene_has_body_names(hit: Path) -> None:
         (lambda: analysis.fit(SWEEP, 7), "scene: got 7; expected a name, a path, a mapping or a rig.Scene"),
         (lambda: analysis.mac(np.eye(2), np.eye(3)), "expected two matrices with one row for each point"),
         (
+            lambda: analysis.mac(analysis.frf(SWEEP), analysis.frf(SWEEP)),
+            "mac: got Results; expected modes or their shapes, such as analysis.identify(frfs)",
+        ),
+        (
             lambda: analysis.mac(analysis.frfs(SWEEP), analysis.frfs(SWEEP)),
             "mac: got Response; expected modes or their shapes, such as analysis.identify",
         ),

@@ -244,7 +244,8 @@ def mac(first: NDArray[np.generic] | Modes, second: NDArray[np.generic] | Modes)
 def _shape_matrix(shapes: NDArray[np.generic] | Modes) -> ComplexArray:
     if isinstance(shapes, Modes):
         return shapes.shapes
-    if isinstance(shapes, Response) or not isinstance(shapes, np.ndarray | Sequence):
+    is_matrix = isinstance(shapes, np.ndarray | Sequence) and not isinstance(shapes, Response)
+    if not is_matrix or any(isinstance(row, Response) for row in shapes):
         raise SceneError(
             f"mac: got {type(shapes).__name__}; expected modes or their shapes, such as analysis.identify(frfs)"
         )

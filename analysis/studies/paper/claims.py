@@ -56,8 +56,8 @@ def _c1(parts: Parts) -> Claim:
             ),
             Evidence(
                 f"Modes identified in the recording: {_format_list(measured['omega'], 3)} rad/s, within "
-                f"{format_percent(identified_error)} of the chain's; shapes within {identified_shape_error:.3f}; damping "
-                f"{_format_list(100 * measured['damping'], 2)} % (assumed: 0.5 %; the paper gives no value).",
+                f"{format_percent(identified_error)} of the chain's; shapes within {identified_shape_error:.3f}; "
+                f"damping {_format_list(100 * measured['damping'], 2)} % (assumed: 0.5 %; the paper gives no value).",
                 ("rec-bare", "structure"),
             ),
             Evidence(

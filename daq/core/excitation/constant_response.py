@@ -129,6 +129,8 @@ class ConstantResponseProcedure(StepsProcedure["ConstantResponse"]):
     """Tones at which a motion has a constant amplitude."""
 
     form = Form("constant response", ("low", "high"))
+    # The waits at lower levels differ.
+    duration_ratio = 1.5
 
     def excite(self, station: Station, test: ConstantResponse) -> Excitation:
         """Run the test."""
@@ -142,6 +144,10 @@ class ConstantResponseProcedure(StepsProcedure["ConstantResponse"]):
         chosen = [ascending[k] for k in np.unique(np.linspace(0, len(ascending) - 1, count).round().astype(int))]
         steps: dict[str, Any] = {"from_": None, "to": None, "points": None, "frequencies": chosen, "direction": "up"}
         return test.at_level(max(test.levels)).replace(**steps)
+
+    def seconds(self, test: ConstantResponse, part: ConstantResponse, part_seconds: float) -> float:
+        """Return the expected duration of all levels and steps, s."""
+        return part_seconds * len(test.levels) * len(test.order) / (len(part.levels) * len(part.order))
 
     def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
         """Return steps over the band at the level of the scene's test, or 1 mm of body 1."""

@@ -172,6 +172,8 @@ class PhaseResonanceProcedure(Procedure["PhaseResonance"]):
 
     detection = "steps"
     form = Form("phase resonance", ("level", "frequency", "low", "high"))
+    # The waits at other points of the curve, or at lower levels, differ.
+    duration_ratio = 2.0
 
     def excite(self, station: Station, test: PhaseResonance) -> Excitation:
         """Run the test."""
@@ -188,6 +190,10 @@ class PhaseResonanceProcedure(Procedure["PhaseResonance"]):
     def part(self, test: PhaseResonance, seconds: float, scene: Scene) -> PhaseResonance:
         """Return the highest level."""
         return test.at_level(max(test.levels))
+
+    def seconds(self, test: PhaseResonance, part: PhaseResonance, part_seconds: float) -> float:
+        """Return the expected duration of all levels, s."""
+        return part_seconds * len(test.levels) / len(part.levels)
 
     def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
         """Return a tone at the given force that follows the resonance of body 1, or of the body of the scene's test."""

@@ -49,6 +49,8 @@ _MAX_TIME_RATIO = 1.5
 _LIMITED_DRIVE_RATIO = 0.999
 # If dampers fly, at most this number of rehearsals at other levels determines the largest permissible level.
 _MAX_SECANT_STEPS = 3
+# Waits of the linear response differ from those of a test by about this fraction, measured with 15 scenes.
+_LINEAR_WAIT_ERROR = 0.2
 # The search for the largest permissible level ends when the largest reading differs from its limit by less than this
 # fraction.
 _LEVEL_TOLERANCE = 0.02
@@ -189,7 +191,7 @@ class _Assessment:
             if second_ratio > 0.0:
                 second_level = max(self.level / second_ratio, self.level / limiting.driven_share)
                 largest_level = min(largest_level, second_level)
-        seconds = self._test_duration()
+        seconds, *seconds_range = self._test_durations()
         signals = lowest_signal_to_noise(self.scene, self.bench.channels)
         test = test_of(self.scene)
         last_blocks = chain.from_iterable(part.last_blocks for part in self.rehearsed_test.parts)
@@ -211,6 +213,7 @@ class _Assessment:
             ),
             flights=flight_lines(self.scene, self.system, self.level, self.unlimited_test.parts),
             seconds=seconds,
+            seconds_range=(seconds_range[0], seconds_range[1]),
             disk=recording_size(self.scene, self.bench, last_blocks, seconds),
             rehearsed=self.rehearsed_test.rehearsed,
             outside=outside_band(self.scene),
@@ -354,34 +357,40 @@ class _Assessment:
             level = float(np.exp(level_2 - ratio_2 / np.clip(slope, 0.5, 2.0)))
         return level
 
-    def _test_duration(self) -> float:
-        """Return the duration of the test, s."""
+    def _test_durations(self) -> tuple[float, float, float]:
+        """Return the expected, the shortest and the longest probable duration of the test, s."""
         rehearsed_test, test = self.rehearsed_test, self.scene.test
         rehearsed_seconds = sum(part.seconds for part in rehearsed_test.parts)
         if rehearsed_test.is_complete or (rehearsed_test.aborted is not None and len(rehearsed_test.parts) == 1):
-            return rehearsed_seconds
+            return rehearsed_seconds, rehearsed_seconds, rehearsed_seconds
         assert test is not None
         procedure = procedure_of(test)
         if procedure.rehearsal == "part":
-            return procedure.seconds(test, rehearsed_test.parts[0].scene.test, rehearsed_seconds)
+            seconds = procedure.seconds(test, rehearsed_test.parts[0].scene.test, rehearsed_seconds)
+            return seconds, seconds / procedure.duration_ratio, seconds * procedure.duration_ratio
         if not test.dwells:
-            return test.shortest
+            return test.shortest, test.shortest, test.shortest
         waits = linear_waits(self.scene, self.system, self.bench.channels)
+        waits = np.outer([1.0, 1.0 - _LINEAR_WAIT_ERROR, 1.0 + _LINEAR_WAIT_ERROR], waits)
         order, steps = np.array(test.dwells), len(test.levels) * len(test.dwells)
         for part in rehearsed_test.parts:
-            for frequency, wait in self._nonlinear_waits(part):
-                waits[np.isclose(order, frequency)] = wait
-        complete_seconds = estimate(self.scene).seconds + len(test.levels) * float(waits.sum())
+            for frequency, *expected in self._nonlinear_waits(part):
+                waits[:, np.isclose(order, frequency)] = np.array(expected)[:, None]
+        durations = estimate(self.scene).seconds + len(test.levels) * waits.sum(axis=1)
+        complete_seconds = float(durations[0])
         if rehearsed_test.aborted is None:
-            return complete_seconds
+            return complete_seconds, float(durations[1]), float(durations[2])
         # The test aborts near the last rehearsed tone.
         last_part = rehearsed_test.parts[-1]
         last_tone = last_part.frequency_at(round(last_part.seconds * last_part.rate))
         index = int(np.argmin(abs(order - last_tone))) if last_tone is not None else 0
-        return max(rehearsed_seconds, complete_seconds * (index + 1) / steps) if index > 1 else rehearsed_seconds
+        seconds = max(rehearsed_seconds, complete_seconds * (index + 1) / steps) if index > 1 else rehearsed_seconds
+        return seconds, seconds, seconds
 
-    def _nonlinear_waits(self, part: Rehearsal) -> Iterable[tuple[float, float]]:
-        """Yield the frequency of each tone of a part in which dampers fly, and the wait until it is steady, s.
+    def _nonlinear_waits(self, part: Rehearsal) -> Iterable[tuple[float, float, float, float]]:
+        """Yield the frequency of each tone of a part in which dampers fly, and the waits until it is steady, s.
+
+        The waits are the expected, the shortest and the longest.
 
         If a tone did not settle in a rehearsal, it may settle soon after, or take all the time of the test.
         The geometric mean of both times is assumed.
@@ -392,4 +401,5 @@ class _Assessment:
         for settle, measure in zip(part.steps[::2], part.steps[1::2], strict=False):
             wait = (settle.stop - settle.first) / self.bench.rate
             if ((times >= settle.first) & (times < measure.stop)).any():
-                yield settle.frequency, wait if measure.settled else float(np.sqrt(wait * max(longest, wait)))
+                latest = wait if measure.settled else max(longest, wait)
+                yield settle.frequency, float(np.sqrt(wait * latest)), wait, latest

@@ -17,6 +17,9 @@ from rig.core.scene.scene import STANDARD_GRAVITY
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+# The range of the duration is printed above this ratio of its ends.
+_MIN_RANGE_RATIO = 1.1
+
 
 @dataclass(frozen=True)
 class Expectation:
@@ -92,6 +95,7 @@ class Foresight(Result):
     unread: tuple[str, ...] = ()  # warnings of signals that are not resolved
     flights: tuple[str, ...] = ()  # lines about dampers in flight
     seconds: float = 0.0  # duration of the test, s
+    seconds_range: tuple[float, float] = (0.0, 0.0)  # shortest and longest probable duration, s
     disk: float = 0.0  # size of its recording, bytes
     rehearsed: str = ""  # description of the part that was simulated (rehearsed); "" for the whole test
     outside: tuple[str, ...] = ()  # line about modes outside the band of the test
@@ -164,6 +168,9 @@ class Foresight(Result):
             rows.append((entry.name, format_quantity(entry.largest, entry.unit), entry.place, limit, share, signal))
         about = "about " if self.rehearsed else ""
         lines = [*self.unread, *self.checks, *self.flights, *self.outside]
+        shortest, longest = self.seconds_range
+        if longest > _MIN_RANGE_RATIO * shortest > 0.0:
+            about = f"{duration_text(shortest)} to {duration_text(longest)}, {about}"
         lines.append(
             f"the test takes {about}{duration_text(self.seconds)} on the bench; its recording has about "
             f"{self.disk / 1e6:.3g} MB"

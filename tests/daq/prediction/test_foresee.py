@@ -13,6 +13,7 @@ import rig
 from daq.core.prediction import rehearsal_plan
 from daq.core.prediction.force_difference import unresolved_force
 from daq.core.prediction.linear import channel_readings
+from daq.core.prediction.linear_waits import linear_waits
 from daq.core.prediction.rehearsal import Rehearsal
 from daq.core.virtual_bench.bench import Bench
 from rig.core.base.errors import SceneError
@@ -358,3 +359,28 @@ def test_power_on_transient_does_not_limit_the_level() -> None:
     assert prediction["a1"].place.endswith("bias settling") and prediction["a1"].largest > 50.0
     # The acceleration of the hit is at most 10 N / 1 kg, 1.02 g, and the limit of the sensor 50 g.
     assert 400.0 < prediction.largest_level < 600.0
+
+
+def test_waits_include_averages_of_noise() -> None:
+    steps = {"kind": "stepped_sine", "from": "10 Hz", "to": "40 Hz", "points": 10, "force": "10 mN"}
+    sensor = {"sensitivity": "100 mV/g", "noise": "50 ug/sqrt(Hz)"}
+    waits = []
+    for noisy in (sensor, {**sensor, "noise": "0 ug/sqrt(Hz)"}):
+        scene = one_body(steps, channels=[{"name": "a1", "at": "body 1", "accelerometer": noisy}])
+        waits.append(linear_waits(scene, assemble(scene), Bench(scene).channels))
+    assert waits[0].sum() > waits[1].sum() + 1.0 and (waits[0] >= waits[1]).all()
+
+
+def test_range_of_duration_contains_steps_that_do_not_settle() -> None:
+    foresight = daq.foresee("fig8-one-damper")
+    shortest, longest = foresight.seconds_range
+    # The recording takes 1225 s; several steps at the resonances do not become steady in 60 s.
+    assert shortest < foresight.seconds < 1225.0 < longest
+    assert f"{shortest / 60:.1f} min to {longest / 60:.1f} min, about" in str(foresight)
+
+
+def test_duration_of_levels_is_proportional_to_a_rehearsed_level() -> None:
+    foresight = daq.foresee("held-response")
+    part = float(foresight.rehearsed.split()[0])
+    assert foresight.seconds == pytest.approx(4.0 * part, rel=0.02)
+    assert foresight.seconds_range == pytest.approx((foresight.seconds / 1.5, foresight.seconds * 1.5))

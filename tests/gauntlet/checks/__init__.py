@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from tests.gauntlet.checks import (
+    channels,
     controlled_tones,
     decays,
     impacts,
@@ -21,6 +22,7 @@ Check = Callable[[Case, str], list[CheckResult]]
 # A `ShotrigError` that a check raises counts as refused.
 CHECKS: dict[str, Check] = {
     "responses": responses.check,
+    "intact channels": channels.check,
     "modes": modes.check,
     "impacts": impacts.check,
     "restitution": restitution.check,

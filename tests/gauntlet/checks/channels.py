@@ -1,0 +1,21 @@
+"""Check of warnings of channels: the drawn recordings have no fault of a channel, so that no channel is blamed.
+
+Overloads, lost samples and double hits are drawn; they are no change of gain, no dead channel and no delay.
+"""
+
+from __future__ import annotations
+
+import analysis
+from tests.gauntlet.result import Case, CheckResult
+
+# Parts of the warnings that blame a channel for a step of its gain, for a break, for a delay, or for its sign.
+_BLAMES = ("its gain", "dead or disconnected", "seems to be", "indicates a reversed channel")
+
+
+def check(case: Case, kind: str) -> list[CheckResult]:
+    """Return one result for all curves of a recording; recordings of free decays have no curves."""
+    if case.scene.test is None or case.scene.test.kind == "free":
+        return []
+    responses = analysis.frequency_responses(case.recording)
+    blames = {text for group in responses for text in group.warnings if any(blame in text for blame in _BLAMES)}
+    return [CheckResult("intact channels", kind, "wrong" if blames else "correct", note="; ".join(sorted(blames)))]

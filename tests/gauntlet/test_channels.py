@@ -1,0 +1,23 @@
+"""The check of intact channels counts a blamed channel as wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import daq
+from tests.analysis.responses import synthetic
+from tests.gauntlet.checks import channels
+from tests.gauntlet.result import Case
+
+
+@pytest.mark.parametrize(("gain", "outcome"), [(1.0, "correct"), (1.5, "wrong")])
+def test_blamed_channel_is_wrong(tmp_path, gain: float, outcome: str) -> None:
+    with daq.open(synthetic.impulses(tmp_path / "a.mcap", hits=8, noise=0.1)) as rec:
+        samples = np.stack([rec.read(name) for name in rec.channels])
+        samples[0, samples.shape[1] // 2 :] *= gain
+        marks = [(mark.kind, mark.first_sample, mark.last_sample, mark.fields) for mark in rec.markers]
+        path = synthetic.write(tmp_path / "b.mcap", rec.scene, list(rec.channels.values()), samples, marks)
+    with daq.open(path) as changed:
+        (result,) = channels.check(Case(changed.scene, changed, []), "impulse")
+    assert result.outcome == outcome

@@ -167,19 +167,31 @@ def _end_impact(flow: Flow, model: Model, state: State, j: int, end: int, reboun
     change_mode(flow, model, state, j, laws.target[x, candidate])
 
 
+@inlined_kernel
+def _gap(model: Model, state: State, j: int) -> float:
+    """Return the gap of a mass that is not held, m."""
+    if model.gap_coordinate[j] >= 0:
+        return state.z[model.gap_coordinate[j]]
+    return state.height[j] - state.z[unsigned(model.position_index[j])]
+
+
 @kernel
-def _touched_end(model: Model, state: State, j: int) -> int:
-    """Return the end at which a flying mass touches a wall within rounding while approaching it, or NONE."""
+def _touched_end(model: Model, state: State, j: int, gap_error: float) -> int:
+    """Return the end at which a flying mass touches a wall within rounding while approaching it, or NONE.
+
+    `gap_error`: that of the mass whose impact determined the instant, m. Masses that fly together then land together.
+    """
     m = mode_number(model, state, j)
     multiplicity = state.multiplicity[model.laws.first_lane[j]]
     position, gap_coordinate = state.z[unsigned(model.position_index[j])], model.gap_coordinate[j]
+    gap = _gap(model, state, j)
     if gap_coordinate >= 0:
-        gap, floor_approach_speed = state.z[gap_coordinate], -state.z[model.first_velocity + gap_coordinate]
+        floor_approach_speed = -state.z[model.first_velocity + gap_coordinate]
         rounding = ROUNDING * (abs(position) + abs(gap))
     else:
-        gap = state.height[j] - position
         floor_approach_speed = state.z[unsigned(model.velocity_index[j])] - state.velocity[j]
         rounding = ROUNDING * (abs(position) + abs(state.height[j]))
+    rounding = max(rounding, gap_error)
     if floor_approach_speed > 0.0 and multiplicity <= 0 and gap <= _limit(model, m, LOW) + rounding:
         return LOW
     if floor_approach_speed < 0.0 and multiplicity >= 0 and gap >= _limit(model, m, HIGH) - rounding:
@@ -300,17 +312,19 @@ def _slip_by_impact(flow: Flow, model: Model, state: State, log: Log) -> None:
 @kernel
 def _coupled_impact(flow: Flow, model: Model, state: State, log: Log, j: int, end: int, work: ContactWorkspace) -> None:
     """Apply the impact of element j, with its effect through a full mass matrix on masses that touch a wall."""
-    count = 0
+    count, landing = 0, 0
+    gap_error = abs(_gap(model, state, j) - _limit(model, mode_number(model, state, j), end))
     for i in range(model.mass.shape[0]):
         m = mode_number(model, state, i)
         if not (model.laws.transmits[m] or model.laws.can_hit[m]):
             continue
         touched = LOW
         if not model.laws.is_held[m]:
-            touched = end if i == j else _touched_end(model, state, i)
+            touched = end if i == j else _touched_end(model, state, i, gap_error)
             if touched == NONE:
                 continue
         _collect_contact(model, state, i, touched, count, work)
+        landing += work.flying[count]
         count += 1
     for a in range(count):
         work.low[a], work.high[a] = 0.0, np.inf
@@ -332,8 +346,9 @@ def _coupled_impact(flow: Flow, model: Model, state: State, log: Log, j: int, en
             if gap >= 0:
                 rebound_speed = work.sign[a] * state.z[model.first_velocity + gap]
             is_plastic = work.rhs[a] == work.opening_speed[a]  # the required rebound speed is zero
-            if work.bound[a] == FREE and is_plastic:
-                rebound_speed = 0.0
+            if work.bound[a] == FREE and (is_plastic or landing > 1):
+                # Without rounding, masses that land together rebound at equal speeds, and land together again.
+                rebound_speed = work.opening_speed[a] - work.rhs[a]
             # The gap of element j is zero and decreasing. A new opening speed up to the opening speed before the impact
             # is a rounding error.
             if i == j and 0.0 < rebound_speed <= work.opening_speed[a]:
@@ -508,7 +523,9 @@ def _stop_simultaneously(flow: Flow, model: Model, state: State, log: Log, j: in
         for lane in range(laws.first_lane[i + 1] - first):
             if not laws.is_speed[m, lane] or state.multiplicity[first + lane] != 0:
                 continue
-            if abs(_speed(model, state, i)) <= ROUNDING * abs(state.z[model.velocity_index[i]]):
+            # The rounding errors of a speed are those of the terms of a step, in which a displacement changes it.
+            displacement, velocity = state.z[model.position_index[i]], state.z[model.velocity_index[i]]
+            if abs(_speed(model, state, i)) <= ROUNDING * (abs(velocity) + abs(displacement) / model.step):
                 x = unsigned(laws.exit[m, lane, LOW if laws.exit[m, lane, LOW] != NONE else HIGH])
                 state.z[model.first_velocity + model.gap_coordinate[i]] = 0.0
                 change_mode(flow, model, state, i, laws.target[x, 0])

@@ -64,6 +64,18 @@ def test_identical_oscillators_have_simultaneous_events() -> None:
     assert np.abs(run.displacement - run.displacement[0]).max() < 1e-15
 
 
+@pytest.mark.parametrize(("frequency", "force"), [(9.0, 22.0), (11.0, 20.0), (12.0, 16.0)])
+def test_masses_that_fly_together_land_together(frequency: float, force: float) -> None:
+    # Both leave the body at the same instant. If rounding decided on the order of their impacts, the second would be
+    # slower, because the first has pushed the body.
+    scene = single_body({"restitution": 0.4}, frequency=frequency, force=force)
+    light = scene.dampers[0].replace(mass=0.02)
+    events = rig.simulate(scene.replace(dampers=[scene.dampers[0], light]), 0.5, rate=500.0).events
+    landings = events[events["kind"] == "floor"]
+    assert len(landings) == 4
+    np.testing.assert_allclose(landings["speed"][::2], landings["speed"][1::2], rtol=1e-12)
+
+
 def test_hundred_thousand_periods_do_not_drift() -> None:
     scene = single_body({"clearance": 1.5e-3}, frequency=8.0)
     periods_per_sample, periods = 128, 102_400

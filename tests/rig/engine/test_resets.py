@@ -335,7 +335,7 @@ def test_damper_in_flight_touches_only_an_approaching_wall(
     state.z[model.position_index[1]], state.z[model.velocity_index[1]] = -1.0 / 64, 0.5
     state.height[1], state.velocity[1] = -1.0 / 64 + gap, 0.5 - closing_speed
     state.multiplicity[1] = multiplicity
-    assert _touched_end(model, state, 1) == END[wall]
+    assert _touched_end(model, state, 1, 0.0) == END[wall]
 
 
 def test_negligible_coupling_changes_no_event() -> None:

@@ -265,7 +265,9 @@ class DenseMotion:
 
     def _speed_rounding(self) -> float:
         """Return the largest speed of a gap that may be a rounding error of zero, m/s."""
-        return ROUNDING * float(np.abs(self.state[self.n : 2 * self.n]).max())
+        magnitude = np.abs(self.state[: 2 * self.n]).reshape(2, -1).max(axis=1)
+        # A displacement changes the velocity by its ratio to the step, within a step.
+        return ROUNDING * float(magnitude[1] + magnitude[0] / self._equations(self.modes).step)
 
     def _enter(self, j: int, name: str) -> None:
         """Change the mode of an element; the speed of a held element is exactly zero."""
@@ -390,8 +392,8 @@ class DenseMotion:
     def _zeros_of_change(self, guard: Guard, left: Guard, is_at_limit: bool) -> int:
         """Return the known zeros of a guard after an exit from a mode that is not held."""
         is_same = (guard.row, guard.limit) == (left.row, left.limit)
-        is_touched = bool(guard.row.gap and left.row.gap) and is_at_limit and not left.row.hold
-        return int(is_same or is_touched)
+        is_touched = bool(guard.row.gap and left.row.gap) and not left.row.hold
+        return int(is_at_limit and (is_same or is_touched))
 
     def _known_zeros(self, j: int, departure: Departure) -> list[int]:
         """Return the number of leading terms of each guard of element j that are zero, after it changed its mode."""

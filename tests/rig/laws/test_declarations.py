@@ -14,6 +14,7 @@ from rig.core.laws.events import CEILING_IMPACT, FLOOR_IMPACT
 from rig.core.system.assembly import assemble
 from rig.core.system.open_loop_drive import tone_drive
 from tests.rig.laws.dense import DenseMotion
+from tests.rig.laws.random_scenes import KINDS, random_scene
 
 PERIODS = 8
 #: Slower impacts belong to the end of infinitely many rebounds, m/s.
@@ -42,19 +43,9 @@ def test_motion_is_that_of_the_declaration(case: str) -> None:
     assert assert_motion_as_declared(scene, PERIODS) > 10
 
 
-def random_structure(random: np.random.Generator, bodies: int, dampers: list[dict[str, Any]]) -> rig.Scene:
-    """Return a random structure with dampers, driven at its first body."""
-    content: dict[str, Any] = {
-        "structure": {
-            "masses": random.uniform(0.3, 1.5, bodies).tolist(),
-            "springs": random.uniform(1e4, 4e4, bodies).tolist(),
-            "damping": {"modal": 0.01},
-        },
-        "dampers": dampers,
-        "shaker": {"kind": "force", "body": 1},
-        "test": {"kind": "sine", "frequency": float(random.uniform(8.0, 50.0)), "force": 20.0},
-    }
-    return rig.load(content)
+@pytest.mark.parametrize("seed", range(20))
+def test_dampers_of_all_laws_move_together(seed: int) -> None:
+    assert_motion_as_declared(random_scene(seed, *KINDS), periods=5, tolerance=1e-10)
 
 
 def assert_motion_as_declared(scene: rig.Scene, periods: int, tolerance: float = 1e-12) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import inf, sqrt
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,8 @@ from rig.core.orbits.problem import OrbitProblem
 from rig.core.orbits.shooting import shoot
 from rig.core.system.structural_model import receptance
 from rig.studies.motion_map.grid import take_off_levels
-from tests.rig.laws.test_declarations import assert_motion_as_declared, random_structure
+from tests.rig.laws.random_scenes import random_scene
+from tests.rig.laws.test_declarations import assert_motion_as_declared
 
 STEEL = {"contact": {"duration": "1 ms"}}
 
@@ -34,22 +35,7 @@ def one_body(**damper: Any) -> rig.Scene:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_random_systems_move_as_declared(seed: int) -> None:
-    random = np.random.default_rng(seed)
-    bodies = int(random.integers(1, 6))
-    damped = random.permutation(bodies)[: random.integers(1, 5)] + 1
-    dampers = []
-    for number, body in enumerate(damped.tolist()):
-        mass = float(10.0 ** random.uniform(-2.5, -0.5))
-        damper: dict[str, Any] = {"body": body, "mass": mass, "clearance": float(random.choice([3e-4, 1e-3, inf]))}
-        if number == 0 or random.random() < 0.6:
-            stiffness = mass * float(random.uniform(30.0, 300.0)) ** 2
-            dashpot = float(random.choice([0.0, 0.1, 1.5])) * sqrt(mass * stiffness)
-            below = float(random.choice([2e-4, 5e-4, 1e-3]))
-            damper |= {"spring": stiffness, "damping": dashpot, "clearance_below": below}
-            damper |= STEEL if random.random() < 0.4 else {}
-        damper["restitution"] = float(random.choice([0.0, 0.4, 0.8]))
-        dampers.append(damper)
-    assert_motion_as_declared(random_structure(random, bodies, dampers), periods=5, tolerance=1e-10)
+    assert_motion_as_declared(random_scene(seed, "impact", "bed"), periods=5, tolerance=1e-10)
 
 
 def driven(force: float, **damper: Any) -> rig.Scene:

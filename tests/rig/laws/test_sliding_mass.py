@@ -16,7 +16,8 @@ from rig.core.orbits.periodic_orbit import set_to_orbit, start_propagator
 from rig.core.orbits.problem import OrbitProblem
 from rig.core.system.assembly import assemble
 from rig.core.system.structural_model import receptance
-from tests.rig.laws.test_declarations import assert_motion_as_declared, random_structure
+from tests.rig.laws.random_scenes import random_scene
+from tests.rig.laws.test_declarations import assert_motion_as_declared
 
 GRAVITY = 9.80665
 
@@ -76,25 +77,9 @@ def test_mass_sticks_below_the_slip_force() -> None:
     assert above.motion_type == "2 slips per 1"
 
 
-def random_scene(seed: int) -> rig.Scene:
-    """Return a random structure with sliding masses and beds, also several in a body, and with one of each wall."""
-    random = np.random.default_rng(seed)
-    bodies = int(random.integers(1, 6))
-    dampers: list[dict[str, Any]] = []
-    for body in random.integers(1, bodies + 1, random.integers(1, 5)).tolist():
-        damper = {"body": body, "mass": float(10.0 ** random.uniform(-2.5, -0.5))}
-        slides, clearance = random.random() < 0.7, float(random.choice([3e-4, 2e-3, inf]))
-        if not slides or clearance < inf:
-            damper["restitution"] = float(random.choice([0.0, 0.4]))
-        if slides:
-            damper["friction"] = float(random.choice([0.0, 0.05, 0.3, 1.0]))
-        dampers.append(damper | {"clearance": clearance})
-    return random_structure(random, bodies, dampers)
-
-
 @pytest.mark.parametrize("seed", range(20))
 def test_random_systems_move_as_declared(seed: int) -> None:
-    assert_motion_as_declared(random_scene(seed), periods=5, tolerance=1e-10)
+    assert_motion_as_declared(random_scene(seed, "sliding", "bed"), periods=5, tolerance=1e-10)
 
 
 HARD_CASES: dict[str, tuple[dict[str, Any], ...]] = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import inf, pi, sqrt
+from math import pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,8 @@ from rig.core.system.assembly import assemble
 from rig.core.system.structural_model import receptance
 from rig.studies.cost.motion_study import motion_study
 from rig.studies.motion_map.grid import take_off_levels, vertical_axis
-from tests.rig.laws.test_declarations import assert_motion_as_declared, random_structure
+from tests.rig.laws.random_scenes import random_scene
+from tests.rig.laws.test_declarations import assert_motion_as_declared
 
 MASS, STIFFNESS, MASS_RATIO = 1.0, 4e3, 0.05
 MIXED = {"body": 2, "mass_ratio": "6 %", "clearance": "0.98 mm"}
@@ -67,21 +68,7 @@ def test_optimal_damping_levels_both_peaks() -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_random_systems_move_as_declared(seed: int) -> None:
-    random = np.random.default_rng(seed)
-    bodies = int(random.integers(1, 6))
-    damped = random.permutation(bodies)[: random.integers(1, 5)] + 1
-    dampers = []
-    for body in damped.tolist():
-        mass = float(10.0 ** random.uniform(-2.5, -0.5))
-        if random.random() < 0.6:
-            stiffness = mass * float(random.uniform(30.0, 300.0)) ** 2
-            dashpot = float(random.choice([0.0, 0.1, 1.5])) * sqrt(mass * stiffness)
-            dampers.append({"body": body, "mass": mass, "spring": stiffness, "damping": dashpot})
-        else:
-            clearance = float(random.choice([3e-4, 1e-3, inf]))
-            restitution = float(random.choice([0.0, 0.4]))
-            dampers.append({"body": body, "mass": mass, "clearance": clearance, "restitution": restitution})
-    assert_motion_as_declared(random_structure(random, bodies, dampers), periods=5, tolerance=1e-10)
+    assert_motion_as_declared(random_scene(seed, "tuned", "bed"), periods=5, tolerance=1e-10)
 
 
 def test_energy_balance_includes_the_dashpot() -> None:

@@ -45,6 +45,7 @@ def excite(station: Station, test: SteppedTest, tone: SteadyTone) -> Generator[A
     up_steps = len(steps) // 2 if test.direction == "both" else len(steps)
     total, completed = len(test.levels) * len(steps), 0
     unsettled: list[str] = []
+    limited: list[str] = []
     for level in test.levels:
         drive = tone.start(level)
         last_drives: list[tuple[float, float]] = []  # frequency in Hz and drive amplitude
@@ -63,19 +64,32 @@ def excite(station: Station, test: SteppedTest, tone: SteadyTone) -> Generator[A
             )
             yield from tone.measure(round(test.measure.periods * station.rate / frequency), settled, fields)
             if not settled:
-                unsettled.append(f"{frequency:.4g} Hz {direction} at {at_level}")
+                steps_of_cause = limited if tone.control and tone.amplitude >= station.drive_limit else unsettled
+                steps_of_cause.append(f"{frequency:.4g} Hz {direction} at {at_level}")
             drive = tone.amplitude
             last_drives = [*last_drives[-2:], (frequency, drive)]
             completed += 1
         yield tone.end()
+    if limited:
+        shaker = station.scene.driven_shaker
+        limit = f"{station.drive_limit:g} {'' if shaker is None else shaker.drive_unit}"
+        station.warn(
+            f"{len(limited)} of {total} steps did not reach the required level, because the drive is at the limit of "
+            f"the amplifier, {limit} ({_listed(limited)}). Lower the level, or raise shaker.amplifier.limit."
+        )
     if unsettled:
-        listed = ", ".join(unsettled[:_MAX_LISTED]) + (", ..." if len(unsettled) > _MAX_LISTED else "")
         station.warn(
             f"{len(unsettled)} of {total} steps did not reach steady state at the required level within "
-            f"{test.settle.longest:g} s ({listed}). Their points are marked; raise test.settle.longest to wait longer."
+            f"{test.settle.longest:g} s ({_listed(unsettled)}). Their points are marked; raise test.settle.longest to "
+            "wait longer."
         )
     station.report(1.0, "done")
-    return total - len(unsettled)
+    return total - len(unsettled) - len(limited)
+
+
+def _listed(steps: Sequence[str]) -> str:
+    """Return the first steps as text."""
+    return ", ".join(steps[:_MAX_LISTED]) + (", ..." if len(steps) > _MAX_LISTED else "")
 
 
 def expected_wait(scene: Scene, longest: float) -> float:

@@ -109,6 +109,7 @@ def test_amplifier_limit_is_reported() -> None:
     bench_run = run(scene.replace(shaker=shaker, test=test))
     assert np.abs(bench_run.drive).max() <= 0.5 * (1 + 1e-12)
     assert bench_run.marks_of("measure")[0][2]["settled"] is False
+    assert "the drive is at the limit of the amplifier, 0.5 V (20 Hz up at 2.6 N)" in bench_run.warnings[0]
 
 
 def test_force_shaker_is_driven_by_force() -> None:

@@ -74,7 +74,7 @@ def _without_moving_dampers(scene: Scene) -> Scene:
         for damper in scene.dampers
         if damper.spring is not None or not damper.impacts
     )
-    return scene.replace(dampers=linear, channels=None, gravity=0.0)
+    return scene.with_ideal_channels(dampers=linear, gravity=0.0)
 
 
 def _scene_under_force(rec: Recording) -> Scene:

@@ -1,7 +1,7 @@
 """The scene: an immutable description of the whole test bench in SI units, with frequencies in Hz."""
 
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, Field
 
@@ -130,6 +130,11 @@ class Scene(Settings):
         if self.hammer is not None:
             return (self.hammer,)
         return () if self.driven_shaker is None else self.driven_shaker.bodies
+
+    def with_ideal_channels(self, **changes: Any) -> Self:
+        """Return a changed scene with ideal channels, and without a test that names channels."""
+        names_channels = self.test is not None and any(self.test.named_channels)
+        return self.replace(channels=None, test=None if names_channels else self.test, **changes)
 
     def at_driven(self, name: str) -> str:
         """Return the name of "shaker", "table" or "drive" of the driven shaker, with a number if there are several."""

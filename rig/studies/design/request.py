@@ -128,7 +128,7 @@ def parse_request(
             "gravity: got 0; expected more than 0, because dampers without weight do not return to their floors"
         )
     impact_law = impact_law_of(scene.dampers)
-    bare = with_ideal_force(_with_controlled_force(scene.replace(dampers=[], channels=None), levels))
+    bare = with_ideal_force(_with_controlled_force(scene.with_ideal_channels(dampers=[]), levels))
     default_levels = [level_of(bare) * factor for factor in DEFAULT_LEVEL_RATIOS]
     shaker = bare.driven_shaker
     assert shaker is not None  # it has a level

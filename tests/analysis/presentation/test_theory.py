@@ -73,3 +73,19 @@ def test_theory_needs_location_of_force(tmp_path):
         rec.scene = rec.scene.replace(shaker=None, test=None)
         with pytest.raises(SceneError, match="location of the force"):
             linear_theory(rec, frfs[0])
+
+
+def test_theory_needs_no_named_channels(tmp_path):
+    # The channel that the limit names is not among the ideal channels of the theory.
+    path = daq.record(rig.load("shaker-table-random", {"test.duration": "2 s"}), tmp_path / "run.mcap")
+    [frf] = analysis.frf(path, "shelf", reference="table")
+    with daq.open(path) as rec:
+        theory = linear_theory(rec, frf)
+    assert np.isfinite(theory.value).all()
+
+
+def test_covariance_of_shortest_test_is_finite(tmp_path):
+    # All lines use the same bins.
+    path = daq.record(rig.load("shaker-table-random", {"test.duration": "1 us"}), tmp_path / "run.mcap")
+    [frf] = analysis.frf(path, "shelf", reference="table")
+    assert np.isfinite(frf.covariance().of_sums(np.ones((frf.value.size, 1, 1)))).all()

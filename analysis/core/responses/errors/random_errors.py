@@ -382,7 +382,8 @@ def _separate_noise(
     in `LocalErrors`; `center`: bin at the middle of each fit.
     """
     lines, elements, width = fitted_response.shape
-    bins_per_line = float(np.median(np.diff(center))) if lines > 1 else 1.0
+    # All fits of a short test use the same bins.
+    bins_per_line = max(float(np.median(np.diff(center))), 1.0) if lines > 1 else 1.0
     # Lines of the local means.
     n_lines = min(1 + 2 * int(np.ceil(_CONSTANT_NOISE_WIDTHS * width / bins_per_line / 2.0)), max(lines, 1))
     curve_power = fitted_response @ fitted_response.conj().swapaxes(1, 2) / width

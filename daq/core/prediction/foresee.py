@@ -47,6 +47,8 @@ from rig.core.system.impact_acceleration import impact_acceleration
 _MAX_TIME_RATIO = 1.5
 # A drive above this ratio to its limit counts as limited.
 _LIMITED_DRIVE_RATIO = 0.999
+# Factor of the level, and number of reductions, until the amplifier no longer clips the drive.
+_LEVEL_REDUCTION, _MAX_LEVEL_REDUCTIONS = 0.1, 3
 # If dampers fly, at most this number of rehearsals at other levels determines the largest permissible level.
 _MAX_SECANT_STEPS = 3
 # Waits of the linear response differ from those of a test by about this fraction, measured with 15 scenes.
@@ -298,6 +300,8 @@ class _Assessment:
                 required = required_drive(self.scene, self.system)
                 if required is not None:
                     drive, frequency = required[0] * self.level, required[1]
+                elif self.key:
+                    drive = self._unclipped_drive(row, drive_limit)
             volts = drive / DRIVE_PER_VOLT[unit]
             limit, name = np.inf if output is None else output, f"ao{self.scene.driven - 1}"
             yield Expectation(name, "V", volts, frequency, time, limit, "output", volts > limit)
@@ -306,6 +310,20 @@ class _Assessment:
                 yield Expectation(
                     "amplifier", unit, magnitude, frequency, time, amplifier.limit, "amplifier", is_limited
                 )
+
+    def _unclipped_drive(self, row: int, limit: float) -> float:
+        """Return the largest drive that a test without tones requires, from a rehearsal at a level that is not clipped.
+
+        Its drive is proportional to the level. `row`: row of the input; `limit`: largest drive of its amplifier.
+        """
+        scene, level = self.unlimited_test.parts[0].scene, self.level
+        for _ in range(_MAX_LEVEL_REDUCTIONS):
+            level *= _LEVEL_REDUCTION
+            rehearsal = Rehearsal(with_level(scene, level)).run(4.0 * affordable_seconds(self.scene))
+            drive = float(rehearsal.drives.magnitude[row])
+            if drive < _LIMITED_DRIVE_RATIO * limit:
+                break
+        return drive * self.level / level * self.unlimited_test.extension
 
     def _loads(self) -> Iterable[Expectation]:
         """Yield the largest value of each quantity that loads a shaker."""

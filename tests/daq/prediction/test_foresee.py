@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -255,6 +256,18 @@ def test_required_drive_exceeds_weak_amplifier() -> None:
     with_weak_amplifier = daq.foresee(scene.replace(shaker=scene.shaker.replace(amplifier={"limit": required / 2})))
     assert with_weak_amplifier["amplifier"].share == pytest.approx(2.0, rel=0.05)
     assert with_weak_amplifier.largest_level == pytest.approx(2.6 / 2, rel=0.05)
+
+
+@pytest.mark.parametrize("level", [{"drive": "1 V"}, {"force": "30 N"}])
+def test_random_level_within_weak_amplifier_is_not_clipped(level, tmp_path: Path) -> None:
+    shaker = {"kind": "electrodynamic", "body": 1, "spring": "6.6 kN/m", "amplifier": {"limit": "2 V"}}
+    scene = one_body({"kind": "random", "from": "5 Hz", "to": "30 Hz", "duration": "20 s", **level}, shaker=shaker)
+    largest = daq.foresee(scene).largest_level
+    for ratio, is_clipped in ((0.98, False), (1.05, True)):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", daq.RunWarning)
+            daq.record(scene.replace(test=scene.test.at_level(ratio * largest)), tmp_path / f"{ratio}.mcap")
+        assert any("amplifier" in str(each.message) for each in caught) == is_clipped
 
 
 def test_damper_flies_where_its_body_exceeds_gravity() -> None:

@@ -229,7 +229,7 @@ def _parts(request: Request) -> list[Parts]:
     period, resolution = int(first["period"]), request.rec.rate / int(first["period"])
     starts = [marker.first_sample + period * np.arange(int(marker.fields["periods"])) for marker in request.measured]
     low, high = (int(line) * resolution for line in first["lines"])
-    return [Parts(np.concatenate(starts), period, low, high)]
+    return [Parts(np.concatenate(starts), period, low, high, is_steady=True)]
 
 
 ESTIMATOR = Estimator(_compute, "whole periods of a multisine are averaged", parts=_parts)

@@ -147,7 +147,7 @@ def _parts(request: Request) -> list[Parts]:
     parts = []
     for fit in (segment_fits(request.rec, marker, request.channels) for marker in request.measured):
         if fit.bursts is None:
-            parts.append(sections(fit.first, fit.stop, request.rec.rate, fit.low, fit.high))
+            parts.append(sections(request.rec, request.channels, fit.first, fit.stop, fit.low, fit.high))
         else:
             period, _ = fit.bursts
             starts = np.arange(fit.first, fit.stop - period + 1, period)

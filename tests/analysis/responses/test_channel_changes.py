@@ -36,20 +36,31 @@ def swept_sine(tmp_path_factory):
     return synthetic.swept_sine(tmp_path_factory.mktemp("swept") / "a.mcap", 8.0, 60.0, SECONDS, noise=1e-4)
 
 
-def responses_with_gain(path, folder, channels, gain, first):
-    """Return the responses of a recording whose channels have this gain from a sample on."""
+def multisine(path, periods):
+    """Record these periods of 2 s of a multisine, after eight unmeasured periods."""
+    period = 2 * round(synthetic.RATE)
+    fields = {"realisation": 1, "period": period, "periods": periods, "lines": [16, 120], "level": 1.0, "settled": True}
+    test = f"{{kind: multisine, from: 8 Hz, to: 60 Hz, period: 2 s, periods: {periods}, force: 1 N}}"
+    force = np.tile(synthetic.band_noise(2.0, 8.0, 60.0), 8 + periods)
+    marks = [("measure", 8 * period, (8 + periods) * period - 1, fields)]
+    return synthetic.record_response(path, force, test, marks, noise=1e-3)
+
+
+def responses_with_gain(path, folder, channels, gain, first, overloads=()):
+    """Return the responses of a recording whose channels have this gain from a sample on, and overloads at samples."""
     with daq.open(path) as rec:
         samples = np.stack([rec.read(name) for name in rec.channels])
         rows = [k for k, name in enumerate(rec.channels) if name in channels]
         samples[rows, first:] *= gain
         marks = [(mark.kind, mark.first_sample, mark.last_sample, mark.fields) for mark in rec.markers]
+        marks += [("overload", sample, sample, {"channel": channels[0]}) for sample in overloads]
         changed = synthetic.write(folder / "b.mcap", rec.scene, list(rec.channels.values()), samples, marks)
     return analysis.frequency_responses(changed)
 
 
-def warnings_with_gain(path, folder, channels, gain, first):
+def warnings_with_gain(path, folder, channels, gain, first, overloads=()):
     """Return the warnings of changed gains of a recording whose channels have this gain from a sample on."""
-    responses = responses_with_gain(path, folder, channels, gain, first)
+    responses = responses_with_gain(path, folder, channels, gain, first, overloads)
     return [text for group in responses for text in group.warnings if "its gain" in text]
 
 
@@ -66,6 +77,51 @@ def test_changed_channel_of_random_test_is_named(random_test, tmp_path, channel,
     first = round(0.5 * SECONDS * synthetic.RATE)
     [warning] = warnings_with_gain(random_test, tmp_path, [channel], gain, first)
     assert warning.startswith(text) and "at about 20 s" in warning
+
+
+def test_change_between_overloads_is_named(random_test, tmp_path):
+    # Each of the equally spaced sections after the change contains an overload.
+    overloads = [round(second * synthetic.RATE) for second in 20.1 + 2.6 * np.arange(8)]
+    [warning] = warnings_with_gain(random_test, tmp_path, ["body2"], 0.5, round(20.0 * synthetic.RATE), overloads)
+    assert warning.startswith("body2: its gain changes by a factor of 0.5")
+
+
+@pytest.mark.parametrize(("gain", "text"), [(0.5, "changes by a factor of 0.5"), (0.0, "drops to zero")])
+def test_second_of_two_periods_shows_change(tmp_path, gain, text):
+    path = multisine(tmp_path / "a.mcap", periods=2)
+    [warning] = warnings_with_gain(path, tmp_path, ["body2"], gain, 18 * round(synthetic.RATE))
+    assert warning.startswith(f"body2: its gain {text}") and "at about 18 s" in warning
+
+
+@pytest.mark.parametrize(
+    ("periods", "added"),
+    [
+        # A sensor that settles during the first two periods reads low frequencies too large.
+        pytest.param(6, lambda signal: slow_part(signal, 2), id="settling"),
+        pytest.param(2, lambda signal: noise_of(signal, 10.0), id="noise"),
+    ],
+)
+def test_neither_settling_nor_noise_is_a_step(tmp_path, periods, added):
+    with daq.open(multisine(tmp_path / "a.mcap", periods)) as rec:
+        samples = np.stack([rec.read(name) for name in rec.channels])
+        first = rec.markers[0].first_sample
+        samples[0, first:] += added(samples[0, first:])
+        marks = [(mark.kind, mark.first_sample, mark.last_sample, mark.fields) for mark in rec.markers]
+        path = synthetic.write(tmp_path / "b.mcap", rec.scene, list(rec.channels.values()), samples, marks)
+    assert not any("its gain" in text for group in analysis.frequency_responses(path) for text in group.warnings)
+
+
+def slow_part(signal, periods):
+    """Return the part of a signal below 25 Hz, during the first periods."""
+    count = periods * 2 * round(synthetic.RATE)
+    spectrum = np.fft.rfft(signal[:count])
+    spectrum[np.fft.rfftfreq(count, 1.0 / synthetic.RATE) > 25.0] = 0.0
+    return np.append(np.fft.irfft(spectrum, count), np.zeros(signal.size - count))
+
+
+def noise_of(signal, ratio):
+    """Return noise with a multiple of the signal's rms value."""
+    return ratio * signal.std() * np.random.default_rng(0).standard_normal(signal.size)
 
 
 def test_changed_channel_among_hits_is_named(tmp_path):

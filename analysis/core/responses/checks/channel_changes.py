@@ -4,12 +4,14 @@ A test is divided into *parts* with equal excitation, such as impacts, periods o
 of an output to the inputs, averaged over all parts, predicts its spectrum in each part. The *relative gain* of a part
 is the regression coefficient of measured and predicted spectrum. It scatters with noise and leakage, and has a step
 where the gain of the channel changes. The step is located by the least sum of squares on both sides of it (D. M.
-Hawkins, J. Am. Stat. Assoc. 72 (1977) 180-186). A change of the structure affects all outputs, and is not reported.
+Hawkins, J. Am. Stat. Assoc. 72 (1977) 180-186). In steady responses, a change of the gain is the same at all lines,
+so that two periods are enough; a sensor that settles changes each line by another factor. A change of the structure
+affects all outputs, and is not reported.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -17,7 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from analysis.core.responses.checks.clean_segments import find_flaws
+from analysis.core.responses.checks.clean_segments import clean_segments, find_flaws
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results import format_number
 
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
 # Minimum number of parts without flaws, and of parts on either side of a step.
 _MIN_PARTS = 4
 _MIN_SIDE = 2
+# Minimum number of periods of a steady response to one input: without a change, they are equal except for noise.
+_MIN_PERIODS = 2
 # A section of a random test has at most this number of samples, or periods of the lowest frequency if they are more.
 _MAX_SAMPLES = 32768
 _MAX_PERIODS = 100.0
@@ -40,6 +44,8 @@ _MAX_VALUES = 1 << 22
 _MIN_CHANGE = 0.1
 # ... and is exceeded by scatter with at most this probability (Student's t distribution).
 _SCATTER_PROBABILITY = 1e-5
+# In steady responses, a step exceeds the deviations of single lines from the gain of their part by this factor.
+_MIN_UNIFORMITY = 2.0
 # The gains of the other channels change by less than this fraction of a step at the same time, or by the same factor.
 _MAX_COMMON = 0.25
 # A channel whose gain falls below this fraction is dead.
@@ -57,6 +63,7 @@ class Parts:
     low: float  # band, Hz
     high: float
     is_periodic: bool = True  # whether a part is a period, or a transient that decays; other parts need a window
+    is_steady: bool = False  # whether all parts are periods of steady responses
 
 
 class _Step(NamedTuple):
@@ -72,11 +79,13 @@ class _Step(NamedTuple):
         return self.after / self.before if self.before else np.inf
 
 
-def sections(first: int, stop: int, rate: float, low: float, high: float) -> Parts:
-    """Return equally spaced sections of a random test between two samples; long tests are not covered completely."""
+def sections(rec: Recording, channels: Collection[str], first: int, stop: int, low: float, high: float) -> Parts:
+    """Return sections of a random test without flaws, between two samples; they do not cover long tests completely."""
     spacing = (stop - first) // _SECTIONS
-    samples = min(spacing, max(_MAX_SAMPLES, int(_MAX_PERIODS * rate / low)))
-    return Parts(first + spacing * np.arange(_SECTIONS), samples, low, high, is_periodic=False)
+    samples = min(spacing, max(_MAX_SAMPLES, int(_MAX_PERIODS * rec.rate / low)))
+    segments = clean_segments(find_flaws(rec, channels, first, stop), first, stop)
+    starts = [start for begin, end in segments for start in range(begin, end - samples + 1, spacing)]
+    return Parts(np.array(starts, dtype=np.int64), samples, low, high, is_periodic=False)
 
 
 def change_warnings(rec: Recording, parts: Parts, channels: Sequence[str]) -> list[str]:
@@ -87,10 +96,11 @@ def change_warnings(rec: Recording, parts: Parts, channels: Sequence[str]) -> li
     if not inputs or not outputs:
         return []
     clean, spectra = _spectra(rec, parts, [*inputs, *outputs])
-    if len(clean) < max(_MIN_PARTS, len(inputs) + _MIN_SIDE + 1):
+    has_one_steady_input = parts.is_steady and len(inputs) == 1
+    if len(clean) < (_MIN_PERIODS if has_one_steady_input else max(_MIN_PARTS, len(inputs) + _MIN_SIDE + 1)):
         return []
-    gains = _relative_gains(spectra[:, : len(inputs)], spectra[:, len(inputs) :])
-    steps = [_largest_step(row) for row in gains]
+    gains, limits = _relative_gains(spectra[:, : len(inputs)], spectra[:, len(inputs) :])
+    steps = [_largest_step(*rows, parts.is_steady) for rows in zip(gains, limits, strict=True)]
     warnings = []
     for k, step in enumerate(steps):
         if step is None:
@@ -140,10 +150,10 @@ def _spectra(rec: Recording, parts: Parts, names: Sequence[str]) -> tuple[list[i
     return clean, np.array(spectra)
 
 
-def _relative_gains(inputs: ComplexArray, outputs: ComplexArray) -> Array:
-    """Return the gain of each output in each part, relative to all parts, shape (outputs, parts).
+def _relative_gains(inputs: ComplexArray, outputs: ComplexArray) -> tuple[Array, Array]:
+    """Return the gain of each output in each part, relative to all parts, and the least step that all lines show.
 
-    `inputs`, `outputs`: spectra, shape (parts, channels, lines).
+    `inputs`, `outputs`: spectra, shape (parts, channels, lines). The results have the shape (outputs, parts).
     """
     power = (abs(inputs) ** 2).mean(axis=0).max(axis=0)
     excited = power > _MIN_POWER * power.mean()
@@ -151,8 +161,14 @@ def _relative_gains(inputs: ComplexArray, outputs: ComplexArray) -> Array:
     predicted = x @ (np.linalg.pinv(x) @ y)
     # Each line has about equal weight, so that neither resonances nor the noise between them dominate.
     weight = 1.0 / np.maximum((abs(y) ** 2 + abs(predicted) ** 2).mean(axis=1, keepdims=True), 1e-300)
-    numerator = np.sum(weight * (predicted.conj() * y).real, axis=0)
-    return np.asarray((numerator / np.maximum(np.sum(weight * abs(predicted) ** 2, axis=0), 1e-300)).T)
+    predicted_power = np.maximum(np.sum(weight * abs(predicted) ** 2, axis=0), 1e-300)
+    gains = np.sum(weight * (predicted.conj() * y).real, axis=0) / predicted_power
+    # The prediction follows the noise of the parts. The parts of each line, real and imaginary, have independent noise.
+    lines, count = y.shape[:2]
+    freedom = max(1.0 - inputs.shape[1] / count, 1e-300)
+    deviation = np.sqrt(np.sum(weight * abs(y - gains * predicted) ** 2, axis=0) / predicted_power / freedom)
+    factor = max(_MIN_UNIFORMITY, scipy.stats.t.isf(_SCATTER_PROBABILITY, 2 * lines - 1) / np.sqrt(lines))
+    return np.asarray(gains.T), np.asarray(factor * deviation.T)
 
 
 def _changed(gains: Array, part: int) -> _Step:
@@ -160,16 +176,24 @@ def _changed(gains: Array, part: int) -> _Step:
     return _Step(part, float(np.median(gains[:part])), float(np.median(gains[part:])))
 
 
-def _largest_step(gains: Array) -> _Step | None:
-    """Return the step that explains most of the scatter of the gains, if it is significant."""
+def _largest_step(gains: Array, limits: Array, is_steady: bool) -> _Step | None:
+    """Return the step that explains most of the scatter of the gains, if it is significant.
+
+    `limits`: of each part, the least step that all lines of steady responses show.
+    """
     size = gains.size
+    min_side = _MIN_SIDE if size >= _MIN_PARTS else 1
 
     def scatter(part: int) -> float:
         return float(np.var(gains[:part]) * part + np.var(gains[part:]) * (size - part))
 
-    part = min(range(_MIN_SIDE, size - _MIN_SIDE + 1), key=scatter)
+    part = min(range(min_side, size - min_side + 1), key=scatter)
     step = _changed(gains, part)
     change = abs(step.after - step.before)
-    error = np.sqrt(scatter(part) / (size - 2) * (1.0 / part + 1.0 / (size - part)))
     is_large = change > _MIN_CHANGE * max(abs(step.before), abs(step.after))
-    return step if is_large and change > scipy.stats.t.isf(_SCATTER_PROBABILITY, size - 2) * error else None
+    if is_steady:
+        is_large &= change > max(np.sqrt(np.mean(side**2)) for side in (limits[:part], limits[part:]))
+    if size >= _MIN_PARTS:
+        error = np.sqrt(scatter(part) / (size - 2) * (1.0 / part + 1.0 / (size - part)))
+        is_large &= change > scipy.stats.t.isf(_SCATTER_PROBABILITY, size - 2) * error
+    return step if is_large else None

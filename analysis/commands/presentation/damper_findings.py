@@ -111,7 +111,7 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], left_out: Sequence[fl
     channel  motion                frequency
     body2    type I                30 Hz
              at rest on the floor  elsewhere
-    Impacts with a velocity step below 1.6 mm/s (body2) are not detected.
+    Damper impacts with a velocity step below 1.6 mm/s (body2) are not detected.
     """
     rows = [("channel", "motion", "frequency")]
     for motions in bodies:

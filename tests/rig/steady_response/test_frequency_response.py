@@ -53,3 +53,13 @@ def test_time_scale_changes_no_motion_type(compute, time_scale: float) -> None:
     assert scaled.motion_type.tolist() == response.motion_type.tolist() and "riding" not in response.motion_type
     np.testing.assert_allclose(scaled.compliance, response.compliance * time_scale**2, rtol=1e-9)
     np.testing.assert_allclose(scaled.peak, response.peak * time_scale**2, rtol=1e-9)
+
+
+def test_two_masses_that_move_alike_equal_one() -> None:
+    scene, frequency = rig.load("fig9"), [48.9, 49.1, 49.5, 50.1]
+    damper = scene.dampers[0].replace(mass_ratio=0.06, clearance=0.01)
+    pair = scene.replace(dampers=[damper, damper.replace(mass_ratio=0.04)])
+    one = scene.replace(dampers=[damper.replace(mass_ratio=0.1)])
+    expected = rig.frequency_response(one, frequency)
+    assert "irregular" not in expected.motion_type and len(set(expected.motion_type)) > 1
+    np.testing.assert_allclose(rig.frequency_response(pair, frequency).compliance, expected.compliance, rtol=1e-9)

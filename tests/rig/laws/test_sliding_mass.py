@@ -123,7 +123,9 @@ def test_mass_starts_in_the_middle_of_loaded_structure() -> None:
 def test_friction_dissipates_the_energy_of_a_free_body() -> None:
     test = {"kind": "free", "displacement": [5e-3, 0.0], "duration": 3.0}
     run = rig.simulate(scene_with(1.0, 14.0, {}, shaker=None, test=test), duration=3.0, rate=1000.0)
-    assert run.events["kind"][-1] == "stop" and run.energy.impacts == 0.0
+    assert run.events["kind"][-1] == "stop"
+    # A stop makes a speed that is zero within rounding exactly zero, a jump of 1e-17 m/s.
+    assert abs(run.energy.impacts) < 1e-16 * run.energy.stored_before
     assert np.ptp(run.gap[0, -50:]) == 0.0
 
 

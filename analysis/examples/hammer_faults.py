@@ -1,6 +1,6 @@
 """
 Impact test: double impacts and clipping
-=====================================
+========================================
 
 A rebound of the hammer and a range that is too small are the two common faults of an impact test. Here both are
 simulated, so that their effect on the response is known.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 import signal
 import sys
 import threading
@@ -42,6 +43,10 @@ _OPTIONS_OF_PARAMETERS = {
     "uncertain": "--damping-off",
     "path": "--output",
 }
+# Messages of functions name their parameters in this manner.
+_PARAMETER = re.compile(r"`([a-z_]+)`")
+# Options of the running subcommand by the names of the parameters in Python.
+_options: dict[str, str] = {}
 # Number of allocations between runs of the cyclic garbage collector (Python default 700). An analysis allocates about
 # 220 000 objects with its imports, so that the collector does not run.
 _GC_THRESHOLD = 500_000
@@ -128,7 +133,8 @@ def _execute(module: str, arguments: Sequence[str]) -> int:
     for subcommand in (command, *getattr(command, "commands", {}).values()):
         for option in subcommand.params:
             option.callback = option.callback or _check_option
-    console.name_options(_options_of(command, arguments))
+    _options.clear()
+    _options.update(_options_of(command, arguments))
     try:
         with command.make_context(program, list(arguments)) as context:
             command.invoke(context)
@@ -146,6 +152,11 @@ def _options_of(command: Any, arguments: Sequence[str]) -> dict[str, str]:
     options = {param.name: max(param.opts, key=len) for param in subcommand.params if param.param_type_name == "option"}
     options |= {option[2:].replace("-", "_"): option for option in options.values()}
     return options | {name: option for name, option in _OPTIONS_OF_PARAMETERS.items() if option in options.values()}
+
+
+def _with_options(message: str) -> str:
+    """Replace the parameters that a message of a function names by the options of the running subcommand."""
+    return _PARAMETER.sub(lambda found: _options.get(found[1], found[0]), message)
 
 
 def _check_option(context: Any, option: Any, value: Any) -> Any:
@@ -173,7 +184,7 @@ def _report(error: BaseException, debug: bool) -> int:
 
             traceback.print_exception(error)
         if text:
-            print(text, file=sys.stderr, flush=True)
+            print(_with_options(text), file=sys.stderr, flush=True)
     try:
         sys.stdout.flush()
     except OSError:
@@ -278,7 +289,7 @@ def _replace_hooks(cleanup: ExitStack) -> None:
 
 
 def _warn(message: Warning | str, *_: Any, **__: Any) -> None:
-    print(f"warning: {message}", file=sys.stderr)
+    print(f"warning: {_with_options(str(message))}", file=sys.stderr)
 
 
 def _report_unraisable(unraisable: sys.UnraisableHookArgs) -> None:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import io
 import logging
 import os
-import re
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -24,8 +23,6 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger("shotrig.compiling")
 # A command reports that it is still running after this time without output.
 MAX_SILENCE_S = 12.0
-# Messages of functions name their parameters in this manner.
-_PARAMETER = re.compile(r"`([a-z_]+)`")
 # Delays separated by less than this count as one delay.
 _MAX_DELAY_GAP_S = 5.0
 
@@ -44,7 +41,6 @@ class _EscapingStream(io.TextIOBase):
     """A stream that escapes control characters of text; a progress bar writes to `unescaped` directly."""
 
     last_output_s = time.monotonic()
-    options: ClassVar[Mapping[str, str]] = {}
 
     def __init__(self, unescaped: IO[str]) -> None:
         self.unescaped = unescaped
@@ -55,14 +51,9 @@ class _EscapingStream(io.TextIOBase):
             # click writes bytes to test whether a stream accepts them.
             raise TypeError(f"this stream accepts text, not {type(text).__name__}")
         _EscapingStream.last_output_s = time.monotonic()
-        text = _PARAMETER.sub(self._option, text)
         encoding = self.encoding
         self._forward(self.unescaped.write, escape_terminal(text).encode(encoding, "backslashreplace").decode(encoding))
         return len(text)
-
-    def _option(self, parameter: re.Match[str]) -> str:
-        """Return the option of a parameter in a message; other text in backticks remains."""
-        return self.options.get(parameter[1], parameter[0])
 
     def flush(self) -> None:
         """Flush the unescaped stream."""
@@ -92,14 +83,6 @@ class _EscapingStream(io.TextIOBase):
     def fileno(self) -> int:
         """Return the file descriptor of the unescaped stream."""
         return self.unescaped.fileno()
-
-
-def name_options(options: Mapping[str, str]) -> None:
-    """Replace the names of parameters in output, such as `from_s` in backticks, by options of the running command.
-
-    `options`: the option of each parameter.
-    """
-    _EscapingStream.options = options
 
 
 def replace_streams(cleanup: ExitStack) -> None:

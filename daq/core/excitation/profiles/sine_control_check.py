@@ -139,7 +139,7 @@ def check_sweep(test: SineControl, scene: Scene, channels: Sequence[ChannelInfo]
         for index, limit in enumerate(test.limits, 1)
         for start, stop in runs_of(limiting == index)
     ]
-    # The slope is largest beside the resonance or anti-resonance.
+    # The slope is largest at the half-power points of the resonance or anti-resonance.
     near = abs(np.log(frequency / frequency[worst])) < _NEAR
     damping = 0.5 / max(float(slopes[near].max()), 1e-12)
     return SweepCheck(test, float(frequency[worst]), deviations[worst], damping, tuple(notches))

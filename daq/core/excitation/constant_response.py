@@ -129,7 +129,6 @@ class ConstantResponseProcedure(StepsProcedure["ConstantResponse"]):
     """Tones at which a motion has a constant amplitude."""
 
     form = Form("constant response", ("low", "high"))
-    # The waits at lower levels differ.
     duration_ratio = 1.5
 
     def excite(self, station: Station, test: ConstantResponse) -> Excitation:

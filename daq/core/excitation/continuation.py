@@ -19,11 +19,11 @@ import numpy as np
 
 from daq.core.excitation.constant_response import AT_LIMIT_RATIO
 from daq.core.excitation.controlled import displacement, spring_force
-from daq.core.excitation.procedure import Form, FormValues, Procedure
+from daq.core.excitation.procedure import Form, FormValues
 from daq.core.excitation.station import Excitation, GivenUp, Station
-from daq.core.excitation.stepped_sine import expected_wait
+from daq.core.excitation.stepped_sine import SteadyTonesProcedure, expected_wait
 from daq.core.excitation.tones.envelope_control import MAX_POLE_TIMES_DEAD_TIME, EnvelopeTone
-from daq.core.excitation.tones.lock_in import lock_in, noise_gain
+from daq.core.excitation.tones.lock_in import lock_in
 from daq.core.excitation.tones.steady_tone import TRANSITION_S, AmplitudeControl
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.text import format_decimals
@@ -320,21 +320,15 @@ def excite(station: Station, test: Continuation) -> Excitation:
     station.report(1.0, "done")
 
 
-class ContinuationProcedure(Procedure["Continuation"]):
+class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
     """A tone that follows the response curve of each level."""
 
-    detection = "steps"
     form = Form("continuation", ("level", "low", "high"))
-    # The waits at other points of the curve, or at lower levels, differ.
     duration_ratio = 2.0
 
     def excite(self, station: Station, test: Continuation) -> Excitation:
         """Run the test."""
         return excite(station, test)
-
-    def noise_gain(self, test: Continuation, frequency: Array) -> Array:
-        """Return the gain of a lock-in measurement over the measured periods."""
-        return noise_gain(test.measure.periods, frequency)
 
     def waits(self, test: Continuation, scene: Scene) -> float:
         """Return the expected time of all points, s: those of the linear modes in the band."""

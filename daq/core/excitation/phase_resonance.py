@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from daq.core.excitation.controlled import controlled, displacement, measured_force
-from daq.core.excitation.procedure import Form, FormValues, Procedure
+from daq.core.excitation.procedure import Form, FormValues
 from daq.core.excitation.station import Excitation, GivenUp, Station
-from daq.core.excitation.tones.lock_in import lock_in, noise_gain, whole_periods
+from daq.core.excitation.stepped_sine import SteadyTonesProcedure
+from daq.core.excitation.tones.lock_in import lock_in, whole_periods
 from daq.core.excitation.tones.phase_loop import PhaseLoop
 from daq.core.excitation.tones.settling import Settling
 from daq.core.excitation.tones.steady_tone import TRANSITION_S, WINDOW_S, SteadyTone
@@ -167,21 +168,15 @@ def _failure(station: Station, test: PhaseResonance, tone: _PhaseTone, level: fl
     )
 
 
-class PhaseResonanceProcedure(Procedure["PhaseResonance"]):
+class PhaseResonanceProcedure(SteadyTonesProcedure["PhaseResonance"]):
     """A tone that follows a resonance."""
 
-    detection = "steps"
     form = Form("phase resonance", ("level", "frequency", "low", "high"))
-    # The waits at other points of the curve, or at lower levels, differ.
     duration_ratio = 2.0
 
     def excite(self, station: Station, test: PhaseResonance) -> Excitation:
         """Run the test."""
         return excite(station, test)
-
-    def noise_gain(self, test: PhaseResonance, frequency: Array) -> Array:
-        """Return the gain of a lock-in measurement over the measured periods."""
-        return noise_gain(test.measure.periods, frequency)
 
     def waits(self, test: PhaseResonance, scene: Scene) -> float:
         """Return the expected time of all locks, s."""

@@ -56,7 +56,8 @@ class Procedure(Generic[TestT]):
     `detection`: what an import searches in the samples: impacts, steps of constant frequency, the start of a decay, or
     only the band of the test. `rehearsal`: whether a long test is represented by its first part, or by steps about the
     peaks of the linear response. `budget`: multiple of the CPU time for a rehearsal. `duration_ratio`: ratio by which
-    the duration may differ from `seconds`. `form`: how the bench page offers the test; None if it does not.
+    the duration may differ from `seconds`; more than 1 if the waits at other levels or points differ from those of the
+    part. `form`: how the bench page offers the test; None if it does not.
     """
 
     detection: ClassVar[Literal["hits", "steps", "start", "band"]] = "band"

@@ -20,10 +20,11 @@ from rig.core.base.arrays import Array
 from rig.core.results.text import format_decimals
 
 if TYPE_CHECKING:
-    from rig.core.scene.excitation import SteppedSine
+    from rig.core.scene.excitation import Continuation, PhaseResonance, SteppedSine
     from rig.core.scene.excitation.stepped_sine import SteppedTest
     from rig.core.scene.scene import Scene
 
+SteadyT = TypeVar("SteadyT", bound="SteppedTest | PhaseResonance | Continuation")
 StepsT = TypeVar("StepsT", bound="SteppedTest")
 
 # The drive is extrapolated by at most this, as the natural logarithm of its ratio.
@@ -123,14 +124,18 @@ def extrapolate_drive(last_drives: Sequence[tuple[float, float]], frequency: flo
     return float(np.exp(drives[-1] + (change if abs(change) < _MAX_LOG_CHANGE else 0.0)))
 
 
-class StepsProcedure(Procedure[StepsT]):
-    """A series of tones in steady state."""
+class SteadyTonesProcedure(Procedure[SteadyT]):
+    """Tones that are measured in steady state, over `test.measure` periods."""
 
     detection = "steps"
 
-    def noise_gain(self, test: StepsT, frequency: Array) -> Array:
+    def noise_gain(self, test: SteadyT, frequency: Array) -> Array:
         """Return the gain of a lock-in measurement over the measured periods."""
         return noise_gain(test.measure.periods, frequency)
+
+
+class StepsProcedure(SteadyTonesProcedure[StepsT]):
+    """A series of tones of given frequencies."""
 
     def waits(self, test: StepsT, scene: Scene) -> float:
         """Return the expected time of the waits before all measurements, s."""

@@ -6,7 +6,7 @@ A rehearsal simulates the test on the virtual bench without a recording.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from itertools import chain
 from pathlib import Path
 
@@ -59,6 +59,20 @@ _LEVEL_TOLERANCE = 0.02
 # If the largest permissible level differs from the test's level by more than this factor, it is extrapolated in
 # proportion.
 _MAX_LEVEL_RATIO = 4.0
+
+
+@dataclass(frozen=True)
+class _Duration:
+    """Expected, shortest and longest probable duration, s."""
+
+    expected: float
+    shortest: float
+    longest: float
+
+    @classmethod
+    def within(cls, seconds: float, ratio: float = 1.0) -> _Duration:
+        """Return a duration that may differ by a ratio; by default it is exact."""
+        return cls(seconds, seconds / ratio, seconds * ratio)
 
 
 def foresee(scene: Scene | str | Path) -> Foresight:
@@ -193,7 +207,7 @@ class _Assessment:
             if second_ratio > 0.0:
                 second_level = max(self.level / second_ratio, self.level / limiting.driven_share)
                 largest_level = min(largest_level, second_level)
-        seconds, *seconds_range = self._test_durations()
+        duration = self._duration()
         signals = lowest_signal_to_noise(self.scene, self.bench.channels)
         test = test_of(self.scene)
         last_blocks = chain.from_iterable(part.last_blocks for part in self.rehearsed_test.parts)
@@ -214,9 +228,9 @@ class _Assessment:
                 *unresolved_force(self.scene, self.system, self.bench.channels),
             ),
             flights=flight_lines(self.scene, self.system, self.level, self.unlimited_test.parts),
-            seconds=seconds,
-            seconds_range=(seconds_range[0], seconds_range[1]),
-            disk=recording_size(self.scene, self.bench, last_blocks, seconds),
+            seconds=duration.expected,
+            seconds_range=(duration.shortest, duration.longest),
+            disk=recording_size(self.scene, self.bench, last_blocks, duration.expected),
             rehearsed=self.rehearsed_test.rehearsed,
             outside=outside_band(self.scene),
             checks=tuple(procedure_of(test).check(test, self.scene, self.bench.channels)),
@@ -375,40 +389,37 @@ class _Assessment:
             level = float(np.exp(level_2 - ratio_2 / np.clip(slope, 0.5, 2.0)))
         return level
 
-    def _test_durations(self) -> tuple[float, float, float]:
-        """Return the expected, the shortest and the longest probable duration of the test, s."""
+    def _duration(self) -> _Duration:
+        """Return the duration of the test."""
         rehearsed_test, test = self.rehearsed_test, self.scene.test
         rehearsed_seconds = sum(part.seconds for part in rehearsed_test.parts)
         if rehearsed_test.is_complete or (rehearsed_test.aborted is not None and len(rehearsed_test.parts) == 1):
-            return rehearsed_seconds, rehearsed_seconds, rehearsed_seconds
+            return _Duration.within(rehearsed_seconds)
         assert test is not None
         procedure = procedure_of(test)
         if procedure.rehearsal == "part":
             seconds = procedure.seconds(test, rehearsed_test.parts[0].scene.test, rehearsed_seconds)
-            return seconds, seconds / procedure.duration_ratio, seconds * procedure.duration_ratio
+            return _Duration.within(seconds, procedure.duration_ratio)
         if not test.dwells:
-            return test.shortest, test.shortest, test.shortest
+            return _Duration.within(test.shortest)
         waits = linear_waits(self.scene, self.system, self.bench.channels)
         waits = np.outer([1.0, 1.0 - _LINEAR_WAIT_ERROR, 1.0 + _LINEAR_WAIT_ERROR], waits)
         order, steps = np.array(test.dwells), len(test.levels) * len(test.dwells)
         for part in rehearsed_test.parts:
-            for frequency, *expected in self._nonlinear_waits(part):
-                waits[:, np.isclose(order, frequency)] = np.array(expected)[:, None]
-        durations = estimate(self.scene).seconds + len(test.levels) * waits.sum(axis=1)
-        complete_seconds = float(durations[0])
+            for frequency, wait in self._nonlinear_waits(part):
+                waits[:, np.isclose(order, frequency)] = np.array(astuple(wait))[:, None]
+        complete = _Duration(*(estimate(self.scene).seconds + len(test.levels) * waits.sum(axis=1)).tolist())
         if rehearsed_test.aborted is None:
-            return complete_seconds, float(durations[1]), float(durations[2])
+            return complete
         # The test aborts near the last rehearsed tone.
         last_part = rehearsed_test.parts[-1]
         last_tone = last_part.frequency_at(round(last_part.seconds * last_part.rate))
         index = int(np.argmin(abs(order - last_tone))) if last_tone is not None else 0
-        seconds = max(rehearsed_seconds, complete_seconds * (index + 1) / steps) if index > 1 else rehearsed_seconds
-        return seconds, seconds, seconds
+        seconds = max(rehearsed_seconds, complete.expected * (index + 1) / steps) if index > 1 else rehearsed_seconds
+        return _Duration.within(seconds)
 
-    def _nonlinear_waits(self, part: Rehearsal) -> Iterable[tuple[float, float, float, float]]:
-        """Yield the frequency of each tone of a part in which dampers fly, and the waits until it is steady, s.
-
-        The waits are the expected, the shortest and the longest.
+    def _nonlinear_waits(self, part: Rehearsal) -> Iterable[tuple[float, _Duration]]:
+        """Yield the frequency of each tone of a part in which dampers fly, and the wait until it is steady.
 
         If a tone did not settle in a rehearsal, it may settle soon after, or take all the time of the test.
         The geometric mean of both times is assumed.
@@ -420,4 +431,4 @@ class _Assessment:
             wait = (settle.stop - settle.first) / self.bench.rate
             if ((times >= settle.first) & (times < measure.stop)).any():
                 latest = wait if measure.settled else max(longest, wait)
-                yield settle.frequency, float(np.sqrt(wait * latest)), wait, latest
+                yield settle.frequency, _Duration(float(np.sqrt(wait * latest)), wait, latest)

@@ -14,7 +14,7 @@ _BLAMES = ("its gain", "dead or disconnected", "seems to be", "indicates a rever
 
 def check(case: Case, kind: str) -> list[CheckResult]:
     """Return one result for all curves of a recording; recordings of free decays have no curves."""
-    if case.scene.test is None or case.scene.test.kind == "free":
+    if case.scene.test is None or not case.recording.test.drives:
         return []
     responses = analysis.frequency_responses(case.recording)
     blames = {text for group in responses for text in group.warnings if any(blame in text for blame in _BLAMES)}

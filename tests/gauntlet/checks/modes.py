@@ -29,7 +29,7 @@ _CLOSE_MODES = (CURVES, MULTISINE, STEPPED, TWO_SHAKERS)
 
 def check(case: Case, kind: str) -> list[CheckResult]:
     """Identify the modes of a linear structure from all curves of the first level."""
-    if case.scene.dampers or case.scene.test.kind == "free":
+    if case.scene.dampers or not case.recording.test.drives:
         return []
     results = [
         compare_modes(case.scene, curves, kind)

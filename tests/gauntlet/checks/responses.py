@@ -161,7 +161,7 @@ class _Tally:
 
 def check(case: Case, kind: str) -> list[CheckResult]:
     """Compare all curves of a recording with closed form or exact orbits."""
-    if case.scene.test.kind == "free" or kind in (TONE, STEPS, HELD, BACKBONE, CURVE):
+    if not case.recording.test.drives or kind in (TONE, STEPS, HELD, BACKBONE, CURVE):
         return []
     if len(case.scene.shakers) > 1:
         return _check_several_shakers(case, kind)

@@ -94,7 +94,9 @@ def write_reference() -> None:
         for name in module.__all__:
             member = getattr(module, name)
             kind = "class" if isinstance(member, type) else "function"
-            lines += [f".. auto{kind}:: {name}", *(["   :members:"] if kind == "class" else [])]
+            lines.append(f".. auto{kind}:: {name}")
+            # Common members of all results, settings and errors are not repeated at each of them.
+            lines += ["   :members:", "   :inherited-members: Result, Settings, Exception"] if kind == "class" else []
             # A name that two packages export has one entry in the index.
             lines += ["   :no-index:"] if id(member) in indexed else []
             indexed.add(id(member))

@@ -19,9 +19,12 @@ from daq.core.excitation.profiles.sine_control_check import (
     OBSERVATION_PERIODS,
     WINDOW_PERIODS,
     check_sweep,
+    in_band,
     loop_delay,
     loop_gain,
+    required_drives,
     sideband_amplification,
+    widened,
 )
 from daq.core.excitation.profiles.spectrum_shaping import lines_between
 from daq.core.excitation.profiles.sweep_control import estimate_amplitudes, observation_samples
@@ -44,6 +47,8 @@ _MIN_WINDOW_SAMPLES = 4
 _MAX_DECREASE, _MAX_INCREASE = log(4.0), log(1.5)
 # Period of the identification, s and periods of the lowest frequency.
 _IDENTIFICATION_S, _IDENTIFICATION_PERIODS = 2.0, 8.0
+# Outside the band, the identification ends at this fraction of the sample rate: the converter's filter begins above.
+_HIGHEST_RATIO = 0.45
 # The sweep begins when the amplitudes have been within this tolerance, dB, for a number of windows, and at the latest
 # after this time, s.
 _START_DB, _START_WINDOWS, _MAX_START_S = 0.5, 6, 30.0
@@ -115,12 +120,12 @@ class SineSweep:
     def first_drive(self, found: Identified, period: int) -> float:
         """Return the drive at the first frequency; give up if the output cannot drive the sweep."""
         self._frequencies = found.lines * self.station.rate / period
-        self._required = self.prescription.required(np.abs(found.gain), self._frequencies)
-        drive = self._required.min(axis=0).tolist()
+        self._required = required_drives(self.test, np.abs(found.gain), self._frequencies)
+        inside = in_band(self.test, self._frequencies)
+        frequency, drive = self._frequencies[inside], self._required[:, inside].min(axis=0).tolist()
         worst = int(np.argmax(drive))
-        place = f"at {self._frequencies[worst]:.4g} Hz the profile"
-        self.station.check_output(drive[worst], place, "Lower the profile there.")
-        return drive[int(np.argmin(abs(self._frequencies - self.test.from_)))]
+        self.station.check_output(drive[worst], f"at {frequency[worst]:.4g} Hz the profile", "Lower the profile there.")
+        return drive[int(np.argmin(abs(frequency - self.test.from_)))]
 
     def window(self, samples: int, frequency: float, drive: float) -> Generator[Array, Array, None]:
         """Output a window, in which the drive changes to a new amplitude, and store its readings."""
@@ -183,13 +188,15 @@ def excite(station: Station, test: SineControl) -> Excitation:
     warning = check_sweep(test, station.scene, station.channels, station.latency / station.rate).warning
     if warning:
         station.warn(warning)
-    sweep, (low, high) = SineSweep(station, test), test.band
-    period = station.samples(_identification_seconds(test))
-    lines = lines_between(low, high, period, station.rate)
+    sweep, period = SineSweep(station, test), station.samples(_identification_seconds(test))
+    low, high = widened(test)
+    highest = max(test.band[1], min(high, _HIGHEST_RATIO * station.rate))
+    lines = lines_between(low, highest, period, station.rate)
     frequency = lines * station.rate / period
-    # Together, the tones are as large as the profile.
-    required = test.profile.at(np.clip(frequency, low, high)) / np.sqrt(lines.size)
-    largest = [np.nanmin(limit.at(frequency), initial=np.inf) / np.sqrt(2.0) for limit in test.limits]
+    inside = in_band(test, frequency)
+    # Together, the tones in the band are as large as the profile.
+    required = np.where(inside, test.profile.at(frequency), 0.0) / np.sqrt(np.sum(inside))
+    largest = [np.nanmin(limit.at(frequency[inside]), initial=np.inf) / np.sqrt(2.0) for limit in test.limits]
     limits = np.array(
         [np.inf] * len(test.control.channels) + [value if np.isfinite(value) else np.inf for value in largest]
     )

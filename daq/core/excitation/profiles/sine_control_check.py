@@ -6,7 +6,8 @@ the tone. At an anti-resonance, or where a resonance is near, the structure ampl
 tone: where R is large, the gain of the loop, gain R / (2 sin(pi T f)) at the distance f of the sidebands, must be
 below 1. In a sweep, the deviation at a resonance with the damping ratio D and the decay rate d is
 S (T / gain + 1 / d) / (2 D) in ln, for the relative sweep rate S and the window T. The check uses the slope of the
-required drive, whose largest value is 1 / (2 D).
+required drive, whose largest value is 1 / (2 D). Sidebands of a tone at an end of the band lie outside it, so that the
+response is also needed there.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from math import ceil, log, pi, sin
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
 from rig.core.numerics.runs import runs_of
@@ -39,6 +41,9 @@ _PEAK = 1.25
 _NEAR = 0.05
 # Number of frequencies at which the slope of the drive is computed.
 _FREQUENCIES = 2000
+# The response is needed from the lower end of the band divided by this factor to the upper end multiplied by it:
+# sidebands that are further from the tone hardly change an observation.
+_WIDER = 1.15
 
 
 def loop_gain(speed: float, delay: float, amplification: Array | None = None) -> float:
@@ -70,6 +75,27 @@ def sideband_amplification(required: float, frequency: float, drives: Array, fre
     distance = _SIDEBANDS * frequency / WINDOW_PERIODS
     below, above = (np.interp(frequency + sign * distance, frequencies, 1.0 / drives) for sign in (-1.0, 1.0))
     return np.asarray(0.5 * required * (below + above))
+
+
+def widened(test: SineControl) -> tuple[float, float]:
+    """Return the lowest and the highest frequency at which the response is needed, Hz."""
+    low, high = test.band
+    return low / _WIDER, high * _WIDER
+
+
+def in_band(test: SineControl, frequency: Array) -> NDArray[np.bool_]:
+    """Return which frequencies in Hz the sweep contains."""
+    low, high = test.band
+    return np.asarray((frequency >= low * (1.0 - 1e-9)) & (frequency <= high * (1.0 + 1e-9)), dtype=bool)
+
+
+def required_drives(test: SineControl, motion: Array, frequency: Array) -> Array:
+    """Return the drives that profile and limits require, shape (1 + limits, n).
+
+    Outside the band they are those of its ends. `motion`: amplitudes of the channels per unit of drive, m/s^2, shape
+    (channels, n); `frequency`: Hz, shape (n,).
+    """
+    return test.prescription.required(motion, np.clip(frequency, *test.band))
 
 
 def loop_delay(frequency: float, latency: float) -> float:
@@ -123,23 +149,26 @@ class SweepCheck(NamedTuple):
 def check_sweep(test: SineControl, scene: Scene, channels: Sequence[ChannelInfo], latency: float = 0.0) -> SweepCheck:
     """Check a sweep with the linear response of the scene, with all dampers on their floors; `latency`: s."""
     system, places = assemble(scene), {info.name: info.at for info in channels}
-    frequency = np.geomspace(*test.band, _FREQUENCIES)
+    frequency = np.geomspace(*widened(test), _FREQUENCIES)
     states = riding_response(system, scene.at_driven("shaker"), 2.0 * pi * frequency)
     rows = [system.points.index(places[name]) for _, name in test.named_channels]
-    required = test.prescription.required(np.abs(states[rows]) * (2.0 * pi * frequency) ** 2, frequency)
+    required = required_drives(test, np.abs(states[rows]) * (2.0 * pi * frequency) ** 2, frequency)
     limiting, drives = required.argmin(axis=0), required.min(axis=0)
     slopes = abs(np.gradient(np.log(drives), np.log(frequency)))
+    inside = np.flatnonzero(in_band(test, frequency))
     deviations = [
         sweep_deviation(test, f, slope, latency, sideband_amplification(drive, f, required[row], frequency))
-        for f, slope, drive, row in zip(*(row.tolist() for row in (frequency, slopes, drives, limiting)), strict=True)
+        for f, slope, drive, row in zip(
+            *(row[inside].tolist() for row in (frequency, slopes, drives, limiting)), strict=True
+        )
     ]
-    worst = int(np.argmax(deviations))
+    worst = int(inside[np.argmax(deviations)])
     notches = [
-        (limit.channel, float(frequency[start]), float(frequency[stop - 1]))
+        (limit.channel, float(frequency[inside[start]]), float(frequency[inside[stop - 1]]))
         for index, limit in enumerate(test.limits, 1)
-        for start, stop in runs_of(limiting == index)
+        for start, stop in runs_of(limiting[inside] == index)
     ]
     # The slope is largest at the half-power points of the resonance or anti-resonance.
     near = abs(np.log(frequency / frequency[worst])) < _NEAR
     damping = 0.5 / max(float(slopes[near].max()), 1e-12)
-    return SweepCheck(test, float(frequency[worst]), deviations[worst], damping, tuple(notches))
+    return SweepCheck(test, float(frequency[worst]), max(deviations), damping, tuple(notches))

@@ -1,5 +1,6 @@
 """The command `shotrig` runs the other commands."""
 
+import os
 import subprocess
 import sys
 
@@ -21,3 +22,12 @@ def test_shotrig_runs_programs(arguments, code, text):
     result = subprocess.run([sys.executable, "-m", "shotrig", *arguments], capture_output=True, text=True, check=False)
     assert result.returncode == code
     assert text in result.stdout + result.stderr
+
+
+@pytest.mark.parametrize(("typed", "completion"), [("shotrig an", "analysis"), ("shotrig rig expl", "explain")])
+def test_shell_completes_programs_and_commands(typed, completion):
+    words = {"_SHOTRIG_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": str(len(typed.split()) - 1)}
+    result = subprocess.run(
+        [sys.executable, "-m", "shotrig"], env=os.environ | words, capture_output=True, text=True, check=False
+    )
+    assert result.stdout.split() == [completion]

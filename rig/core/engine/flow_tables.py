@@ -85,13 +85,14 @@ class FlowTables:
         count = system.configurations
         self._direct_lookup = np.full(count, -1, dtype=np.int64) if count <= MAX_DIRECT_LOOKUP else None
         self._bounded_signals = bounded_signals(system, self.size)
-        max_states = MAX_TABULATED_STATES_FEW_DAMPERS if system.dampers <= FEW_DAMPERS else MAX_TABULATED_STATES
+        elements = len(system.elements)
+        max_states = MAX_TABULATED_STATES_FEW_DAMPERS if elements <= FEW_DAMPERS else MAX_TABULATED_STATES
         self.has_series = self.size <= max_states
         # Tables are applied millions of times, so they are computed in extended precision.
         self._precision = np.longdouble if self.has_series else np.float64
         self._row_pointer, self._column = self._sparsity_pattern()
         self.has_step_matrix = self.has_series or (
-            system.dampers <= MAX_STEP_MATRIX_DAMPERS and self._step_matrix_is_faster(count)
+            elements <= MAX_STEP_MATRIX_DAMPERS and self._step_matrix_is_faster(count)
         )
         self.model = self._model()
         self.flow = self._allocate(_INITIAL_CAPACITY)
@@ -150,9 +151,9 @@ class FlowTables:
         for j in system.held(configuration):
             if not system.detached[j]:
                 continue
-            row = system.damper_coordinate[j]
-            mass[row, row] += system.damper_mass[j]
-            constant[row] -= dtype(system.damper_mass[j]) * dtype(system.gravity)
+            row = system.body_coordinate[j]
+            mass[row, row] += system.element_mass[j]
+            constant[row] -= dtype(system.element_mass[j]) * dtype(system.gravity)
         matrix = np.zeros((self.size, self.size), dtype=dtype)
         offset = np.zeros(self.size, dtype=dtype)
         matrix[:nq, nq : 2 * nq] = np.eye(nq, dtype=dtype)
@@ -185,10 +186,11 @@ class FlowTables:
         return Model(
             gravity=float(system.gravity),
             step=float(self.step),
-            mass=system.damper_mass.astype(np.float64),
+            mass=system.element_mass.astype(np.float64),
             gap_coordinate=system.gap_coordinate.astype(np.int64),
-            position_index=system.damper_coordinate.astype(np.int64),
-            velocity_index=system.damper_coordinate.astype(np.int64) + nq,
+            base_coordinate=system.base_coordinate.astype(np.int64),
+            position_index=system.body_coordinate.astype(np.int64),
+            velocity_index=system.body_coordinate.astype(np.int64) + nq,
             first_velocity=nq,
             first_acceleration=self.size,
             inverse_mass=np.ascontiguousarray(np.linalg.inv(system.mass)),

@@ -47,7 +47,8 @@ class LawTables(NamedTuple):
     and constant part.
 
     numbers, indices [m, lane of the element]: see `Signals`. exit[m, lane, end]. rounding[m, lane]: largest value per
-    speed that is a rounding error of the gap. is_speed[m, lane]: whether the signal is the speed.
+    speed that is a rounding error of the gap. is_speed[m, lane]: whether the signal is the speed. factors[m, lane]:
+    those of gap and speed.
 
     target[x, candidate]: next mode, as number within the element. event[x]: kind. restitution[x].
     """
@@ -70,6 +71,7 @@ class LawTables(NamedTuple):
     exit: np.ndarray
     rounding: np.ndarray
     is_speed: np.ndarray
+    factors: np.ndarray
     target: np.ndarray
     event: np.ndarray
     restitution: np.ndarray
@@ -103,7 +105,10 @@ def signal_terms(system: HybridSystem, element: Element, mode: Mode, signal: Sig
         return SignalTerms((size + element.body,), (row.hold,), 1, offset, 0.0)
     if element.gap < 0:
         return SignalTerms((element.body,), (-row.gap,), 0, 0.0, 0.0)
-    terms = [(element.gap, row.gap), (system.coordinates + element.gap, row.speed)]
+    n, direction = system.coordinates, element.direction
+    terms = [(i, factor * row.gap) for i, factor in direction] + [
+        (n + i, factor * row.speed) for i, factor in direction
+    ]
     entries, factors = zip(*(term for term in terms if term[1]), strict=True)
     return SignalTerms(entries, factors, 0, -row.gap * row.rest, row.rest)
 
@@ -171,7 +176,7 @@ def law_tables(system: HybridSystem, size: int) -> LawTables:
     shape, n = (len(modes), width), system.coordinates
     number = np.zeros((*shape, SCALE + n_terms))
     index = np.zeros((*shape, ENTRY + 2 * n_terms), dtype=np.int64)
-    rounding, is_speed = np.zeros(shape), np.zeros(shape, dtype=bool)
+    rounding, is_speed, row_factors = np.zeros(shape), np.zeros(shape, dtype=bool), np.zeros((*shape, 2))
     number[..., LOWER], number[..., UPPER] = -np.inf, np.inf
     for m, (j, element, mode) in enumerate(modes):
         index[m, :, ELEMENT], index[m, :, MODE] = j, m
@@ -194,6 +199,7 @@ def law_tables(system: HybridSystem, size: int) -> LawTables:
         index[m, lane, RATE : RATE + 2 * count : 2] = entry + np.where((n <= entry) & (entry < 2 * n), size - n, n)
         rounding[m, lane] = _signal_rounding(element, signal)
         is_speed[m, lane] = signal.row.speed != 0.0 and signal.row.gap == 0.0
+        row_factors[m, lane] = signal.row.gap, signal.row.speed
         for end, (_, exit_) in enumerate(signal.ends):
             if exit_ is not None:
                 exit_number[m, lane, end] = len(exits)
@@ -222,6 +228,7 @@ def law_tables(system: HybridSystem, size: int) -> LawTables:
         exit=exit_number,
         rounding=rounding,
         is_speed=is_speed,
+        factors=row_factors,
         target=target,
         event=np.array([exit_.event for _, exit_ in exits], dtype=np.int64),
         restitution=np.array([NONE if exit_.restitution is None else exit_.restitution for _, exit_ in exits], float),

@@ -138,9 +138,10 @@ class Propagator:
         system.reject_grains()
         self.system, self.drive = system, drive
         self.tables = tables_for(system, drive, step)
-        dampers, size = system.dampers, padded_length(self.tables.size + 2 * system.coordinates)
+        dampers, elements = system.dampers, len(system.elements)
+        size = padded_length(self.tables.size + 2 * system.coordinates)
         self.state = state_at_rest(system, size, int(self.tables.model.laws.first_lane[-1]))
-        self.log = empty_log(max(LOG_ROWS, 16 * dampers), self.tables.size, dampers)
+        self.log = empty_log(max(LOG_ROWS, 16 * elements), self.tables.size, dampers)
         self.workspace: Workspace = workspace_for(self.tables.flow, self.tables.model.laws, size)
         self._buffer = aligned_zeros(LANES, padded_length(3 * system.coordinates + dampers))
         self._no_motion, self._no_states = self.motion_samples(0), self.state_samples(0)
@@ -161,10 +162,18 @@ class Propagator:
         return self.tables.size**2 if flow.has_step_matrix else flow.column.size * N_COEFFICIENTS
 
     def set_state(self, state: Array, drive: Array) -> NDArray[np.int64]:
-        """Set the state, with every damper on its floor; dampers whose contact force would be tensile separate.
+        """Set the state, with dampers on their floors and joints in the modes that contain their gaps and speeds.
+
+        Dampers whose contact force would be tensile separate.
 
         `state`: shape (states,), SI units; `drive`: drive states. Returns the dampers (from 0) that have separated.
         """
+        modes = self.system.joint_modes(state)
+        if modes:
+            laws, self.state.mode[self.system.dampers :] = self.tables.model.laws, modes
+            forces = laws.force_index[laws.first_mode[:-1] + self.state.mode]
+            self.state.counters[CONFIGURATION] = int(laws.stride @ forces)
+            self._look_up_tables()
         self.state.z[: self.system.states] = state
         self.state.z[self.system.states : self.tables.size] = drive
         self._advance(
@@ -284,12 +293,12 @@ class Propagator:
 
     def state_samples(self, samples: int) -> StateSamples:
         """Return new arrays for the states at a number of samples."""
-        size, dampers = self.state.z.shape[0], self.system.dampers
+        size, elements = self.state.z.shape[0], len(self.system.elements)
         return StateSamples(
             state=np.zeros((samples, size)),
             table_index=np.zeros(samples, dtype=np.int64),
-            height=np.zeros((samples, dampers)),
-            contact=np.zeros((samples, dampers), dtype=np.int8),
+            height=np.zeros((samples, elements)),
+            contact=np.zeros((samples, elements), dtype=np.int8),
         )
 
     def _run(self, segments: Segments, states: StateSamples, motion: MotionSamples) -> Trajectory:
@@ -322,9 +331,9 @@ class Propagator:
                 self._double_log()
             elif reason == STUCK:
                 self._check_divergence(segments, states, motion)
-                damper = self.system.damper_number[self.log.event_damper[self.log.counts[N_EVENTS] - 1]]
+                element = self.system.elements[self.log.event_damper[self.log.counts[N_EVENTS] - 1]]
                 raise RunError(
-                    f"damper {damper} separates and lands repeatedly at one instant, which contradicts "
+                    f"{element.name} separates and lands repeatedly at one instant, which contradicts "
                     "the contact law. Please report this as a bug and attach the scene."
                 )
             else:

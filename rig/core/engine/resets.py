@@ -29,7 +29,7 @@ import numpy as np
 
 from rig.core.base.arrays import Array
 from rig.core.engine.flow import Flow, Model
-from rig.core.engine.law_tables import ENTRY, HIGH, LOW, LOWER, NONE, REST, SCALE, UPPER
+from rig.core.engine.law_tables import HIGH, LOW, LOWER, NONE, REST, SCALE, UPPER
 from rig.core.engine.state import Log, State, change_mode, log_event, mode_number
 from rig.core.laws.events import NO_EVENT
 from rig.core.numerics.complementarity import (
@@ -50,6 +50,23 @@ _TENSILE_MULTIPLICITY = 2
 SEPARATION_MULTIPLICITY = 3
 #: A contact force may be a rounding error of zero up to this fraction of the forces of spring and dashpot.
 _MAX_ZERO_FORCE_RATIO = 1e-6
+
+
+@inlined_kernel
+def _gap(model: Model, state: State, j: int) -> float:
+    """Return the gap of an element that is not held, m."""
+    gap, base = model.gap_coordinate[j], model.base_coordinate[j]
+    if gap >= 0:
+        return state.z[gap] - state.z[base] if base >= 0 else state.z[gap]
+    return state.height[j] - state.z[unsigned(model.position_index[j])]
+
+
+@inlined_kernel
+def _speed(model: Model, state: State, j: int) -> float:
+    """Return the rate of change of the gap of an element that is not detached, m/s."""
+    first, base = model.first_velocity, model.base_coordinate[j]
+    speed = state.z[first + model.gap_coordinate[j]]
+    return speed - state.z[first + base] if base >= 0 else speed
 
 
 @inlined_kernel
@@ -108,11 +125,14 @@ def _sum_forces(model: Model, state: State, force: Array) -> None:
     """Sum the forces of springs, dashpots, drive and elements on every coordinate, N."""
     affine_product(model.force, model.force_constant, 0, state.z, model.force.shape[1], force)
     for j in range(model.mass.shape[0]):
-        gap = model.gap_coordinate[j]
+        gap, base = model.gap_coordinate[j], model.base_coordinate[j]
         if gap >= 0:
             row = model.laws.force[mode_number(model, state, j)]
-            force[gap] += row[0] * (state.z[gap] - row[2]) + row[1] * state.z[model.first_velocity + gap]
+            spring_force = row[0] * (_gap(model, state, j) - row[2]) + row[1] * _speed(model, state, j)
+            force[gap] += spring_force
             force[gap] += row[3]
+            if base >= 0:
+                force[base] -= spring_force + row[3]
 
 
 @inlined_kernel
@@ -165,14 +185,6 @@ def _end_impact(flow: Flow, model: Model, state: State, j: int, end: int, reboun
         candidate += 1
     state.multiplicity[lane] = 0
     change_mode(flow, model, state, j, laws.target[x, candidate])
-
-
-@inlined_kernel
-def _gap(model: Model, state: State, j: int) -> float:
-    """Return the gap of a mass that is not held, m."""
-    if model.gap_coordinate[j] >= 0:
-        return state.z[model.gap_coordinate[j]]
-    return state.height[j] - state.z[unsigned(model.position_index[j])]
 
 
 @kernel
@@ -463,15 +475,9 @@ def impact(flow: Flow, model: Model, state: State, log: Log, j: int, end: int, w
 
 
 @inlined_kernel
-def _speed(model: Model, state: State, j: int) -> float:
-    """Return the rate of change of the gap of an element whose gap is a coordinate, m/s."""
-    return state.z[model.first_velocity + model.gap_coordinate[j]]
-
-
-@inlined_kernel
 def _is_gap(model: Model, m: int, lane: int) -> bool:
-    """Return whether a signal is the gap, or a multiple of it."""
-    return model.laws.terms < 2 or model.laws.numbers[m, lane, SCALE + 1] == 0.0
+    """Return whether a signal is the gap or the speed, or a multiple of it."""
+    return model.laws.factors[m, lane, 0] == 0.0 or model.laws.factors[m, lane, 1] == 0.0
 
 
 @kernel
@@ -481,14 +487,18 @@ def _side_of_limit(model: Model, state: State, j: int, m: int, lane: int, end: i
     Without a dashpot, the signal is zero at every touch and release. An exception is a force that the impact of another
     element opens or closes through a full mass matrix.
     """
-    laws, number, index = model.laws, model.laws.numbers[m, lane], model.laws.indices[m, lane]
+    laws, number = model.laws, model.laws.numbers[m, lane]
     limit = number[LOWER] if end == LOW else number[UPPER]
     if abs(limit) == np.inf:
         return 1
-    distance = number[SCALE] * (state.z[index[ENTRY]] - number[REST]) - limit
-    rounding = laws.rounding[m, lane] * abs(_speed(model, state, j))
+    speed = _speed(model, state, j)
+    quantity, factor = _gap(model, state, j), laws.factors[m, lane, 0]
+    if laws.is_speed[m, lane]:
+        quantity, factor = speed, laws.factors[m, lane, 1]
+    distance = factor * (quantity - number[REST]) - limit
+    rounding = laws.rounding[m, lane] * abs(speed)
     if not _is_gap(model, m, lane):
-        dashpot_force = number[SCALE + 1] * state.z[index[ENTRY + 2]]
+        dashpot_force = laws.factors[m, lane, 1] * speed
         rounding += _MAX_ZERO_FORCE_RATIO * (abs(distance) + abs(dashpot_force))
         distance += dashpot_force
     if abs(distance) <= rounding:

@@ -49,7 +49,7 @@ class Log(NamedTuple):
     """Events and breaks in chronological order, one row each.
 
     The time of an event or break is the number of its segment, and an offset, the time after the segment's start, s.
-    `present_offset`: the offset of the present instant. `event_damper`: from 0. `event_speed`: closing speed, m/s.
+    `present_offset`: the offset of the present instant. `event_damper`: number of the element, from 0. `event_speed`: closing speed, m/s.
 
     A break is logged with the state, the velocities of the dampers (m/s) and the configuration before and after it.
     """
@@ -154,7 +154,7 @@ def load_signals(model: Model, state: State, signals: Signals) -> None:
 @inlined_kernel
 def _store_damper_velocities(model: Model, state: State, out: Array) -> None:
     """Store the velocity of each damper in `out`, m/s, positive upwards."""
-    for j in range(model.mass.shape[0]):
+    for j in range(out.shape[0]):
         out[j] = state.z[unsigned(model.velocity_index[j])]
         if model.gap_coordinate[j] >= 0:
             out[j] += state.z[model.first_velocity + model.gap_coordinate[j]]

@@ -19,6 +19,8 @@ from rig.core.system.hybrid_system import HybridSystem
 
 #: An event for users: time (s), number of the damper from 1, kind, closing speed (m/s).
 EVENT = np.dtype([("time", "f8"), ("damper", "i4"), ("kind", "U10"), ("speed", "f8")])
+#: The same in a scene with joints: number of the joint from 1, or 0 if the event is that of a damper, and vice versa.
+EVENT_WITH_JOINT = np.dtype([*EVENT.descr, ("joint", "i4")])
 
 
 @dataclass(frozen=True)
@@ -34,15 +36,15 @@ class Trajectory:
     table_index: NDArray[np.int64]
     """Table index of the configuration at each sample; shape (samples,)."""
     height: Array
-    """Position of each damper in flight, upwards, m; undefined while it rests on a wall; shape (samples, dampers)."""
+    """Position of each damper in flight, upwards, m; undefined while it rests on a wall; shape (samples, elements)."""
     contact: NDArray[np.int8]
-    """FLIGHT, FLOOR or CEILING; shape (samples, dampers)."""
+    """FLIGHT, FLOOR or CEILING; shape (samples, elements)."""
     event_segment: NDArray[np.int64]
     event_offset: Array
     event_damper: NDArray[np.int64]
     event_kind: NDArray[np.int64]
     event_speed: Array
-    """event_...: number of the segment, offset, damper from 0, kind (an index of `EVENT_NAMES`), closing speed, m/s;
+    """event_...: number of the segment, offset, element from 0, kind (an index of `EVENT_NAMES`), closing speed, m/s;
     shape (events,)."""
     break_segment: NDArray[np.int64]
     break_offset: Array
@@ -61,15 +63,18 @@ class Trajectory:
 def event_table(
     times: Array, damper: NDArray[np.int64], kind: NDArray[np.int64], speed: Array, system: HybridSystem
 ) -> NDArray[Any]:
-    """Return events for users, with dtype `EVENT`: dampers by their number in the scene, kinds by name.
+    """Return events for users, with dtype `EVENT` or `EVENT_WITH_JOINT`: numbers as in the scene, kinds by name.
 
-    `times`: s; `damper`: from 0; `kind`: index of `EVENT_NAMES`; `speed`: closing speed, m/s; all of shape (events,).
+    `times`: s; `damper`: number of the element from 0; `kind`: index of `EVENT_NAMES`; `speed`: closing speed, m/s; all of shape (events,).
     """
-    table = np.zeros(len(times), dtype=EVENT)
+    has_joints = len(system.elements) > system.dampers
+    table = np.zeros(len(times), dtype=EVENT_WITH_JOINT if has_joints else EVENT)
     if not len(times):
         return table
     table["time"] = times
-    table["damper"] = system.damper_number[damper]
+    for field, is_joint in (("damper", False), ("joint", True))[: 1 + has_joints]:
+        numbers = [element.number if element.is_joint == is_joint else 0 for element in system.elements]
+        table[field] = np.array(numbers, dtype=np.int64)[damper]
     table["kind"] = EVENT_NAMES[kind]
     table["speed"] = speed
     return table
@@ -78,9 +83,10 @@ def event_table(
 def gaps_and_contacts(trajectory: Trajectory, system: HybridSystem) -> tuple[Array, NDArray[np.int8]]:
     """Return the gap above each floor, m, and FLIGHT, FLOOR or CEILING; both of shape (dampers, samples)."""
     positions = trajectory.state[:, system.damper_coordinate].T
-    gap = trajectory.height.T - positions
-    contact = trajectory.contact.T
+    gap = trajectory.height.T[: system.dampers] - positions
+    contact = trajectory.contact.T[: system.dampers]
     ceiling = np.broadcast_to(system.clearance[:, None], gap.shape)
     gap = np.maximum(np.where(contact == FLIGHT, gap, np.where(contact == FLOOR, 0.0, ceiling)), 0.0)
-    gap[~system.detached] = trajectory.state[:, system.gap_coordinate[~system.detached]].T
+    coordinates = system.gap_coordinate[: system.dampers]
+    gap[coordinates >= 0] = trajectory.state[:, coordinates[coordinates >= 0]].T
     return gap, np.ascontiguousarray(contact)

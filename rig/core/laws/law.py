@@ -35,6 +35,10 @@ class Row(NamedTuple):
     rest: float = 0.0
     constant: float = 0.0
 
+    def at(self, gap: float, speed: float) -> float:
+        """Return the value for a gap and a speed, without a holding force."""
+        return self.gap * (gap - self.rest) + self.speed * speed + self.constant
+
 
 GAP, SPEED, HOLD = Row(gap=1.0), Row(speed=1.0), Row(hold=1.0)
 
@@ -133,6 +137,23 @@ class Law(NamedTuple):
             if all(signal.low <= gap <= signal.high for signal in self.modes[name].signals if signal.row == GAP)
         ]
         return (containing or at_wall)[0]
+
+    def mode_for(self, gap: float, speed: float) -> str:
+        """Return the first mode that contains a gap, m, and a speed, m/s; the start if there is none."""
+        fitting = [
+            name
+            for name, mode in self.modes.items()
+            if all(signal.low <= signal.row.at(gap, speed) <= signal.high for signal in mode.signals)
+        ]
+        return (fitting or [self.start])[0]
+
+    def reachable(self) -> Law:
+        """Return the law with only the modes that can follow from the mode at the start."""
+        names = [self.start]
+        for name in names:
+            exits = [exit_ for signal in self.modes[name].signals for _, exit_ in signal.ends if exit_ is not None]
+            names += dict.fromkeys(target for exit_ in exits for target in exit_.to if target not in names)
+        return self._replace(modes={name: mode for name, mode in self.modes.items() if name in names})
 
     @property
     def force_indices(self) -> dict[str, int]:

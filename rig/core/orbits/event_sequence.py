@@ -134,7 +134,7 @@ def derive_plan(
     dampers: list[int] = []
     order: list[int] = []  # index of each event of the plan in the trajectory
     instants = list(zip(trajectory.event_segment.tolist(), trajectory.event_offset.tolist(), strict=True))
-    finite_contact, restitution = system.finite_contact.tolist(), system.restitution.tolist()
+    finite_contact, restitution = system.finite_contact.tolist(), system.element_restitution.tolist()
     for k, (damper, kind) in enumerate(
         zip(trajectory.event_damper.tolist(), trajectory.event_kind.tolist(), strict=True)
     ):
@@ -182,7 +182,7 @@ def _finite_contact_kind(trajectory: Trajectory, event: int, system: HybridSyste
     is_event = (trajectory.break_segment == trajectory.event_segment[event]) & (
         trajectory.break_offset == trajectory.event_offset[event]
     )
-    gaps = trajectory.state_before[:, system.gap_coordinate[damper]]
+    gaps = system.elements[damper].along_gap(trajectory.state_before)
     gap, min_overlap = gaps[np.flatnonzero(is_event)[0]], MIN_RELATIVE_OVERLAP * np.abs(gaps).max()
     floor, ceiling = system.wall_gap[damper].tolist()
     if kind == FLOOR_TOUCH:
@@ -196,7 +196,7 @@ def _slip_kind(trajectory: Trajectory, event: int, system: HybridSystem) -> int:
     is_event = (trajectory.break_segment == trajectory.event_segment[event]) & (
         trajectory.break_offset == trajectory.event_offset[event]
     )
-    gaps = trajectory.state_before[:, system.gap_coordinate[trajectory.event_damper[event]]]
+    gaps = system.elements[trajectory.event_damper[event]].along_gap(trajectory.state_before)
     changes = np.roll(gaps, -int(np.flatnonzero(is_event)[0]))
     changes -= changes[0]
     return kinds.SLIP_LOW if changes[np.flatnonzero(changes)[0]] > 0.0 else kinds.SLIP_HIGH
@@ -228,7 +228,7 @@ def modes_from_walls(walls: NDArray[np.int64], z: Array, system: HybridSystem) -
     """Return the engine's modes for wall states of a sequence and the states z, shape (dampers,)."""
     # A damper without contact force may still overlap a wall from which it was released.
     return [
-        list(element.law.modes).index(_mode(element, wall, float(z[element.gap]) if element.gap >= 0 else 0.0))
+        list(element.law.modes).index(_mode(element, wall, float(element.along_gap(z))))
         for wall, element in zip(walls.tolist(), system.elements, strict=True)
     ]
 

@@ -129,13 +129,15 @@ class Orbit(Result):
         track = track_orbit(equations, sequence, instants, states)
         wall = sequence.wall[len(sequence.wall) - len(track.times) :, None, :]
         gaps = np.where(wall == kinds.FLYING, np.maximum(track.guards[..., 0], 0.0), 0.0)
-        gaps = np.where(wall == kinds.RIDES_CEILING, system.clearance, gaps)
-        gaps[..., ~system.detached] = track.motion[..., system.gap_coordinate[~system.detached]]
+        gaps = np.where(wall == kinds.RIDES_CEILING, system.wall_gap[:, 1], gaps)
+        for j in np.flatnonzero(~system.detached):
+            gaps[..., j] = system.elements[j].along_gap(track.motion)
         motion = track.motion[..., : self.problem.scene.structure.bodies]
         return {
             "time_s": track.times.ravel(),
             **{f"body {j}_m": motion[..., j - 1].ravel() for j in range(1, motion.shape[-1] + 1)},
-            **{f"gap {k}_m": gaps[..., k - 1].ravel() for k in range(1, gaps.shape[-1] + 1)},
+            **{f"gap {k}_m": gaps[..., k - 1].ravel() for k in range(1, system.dampers + 1)},
+            **{f"gap of {system.elements[j].name}_m": gaps[..., j].ravel() for j in range(system.dampers, len(gaps.T))},
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
@@ -190,12 +192,12 @@ class Orbit(Result):
 
     @cached_property
     def damper_motion(self) -> tuple[str, ...]:
-        """Type of motion of each damper."""
+        """Type of motion of each damper that moves, then of each joint."""
         dampers, engine_kinds, times, _ = self._event_columns
         system, cycle = self.problem.varied_system(self.setting), self.plan.repetition / self.setting.frequency
         return tuple(
             type_of(engine_kinds[is_own], times[is_own], system, j, self.plan.repetition, cycle)
-            for j, is_own in enumerate(dampers == np.arange(system.dampers)[:, None])
+            for j, is_own in enumerate(dampers == np.arange(len(system.elements))[:, None])
         )
 
     @cached_property
@@ -361,7 +363,7 @@ def _events(
             events.append((damper, RELEASE, time, 0.0))
         if kind in (kinds.STOP, kinds.REVERSE):
             events.append((damper, STOP, time, 0.0))
-        leaves = kind in (kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE) and not problem.system.restitution[damper]
+        leaves = kind in (kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE) and not problem.system.element_restitution[damper]
         if kind in (kinds.SLIP_LOW, kinds.SLIP_HIGH, kinds.REVERSE) or (leaves and has_friction[damper]):
             events.append((damper, SLIP, time, 0.0))
         elif kind in (kinds.SEPARATION, kinds.INDUCED_SEPARATION) or leaves:

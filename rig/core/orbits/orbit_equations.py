@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
+from rig.core.numerics.jit import cached_njit
 
 IndexArray = NDArray[np.int64]
 #: Columns of `Equations.signals`: factors of the gap [m], of the speed [m/s] and of the holding force per mass [m/s^2],
@@ -25,21 +26,23 @@ class Equations(NamedTuple):
     generator: Array  # shape (configurations, states + 3, states + 3)
     norm_bound: Array  # Upper limit of the norm of each generator [1/s]; shape (configurations,)
     inverse_mass: Array  # shape (configurations, coordinates, coordinates)
-    body_coordinate: IndexArray  # Coordinate of each damper's body; int64, shape (dampers,)
+    body_coordinate: IndexArray  # Coordinate of each element's body; int64, shape (elements,)
     mass: Array
-    restitution: Array  # mass, restitution: shape (dampers,)
+    restitution: Array  # mass, restitution: shape (elements,)
     gap_coordinate: IndexArray
-    """Coordinate of the gap of a damper, -1 for a detached mass; int64, shape (dampers,)."""
-    wall_gap: Array  # Gap at floor and ceiling [m]; shape (dampers, 2)
+    """Coordinate of the gap of an element, -1 for a detached mass; int64, shape (elements,)."""
+    base_coordinate: IndexArray
+    """Coordinate that is subtracted from that of the gap, -1 without one; int64, shape (elements,)."""
+    wall_gap: Array  # Gap at floor and ceiling [m]; shape (elements, 2)
     hold_offset: Array
-    """Holding force per mass on floor and ceiling, minus the acceleration of the body [m/s^2]; shape (dampers, 2)."""
+    """Holding force per mass on floor and ceiling, minus the acceleration of the body [m/s^2]; shape (elements, 2)."""
     stiffness: Array
-    damping: Array  # stiffness, damping: of floor and ceiling for finite-duration contact; shape (dampers, 2)
+    damping: Array  # stiffness, damping: of floor and ceiling for finite-duration contact; shape (elements, 2)
     first_mode: IndexArray
-    """Row in `signals` of the first mode of a mass that slides with friction, otherwise -1; shape (dampers,)."""
+    """Row in `signals` of the first mode of a mass that slides with friction, otherwise -1; shape (elements,)."""
     signals: Array
     """Signals of the modes of these masses; the columns are the constants above; shape (modes, signals, 5)."""
-    moves_freely: NDArray[np.bool_]  # Whether the gap is a coordinate without a spring; shape (dampers,)
+    moves_freely: NDArray[np.bool_]  # Whether the gap is a coordinate without a spring; shape (elements,)
     gravity: float
     omega: float  # Angular frequency of the drive [rad/s]
     period: float  # Duration of the orbit, a multiple of the drive's period [s]
@@ -64,9 +67,16 @@ class Sequence(NamedTuple):
     """The events of an orbit in order."""
 
     kind: IndexArray
-    damper: IndexArray  # kind, damper: int64, shape (events,)
+    damper: IndexArray  # kind, number of the element: int64, shape (events,)
     configuration: IndexArray
     """Index of the configuration in each segment: before the first event, between events, after the last; int64,
     shape (events + 1,)."""
     wall: IndexArray
-    """Wall state in each segment, as in `rig.core.orbits.event_kinds`; int64, shape (events + 1, dampers)."""
+    """Wall state in each segment, as in `rig.core.orbits.event_kinds`; int64, shape (events + 1, elements)."""
+
+
+@cached_njit
+def along_gap(equations: Equations, j: int, coordinates: Array) -> float:
+    """Return the gap of element j for coordinates, or its rate for their velocities."""
+    gap, base = equations.gap_coordinate[j], equations.base_coordinate[j]
+    return float(coordinates[gap] - coordinates[base] if base >= 0 else coordinates[gap])

@@ -119,14 +119,16 @@ class OrbitProblem:
         self.scene = with_ideal_force(scene)
         self.system = assemble(self.scene)
         self.level = level_of(self.scene)
-        self._body_coordinate = self.system.damper_coordinate.astype(np.int64)
+        self._body_coordinate = self.system.body_coordinate.astype(np.int64)
         self._gap_coordinate = self.system.gap_coordinate.astype(np.int64)
+        self._base_coordinate = self.system.base_coordinate.astype(np.int64)
         self._finite_contact = self.system.finite_contact
         self._driven_input = self.system.inputs.index(self.scene.at_driven("shaker"))
         self.reference = reference_of(self.scene, self.system)
         shaker = self.scene.driven_shaker
         self._is_driven_by_force = shaker is not None and shaker.drive_is_force
-        self._damper_zeros, self._wall_zeros = np.zeros(self.system.dampers), np.zeros((self.system.dampers, 2))
+        elements = len(self.system.elements)
+        self._mass_zeros, self._wall_zeros = np.zeros(elements), np.zeros((elements, 2))
         self._matrices: dict[tuple[tuple[int, ...], float], _ConfigurationMatrices] = {}
         self._derivatives: dict[tuple[tuple[int, ...], float], _MatrixDerivatives] = {}
         self._systems: dict[float, HybridSystem] = {}
@@ -205,7 +207,7 @@ class OrbitProblem:
         generator, generator_derivative = matrices.generator.copy(), np.zeros_like(matrices.generator)
         generator[:, :n, n : n + 2] = matrices.drive_input @ drive
         # Dampers with finite-duration contact that have a ceiling.
-        has_contact_ceiling = self._finite_contact & np.isfinite(system.clearance)
+        has_contact_ceiling = self._finite_contact[: system.dampers] & np.isfinite(system.clearance)
         if has_contact_ceiling.any():
             generator[:, nq : 2 * nq, n + 2] += (
                 matrices.clearance_input[:, :, has_contact_ceiling] @ system.clearance[has_contact_ceiling]
@@ -241,9 +243,10 @@ class OrbitProblem:
             norm_bound=np.maximum(matrices.norm_bound, omega),
             inverse_mass=matrices.inverse_mass,
             body_coordinate=self._body_coordinate,
-            mass=system.damper_mass,
-            restitution=system.restitution,
+            mass=system.element_mass,
+            restitution=system.element_restitution,
             gap_coordinate=self._gap_coordinate,
+            base_coordinate=self._base_coordinate,
             wall_gap=system.wall_gap,
             hold_offset=system.hold_offset,
             stiffness=system.wall_stiffness,
@@ -257,7 +260,7 @@ class OrbitProblem:
         ), EquationDerivatives(
             generator=generator_derivative,
             inverse_mass=inverse_mass_derivative,
-            mass=self.system.damper_mass if parameter == "mass_ratio" else self._damper_zeros,
+            mass=self.system.element_mass if parameter == "mass_ratio" else self._mass_zeros,
             wall_gap=wall_gap_derivative,
             hold_offset=hold_offset_derivative,
             stiffness=stiffness_derivative,
@@ -406,7 +409,7 @@ def vary(setting: OperatingPoint, parameter: str) -> Callable[[float], Operating
 def _riding_mass_and_forces(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
     """Return mass matrix and constant forces, including masses and weights of a configuration's riding dampers."""
     riding = np.array([j for j in system.held(configuration) if system.detached[j]], dtype=np.intp)
-    rows, masses = system.damper_coordinate[riding], system.damper_mass[riding]
+    rows, masses = system.body_coordinate[riding], system.element_mass[riding]
     added_mass = np.zeros_like(system.mass)
     np.add.at(added_mass, (rows, rows), masses)
     return system.mass + added_mass, system.force_constant - system.gravity * added_mass.sum(axis=0)
@@ -414,7 +417,7 @@ def _riding_mass_and_forces(system: HybridSystem, configuration: int) -> tuple[A
 
 def _sliding_signals(system: HybridSystem) -> tuple[NDArray[np.int64], Array]:
     """Return `first_mode` and `signals` of `Equations`."""
-    first_mode = np.full(system.dampers, -1, dtype=np.int64)
+    first_mode = np.full(len(system.elements), -1, dtype=np.int64)
     modes: list[tuple[Element, Mode]] = []
     for j in np.flatnonzero(slides(system)):
         first_mode[j] = len(modes)
@@ -429,7 +432,7 @@ def _sliding_signals(system: HybridSystem) -> tuple[NDArray[np.int64], Array]:
 
 
 def _moves_freely(system: HybridSystem) -> NDArray[np.bool_]:
-    """Return whether the gap of each damper is a coordinate without a spring, shape (dampers,)."""
+    """Return whether the gap of each element is a coordinate without a spring, shape (elements,)."""
     gaps = system.gap_coordinate
     return np.asarray((gaps >= 0) & ~system.finite_contact & (system.force_state[gaps, gaps] == 0.0))
 
@@ -444,7 +447,7 @@ def _finite_contact_forces(system: HybridSystem, configuration: int) -> tuple[Ar
     preload = system.with_clearance(0.0).contact_forces(configuration)[1]
     constant -= preload
     clearance_force = np.zeros((system.coordinates, system.dampers))
-    finite = np.flatnonzero(system.finite_contact)
+    finite = np.flatnonzero(system.finite_contact[: system.dampers])
     clearance_force[system.gap_coordinate[finite], finite] = constant[system.gap_coordinate[finite]]
     return force, clearance_force, preload
 

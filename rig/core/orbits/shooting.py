@@ -31,6 +31,7 @@ from rig.core.orbits.orbit_equations import (
     Equations,
     IndexArray,
     Sequence,
+    along_gap,
 )
 
 
@@ -252,19 +253,22 @@ def _finite_contact_condition(
     With the gap g, and the gap g_w at which the wall is touched (0 or the clearance), the condition of a touch is
     g - g_w = 0. The wall's force is zero at g - g_w + (c / k) g' = 0, with the wall's stiffness k and damping c.
     """
-    n_unknowns, gap_index = motion.dx.shape[1] - 1, equations.gap_coordinate[j]
-    rate_index = equations.inverse_mass.shape[1] + gap_index
+    n_unknowns, nq = motion.dx.shape[1] - 1, equations.inverse_mass.shape[1]
     ceiling = kind in (kinds.TOUCH_CEILING, kinds.PRESS_CEILING) or (kind == kinds.RELEASE and wall == kinds.ON_CEILING)
     wall_index = 1 if ceiling else 0
-    gap_rate, relaxation_time = motion.x[rate_index], 0.0
-    residual = motion.x[gap_index] - equations.wall_gap[j, wall_index]
+    gap_rate, relaxation_time = along_gap(equations, j, motion.x[nq:]), 0.0
+    residual = along_gap(equations, j, motion.x) - equations.wall_gap[j, wall_index]
     jacobian[row, n_unknowns] -= derivatives.wall_gap[j, wall_index]
     if kind not in (kinds.TOUCH_FLOOR, kinds.TOUCH_CEILING):
         relaxation_time = equations.damping[j, wall_index] / equations.stiffness[j, wall_index]
         damping_derivative = derivatives.damping[j, wall_index] - relaxation_time * derivatives.stiffness[j, wall_index]
         jacobian[row, n_unknowns] += gap_rate * damping_derivative / equations.stiffness[j, wall_index]
     for c in range(n_unknowns + 1):
-        jacobian[row, c] += motion.dx[gap_index, c] + relaxation_time * motion.dx[rate_index, c]
+        gap_derivative, rate_derivative = (
+            along_gap(equations, j, motion.dx[:, c]),
+            along_gap(equations, j, motion.dx[nq:, c]),
+        )
+        jacobian[row, c] += gap_derivative + relaxation_time * rate_derivative
     closing_speed = gap_rate if ceiling else -gap_rate
     return residual + relaxation_time * gap_rate, 0.0 if kind == kinds.RELEASE else max(closing_speed, 0.0)
 

@@ -87,8 +87,8 @@ class OrbitResponse(Result):
         Reason for a missing orbit; "" if the orbit exists.
     labels : tuple of str, length bodies
         Display names of the bodies: their names, or body 1, body 2, ...
-    dampers : int
-        Number of dampers that move.
+    elements : int
+        Number of dampers that move, and of joints.
     reference : {"force", "table"}
         Force on the structure, or displacement of the table.
     """
@@ -100,7 +100,7 @@ class OrbitResponse(Result):
     orbits: tuple[Orbit | None, ...]
     reasons: tuple[str, ...]
     labels: tuple[str, ...]
-    dampers: int
+    elements: int
     reference: str = "force"
 
     @property
@@ -116,8 +116,8 @@ class OrbitResponse(Result):
     # A search for peaks needs only the response, so further quantities are computed when first used.
     @cached_property
     def damper_motion(self) -> NDArray[np.str_]:
-        """Type of motion of each damper that moves, shape (dampers, values)."""
-        irregular = ("irregular",) * self.dampers
+        """Type of motion of each damper that moves, then of each joint, shape (dampers and joints, values)."""
+        irregular = ("irregular",) * self.elements
         types = [irregular if orbit is None else orbit.damper_motion for orbit in self.orbits]
         return np.array(types, dtype=np.str_).reshape(len(types), -1).T
 
@@ -261,7 +261,7 @@ def sweep(
         orbits=tuple(p.orbit for p in points),
         reasons=tuple(p.reason for p in points),
         labels=problem.scene.structure.labels,
-        dampers=problem.system.dampers,
+        elements=len(problem.system.elements),
         reference=problem.reference.name,
     )
 

@@ -14,7 +14,7 @@ from rig.core.base.arrays import Array
 from rig.core.numerics.jit import cached_njit
 from rig.core.orbits import event_kinds as kinds
 from rig.core.orbits.matrix_exponential import exponential
-from rig.core.orbits.orbit_equations import Equations, Sequence
+from rig.core.orbits.orbit_equations import Equations, Sequence, along_gap
 
 # The product of the step between instants and the norm of the state matrix is at most this. The relative error of the
 # extremes of quintics is then 1e-9, and the harmonic is exact to rounding error.
@@ -140,9 +140,9 @@ def _sample_guard(
     nq, nd = equations.inverse_mass.shape[1], equations.body_coordinate.shape[0]
     n, body, gravity = x.shape[1] - 3, equations.body_coordinate[j], equations.gravity
     if wall == kinds.WITHOUT_FORCE:
-        gap = equations.gap_coordinate[j]
         for i in range(x.shape[0]):
-            guard[i, 0], guard[i, 1], guard[i, 2] = x[i, gap], x[i, nq + gap], rate[i, nq + gap]
+            guard[i, 0], guard[i, 1] = along_gap(equations, j, x[i]), along_gap(equations, j, x[i, nq:])
+            guard[i, 2] = along_gap(equations, j, rate[i, nq:])
         return
     if wall == kinds.FLYING:
         height, speed = initial[n + j], initial[n + nd + j]
@@ -156,10 +156,12 @@ def _sample_guard(
     weights, constant = np.zeros((3, n + 3)), equations.hold_offset[j, 1 if wall == kinds.RIDES_CEILING else 0]
     if wall >= kinds.ON_FLOOR:
         sign, wall_index = (-1.0, 0) if wall == kinds.ON_FLOOR else (1.0, 1)
-        gap = equations.gap_coordinate[j]
+        gap, base = equations.gap_coordinate[j], equations.base_coordinate[j]
         weights[0, gap] = sign * equations.stiffness[j, wall_index] / equations.mass[j]
         weights[0, nq + gap] = sign * equations.damping[j, wall_index] / equations.mass[j]
         constant = -equations.wall_gap[j, wall_index] * weights[0, gap]
+        if base >= 0:
+            weights[0, base], weights[0, nq + base] = -weights[0, gap], -weights[0, nq + gap]
     else:
         weights[0] = a[nq + body]
     weights[1] = weights[0] @ a

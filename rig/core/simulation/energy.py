@@ -23,7 +23,7 @@ from rig.core.engine.trajectory import Trajectory
 from rig.core.laws.events import CEILING, FLIGHT
 from rig.core.laws.law import Row
 from rig.core.numerics.bernstein import N_COEFFICIENTS
-from rig.core.system.hybrid_system import FORCE_OF_BED, HybridSystem
+from rig.core.system.hybrid_system import FORCE_OF_BED, Element, HybridSystem
 
 #: Gauss-Legendre nodes and weights on [0, 1]. Within a step, 8 nodes integrate a product of two solutions to rounding
 #: error.
@@ -235,7 +235,7 @@ def _integrate(
     forces = _force_numbers(tables)
     for table_index, terms, durations, _ in _steps(tables, states, table_indices, lengths, starts):
         fractions = durations / tables.step
-        coordinates, damping = _dashpots(system, forces[table_index])
+        dashpots = _dashpots(system, forces[table_index])
         friction = _constant_forces(system, forces[table_index])
         for node, weight in zip(*_GAUSS_RULE, strict=True):
             at_node = _sum_series(terms, fractions * node)
@@ -244,33 +244,38 @@ def _integrate(
             lost["dissipated"] += float(node_weights @ _quadratic(forms.dissipated, at_node))
             if forms.to_grains.any():
                 to_grains += float(node_weights @ _quadratic(forms.to_grains, at_node))
-            lost["contacts"] += float(node_weights @ (at_node[:, system.coordinates + coordinates] ** 2 @ damping))
+            speeds = at_node[:, system.coordinates : 2 * system.coordinates]
+            lost["contacts"] += float(node_weights @ _dashpot_power(dashpots, speeds))
             if friction.any():
-                speeds = at_node[:, system.coordinates : 2 * system.coordinates]
                 lost["dissipated"] -= float(node_weights @ (speeds @ friction))
     return work, to_grains, lost
 
 
-def _dashpots(system: HybridSystem, forces: NDArray[np.int64]) -> tuple[NDArray[np.intp], Array]:
-    """Return the coordinates and the damping [N s/m] of the dashpots of the walls that are touched.
+def _dashpots(system: HybridSystem, forces: NDArray[np.int64]) -> list[tuple[Element, float]]:
+    """Return the elements whose dashpots act, with their damping, N s/m.
 
     `forces`: number of the force of each element in its law.
     """
     present = [element.law.forces[index] for element, index in zip(system.elements, forces.tolist(), strict=True)]
-    dashpots = [
-        (element.gap, -force.speed)
+    return [
+        (element, -force.speed)
         for element, force in zip(system.elements, present, strict=True)
         if force is not None and force.gap
     ]
-    return np.array([gap for gap, _ in dashpots], dtype=np.intp), np.array([damping for _, damping in dashpots])
+
+
+def _dashpot_power(dashpots: list[tuple[Element, float]], speeds: Array) -> Array:
+    """Return the power that dashpots dissipate at velocities of the coordinates, W; shape (states,)."""
+    gap_speeds = np.array([element.along_gap(speeds) for element, _ in dashpots]).reshape(len(dashpots), len(speeds))
+    return np.asarray(gap_speeds.T**2 @ np.array([damping for _, damping in dashpots]))
 
 
 def _constant_forces(system: HybridSystem, forces: NDArray[np.int64]) -> Array:
     """Return the constant forces of the elements, such as friction, on every coordinate, N; `forces`: their numbers."""
     constant = np.zeros(system.coordinates)
     for element, index in zip(system.elements, forces.tolist(), strict=True):
-        if element.gap >= 0:
-            constant[element.gap] += (element.law.forces[index] or Row()).constant
+        for i, factor in element.direction:
+            constant[i] += factor * (element.law.forces[index] or Row()).constant
     return constant
 
 
@@ -288,7 +293,7 @@ def _spring_energy(system: HybridSystem, numbers: NDArray[np.int64], states: Arr
             forces = [force or Row() for force in element.law.forces]
             stiffness = np.array([-force.gap for force in forces])[number]
             rest = np.array([force.rest for force in forces])[number]
-            energy += 0.5 * stiffness * (states[:, element.gap] - rest) ** 2
+            energy += 0.5 * stiffness * (element.along_gap(states) - rest) ** 2
     return energy
 
 
@@ -333,17 +338,16 @@ def _stored_energy(tables: FlowTables, forms: QuadraticForms, state: State) -> f
     system = tables.system
     n, body = system.coordinates, system.damper_coordinate
     z = state.z[: tables.size]
-    contact = tables.contacts(state.mode)
+    contact = tables.contacts(state.mode)[: system.dampers]
     is_flying = contact == FLIGHT
     wall_height = z[body] + np.where(contact == CEILING, system.clearance, 0.0)
-    height = np.where(is_flying, state.height, wall_height)
-    velocity = np.where(is_flying, state.velocity, z[n + body])
+    height = np.where(is_flying, state.height[: system.dampers], wall_height)
+    velocity = np.where(is_flying, state.velocity[: system.dampers], z[n + body])
     energy = float(_quadratic(forms.stored, z)) - float(system.force_constant @ z[:n])
     numbers = system.force_indices(np.array(state.counters[CONFIGURATION]))
     energy += float(_spring_energy(system, numbers[None], z[None])[0])
     # Dampers whose gap is a coordinate are part of the mass matrix.
-    masses = np.where(system.detached, system.damper_mass, 0.0)
-    return energy + float(masses @ (system.gravity * height + 0.5 * velocity**2))
+    return energy + float(system.detached_mass @ (system.gravity * height + 0.5 * velocity**2))
 
 
 def _impact_losses(system: HybridSystem, trajectory: Trajectory) -> float:
@@ -355,6 +359,7 @@ def _impact_losses(system: HybridSystem, trajectory: Trajectory) -> float:
     n = system.coordinates
     before, after = trajectory.state_before[:, n : 2 * n], trajectory.state_after[:, n : 2 * n]
     damper_before, damper_after = trajectory.damper_velocity_before, trajectory.damper_velocity_after
-    masses = np.where(system.detached, system.damper_mass, 0.0)
     loss = np.einsum("bi,ij,bj->", before - after, system.mass, before + after)
-    return 0.5 * float(loss + (((damper_before - damper_after) * (damper_before + damper_after)) @ masses).sum())
+    return 0.5 * float(
+        loss + (((damper_before - damper_after) * (damper_before + damper_after)) @ system.detached_mass).sum()
+    )

@@ -62,12 +62,12 @@ class SteadyResponse(Result):
     motion_type : ndarray of str, shape (frequencies,)
         "linear" (no damper can hit a wall), "riding" (at rest on the floor), "I", "II", "III" (see
         `motion_types`), "k per n" (k impacts in n periods), "irregular"; types of several dampers are joined by "/".
-    damper_motion : ndarray of str, shape (dampers, frequencies)
-        Motion type of each moving damper.
-    impacts : ndarray, shape (dampers, frequencies)
+    damper_motion : ndarray of str, shape (dampers and joints, frequencies)
+        Motion type of each moving damper, then of each joint.
+    impacts : ndarray, shape (dampers and joints, frequencies)
         Impacts per period of the drive.
-    closing_speed : ndarray, shape (dampers, frequencies)
-        Largest approach speed of each moving damper to a wall, m/s; 0 without contact.
+    closing_speed : ndarray, shape (dampers and joints, frequencies)
+        Largest approach speed of each moving damper to a wall, and of each joint, m/s; 0 without contact.
     converged : ndarray of bool, shape (frequencies,)
     repetition : ndarray of int, shape (frequencies,)
         Periods of the drive after which the motion repeats; 0 if no repetition was detected.
@@ -78,6 +78,8 @@ class SteadyResponse(Result):
         Names of the bodies; empty if they have numbers only.
     reference : {"force", "table"}
         Force on the structure, or displacement of the table.
+    joints : int
+        Number of joints, the last rows of `damper_motion`, `impacts` and `closing_speed`.
     """
 
     frequency: Array
@@ -93,6 +95,7 @@ class SteadyResponse(Result):
     residual: Array
     bodies: tuple[str, ...] = ()
     reference: str = "force"
+    joints: int = 0
 
     @property
     def compliance(self) -> NDArray[np.complex128]:
@@ -196,7 +199,7 @@ class SteadyMotion:
     """Steady-state motion at one frequency, over one repetition.
 
     `end_state`: initial state for the next frequency; `trajectory`, `initial_states`: see `integrate_cycle`, whose
-    segments last `interval` s; of each damper, `types`: motion type, `impacts`: impacts per period of the drive,
+    segments last `interval` s; of each element, `types`: motion type, `impacts`: impacts per period of the drive,
     `closing_speed`: as in `SteadyResponse`.
     """
 
@@ -422,7 +425,7 @@ class SteadyContinuation:
         trajectory, initial_states = integrate_cycle(propagator, steps, level, repetition)
         interval = steps / INSTANTS_PER_PERIOD * propagator.tables.step
         is_impact = np.isin(trajectory.event_kind, CONTACT_EVENTS)
-        impact_dampers, closing_speed = trajectory.event_damper[is_impact], np.zeros(system.dampers)
+        impact_dampers, closing_speed = trajectory.event_damper[is_impact], np.zeros(len(system.elements))
         np.maximum.at(closing_speed, impact_dampers, trajectory.event_speed[is_impact])
         return SteadyMotion(
             steady=steady,
@@ -431,7 +434,7 @@ class SteadyContinuation:
             initial_states=initial_states,
             interval=interval,
             types=motion_types(trajectory, system, steady.repetition, interval),
-            impacts=np.bincount(impact_dampers, minlength=system.dampers)[: system.dampers] / repetition,
+            impacts=np.bincount(impact_dampers, minlength=closing_speed.size) / repetition,
             closing_speed=closing_speed,
         )
 
@@ -481,18 +484,20 @@ def _join_points(
     points: list[SteadyPoint], continuation: SteadyContinuation, names: Sequence[str] | None
 ) -> SteadyResponse:
     system, types = continuation.system, [point.types for point in points]
+    shape = len(points), len(system.elements)
     return SteadyResponse(
         frequency=np.array([p.frequency for p in points]),
         frf=np.array([p.frf for p in points]).T,
         peak=np.array([p.peak for p in points]).T,
         reference_amplitude=np.array([p.reference_amplitude for p in points]),
         motion_type=np.array([combined_type(t) for t in types]),
-        damper_motion=np.array(types, dtype=np.str_).reshape(len(points), system.dampers).T,
-        impacts=np.array([p.impacts for p in points]).reshape(len(points), system.dampers).T,
-        closing_speed=np.array([p.closing_speed for p in points]).reshape(len(points), system.dampers).T,
+        damper_motion=np.array(types, dtype=np.str_).reshape(shape).T,
+        impacts=np.array([p.impacts for p in points]).reshape(shape).T,
+        closing_speed=np.array([p.closing_speed for p in points]).reshape(shape).T,
         converged=np.array([p.steady.converged for p in points]),
         repetition=np.array([p.steady.repetition for p in points]),
         residual=np.array([p.steady.residual for p in points]),
         bodies=tuple(names or ()),
         reference=continuation.reference.name,
+        joints=len(system.elements) - system.dampers,
     )

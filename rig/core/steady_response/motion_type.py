@@ -15,29 +15,30 @@ MIN_STAY_RATIO = 2.0
 
 
 def motion_types(trajectory: Trajectory, system: HybridSystem, n_periods: int, segment_duration: float) -> list[str]:
-    """Classify the motion of every damper over one repetition of a steady-state motion.
+    """Classify the motion of every element (damper or joint) over one repetition of a steady-state motion.
 
     `trajectory`: one repetition; `n_periods`: number of drive periods after which the motion repeats, 0 if it does not;
     `segment_duration`: duration of a segment of the trajectory, s.
 
-    Returns one of these types for each damper: "riding" (at rest on the floor, or sticking, throughout), "linear" (not
+    Returns one of these types for each element: "riding" (at rest on the floor, or sticking, throughout), "linear" (not
     at rest at the start, and no impacts), "k slips per n" (no impacts), "I" (one floor impact per period), "II" (one
     floor and one ceiling impact per period, no stay at the ceiling), "III" (the same with a stay), "k per n" (k impacts
-    in n periods), "irregular" (no repetition). The start of finite-duration contact is an impact.
+    in n periods), "irregular" (no repetition). The start of finite-duration contact is an impact. Types I to III are
+    those of dampers; the contacts of a joint are "k per n".
     """
     times = trajectory.event_segment * segment_duration + trajectory.event_offset
     cycle = len(trajectory.state) * segment_duration
-    events_of_dampers = [trajectory.event_damper == j for j in range(system.dampers)]
+    events_of_elements = [trajectory.event_damper == j for j in range(len(system.elements))]
     return [
         type_of(trajectory.event_kind[events], times[events], system, j, n_periods, cycle)
-        for j, events in enumerate(events_of_dampers)
+        for j, events in enumerate(events_of_elements)
     ]
 
 
 def type_of(
-    kinds: NDArray[np.int64], times: Array, system: HybridSystem, damper: int, n_periods: int, cycle: float
+    kinds: NDArray[np.int64], times: Array, system: HybridSystem, element: int, n_periods: int, cycle: float
 ) -> str:
-    """Classify the motion of a damper (from 0) by its events over `n_periods`, in total `cycle` seconds."""
+    """Classify the motion of an element (from 0) by its events over `n_periods`, in total `cycle` seconds."""
     floor_impacts = np.count_nonzero((kinds == FLOOR_IMPACT) | (kinds == FLOOR_TOUCH))
     ceiling_impacts = np.count_nonzero((kinds == CEILING_IMPACT) | (kinds == CEILING_TOUCH))
     if n_periods == 0:
@@ -46,11 +47,12 @@ def type_of(
         slips = np.count_nonzero(kinds == SLIP)
         if slips:
             return f"{slips} slips per {n_periods}"
-        return "riding" if system.elements[damper].law.starts_at_rest else "linear"
-    if n_periods == 1 and floor_impacts == 1 and ceiling_impacts == 0:
+        return "riding" if system.elements[element].law.starts_at_rest else "linear"
+    every_period = n_periods == 1 and floor_impacts == 1 and not system.elements[element].is_joint
+    if every_period and ceiling_impacts == 0:
         return "I"
-    if n_periods == 1 and floor_impacts == 1 and ceiling_impacts == 1:
-        return "III" if _stays_at_ceiling(kinds, times, system, damper, cycle) else "II"
+    if every_period and ceiling_impacts == 1:
+        return "III" if _stays_at_ceiling(kinds, times, system, element, cycle) else "II"
     return f"{floor_impacts + ceiling_impacts} per {n_periods}"
 
 

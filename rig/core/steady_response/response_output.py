@@ -52,14 +52,15 @@ def sweep_frequencies(
 
 def csv_rows(response: SteadyResponse) -> tuple[list[str], list[list[str]]]:
     """Return column names and rows of a response, with all digits."""
-    bodies, dampers = len(response.frf), len(response.impacts)
+    bodies, dampers = len(response.frf), len(response.impacts) - response.joints
     name, unit = ratio_name("displacement", response.reference)
     frf_name = f"{name}_{unit.replace('/', '_per_').lower()}"
     header = ["frequency_hz"]
     for body in range(1, bodies + 1):
         header += [f"body{body}_{frf_name}", f"body{body}_phase_deg", f"body{body}_peak_m"]
     header += [f"{response.reference}_{REFERENCE_UNITS[response.reference].lower()}", "motion_type"]
-    header += [*(f"damper{k}_impacts_per_period" for k in range(1, dampers + 1))]
+    elements = [*(f"damper{k}" for k in range(1, dampers + 1)), *(f"joint{k}" for k in range(1, response.joints + 1))]
+    header += [f"{element}_impacts_per_period" for element in elements]
     header += ["repetition_periods", "converged", "residual", "direction"]
     table, sweep_directions = [], directions(response.frequency)
     for k, frequency in enumerate(response.frequency):

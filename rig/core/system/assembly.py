@@ -205,8 +205,7 @@ def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
     n = system.coordinates
     force, constant = system.contact_forces(system.start)
     load = system.force_constant + constant
-    riding = system.detached
-    np.subtract.at(load, system.damper_coordinate[riding], system.damper_mass[riding] * system.gravity)
+    np.subtract.at(load, system.damper_coordinate, system.detached_mass * system.gravity)
     if not load.any():
         return np.zeros(n)
     stiffness = -(system.force_state + force)[:, :n]

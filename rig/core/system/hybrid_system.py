@@ -1,8 +1,9 @@
 """The hybrid system of a scene and its drive, which the engine simulates: linear between contact events.
 
 A damper's *bed* is its particles, modeled as one mass. A damper *rides* while its bed is at rest on the floor or at the
-ceiling of its cavity. An *element* is a contact law at one place (`rig.core.laws`), here of a damper. A *configuration*
-states which of the forces of its law acts in each element: it determines the equations of motion.
+ceiling of its cavity. An *element* is a contact law at one place (`rig.core.laws`): a damper, or a *joint* between two
+bodies or a body and the ground. A *configuration* states which of the forces of its law acts in each element: it
+determines the equations of motion.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import prod
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +27,14 @@ FORCE_OF_BED = "grains"
 
 @dataclass(frozen=True)
 class Element:
-    """A contact law at one place: a damper.
+    """A contact law at one place: a damper, or a joint.
 
     `declare`: the law as a function of the clearance, m. `body`: coordinate of the body to which the gap is measured.
     `gap`: coordinate that is the gap; -1 for a *detached* mass, whose position is not a coordinate: its force is
-    constant while it is not held. `mass`: of the damper, kg. `clearance`: m; `restitution`: coefficient in the scene.
-    `number`: in the scene, from 1. `is_grains`: whether the damper is a bed of grains.
+    constant while it is not held. `mass`: of the damper, kg; of a joint the mass that its force accelerates along the
+    gap. `clearance`: m; `restitution`: coefficient in the scene. `number`: in the scene, from 1. `is_grains`: whether
+    the damper is a bed of grains. `is_joint`: whether it is a joint. `base`: coordinate that is subtracted from `gap`;
+    -1 if `gap` alone is the gap. `start`: mode at the start; empty: that of the law.
     """
 
     declare: Callable[[float], Law]
@@ -41,16 +45,35 @@ class Element:
     restitution: float
     number: int
     is_grains: bool = False
+    is_joint: bool = False
+    base: int = -1
+    start: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name for users, such as "damper 2" or "joint 1"."""
+        return f"{'joint' if self.is_joint else 'damper'} {self.number}"
+
+    @property
+    def direction(self) -> tuple[tuple[int, float], ...]:
+        """Coordinates whose sum with these factors is the gap; empty for a detached mass."""
+        ends = ((self.gap, 1.0), (self.base, -1.0))
+        return tuple((coordinate, factor) for coordinate, factor in ends if coordinate >= 0)
+
+    def along_gap(self, coordinates: np.ndarray) -> Any:
+        """Return the gap for the coordinates in the last index of an array, or the speed for their velocities."""
+        return sum(factor * coordinates[..., coordinate] for coordinate, factor in self.direction)
 
     @cached_property
     def law(self) -> Law:
         """The law for the clearance."""
-        return self.declare(self.clearance)
+        law = self.declare(self.clearance)
+        return law._replace(start=self.start) if self.start else law
 
     @property
     def key(self) -> tuple[object, ...]:
         """All that determines the motion, which can be hashed."""
-        return self.law.key, self.body, self.gap, self.mass
+        return self.law.key, self.body, self.gap, self.base, self.mass
 
 
 @dataclass(frozen=True)
@@ -70,8 +93,8 @@ class HybridSystem:
     r^2 state_energy / 2, r^2 state_loss and r state_power u; in SI, the last has the shape (further states, inputs).
     `prescribed`, `reaction`: coordinates with prescribed motion, and rows (prescribed, states) whose product with the
     state is the force of their actuator, N.
-    `elements`: the dampers that can move in their cavities. A bed of grains is here one mass at rest;
-    `rig.extras.grains` computes its motion.
+    `elements`: the dampers that can move in their cavities, then the joints. A bed of grains is here one mass at rest;
+    `rig.extras.grains` computes its motion. Arrays of a value for each damper omit the joints.
     `initial`: state at t = 0 without drive, with all dampers on their floors.
     """
 
@@ -120,46 +143,70 @@ class HybridSystem:
     @property
     def dampers(self) -> int:
         """Number of dampers that can move in their cavities."""
-        return len(self.elements)
+        return len(self._damper_elements)
+
+    @cached_property
+    def _damper_elements(self) -> tuple[Element, ...]:
+        return tuple(element for element in self.elements if not element.is_joint)
 
     @cached_property
     def damper_coordinate(self) -> NDArray[np.intp]:
         """Coordinate of each damper's body."""
-        return np.array([element.body for element in self.elements], dtype=np.intp)
+        return self.body_coordinate[: self.dampers]
 
     @cached_property
     def damper_mass(self) -> np.ndarray:
         """Mass of each damper, kg."""
-        return np.array([element.mass for element in self.elements], dtype=np.float64)
+        return self.element_mass[: self.dampers]
 
     @cached_property
     def clearance(self) -> np.ndarray:
         """Clearance of each damper, m."""
-        return np.array([element.clearance for element in self.elements], dtype=np.float64)
+        return np.array([element.clearance for element in self._damper_elements], dtype=np.float64)
 
     @cached_property
     def restitution(self) -> np.ndarray:
         """Coefficient of restitution of each damper."""
-        return np.array([element.restitution for element in self.elements], dtype=np.float64)
+        return self.element_restitution[: self.dampers]
 
     @cached_property
     def damper_number(self) -> NDArray[np.intp]:
         """Number of each damper in the scene, from 1."""
-        return np.array([element.number for element in self.elements], dtype=np.intp)
+        return np.array([element.number for element in self._damper_elements], dtype=np.intp)
+
+    @cached_property
+    def body_coordinate(self) -> NDArray[np.intp]:
+        """Coordinate of the body to which the gap of each element is measured."""
+        return np.array([element.body for element in self.elements], dtype=np.intp)
+
+    @cached_property
+    def element_mass(self) -> np.ndarray:
+        """Mass of each element, kg."""
+        return np.array([element.mass for element in self.elements], dtype=np.float64)
+
+    @cached_property
+    def element_restitution(self) -> np.ndarray:
+        """Coefficient of restitution of each element."""
+        return np.array([element.restitution for element in self.elements], dtype=np.float64)
 
     @cached_property
     def gap_coordinate(self) -> NDArray[np.intp]:
-        """Index of the coordinate that is the gap of each damper; -1 for a detached mass."""
+        """Index of the coordinate that is the gap of each element; -1 for a detached mass."""
         return np.array([element.gap for element in self.elements], dtype=np.intp)
 
     @cached_property
+    def base_coordinate(self) -> NDArray[np.intp]:
+        """Index of the coordinate that is subtracted from the gap of each element; -1 without one."""
+        return np.array([element.base for element in self.elements], dtype=np.intp)
+
+    @cached_property
     def wall_stiffness(self) -> np.ndarray:
-        """Stiffness of floor and ceiling of each damper with finite-duration contact, N/m, shape (dampers, 2)."""
+        """Stiffness of floor and ceiling of each element with finite-duration contact, N/m, shape (elements, 2)."""
         return self._of_walls("stiffness")
 
     @cached_property
     def wall_damping(self) -> np.ndarray:
-        """Damping of floor and ceiling of each damper with finite-duration contact, N s/m, shape (dampers, 2)."""
+        """Damping of floor and ceiling of each element with finite-duration contact, N s/m, shape (elements, 2)."""
         return self._of_walls("damping")
 
     def _of_walls(self, name: str) -> np.ndarray:
@@ -168,13 +215,13 @@ class HybridSystem:
 
     @cached_property
     def wall_gap(self) -> np.ndarray:
-        """Gap of each damper at its floor and at its ceiling, m; infinite without this wall; shape (dampers, 2)."""
+        """Gap of each element at its floor and at its ceiling, m; infinite without this wall; shape (elements, 2)."""
         gaps = [[wall.gap for wall in element.law.walls] or [-np.inf, np.inf] for element in self.elements]
         return np.array(gaps, dtype=np.float64).reshape(-1, 2)
 
     @cached_property
     def hold_offset(self) -> np.ndarray:
-        """Holding force of each damper per mass on its floor and ceiling with its body at rest, shape (dampers, 2)."""
+        """Holding force of each element per mass on its floor and ceiling, its body at rest; shape (elements, 2)."""
         offsets = [
             [-self.other_acceleration(element, gap) if np.isfinite(gap) else 0.0 for gap in gaps]
             for element, gaps in zip(self.elements, self.wall_gap.tolist(), strict=True)
@@ -184,14 +231,15 @@ class HybridSystem:
     @cached_property
     def grains(self) -> NDArray[np.bool_]:
         """Whether each damper is a bed of grains."""
-        return np.array([element.is_grains for element in self.elements], dtype=bool)
+        return np.array([element.is_grains for element in self._damper_elements], dtype=bool)
 
     def with_clearance(self, clearance: float) -> HybridSystem:
         """Return the system with the same clearance of all dampers that have walls, m."""
         return replace(
             self,
             elements=tuple(
-                replace(element, clearance=clearance) if element.law.walls else element for element in self.elements
+                replace(element, clearance=clearance) if element.law.walls and not element.is_joint else element
+                for element in self.elements
             ),
         )
 
@@ -222,18 +270,23 @@ class HybridSystem:
 
     @property
     def detached(self) -> NDArray[np.bool_]:
-        """Whether the position of each damper is not a coordinate, bool (dampers,)."""
+        """Whether the position of each element is not a coordinate, bool (elements,)."""
         return self.gap_coordinate < 0
 
     @property
+    def detached_mass(self) -> np.ndarray:
+        """Mass of each damper that is detached, otherwise 0, kg."""
+        return np.where(self.detached, self.element_mass, 0.0)[: self.dampers]
+
+    @property
     def finite_contact(self) -> np.ndarray:
-        """Whether the contact of each damper has a duration, bool (dampers,)."""
+        """Whether the contact of each element has a duration, bool (elements,)."""
         return np.asarray(self.wall_stiffness.any(axis=1))
 
     @property
     def take_off_acceleration(self) -> np.ndarray:
         """Acceleration of its body at which each damper starts to move in it, m/s^2; infinite if it is not at rest."""
-        return np.array([self._take_off_acceleration(element) for element in self.elements], dtype=np.float64)
+        return np.array([self._take_off_acceleration(element) for element in self._damper_elements], dtype=np.float64)
 
     def _take_off_acceleration(self, element: Element) -> float:
         start = element.law.modes[element.law.start]
@@ -248,7 +301,7 @@ class HybridSystem:
         """Reduced mass of each damper and its body for finite-duration contact, kg; NaN for instant contact."""
         # The index -1 of a damper with instant contact gives NaN.
         inverse_mass = np.append(np.diag(np.linalg.inv(self.mass)), np.nan)
-        return np.asarray(1.0 / inverse_mass[self.gap_coordinate])
+        return np.asarray(1.0 / inverse_mass[self.gap_coordinate[: self.dampers]])
 
     def duration_and_restitution(self, damper: int, wall: int) -> tuple[float, float]:
         """Return duration [s] and restitution of the contact of a damper (from 0) with its floor (1) or ceiling (2)."""
@@ -277,6 +330,12 @@ class HybridSystem:
         """Configuration in which every element is in the mode at its start: the dampers on their floors."""
         return self.configuration([element.law.start for element in self.elements])
 
+    def joint_modes(self, state: np.ndarray) -> list[int]:
+        """Return the number of each joint's mode at a state, shape (states,)."""
+        n, joints = self.coordinates, self.elements[self.dampers :]
+        gaps = [(joint, float(joint.along_gap(state)), float(joint.along_gap(state[n:]))) for joint in joints]
+        return [list(joint.law.modes).index(joint.law.mode_for(gap, speed)) for joint, gap, speed in gaps]
+
     @property
     def start_modes(self) -> NDArray[np.int64]:
         """Number of each element's mode at the start, shape (elements,)."""
@@ -298,17 +357,19 @@ class HybridSystem:
         return [j for j, (law, index) in enumerate(zip(laws, indices, strict=True)) if law.forces[index] is None]
 
     def contact_forces(self, configuration: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the forces of the elements on their gaps in a configuration, without those of held elements.
+        """Return the forces of the elements along their gaps in a configuration, without those of held elements.
 
         Returns the matrix (coordinates, states) that multiplies the state, and constant forces (coordinates,), N.
         """
         n = self.coordinates
         force, constant = np.zeros((n, self.states)), np.zeros(n)
         for element, index in zip(self.elements, self.force_indices(np.array(configuration)).tolist(), strict=True):
-            row, gap = element.law.forces[index], element.gap
-            if gap >= 0 and row is not None:
-                force[gap, gap], force[gap, n + gap] = row.gap, row.speed
-                constant[gap] = row.constant - row.gap * row.rest
+            row = element.law.forces[index] or Row()
+            for i, factor in element.direction:
+                for column, column_factor in element.direction:
+                    force[i, column] += factor * column_factor * row.gap
+                    force[i, n + column] += factor * column_factor * row.speed
+                constant[i] += factor * (row.constant - row.gap * row.rest)
         return force, constant
 
     def other_acceleration(self, element: Element, gap: float) -> float:

@@ -126,7 +126,8 @@ def gaps_per_level(scene: Scene, system: HybridSystem, omega: Array) -> tuple[Ar
     response = riding_response(system, scene.at_driven("shaker"), omega) * drive_per_level(scene, system, omega)
     elements = [element for element in system.elements if element.law.walls and not element.law.starts_at_rest]
     distance = [min(abs(wall.gap) for wall in element.law.walls) for element in elements]
-    return np.abs(response[np.array([element.gap for element in elements], dtype=np.intp)]), np.array(distance)
+    gaps = [np.abs(element.along_gap(response.T)) for element in elements]
+    return np.array(gaps).reshape(-1, len(omega)), np.array(distance)
 
 
 def with_ideal_force(scene: Scene) -> Scene:
@@ -152,8 +153,7 @@ def riding_equations(system: HybridSystem, name: str) -> tuple[Array, Array, Arr
     n, ns = system.coordinates, system.states
     descriptor_matrix, state_matrix, input_vector = np.eye(ns), np.zeros((ns, ns)), np.zeros(ns)
     mass = system.mass.copy()
-    riding = system.damper_coordinate[system.detached]
-    np.add.at(mass, (riding, riding), system.damper_mass[system.detached])
+    np.add.at(mass, (system.damper_coordinate, system.damper_coordinate), system.detached_mass)
     state_matrix[:n, n : 2 * n] = np.eye(n)
     force, _ = system.contact_forces(system.start)
     state_matrix[n : 2 * n] = system.force_state + force

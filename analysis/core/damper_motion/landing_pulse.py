@@ -129,7 +129,7 @@ def transmissibility(scene: Scene, number: int, frequency: Array) -> NDArray[np.
     from rig.core.system.assembly import assemble
 
     system = assemble(scene)
-    for j in np.flatnonzero((system.damper_number == number) & system.finite_contact):
+    for j in np.flatnonzero((system.damper_number == number) & system.finite_contact[: system.dampers]):
         s = 2j * np.pi * frequency
         dynamic_stiffness = system.wall_stiffness[j, 0] + s * system.wall_damping[j, 0]
         return np.asarray(dynamic_stiffness / (dynamic_stiffness + system.damper_mass[j] * s**2))

@@ -56,8 +56,8 @@ def linear_response(test_scene: Scene, curves: Curves, frequency: Array) -> tupl
     states = riding_response(system, _excitation_point(test_scene), 2.0 * np.pi * frequency)
     if curves.reference == "table":
         states = states / states[system.points.index(test_scene.at_driven("table"))]
-    beds = states[system.damper_coordinate]
-    beds[~system.detached] += states[system.gap_coordinate[~system.detached]]
+    beds, gaps = states[system.damper_coordinate], system.gap_coordinate[: system.dampers]
+    beds[gaps >= 0] += states[gaps[gaps >= 0]]
     return states[: test_scene.structure.bodies], beds[np.isfinite(system.take_off_acceleration)]
 
 

@@ -170,7 +170,7 @@ class Rehearsal(BenchLoop):
 
     def _add_events(self, events: NDArray[Any]) -> None:
         """Update the closing speeds and the times of impacts."""
-        impacts = events[events["speed"] > 0.0]
+        impacts = events[(events["speed"] > 0.0) & (events["damper"] > 0)]
         np.maximum.at(self.closing_speed, impacts["damper"] - 1, impacts["speed"])
         for number, time in zip(impacts["damper"].tolist(), impacts["time"].tolist(), strict=True):
             times = self.impact_times[number - 1]

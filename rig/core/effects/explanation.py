@@ -239,7 +239,7 @@ def _damper_effects(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
     if system.restitution.any():
         ratios = ", ".join(f"{ratio:.3g}" for ratio in system.restitution)
         yield Effect("motion", "restitution", 0, ratios)
-    if system.finite_contact.any():
+    if system.finite_contact[: system.dampers].any():
         yield Effect("motion", "finite-duration contact", 0, "; ".join(_wall_texts(system, scene.structure)))
 
 
@@ -264,7 +264,7 @@ def _sliding_mass_text(system: HybridSystem, j: int, scene: Scene) -> str:
 
 def _wall_texts(system: HybridSystem, structure: Structure) -> Iterable[str]:
     """Describe floor and ceiling of each damper with finite-duration contact."""
-    for j in np.flatnonzero(system.finite_contact):
+    for j in np.flatnonzero(system.finite_contact[: system.dampers]):
         texts = []
         for wall in (1, 2):  # floor, ceiling
             stiffness, damping = system.wall_stiffness[j, wall - 1], system.wall_damping[j, wall - 1]

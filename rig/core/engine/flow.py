@@ -64,9 +64,10 @@ class Model(NamedTuple):
 
     step: step length, s. mass: of each element. position_index, velocity_index: of the position and velocity of each
     element's body in the state. gap_coordinate: index of the gap in the state; -1 for a detached mass. base_coordinate:
-    index of the coordinate that is subtracted from it; -1 without one. first_velocity: index of the first velocity, which equals the number of coordinates. first_acceleration: index of the accelerations
-    that are stored after the state. inverse_mass: inverse of the mass matrix. force, force_constant: forces on the
-    coordinates. coupled: whether simultaneous contacts affect each other. laws: tables of the laws.
+    index of the coordinate that is subtracted from it; -1 without one. first_velocity: index of the first velocity,
+    which equals the number of coordinates. first_acceleration: index of the accelerations that are stored after the
+    state. inverse_mass: inverse of the mass matrix. force, force_constant: forces on the coordinates. coupled: whether
+    simultaneous contacts affect each other. laws: tables of the laws.
     """
 
     gravity: float

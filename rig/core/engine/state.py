@@ -49,7 +49,8 @@ class Log(NamedTuple):
     """Events and breaks in chronological order, one row each.
 
     The time of an event or break is the number of its segment, and an offset, the time after the segment's start, s.
-    `present_offset`: the offset of the present instant. `event_damper`: number of the element, from 0. `event_speed`: closing speed, m/s.
+    `present_offset`: the offset of the present instant. `event_damper`: number of the element, from 0. `event_speed`:
+    closing speed, m/s.
 
     A break is logged with the state, the velocities of the dampers (m/s) and the configuration before and after it.
     """

@@ -65,7 +65,8 @@ def event_table(
 ) -> NDArray[Any]:
     """Return events for users, with dtype `EVENT` or `EVENT_WITH_JOINT`: numbers as in the scene, kinds by name.
 
-    `times`: s; `damper`: number of the element from 0; `kind`: index of `EVENT_NAMES`; `speed`: closing speed, m/s; all of shape (events,).
+    `times`: s; `damper`: number of the element from 0; `kind`: index of `EVENT_NAMES`; `speed`: closing speed, m/s; all
+    of shape (events,).
     """
     has_joints = len(system.elements) > system.dampers
     table = np.zeros(len(times), dtype=EVENT_WITH_JOINT if has_joints else EVENT)

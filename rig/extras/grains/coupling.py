@@ -77,6 +77,9 @@ class CoupledPropagator:
         numbers = self.system.damper_number.tolist()
         self._bed_rows = np.array([numbers.index(index + 1) for index in spheres], dtype=np.intp)
         self._rows_without_grains = np.flatnonzero(~self.system.grains)
+        # Number of each element of the structure among the elements of the scene.
+        joints = np.arange(self.system.dampers, len(self.system.elements))
+        self._elements_without_grains = np.concatenate([self._rows_without_grains, joints])
         self.beds = []
         for each in spheres.values():
             positions = settled_positions(each)
@@ -102,7 +105,7 @@ class CoupledPropagator:
         # Drive states: the inputs and their changes over the step, here zero.
         separated = self.structure.set_state(state, np.concatenate([inputs, np.zeros(len(inputs))]))
         self._read_beds()
-        return np.asarray(self._rows_without_grains[separated], dtype=np.int64)
+        return np.asarray(self._elements_without_grains[separated], dtype=np.int64)
 
     def state(self) -> CoupledState:
         """Return the state from which the motion continues bit-identically; see `Bed.state_bytes`."""
@@ -213,7 +216,7 @@ class CoupledPropagator:
             trajectory,
             event_segment=event_segment,
             event_offset=event_offset,
-            event_damper=self._rows_without_grains[trajectory.event_damper],
+            event_damper=self._elements_without_grains[trajectory.event_damper],
             break_segment=break_segment,
             break_offset=break_offset,
         )
@@ -269,10 +272,7 @@ def _with_bed_inputs(scene: Scene, system: HybridSystem, bodies: NDArray[np.intp
         force_drive=np.hstack([system_without_beds.force_drive, bed_inputs]),
         rate_drive=np.hstack([system_without_beds.rate_drive, no_effect]),
         state_power=np.hstack([system_without_beds.state_power, no_effect]),
-        elements=tuple(
-            replace(element, number=int(number))
-            for element, number in zip(system_without_beds.elements, system.damper_number[~system.grains], strict=True)
-        ),
+        elements=tuple(element for element in system.elements if not element.is_grains),
         initial=system.initial,
     )
 

@@ -3,7 +3,6 @@
 from typing import ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
 
 from rig.core.scene.excitation.kind import Drive, Duration, Frequency, KindOfTest, Pulses, ShakerNumber, Start
 
@@ -15,7 +14,7 @@ class TwoTones(KindOfTest):
     level_keys: ClassVar = ("drive",)
     kind: Literal["two_tones"] = "two_tones"
     start: Start = "settled"
-    frequencies: tuple[Frequency, ...] = Field(min_length=2, max_length=2)
+    frequencies: tuple[Frequency, Frequency]
     """Both frequencies, ascending [Hz]."""
     drive: Drive
     """Amplitude of the drive of each tone [V, or m for a table shaker]."""

@@ -19,7 +19,7 @@ SCENE = {
     "structure": {"masses": [0.74, 0.71, 0.64], "springs": [24300, 21800, 19800], "damping": {"modal": 0.02}},
     "shaker": {"kind": "table", "body": 1, "spring": "6.6 kN/m"},
     "converter": {"rate": 2000},
-    "test": {"kind": "two_tones", "frequencies": ["20 Hz", "40 Hz"], "drive": "0.1 mm", "duration": "8 s"},
+    "test": {"kind": "two_tones", "frequencies": ["20 Hz", "33.3 Hz"], "drive": "0.1 mm", "duration": "8 s"},
 }
 
 
@@ -30,7 +30,7 @@ def main(recording: str) -> None:
     schema = Path(rig.__file__).parent / "core" / "scene" / "data" / "scene.schema.json"
     schema.write_text(schema_text(), encoding="utf-8")
     scene = rig.load(SCENE)
-    exact = rig.frequency_response(scene.replace(test={"kind": "sine", "frequency": 20.0, "drive": 1e-4}), [20.0, 40.0])
+    exact = rig.frequency_response(scene.replace(test={"kind": "sine", "frequency": 20.0, "drive": 1e-4}), [20.0, 33.3])
     daq.record(scene, recording)
     try:
         rig.load(SCENE, {"test.frequencies": ["20 Hz", "2 kHz"]})
@@ -45,8 +45,9 @@ def main(recording: str) -> None:
         "foresight": str(daq.foresee(scene)),
         "info": str(daq.info(recording)),
         "forms": list(offered_forms(scene)),
-        "help": help_on("test.two_tones"),
+        "help": help_on("test.two_tones") + help_on("dampers"),
         "measured": abs(response["body3"].value).tolist(),
+        "uncertainty": (response["body3"].expanded() / abs(response["body3"].value)).tolist(),
         "exact": abs(exact.compliance[2]).tolist(),
     }
     print(json.dumps(results))

@@ -1,7 +1,8 @@
 """Stepped sine and constant tones: lock-in detection of the tone in every measured window.
 
 A *window* is a measured interval of a tone. The tone, its harmonics, offset and slope are fitted to it by least
-squares. The window is split into *parts* of whole periods, whose scatter determines the uncertainty. A *sweep* is a
+squares. Tones that were driven at once have the same window; each is fitted after the others were subtracted. The
+window is split into *parts* of whole periods, whose scatter determines the uncertainty. A *sweep* is a
 pass through the frequencies at one *level* (nominal amplitude of the force or drive) in one *direction*, up or down.
 """
 
@@ -37,8 +38,10 @@ HARMONICS = 10
 PARTS = 20
 # A transient below this fraction of the settling tolerance is not detectable in the parts of a window.
 _UNDETECTED_TRANSIENT = 0.05
-# Reason for the omission of a window.
-_TOO_SHORT = "shorter than a period"
+# Reasons for the omission of a window: its length.
+_TOO_SHORT = "shorter than a period of its tone"
+_TOO_CLOSE = "shorter than a period of the beat with another tone"
+_LENGTHS = (_TOO_SHORT, _TOO_CLOSE)
 # Samples per matrix product; they and the terms of the fit fit into the cache of a core.
 _SAMPLES_PER_PRODUCT = 2048
 
@@ -341,18 +344,36 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
     for marker in markers:
         stop = rec.samples if marker.last_sample is None else marker.stop
         windows.append((int(marker.first_sample), min(stop, rec.samples)))
+    # Frequencies of the tones that were driven at once, by their common window.
+    simultaneous: dict[tuple[int, int], list[float]] = {}
+    for marker, window in zip(markers, windows, strict=True):
+        simultaneous.setdefault(window, []).append(float(marker.fields["frequency"]))
     batches = [
         _batches(parts_of_whole_periods(*window, float(marker.fields["frequency"]), rec.rate))
         for marker, window in zip(markers, windows, strict=True)
     ]
-    batch_samples = read_slices(rec, names, ((batch[0][0], batch[-1][1]) for group in batches for batch in group))
+    batch_samples = read_slices(
+        rec,
+        names,
+        (
+            (batch[0][0], batch[-1][1])
+            for window, group in zip(windows, batches, strict=True)
+            for batch in group
+            if len(simultaneous[window]) == 1
+        ),
+    )
     for n_completed, (marker, (first, stop), group) in enumerate(zip(markers, windows, batches, strict=True), 1):
-        samples = (next(batch_samples) for _ in group)
         frequency = float(marker.fields["frequency"])
+        others = [other for other in simultaneous[first, stop] if other != frequency]
+        samples: Iterator[Array] = (next(batch_samples) for _ in group)
+        if others:  # the samples of this window are read for each of its tones
+            samples = read_slices(rec, names, ((batch[0][0], batch[-1][1]) for batch in group))
         key = float(marker.fields.get("level", np.nan)), str(marker.fields.get("direction", "up"))
         window_flaws = find_flaws(rec, names, first, stop)
         if (stop - first) * frequency < 0.99 * rec.rate:
             omissions.setdefault(key, []).append(_Omission(frequency, _TOO_SHORT, _TOO_SHORT))
+        elif any((stop - first) * abs(frequency - other) < 0.99 * rec.rate for other in others):
+            omissions.setdefault(key, []).append(_Omission(frequency, _TOO_CLOSE, _TOO_CLOSE))
         elif window_flaws:
             reason = ", ".join(dict.fromkeys(flaw.description for flaw in window_flaws))
             omissions.setdefault(key, []).append(_Omission(frequency, reason, describe_flaws(rec, window_flaws)))
@@ -362,7 +383,11 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
             shortest_part = min(map(min, lengths))
             harmonics = int(max(1, min(HARMONICS, 0.45 * rec.rate / frequency, (shortest_part - 2) // 4)))
             lockin = LockIn(frequency, rec.rate, harmonics)
-            for batch, batch_lengths in zip(samples, lengths, strict=True):
+            tones = _tones_at_once(rec, names, (first, stop), [frequency, *others]) if others else None
+            for (begin, *_), batch, batch_lengths in zip(group, samples, lengths, strict=True):
+                if tones is not None:
+                    terms = _terms(others, rec.rate, (first, stop), begin[0], batch.shape[1])
+                    batch = batch - tones[4:].T @ terms[2:]
                 lockin.add(batch, batch_lengths)
             steady = marker.fields.get("settled") is not False
             points.setdefault(key, []).append(_Point(lockin.tone(), (first, stop), steady))
@@ -385,6 +410,28 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
     ]
 
 
+def _tones_at_once(
+    rec: Recording, names: Sequence[str], window: tuple[int, int], frequencies: Sequence[float]
+) -> Array:
+    """Fit a constant, a slope and tones to a window by least squares; return the coefficients of `_terms`."""
+    edges = [*range(window[0], window[1], PIECE_SAMPLES), window[1]]
+    n_terms = 2 * len(frequencies) + 2
+    gram, projections = np.zeros((n_terms, n_terms)), np.zeros((n_terms, len(names)))
+    for first, samples in zip(edges, read_slices(rec, names, pairwise(edges)), strict=False):
+        terms = _terms(frequencies, rec.rate, window, first, samples.shape[1])
+        gram += terms @ terms.T
+        projections += terms @ samples.T
+    return np.asarray(np.linalg.solve(gram, projections))
+
+
+def _terms(frequencies: Sequence[float], rate: float, window: tuple[int, int], first: int, count: int) -> Array:
+    """Return constant, slope, and cosine and sine of each tone at samples of a window, shape (terms, count)."""
+    samples = np.arange(first, first + count) - window[0]
+    angle = 2.0 * np.pi * np.fmod(np.outer(frequencies, samples) / rate, 1.0)
+    tones = np.stack([np.cos(angle), np.sin(angle)], axis=1).reshape(-1, count)
+    return np.vstack([np.ones(count), samples / (window[1] - window[0]) - 0.5, tones])
+
+
 def sweep_name(rec: Recording, key: _SweepKey) -> str:
     """Describe level and direction of a sweep; a level of the drive is stated without its unit (V, m or N)."""
     level, direction = key
@@ -404,11 +451,9 @@ def _notes(sweep_name: str, points: list[_Point], omissions: list[_Omission]) ->
     for reason in dict.fromkeys(omission.reason for omission in omissions):
         group = [omission for omission in omissions if omission.reason == reason]
         low, high = (limit(omission.frequency for omission in group) for limit in (min, max))
-        cause = "their windows are shorter than a period" if reason == _TOO_SHORT else f"{reason} in their windows"
+        cause = f"their windows are {reason}" if reason in _LENGTHS else f"{reason} in their windows"
         if len(group) == 1:
-            details = (
-                "its window is shorter than a period" if reason == _TOO_SHORT else f"{group[0].details} in its window"
-            )
+            details = f"its window is {reason}" if reason in _LENGTHS else f"{group[0].details} in its window"
             notes.append(f"{prefix}{low:.4g} Hz left out: {details}.")
         elif low == high:
             notes.append(f"{prefix}{low:.4g} Hz left out {len(group)} times: {cause}.")
@@ -437,8 +482,9 @@ def _reason_without_result(rec: Recording, reasons: list[str]) -> str:
             "the channels were overloaded in every measured window. Lower the level, widen the converter's range, or "
             "lower the sensitivity in the scene."
         )
-    if _TOO_SHORT in reasons:
-        return "every measured window is shorter than a period of its tone. Measure longer (test: measure: periods)."
+    for reason in _LENGTHS:
+        if reason in reasons:
+            return f"every measured window is {reason}. Measure longer (test: measure: periods)."
     if reasons:
         return "samples are lost in every measured window. Record again, or repair the file with `daq recover`."
     if rec.source:
@@ -471,7 +517,8 @@ def _sweep(
     is_linear = not any(damper.impacts for damper in rec.scene.dampers)
     test = rec.scene.test
     undetected = 0.0 if is_linear or test is None else _UNDETECTED_TRANSIENT * test.accepted_transient
-    wait = (windows[:, 0] - np.concatenate([[0], windows[:-1, 1]])) / rec.rate
+    last_stops = [windows[windows[:, 1] <= first, 1].max(initial=0) for first in windows[:, 0]]
+    wait = (windows[:, 0] - np.array(last_stops)) / rec.rate
     lines = Lines(
         channels=channels,
         frequency=np.array([tone.frequency for tone in tones]),

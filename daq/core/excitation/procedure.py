@@ -89,7 +89,8 @@ class Procedure(Generic[TestT]):
     def noise_gain(self, test: TestT, frequency: Array) -> Array | None:
         """Return the ratio of amplitude to noise of a measurement for a level and a noise density of 1, sqrt(s).
 
-        The noise density is per sqrt(Hz); `frequency`: Hz, shape (n,), as the result. None if it is not defined.
+        The noise density is per sqrt(Hz); `frequency`: any frequencies, also others than those of the test, Hz, shape
+        (n,), as the result. None if it is not defined.
         """
         return None
 

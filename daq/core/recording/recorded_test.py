@@ -30,8 +30,9 @@ class TestKind(StrEnum):
     __test__ = False  # not a test for pytest
 
     TONES = "tones"
-    """One tone at a time in steady state: sine, stepped sine, and the manually set tone of `daq bench`. Markers
-    `measure`: frequency (Hz), level, drive, settled; with several sweeps also direction."""
+    """Tones in steady state, one at a time or several at once: sine, stepped sine, and the manually set tone of `daq
+    bench`. Markers `measure`, one for each tone, over the same samples for tones at once: frequency (Hz), level, drive,
+    settled; with several sweeps also direction."""
     SWEEP = "sweep"
     """One tone whose frequency changes slowly and steadily. Markers `measure`: from and to (Hz), spacing, duration,
     level."""

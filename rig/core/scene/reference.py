@@ -121,7 +121,7 @@ def _keys_below(schema: Any, node: Any, path: str, kinds: tuple[str, ...]) -> It
         if not (is_list and len(node["anyOf"]) > 1):
             yield from _keys_below(schema, choice, path, kinds)
     if node.get("type") == "array":
-        yield from _keys_below(schema, node["items"], f"{path}[]", kinds)
+        yield from _keys_below(schema, _item(node), f"{path}[]", kinds)
     properties = node.get("properties", {})
     kind = properties.get("kind", {}).get("const")
     # Groups of keys of which exactly one is required (`Settings.one_of`).
@@ -136,7 +136,7 @@ def _keys_below(schema: Any, node: Any, path: str, kinds: tuple[str, ...]) -> It
         key_kinds = kinds if kind is None else (kind,)
         # A description is "meaning. None: default. Give allowed values."
         meaning, _, allowed = field.get("description", "").partition(" Give ")
-        meaning = meaning or _resolve(schema, field.get("items", field)).get("description", "")
+        meaning = meaning or _resolve(schema, _item(field)).get("description", "")
         meaning, _, default_text = re.sub(r"[;,.] None: ", "\0", meaning.replace("`", "")).partition("\0")
         default = field.get("default")
         alternatives = next((" or ".join(group) for group in groups if name in group), None)
@@ -166,6 +166,11 @@ def _resolve(schema: Any, node: Any) -> Any:
     return node if reference is None else {**schema["$defs"][reference.rpartition("/")[2]], **node}
 
 
+def _item(node: Any) -> Any:
+    """Return the node of the items of a list, or of the first item of a list of fixed length; else the node."""
+    return node.get("items") or next(iter(node.get("prefixItems", ())), node)
+
+
 def _allowed_values(schema: Any, node: Any) -> str:
     """Describe the allowed values of a key that is not a quantity."""
     node = _resolve(schema, node)
@@ -182,7 +187,7 @@ def _allowed_values(schema: Any, node: Any) -> str:
     if "enum" in node:
         return f"one of {', '.join(node['enum'])}"
     if node["type"] == "array":
-        item = node["items"].get("description") or _allowed_values(schema, node["items"])
+        item = _item(node).get("description") or _allowed_values(schema, _item(node))
         return f"a list, each {'with ' * item.startswith('keys')}{item}"
     minimum, maximum = node.get("minimum"), node.get("maximum")
     limits = f"{'' if minimum is None else f', at least {minimum}'}{'' if maximum is None else f', at most {maximum}'}"

@@ -48,10 +48,10 @@ class Chirp(NamedTuple):
 
 
 class Pulses(NamedTuple):
-    """Open-loop drive: samples of one input."""
+    """Open-loop drive: samples of one input, of any wave form."""
 
     input: Literal["hammer", "shaker"]
-    values: Array  # in the unit of the input, shape (samples,)
+    values: Array  # N of a hammer, or drive of the shaker in `drive_unit`, shape (samples,)
 
 
 class Rest(NamedTuple):
@@ -95,7 +95,7 @@ class KindOfTest(Settings):
 
     @property
     def levels(self) -> tuple[float, ...]:
-        """Levels (amplitude or root mean square of force or drive) in the order of the test, in the key's unit."""
+        """Levels (amplitude or root mean square of force or drive), run one after another, in the key's unit."""
         level = getattr(self, self.level_key) if self.level_key else ()
         return level if isinstance(level, tuple) else (level,)
 
@@ -229,7 +229,10 @@ class KindOfTest(Settings):
         return self.dwells[0] if self.dwells else None
 
     def wave(self, samples: int, rate: float) -> Chirp | Pulses | Rest | None:
-        """Return the open-loop drive, if it is not a tone; None if it depends on readings. `rate`: Hz."""
+        """Return the open-loop drive, if it is not one tone; None if it depends on readings. `rate`: Hz.
+
+        With a level of force this is possible only where the drive is a force (`KindOfShaker.drive_is_force`).
+        """
         return None
 
     @property

@@ -1,4 +1,4 @@
-"""Simulation of the rig: a scene file is compiled to a hybrid linear system, whose motion is integrated."""
+"""Simulation of the rig: a scene file is compiled to a hybrid linear system, whose motion is propagated exactly."""
 
 # An interrupt during import must end the command without a traceback.
 try:

@@ -332,7 +332,8 @@ def map_(
         typer.Option(
             "--least",
             metavar="VALUE",
-            help="Smallest value of the quantity of --over, such as '0.5 N'. Default: below that of the scene.",
+            help="Lowest value of the quantity that --over varies, such as '0.5 N'. Default: below that of the scene, "
+            "and below the lowest at which a damper lifts off.",
         ),
     ] = None,
     highest: Annotated[
@@ -340,7 +341,7 @@ def map_(
         typer.Option(
             "--most",
             metavar="VALUE",
-            help="Largest value of the quantity of --over, such as '20 N'. Default: above that of the scene.",
+            help="Highest value of the quantity that --over varies, such as '20 N'. Default: above that of the scene.",
         ),
     ] = None,
     rows: Annotated[
@@ -417,7 +418,7 @@ def design(
         str | None,
         typer.Option(
             metavar="F,F,...",
-            help="Force amplitudes at which the peaks are reduced, such as 1N,3N. Default: 0.5, 1 and 2 times the "
+            help="Force amplitudes for which dampers are designed, such as 1N,3N. Default: 0.5, 1 and 2 times the "
             "force of the test.",
         ),
     ] = None,

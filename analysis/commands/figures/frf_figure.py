@@ -114,7 +114,7 @@ def frf_figure(
         if not any(is_determined(frf).any() for frf in frfs):
             notes.append((phase_axes, "phase not determined at any line"))
         if not any(_has_scatter(frf) for frf in frfs):
-            text = "no coherence and no random error: a single average, or not in the file"
+            text = "no coherence and no scatter: a single average, or not in the file"
             notes.append((coherence_axes, text))
         for axes, text in notes:
             axes.annotate(
@@ -129,10 +129,10 @@ def _caption(frfs: Sequence[Response], has_peaks: bool, has_arrows: bool) -> lis
     """Explain bands and markers in sentences."""
     sentences = []
     if any(_has_scatter(frf) for frf in frfs):
-        sentences.append("Dark band: random error (95 %).")
+        sentences.append("Dark band: scatter (type A, 95 %).")
     causes = visible_systematic_errors(frfs)
     if causes:
-        sentences.append(f"Light band: also limits of error: {', '.join(causes)}.")
+        sentences.append(f"Light band: also limits of error (type B): {', '.join(causes)}.")
     if not all(is_determined(frf).all() for frf in frfs):
         sentences.append("Gray, with a strip at the axis: undetermined (noise, or bound above 100 %); phase not shown.")
     if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
@@ -263,7 +263,7 @@ def _omitted_ranges(frf: Response) -> list[tuple[float, float]]:
 
 
 def _has_scatter(frf: Response) -> bool:
-    """Return whether a curve has a random error: from several averages, or stated in its file."""
+    """Return whether a curve has a type A uncertainty: from several averages, or stated in its file."""
     return bool(np.any((frf.degrees > 0) | (np.isfinite(frf.error) & (frf.error > 0))))
 
 

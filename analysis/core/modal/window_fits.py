@@ -144,7 +144,7 @@ def no_poles(value: ComplexArray) -> IdentifiedPoles:
 
 
 def _largest_shares(fitted: FittedModes) -> Array:
-    """Return the height of each mode relative to the curve around its frequency, where this ratio is largest."""
+    """Return the largest ratio over the responses of the peak of each mode to the local rms of the curve."""
     poles = fitted.model.poles
     # A single line may lie in an antiresonance.
     power = scipy.ndimage.uniform_filter1d(abs(fitted.measured.value) ** 2, _SHARE_LINES, axis=1, mode="nearest")

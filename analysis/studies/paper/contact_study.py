@@ -53,7 +53,7 @@ TABLE = Table(
 )
 
 
-class Contact(NamedTuple):
+class ContactPoint(NamedTuple):
     """A point of the study."""
 
     level: float  # acceleration of the body, g
@@ -70,10 +70,10 @@ class FittedContact(NamedTuple):
     share: float  # of the bed's mass that moves; the rest is fixed to the body
 
 
-def contacts() -> list[Contact]:
+def contacts() -> list[ContactPoint]:
     """Return all points, ordered by contact."""
     return [
-        Contact(level, clearance, restitution, duration)
+        ContactPoint(level, clearance, restitution, duration)
         for restitution in RESTITUTIONS
         for duration in DURATIONS
         for level, clearances in SETTINGS.items()
@@ -82,12 +82,12 @@ def contacts() -> list[Contact]:
 
 
 def follow(path: Path, print_line: Callable[[str], None], cluster: str | None = None) -> None:
-    """Simulate the single mass on every contact at every setting; see `stored_table.complete`."""
+    """Simulate the single mass with every contact at every setting; see `stored_table.complete`."""
     complete(path, TABLE.study(simulate_contact, _contact_of), contacts(), _describe_row, print_line, cluster)
 
 
-def simulate_contact(contact: Contact) -> Row:
-    """Simulate the single mass on a contact; return a row of the table.
+def simulate_contact(contact: ContactPoint) -> Row:
+    """Simulate the single mass with a contact; return a row of the table.
 
     The energy that is dissipated in a period is relative to the weight of the bed times 1 mm. The ceiling impulse is
     relative to the weight of the bed times a period.
@@ -106,7 +106,7 @@ def simulate_contact(contact: Contact) -> Row:
     return dict(zip(TABLE.header, cells, strict=True))
 
 
-def scene_on_contact(contact: Contact) -> Scene:
+def scene_on_contact(contact: ContactPoint) -> Scene:
     """Build the scene of a point."""
     scene = as_one_mass(scene_of_bed(Setting(contact.level, contact.clearance, min(BEDS), 1)))
     walls = {"duration": contact.duration}
@@ -152,14 +152,14 @@ def fit_contact(beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarra
 def deviation_on_contact(
     contact: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
 ) -> Array:
-    """Compute the deviation of the compliance with grains from the single mass on a contact, shape (settings,)."""
+    """Compute the deviation of the compliance with grains from the single mass with a contact, shape (settings,)."""
     return np.asarray(beds["grains_compliance"] / compliance_on_contact(contact, beds, contacts) - 1.0)
 
 
 def compliance_on_contact(
     contact: FittedContact, beds: Mapping[str, np.ndarray], contacts: Mapping[str, np.ndarray]
 ) -> Array:
-    """Compute the peak compliance of the body with the single mass on a contact, shape (settings,)."""
+    """Compute the peak compliance of the body with the single mass with a contact, shape (settings,)."""
     energy = contact.share * _column_at_settings("energy", contact, beds, contacts)
     return compliance_at_peak(beds["level"], energy)
 
@@ -211,8 +211,8 @@ def _column_at_settings(
     return np.array([by_setting[setting] for setting in settings])
 
 
-def _contact_of(row: Row) -> Contact:
-    return Contact(*(float(row[name]) for name in TABLE.header[:4]))
+def _contact_of(row: Row) -> ContactPoint:
+    return ContactPoint(*(float(row[name]) for name in TABLE.header[:4]))
 
 
 def _describe_row(row: Row) -> str:

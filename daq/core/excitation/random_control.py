@@ -96,8 +96,8 @@ class SpectrumControl:
         if np.mean(above) > test.abort_lines:
             raise GivenUp(
                 f"aborted at {level:g} dB: {100 * np.mean(above):.0f} % of the lines exceed the profile by more than "
-                f"{test.abort:g} dB, most at {self.frequency[worst]:.4g} Hz ({deviation[worst]:.1f} dB). Reduce speed, "
-                "or add a limit."
+                f"{test.abort:g} dB, the largest by {deviation[worst]:.1f} dB at {self.frequency[worst]:.4g} Hz. "
+                "Lower test.speed, or limit the response of a channel."
             )
         is_notched = limits_drive(required[0], required[1:], test.tolerance).any(axis=0)
         within = (abs(deviation) <= test.tolerance + margin) | is_notched

@@ -108,7 +108,9 @@ class CommittedFile:
         try:
             disk = os.fstatvfs(self._file.fileno())
         except OSError as error:
-            raise DiskError(f"{self.current_path}: its disk fails ({error.strerror})") from error
+            raise DiskError(
+                f"{self.current_path}: its disk fails ({error.strerror}). Check the disk, or record to another."
+            ) from error
         return disk.f_bavail * disk.f_frsize
 
     def _is_in_place(self) -> bool:

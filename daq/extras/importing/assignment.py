@@ -145,7 +145,10 @@ def contradicted_units(chosen: Sequence[ChosenSignal]) -> list[str]:
 
 
 def assign(scene: Scene, chosen: Sequence[ChosenSignal], rate: float) -> list[AssignedSignal]:
-    """Determine the factor to volts of each signal; `rate` in Hz. Raises `SceneError` with all problems at once."""
+    """Determine the factor that converts each signal to volts; `rate` in Hz.
+
+    Raises `SceneError` with all problems at once.
+    """
     skews = delays(complete_from_preset(scene.converter).skew, len(channels_of(scene)), rate)
     assigned: list[AssignedSignal] = []
     problems: list[str] = []

@@ -362,7 +362,7 @@ class Task:
             return self.output.write_on_demand(volts)
 
     def _announce(self, call: str) -> None:
-        """Announce a call to the listeners of the chassis; one of them may raise the error of the call."""
+        """Announce a call to the listeners of the chassis; a `DaqError` of a listener is the result of the call."""
         for listener in self.chassis.call_listeners:
             listener(call, self)
 

@@ -64,7 +64,7 @@ class WiredTerminals:
 
     @property
     def scene(self) -> Any:
-        """Raise an error: only recordings, which start with the scene, require it."""
+        """Raise an error: this bench has no scene, which only a recording needs, because it stores the scene."""
         raise DaqError("a bench without a scene has no recordings (.mcap). Log to a .tdms file.", Code.UNKNOWN)
 
     def lost_at(self, rate: float) -> Sequence[tuple[int, int]]:

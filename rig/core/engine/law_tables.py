@@ -148,13 +148,13 @@ def bounded_signals(system: HybridSystem, size: int) -> BoundedSignals:
 
 
 def _gap_rounding(element: Element) -> float:
-    """Return the largest gap per speed that may be a rounding error of zero, s; 0 for an element without springs."""
+    """Return the gap, per unit of speed, up to which it may be a rounding error of zero, s; 0 without springs."""
     stiffness = [-mode.force.gap for mode in element.law.modes.values() if mode.force is not None and mode.force.gap]
     return GAP_ROUNDING_RATIO * math.sqrt(element.mass / min(stiffness)) if stiffness else 0.0
 
 
 def _signal_rounding(element: Element, signal: Signal) -> float:
-    """Return the largest value of a signal per speed that may be a rounding error of the gap."""
+    """Return the value of a signal, per unit of speed, up to which it may be a rounding error of the gap."""
     row, rounding = signal.row, _gap_rounding(element)
     return GAP_ROUNDING_RATIO * math.sqrt(-row.gap * element.mass) if row.gap < 0.0 else rounding
 

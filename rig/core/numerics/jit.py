@@ -155,7 +155,7 @@ class _Compiling(Listener):
         console.begin_delay(_COMPILING)
 
     def on_end(self, event: Event) -> None:
-        """Report the end."""
+        """End the notice of a compilation, and collect garbage as before."""
         gc.set_threshold(*self._gc_thresholds.pop())
         console.end_delay()
 

@@ -1,4 +1,4 @@
-"""Admissibility of orbits: their distance to the borders beyond which they are impossible as motions.
+"""Admissibility of orbits: whether a computed orbit is a possible motion, and how far it is from becoming impossible.
 
 A solution of the orbit equations is a motion only if no other event occurs between its events. Dampers in flight must
 not reach a wall, and riding dampers (at rest on a wall) must stay pressed on it. The distance to each border is its

@@ -96,7 +96,7 @@ class OneOrSeveral(_DeferredSchema):
 
     @cached_property
     def adapter(self) -> TypeAdapter[Any]:
-        """Validator of an item."""
+        """Validator of one setting, alone or in the list."""
         return TypeAdapter(self.item_type)
 
     def read(self, value: Any) -> Any:

@@ -70,7 +70,7 @@ class PartOfBed(Bed):
         super()._initialize()
 
     def _create_views(self) -> None:
-        """Create the views again, and record the sizes for which they are valid."""
+        """Create the views of the arrays of LAMMPS again, and record the sizes for which they are valid."""
         self._viewed_sizes = self._array_sizes()
         super()._create_views()
 

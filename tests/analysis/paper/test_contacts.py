@@ -11,7 +11,7 @@ from analysis.studies.paper import bed_study
 from analysis.studies.paper.bed_study import FREQUENCY, compliance_at_peak
 from analysis.studies.paper.contact_study import (
     TABLE,
-    Contact,
+    ContactPoint,
     FittedContact,
     at_shaking_frequency,
     ceiling_impulse_on_contact,
@@ -46,7 +46,7 @@ def test_short_stiff_contact_equals_instant_impact(monkeypatch: pytest.MonkeyPat
     """At 4.5 g and a clearance of 0.3 mm the motion is periodic, so that a short computation is exact to 5 %."""
     for name in ("_SETTLING_PERIODS", "_AVERAGED_PERIODS"):
         monkeypatch.setattr(f"analysis.studies.paper.contact_study.{name}", 10)
-    contact = Contact(4.5, 3e-4, 0.0, 1e-4)
+    contact = ContactPoint(4.5, 3e-4, 0.0, 1e-4)
     row = simulate_contact(contact)
 
     scene = bed_study.scene_of_bed(bed_study.Setting(4.5, 3e-4, 2, 1))
@@ -59,9 +59,9 @@ def test_short_stiff_contact_equals_instant_impact(monkeypatch: pytest.MonkeyPat
 def test_bundled_table_is_ordered_and_reproducible() -> None:
     rows = TABLE.read()
     points = contacts()
-    index = points.index(Contact(1.7, math.inf, 0.1, 3e-3))
+    index = points.index(ContactPoint(1.7, math.inf, 0.1, 3e-3))
 
-    # The first four columns are the fields of a `Contact`.
+    # The first four columns are the fields of a `ContactPoint`.
     assert [tuple(float(row[name]) for name in TABLE.header[:4]) for row in rows] == [tuple(point) for point in points]
     recomputed = simulate_contact(points[index])
     assert float(recomputed["energy"]) == pytest.approx(float(rows[index]["energy"]), rel=1e-3)

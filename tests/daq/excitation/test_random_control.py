@@ -127,7 +127,7 @@ def test_too_high_profile_leaves_zero_drive() -> None:
 def test_excess_aborts_with_zero_drive() -> None:
     # Most of the drive is above the resonance; clipping spreads it over all lines.
     run = MarkedRun(scene(**WIDE))
-    assert "of the lines exceed the profile by more than 6 dB, most at" in run.reason
+    assert "of the lines exceed the profile by more than 6 dB, the largest by" in run.reason
     assert not run.drives[-1][:, -1].any() and run.drives[-1].shape[1] < 51
 
 

@@ -85,7 +85,7 @@ class RandomControl(ProfileControl, KindOfTest):
 
     @property
     def shortest(self) -> float:
-        """Time at all levels, s."""
+        """Duration of the ramp and of the test at full level, s."""
         return len(self.ramp) * self.hold + self.duration
 
     @property

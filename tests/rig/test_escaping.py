@@ -5,10 +5,18 @@ from __future__ import annotations
 from html.parser import HTMLParser
 from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.core.base.escaping import code_fence, escape_html, escape_markdown, escape_terminal
+from rig.core.base.escaping import (
+    code_fence,
+    escape_cell,
+    escape_html,
+    escape_markdown,
+    escape_terminal,
+    unescape_cell,
+)
 
 
 @given(st.text())
@@ -50,3 +58,14 @@ def test_escaped_markdown_has_no_active_markup(text: str) -> None:
     assert not any(escaped[k] in "*_<>[]`#|" and escaped[k - 1 : k] != "\\" for k in range(len(escaped)))
     opening, *content, closing = code_fence(text).split("\n")
     assert opening == closing and not any(opening in line for line in content)
+
+
+@pytest.mark.parametrize("text", ["=1+1", "+cmd|'x'", "-2+3", "@SUM(1)", " =1+1", "\t=1", "=\n1+1", "\r\n@A", "'=1"])
+def test_cells_are_no_formulas(text: str) -> None:
+    cell = escape_cell(text)
+    assert cell == f"'{text}" and unescape_cell(cell) == text
+
+
+@pytest.mark.parametrize("text", ["-3.2", "+1e-5", "-inf", "body 1 = x", "", "-", " 1"])
+def test_numbers_and_plain_text_stay_unescaped(text: str) -> None:
+    assert escape_cell(text) == text == unescape_cell(text)

@@ -420,9 +420,16 @@ class Recording(Result):
                 f"{self.path}: no scene ({layout.SCENE_FILE}) in the file. Record or import it again with a scene."
             )
         try:
-            return loads_si(text.decode(), f"{self.path}: {layout.SCENE_FILE}")
+            scene = loads_si(text.decode(), f"{self.path}: {layout.SCENE_FILE}")
         except UnicodeDecodeError as error:
             raise RecordingError(f"{self.path}: {layout.SCENE_FILE} is not text ({error}). Record it again.") from error
+        for name, info in self.channels.items():
+            if info.body > scene.structure.bodies:
+                raise RecordingError(
+                    f"{self.path}: channel {name} is at body {info.body}, but the last body of {layout.SCENE_FILE} is "
+                    f"body {scene.structure.bodies}. Record or import it again with its own scene."
+                )
+        return scene
 
     def check(self) -> None:
         """Read the whole file; check every record, and that all missing samples are marked.

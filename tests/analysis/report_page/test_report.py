@@ -402,6 +402,33 @@ def test_readout_names_curves_and_units(page: Path, tmp_path: Path) -> None:
     assert "hit scene" in readout and "|compliance| / (µm/N)" in readout and "frequency: –" in readout
 
 
+def title_of(panel: Panel, script: str, folder: Path) -> str:
+    """Return the title of a page with one panel, which a script sets while the panel is drawn, or after it."""
+    templates, scripts = files("analysis.commands.report_page") / "browser", ("uPlot.iife.min.js", "charts.js")
+    page = folder / "page.html"
+    page.write_text(
+        "<!DOCTYPE html><meta charset='utf-8'><title></title><body style='width: 600px'>"
+        + ChartWriter().write(Chart("caption", "alternative", [panel]))
+        + f"<script>{script}</script>"
+        + "".join(f"<script>{(templates / name).read_text('utf-8')}</script>" for name in scripts),
+        "utf-8",
+    )
+    [title] = re.findall("<title>(.*)</title>", browse(page, folder, "--dump-dom"), re.DOTALL)
+    return str(title)
+
+
+@in_browser
+@pytest.mark.thorough
+def test_names_in_tables_are_no_formulas(tmp_path: Path) -> None:
+    title = title_of(
+        Panel("=1+1", "", [Curve("curve", [1.0], [2.0])]),
+        "HTMLAnchorElement.prototype.click = function () { document.title += decodeURIComponent(this.href); };"
+        "addEventListener('load', () => document.querySelectorAll('button').forEach((button) => button.click()));",
+        tmp_path,
+    )
+    assert '"\'=1+1: curve"' in title
+
+
 @in_browser
 @pytest.mark.thorough
 @pytest.mark.parametrize(
@@ -414,19 +441,14 @@ def test_readout_names_curves_and_units(page: Path, tmp_path: Path) -> None:
 )
 def test_logarithmic_axis_has_labels(values: list[float], expected: list[str], tmp_path: Path) -> None:
     panel = Panel("bound", "%", [Curve("curve", [1.0, 2.0], values)], logarithmic=True)
-    templates, scripts = files("analysis.commands.report_page") / "browser", ("uPlot.iife.min.js", "charts.js")
     # The title of the page collects the texts that are drawn.
-    page = tmp_path / "page.html"
-    page.write_text(
-        "<!DOCTYPE html><meta charset='utf-8'><title></title><body style='width: 600px'>"
-        + ChartWriter().write(Chart("caption", "alternative", [panel]))
-        + "<script>const fill = CanvasRenderingContext2D.prototype.fillText;"
+    title = title_of(
+        panel,
+        "const fill = CanvasRenderingContext2D.prototype.fillText;"
         "CanvasRenderingContext2D.prototype.fillText = function (text, ...rest) {"
-        " document.title += `|${text}`; fill.call(this, text, ...rest); };</script>"
-        + "".join(f"<script>{(templates / name).read_text('utf-8')}</script>" for name in scripts),
-        "utf-8",
+        " document.title += `|${text}`; fill.call(this, text, ...rest); };",
+        tmp_path,
     )
-    [title] = re.findall("<title>(.*)</title>", browse(page, tmp_path, "--dump-dom"))
     labels = title.partition("|bound / %|")[2].split("|")
     assert [label for label in labels if label] == expected
 

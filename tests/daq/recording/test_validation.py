@@ -191,3 +191,10 @@ def test_recovery_of_shifted_samples_is_complete(intact_file: Path, tmp_path: Pa
     daq.recover(rewrite(intact_file, shift=2**40), tmp_path / "fixed.mcap")
     with daq.open(tmp_path / "fixed.mcap") as recording:
         recording.check()
+
+
+def test_body_that_the_scene_lacks_is_reported(tmp_path: Path) -> None:
+    scene = make_scene(structure={"masses": ["1 kg"], "springs": ["10 kN/m"]}, shaker=None, test=None, channels=None)
+    path = write_recording(tmp_path / "a.mcap", random_volts(FLUSH_LENGTH), scene)
+    with daq.open(path) as recording, pytest.raises(RecordingError, match=r"channel body2 is at body 2, .* is body 1"):
+        _ = recording.scene

@@ -351,7 +351,9 @@
       drawn[k].series.slice(1).forEach((curve, n) => columns.push([`${panel.label}: ${curve.label}`, ...drawn[k].data[n + 1]]));
     });
     const rows = Math.max(...columns.map((column) => column.length));
-    const cell = (value) => (value == null ? "" : typeof value === "number" ? value : `"${value.replaceAll('"', '""')}"`);
+    // An apostrophe keeps spreadsheets from computing a name as a formula.
+    const quoted = (text) => `"${text.replace(/^['\s]*[=+\-@]./s, "'$&").replaceAll('"', '""')}"`;
+    const cell = (value) => (value == null ? "" : typeof value === "number" ? value : quoted(value));
     return Array.from({ length: rows }, (_, i) => columns.map((column) => cell(column[i])).join(",")).join("\n");
   }
 

@@ -6,14 +6,16 @@ import yaml
 
 import rig
 from tests.gauntlet.instant_contact import draw_force_for_flight
-from tests.gauntlet.scenes import Draw, Settings, draw_chain
+from tests.gauntlet.scenes import INSTRUMENT_SEED_OFFSET, Draw, Settings, draw_chain
 
+# Stiffness of the coil spring of an electrodynamic shaker, relative to that of the first spring.
+_SPRING_RATIO = 0.2
 # Kinds of tests.
 HELD, BACKBONE, CURVE = "constant_response_dampers", "phase_resonance_dampers", "continuation_dampers"
 
 
 def draw_controlled_tone(seed: int, number: int, kind: str) -> rig.Scene:
-    """Draw a chain of one to four bodies with one or two dampers, a force shaker, and sensors with tolerances."""
+    """Draw a chain of one to four bodies with one or two dampers, a shaker, and sensors with and without tolerances."""
     random = Draw(seed, number)
     chain, natural_frequencies = draw_chain(random)
     while len(chain["masses"]) > 4:
@@ -31,15 +33,25 @@ def draw_controlled_tone(seed: int, number: int, kind: str) -> rig.Scene:
     mode = random.choice([frequency for frequency in natural_frequencies if frequency < 80.0])
     sensor = {"sensitivity": "100 mV/g", "noise": f"{random.log_uniform(5.0, 100.0):.3g} ug/sqrt(Hz)"}
     sensor |= random.choice([{}, {"sensitivity_tolerance": 0.05}])
+    place = Draw(seed, number + INSTRUMENT_SEED_OFFSET).choice(["force", "spring", "cell"])
+    shaker: Settings = {"kind": "force", "body": damped[0]}
+    if place != "force":
+        shaker = {
+            "kind": "electrodynamic",
+            "body": damped[0],
+            "spring": f"{_SPRING_RATIO * chain['springs'][0]:.4g} N/m",
+        }
     settings: Settings = {
         "name": f"gauntlet {seed}/{number} {kind}",
         "structure": chain,
         "dampers": dampers,
-        "shaker": {"kind": "force", "body": damped[0]},
+        "shaker": shaker,
         "test": {"kind": "sine", "frequency": float(f"{mode:.4g}"), "force": 1.0},
         "channels": [
             *({"name": f"a{body}", "at": f"body {body}", "accelerometer": sensor} for body in range(1, bodies + 1)),
-            {"name": "force", "at": "shaker", "hammer": {"sensitivity": "100 mV/N"}},
+            {"name": "table", "at": "table", "accelerometer": sensor}
+            if place == "spring"
+            else {"name": "force", "at": "shaker", "hammer": {"sensitivity": "100 mV/N"}},
         ],
         "converter": {"rate": random.choice([2560.0, 5120.0]), "bits": 24, "range": 10.0},
         "recording": {"display": False},

@@ -11,7 +11,7 @@ from analysis.commands.presentation.outputs import CommandOutput
 from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.tracking.backbone import Backbone, backbone
 from rig.core.base.figure_style import add_caption
-from rig.core.results.text import format_quantity, table_lines
+from rig.core.results.text import format_interval, table_lines
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,6 +41,6 @@ def level_lines(result: Backbone) -> list[str]:
             (result.amplitude[k], result.amplitude_bound[k], 1e3),
             (result.damping[k], result.damping_bound[k], 100.0),
         )
-        cells = [format_quantity(factor * value, factor * bound, "") for value, bound, factor in values]
-        rows.append((f"{level:g}", *(cell.strip(" ()") for cell in cells), "" if result.settled[k] else "not locked"))
+        cells = [format_interval(factor * value, factor * bound) for value, bound, factor in values]
+        rows.append((f"{level:g}", *cells, "" if result.settled[k] else "not locked"))
     return [f"  {line}" for line in table_lines(rows, ">>>><")]

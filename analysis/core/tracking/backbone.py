@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from analysis.core.recordings.names import takes_path
 from analysis.core.responses.frequency_responses import frequency_responses
+from analysis.core.responses.measurands import reference_of
 from analysis.core.tracking.body_motion import body_motion
 from daq.core.recording.recorded_test import HELD_PHASE
 from rig.core.base.arrays import Array
@@ -136,6 +137,7 @@ def backbone(rec: Recording) -> Backbone:
     body, wanted = held
     mass = structural_model(rec.scene).mass
     driven = rec.scene.force_on
+    rotates = len(reference_of(rec, "force").channels) > 1
     rows = []
     for marker in markers:
         [response] = frequency_responses(rec, level=float(marker.fields["level"]))
@@ -153,10 +155,13 @@ def backbone(rec: Recording) -> Backbone:
             power = sum(-0.5 * force * omega * motion[number - 1].imag for number in driven)
             damping = float(power / (omega**3 * np.real(motion.conj() @ mass @ motion)))
         error = float(np.remainder(np.angle(values[k]) - wanted + np.pi, 2.0 * np.pi) - np.pi)
-        # Sensitivities do not change the phase; the other contributions can rotate the response.
-        systematic = [limit[line, k, 0] for name, limit in response.limits.items() if name != SENSITIVITY]
+        # The sensitivity of a force sensor does not change the phase; those of the sensors of a spring force do, and
+        # the other contributions.
+        systematic = [limit[line, k, 0] for name, limit in response.limits.items() if rotates or name != SENSITIVITY]
         rotation = (float(response.random_bound()[line, k, 0]) + float(np.sum(systematic))) / abs(values[k])
-        bound = abs(damping) * omega / (2.0 * np.pi) * float(np.tan(min(_SLOPE * (abs(error) + rotation), 1.0)))
+        angle = _SLOPE * (abs(error) + rotation)
+        tangent = float(np.tan(angle)) if angle < np.pi / 2.0 else np.inf
+        bound = abs(damping) * omega / (2.0 * np.pi) * tangent
         rows.append(
             (
                 marker.fields["level"], response.frequency[line], bound, amplitude, relative * amplitude, damping,

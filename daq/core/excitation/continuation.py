@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from daq.core.excitation.constant_response import AT_LIMIT_RATIO
-from daq.core.excitation.controlled import displacement, spring_force
+from daq.core.excitation.controlled import displacement, measured_force
 from daq.core.excitation.procedure import Form, FormValues
 from daq.core.excitation.station import Excitation, GivenUp, Station
 from daq.core.excitation.stepped_sine import SteadyTonesProcedure, expected_wait
@@ -79,7 +79,7 @@ class _CurveTone(EnvelopeTone):
     def __init__(self, station: Station, test: Continuation) -> None:
         super().__init__(station, test.from_, displacement(station, test.at))
         self._test = test
-        self._force = None if test.level_key == "drive" or station.force_is_drive else spring_force(station)
+        self._force = None if test.level_key == "drive" or station.force_is_drive else measured_force(station)
         self._forces = deque[float](maxlen=_AVERAGED_WINDOWS)
         self.forget_mode()
 

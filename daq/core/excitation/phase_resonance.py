@@ -51,8 +51,13 @@ class _PhaseTone(SteadyTone):
     """A tone whose frequency follows the phase."""
 
     def __init__(self, station: Station, test: PhaseResonance) -> None:
+        from rig.core.system.structural_model import structural_model
+
         super().__init__(station, test.frequency, controlled(station))
         self._test, self._quantities = test, (displacement(station, test.at), measured_force(station))
+        self._slowness = 1.0  # of the loop
+        modes = structural_model(station.scene).modes
+        self._decay_rate = float(modes.decay_rate[np.argmin(abs(modes.frequency - test.frequency))])
 
     def window_of(self, samples: int) -> Generator[Array, Array, _Window]:
         """Hold the tone for a window."""
@@ -72,10 +77,12 @@ class _PhaseTone(SteadyTone):
         """
         detector, test = Settling(self._test.settle.tolerance), self._test
         windows, frequencies = deque[_Window](maxlen=_LOCKED_WINDOWS), deque[float](maxlen=_LOCKED_WINDOWS)
-        loop = self.loop = PhaseLoop(self.frequency, test.from_, test.to, test.phase, test.tolerance)
+        loop = self.loop = PhaseLoop(
+            self.frequency, test.from_, test.to, test.phase, test.tolerance, self._decay_rate, self._slowness
+        )
         end = self.station.now + self.station.samples(test.settle.longest)
         while self.station.now < end:
-            samples = whole_periods(self.frequency, self.rate, WINDOW_S)
+            samples = whole_periods(self.frequency, self.rate, WINDOW_S * loop.slowness)
             window = yield from self.window_of(samples)
             windows.append(window)
             frequencies.append(self.frequency)
@@ -90,6 +97,7 @@ class _PhaseTone(SteadyTone):
             ):
                 self.frequency = float(np.mean(frequencies))
                 return True, complex(np.mean([abs(each.force) for each in windows]))
+            self._slowness = loop.slowness
             dead_time = (1.5 * samples + self.station.latency) / self.rate
             self.frequency = loop.next_frequency(window.phase, samples / self.rate, dead_time)
         return False, windows[-1].force if windows else 0j

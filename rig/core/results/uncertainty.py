@@ -132,7 +132,9 @@ class Contribution:
         is_known = (total > 0.0) & np.isfinite(total)
         shares = np.where(is_known, sizes, 0.0) / np.where(is_known, total, 1.0)
         shares[0] += ~is_known
-        return np.asarray(shares.reshape(count, *self.deviation.shape) * self.deviation)
+        shares = shares.reshape(count, *self.deviation.shape)
+        # A source without effect has the limit 0, also if the others are unbounded.
+        return np.multiply(shares, self.deviation, where=shares > 0.0, out=np.zeros_like(shares))
 
     def changed(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Contribution:
         """Apply a function to the lines of all arrays."""

@@ -87,6 +87,14 @@ def test_coil_shaker_is_followed() -> None:
     assert forces == pytest.approx([1.0] * len(forces), rel=0.006) and len(forces) >= 4
 
 
+def test_force_cell_replaces_the_table_channel() -> None:
+    test = {"kind": "continuation", "from": "50.4 Hz", "to": "50.3 Hz", "at": "body 2", "force": 1.0}
+    scene = rig.load("fig9")
+    channels = [channel for channel in scene.channels if channel.at != "table"]
+    bench_run = run(scene.replace(test=test, channels=[*channels, {"name": "cell", "at": "shaker"}]))
+    assert all(fields["settled"] for *_, fields in bench_run.marks_of("measure"))
+
+
 def test_device_gives_equal_markers() -> None:
     scene = scene_with(force=0.9, **{"from": "50.6 Hz", "to": "50.2 Hz"})
     assert device_marks(scene, 0) == run(scene).marks

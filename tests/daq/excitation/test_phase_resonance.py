@@ -25,11 +25,12 @@ TEST = {
 
 
 @pytest.mark.parametrize("damping", [0.001, 0.005, 0.02])
+@pytest.mark.parametrize("expected", [0.0, 1.0])  # decay rate, relative to the exact one
 @pytest.mark.parametrize("latency", [0.0, 0.2])
-def test_law_locks_shifted_resonance(damping: float, latency: float) -> None:
+def test_law_locks_shifted_resonance(damping: float, latency: float, expected: float) -> None:
     omega0, window = 2.0 * math.pi * 13.0, 0.15
     decay, late = damping * omega0, round(latency / window)
-    loop, frequency, error = PhaseLoop(13.0, 10.0, 16.0, -math.pi / 2, 0.02), 13.0, 0.0
+    loop, frequency, error = PhaseLoop(13.0, 10.0, 16.0, -math.pi / 2, 0.02, expected * decay), 13.0, 0.0
     omega0 += 3.0 * decay  # the level has changed
     errors = [0.0] * (late + 1)
     for _ in range(600):
@@ -43,8 +44,18 @@ def test_law_locks_shifted_resonance(damping: float, latency: float) -> None:
     assert abs(error) < 1e-3
 
 
+def test_damped_resonance_is_locked_quickly() -> None:
+    omega0, decay, window = 2.0 * math.pi * 79.0, 10.0, 0.1
+    loop, frequency, error = PhaseLoop(78.0, 70.0, 90.0, -math.pi / 2, 0.02, decay), 78.0, 0.0
+    for _ in range(40):
+        for _ in range(50):
+            error += window / 50 * (-decay * math.sin(error) - (2.0 * math.pi * frequency - omega0))
+        frequency = loop.next_frequency(error - math.pi / 2, window, 1.5 * window)
+    assert abs(error) < 0.005
+
+
 def test_law_stays_within_limits() -> None:
-    loop = PhaseLoop(13.0, 12.0, 14.0, -math.pi / 2, 0.02)
+    loop = PhaseLoop(13.0, 12.0, 14.0, -math.pi / 2, 0.02, 0.4)
     assert max(loop.next_frequency(0.0, 0.1, 0.15) for _ in range(90)) == 14.0
 
 
@@ -94,6 +105,48 @@ def test_coil_shaker_is_locked() -> None:
     [(*_, fields)] = bench_run.marks_of("measure")
     assert fields["settled"] and math.degrees(fields["phase"]) == pytest.approx(-90.0, abs=1.0)
     assert fields["force"] == pytest.approx(1.5, rel=0.006)
+
+
+NATURAL_FREQUENCY = math.sqrt(26778.0 / 1.4278) / (2.0 * math.pi)
+
+
+def coil_scene(tolerance: float, *channels: dict[str, Any]) -> rig.Scene:
+    """Return a body with the natural frequency `NATURAL_FREQUENCY`, driven through a coil spring."""
+    sensor = {"sensitivity": "100 mV/g", "sensitivity_tolerance": tolerance}
+    test = {"frequency": "21.8 Hz", "from": "20.7 Hz", "to": "22.9 Hz", "at": "body 1", "force": 0.2}
+    return rig.load({
+        "structure": {"masses": [1.4278], "springs": [26778.0], "damping": {"modal": 0.006}},
+        "shaker": {"kind": "electrodynamic", "body": 1, "spring": "5.4 kN/m"},
+        "test": {"kind": "phase_resonance", **test},
+        "channels": [
+            {"name": "a1", "at": "body 1", "accelerometer": sensor},
+            *({"accelerometer": sensor, **channel} if channel["at"] == "table" else channel for channel in channels),
+        ],
+        "converter": {"rate": 5120, "bits": 24, "range": 10.0},
+        "recording": {"display": False},
+        "seed": 5,
+    })  # fmt: skip
+
+
+def test_mode_is_locked_by_force_cell(tmp_path: Path) -> None:
+    # Near the mode the coil's force nearly vanishes, so that transients dominate its phase.
+    cell = {"name": "force", "at": "shaker", "hammer": {"sensitivity": "100 mV/N"}}
+    measured = analysis.backbone(daq.record(coil_scene(0.01, cell), tmp_path / "cell.mcap"))
+    assert measured.settled[0]
+    assert measured.frequency[0] == pytest.approx(NATURAL_FREQUENCY, abs=float(measured.frequency_bound[0]))
+    assert measured.damping[0] == pytest.approx(0.006, abs=float(measured.damping_bound[0]))
+
+
+def test_sensitivities_rotate_the_spring_force(tmp_path: Path) -> None:
+    path = daq.record(coil_scene(0.01, {"name": "table", "at": "table"}), tmp_path / "spring.mcap")
+    measured = analysis.backbone(path)
+    assert abs(measured.frequency[0] - NATURAL_FREQUENCY) < measured.frequency_bound[0]
+
+
+def test_undetermined_spring_force_is_named(tmp_path: Path) -> None:
+    path = daq.record(coil_scene(0.2, {"name": "table", "at": "table"}), tmp_path / "spring.mcap")
+    result = CliRunner().invoke(app, ["backbone", str(path), "-o", str(tmp_path)])
+    assert result.stdout.count("(unbounded)") == 3
 
 
 def test_device_gives_equal_markers() -> None:

@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 import analysis
 import rig
 from rig.core.base.errors import ShotrigError
+from rig.core.results.response import Response
 from tests.gauntlet.controlled_tones import BACKBONE, CURVE, HELD
 from tests.gauntlet.result import Case, CheckResult
 
+# Name of the check for sensors without tolerances.
+EXACT_SENSORS = "orbits, exact sensors"
 # At least this fraction of the points of a scene must lie within their intervals.
 _MIN_COVERAGE = 0.7
 # A point is misleading if its error exceeds both this multiple of its bound and `_MISLEADING_ERROR`.
 _MISLEADING_BOUNDS = 3.0
 _MISLEADING_ERROR = 0.05
-# Largest relative error of the exact force: the branches are interpolated linearly.
-_FORCE_ERROR = 1e-3
-# Orbits are followed over the force, relative to that of the point, and over the frequency.
-_FORCES, _FREQUENCIES = (0.75, 1.33), (0.97, 1.03)
+# Largest relative error of the exact force: the branches are interpolated.
+_EXACT_ERROR = 1e-4
+# Orbits are followed over the drive, relative to that of the point, and over the frequency.
+_DRIVES, _FREQUENCIES = (0.75, 1.33), (0.97, 1.03)
 
 # Measured value, half of its interval, exact value, and the scale of relative errors.
 _Point = tuple[float, float, float, float]
@@ -31,12 +36,15 @@ def check(case: Case, kind: str) -> list[CheckResult]:
     if kind not in (HELD, BACKBONE, CURVE):
         return []
     if kind == BACKBONE:
-        points = list(_phase_points(case))
+        found = list(_phase_points(case))
     else:
-        points = list(_force_points(case))
-        points += list(_folds(case)) if kind == CURVE else []
+        found = list(_force_points(case))
+        found += list(_folds(case)) if kind == CURVE else []
+    points = [point for point in found if point is not None and np.isfinite(point[1])]
+    tolerances = [getattr(channel.accelerometer, "sensitivity_tolerance", None) for channel in case.scene.channels]
+    name = "orbits" if any(tolerances) else EXACT_SENSORS
     if not points:
-        return [CheckResult("orbits", kind, "refused", note="; ".join(case.warnings) or "no point settled")]
+        return [CheckResult(name, kind, "refused", note="; ".join(case.warnings) or "no point settled")]
     measured, bound, exact, scale = np.array(points).T
     error = abs(measured - exact)
     inside = error <= bound
@@ -44,72 +52,114 @@ def check(case: Case, kind: str) -> list[CheckResult]:
     worst = int(np.argmax(error / bound))
     outcome = "correct" if inside.mean() >= _MIN_COVERAGE and not misleading.any() else "wrong"
     note = f"worst {measured[worst]:.6g} ± {bound[worst]:.2g}, exact {exact[worst]:.6g}"
-    return [CheckResult("orbits", kind, outcome, int(inside.sum()), inside.size, float(np.median(bound / scale)), note)]
+    if len(found) > len(points):
+        note += f"; {len(found) - len(points)} without orbit or interval"
+    relative_bound = float(np.median(bound / scale))
+    return [CheckResult(name, kind, outcome, int(inside.sum()), inside.size, relative_bound, note)]
 
 
-def _orbits(case: Case, parameter: str, value: float, **tone: float) -> rig.OrbitCurve | None:
-    """Follow the orbits about a value of a parameter; None if they cannot be computed."""
-    ratios = np.array(_FORCES if parameter == "force" else _FREQUENCIES)
-    theory = case.scene.replace(test={"kind": "sine", **tone, parameter: value}, channels=None)
-    options = {"frequency": tone["frequency"]} if parameter == "force" else {}
+class _Crossing(NamedTuple):
+    """A point of a branch."""
+
+    value: float  # of the parameter
+    amplitude: float  # of the body, m
+    force: float  # amplitude of its first harmonic, N
+
+
+def _orbits(case: Case, drive: float, frequency: float, over_drive: bool) -> rig.OrbitCurve | None:
+    """Follow the orbits about a drive and a frequency, over the drive or the frequency; None if it fails."""
+    shaker, rate = case.scene.driven_shaker, case.scene.converter.rate
+    # The output joins its samples by straight lines.
+    drive *= float(np.sinc(frequency / rate)) ** 2
+    key = "force" if shaker is not None and shaker.drive_is_force else "drive"
+    theory = case.scene.replace(test={"kind": "sine", "frequency": frequency, key: drive}, channels=None)
+    ratios, parameter, value = (_DRIVES, key, drive) if over_drive else (_FREQUENCIES, "frequency", frequency)
+    options = {"frequency": frequency} if over_drive else {}
     try:
-        return rig.follow_orbits(theory, parameter, tuple((ratios * value).tolist()), searches=2, **options)
+        return rig.follow_orbits(theory, parameter, tuple(ratio * value for ratio in ratios), searches=2, **options)
     except ShotrigError:
         return None
 
 
-def _crossings(curve: rig.OrbitCurve, body: int, level: float, phase: bool = False) -> Iterator[tuple[float, float]]:
-    """Yield parameter and amplitude (m) where a branch has an amplitude, or a phase of -90 degrees."""
+def _crossings(curve: rig.OrbitCurve, body: int, level: float, phase: bool = False) -> Iterator[_Crossing]:
+    """Yield where a branch has an amplitude, or a phase of -90 degrees, interpolated by a cubic along the branch."""
     for branch in curve.branches:
-        amplitude = abs(branch.frf[body]) * [orbit.reference_amplitude for orbit in branch.orbits]
-        offset = np.angle(1j * branch.frf[body]) if phase else amplitude - level
-        for k in np.flatnonzero((offset[1:] * offset[:-1] <= 0.0) & (abs(np.diff(offset)) < 1.0)):
-            share = offset[k] / (offset[k] - offset[k + 1])
-            value, height = (each[k] + share * (each[k + 1] - each[k]) for each in (branch.value, amplitude))
-            yield float(value), float(height)
+        force = np.array([orbit.reference_amplitude for orbit in branch.orbits])
+        frf = branch.frf[body]
+        amplitude = abs(frf) * force
+        offset = np.unwrap(np.angle(1j * frf)) if phase else np.log(amplitude / level)
+        lengths = np.hypot(np.diff(branch.value) / np.ptp(branch.value), np.diff(np.log(amplitude)))
+        chosen = np.flatnonzero(np.append(True, lengths > 1e-9))
+        if chosen.size < 4:
+            continue
+        along = np.append(0.0, np.cumsum(lengths))[chosen]
+        curves = CubicSpline(along, np.array([branch.value, np.log(amplitude), np.log(force)]).T[chosen])
+        for value, height, level_there in curves(CubicSpline(along, offset[chosen]).solve(0.0, extrapolate=False)):
+            yield _Crossing(float(value), float(np.exp(height)), float(np.exp(level_there)))
 
 
-def _force_points(case: Case) -> Iterator[_Point]:
+def _measured(case: Case) -> Iterator[tuple[Response, int, Mapping[str, Any]]]:
+    """Yield each settled point: the response of its level, its line there, and the fields of its marker."""
+    markers = [mark.fields for mark in case.recording.markers if mark.kind == "measure" and mark.fields["settled"]]
+    for level in dict.fromkeys(fields["level"] for fields in markers):
+        for response in analysis.frequency_responses(case.recording, level=level):
+            for fields in markers:
+                if fields["level"] == level:
+                    yield response, int(np.argmin(abs(response.frequency - fields["frequency"]))), fields
+
+
+def _force_points(case: Case) -> Iterator[_Point | None]:
     """Yield the force of each settled point, relative to that of the orbit with its frequency and amplitude."""
-    location = next(iter(case.scene.controlled_terms))
-    body = int(location.removeprefix("body ")) - 1
-    for response in analysis.frequency_responses(case.recording):
+    location = next(iter(case.scene.controlled_terms)) if case.scene.test.held_motion is None else case.scene.test.at
+    body, shaker = int(location.removeprefix("body ")) - 1, case.scene.driven_shaker
+    known = shaker is not None and shaker.drive_is_force
+    for response, line, fields in _measured(case):
         k = [output.at for output in response.outputs].index(location)
-        expanded = response.expanded()
-        for line in np.flatnonzero(
-            np.ones(len(response.frequency), bool) if response.unsteady is None else ~response.unsteady
-        ):
-            force = float(response.amplitude[line])
-            value, frequency = abs(response.value[line, k, 0]), float(response.frequency[line])
-            curve = _orbits(case, "force", force, frequency=frequency)
-            relative = float(expanded[line, k, 0] / value)
-            # Within the interval of the amplitude, the exact force changes, by more where the response is nonlinear.
-            amplitudes = [value * force * (1.0 + share * relative) for share in (-1.0, 0.0, 1.0)]
-            found = [[] if curve is None else list(_crossings(curve, body, amplitude)) for amplitude in amplitudes]
-            if all(found):
-                exact = [min((each for each, _ in some), key=lambda each: abs(each - force)) for some in found]
-                yield force, float(np.ptp(exact)) / 2.0 + _FORCE_ERROR * force, (max(exact) + min(exact)) / 2.0, force
+        force, drive = float(response.amplitude[line]), float(fields["drive"])
+        value, frequency = abs(response.value[line, k, 0]), float(response.frequency[line])
+        curve = _orbits(case, drive, frequency, over_drive=True)
+        relative = float(response.expanded()[line, k, 0] / value)
+        # The error of a known force is that of the amplitude: within its interval the exact force changes, by more
+        # where the response is nonlinear.
+        errors = (-relative, 0.0, relative) if known else (0.0,)
+        amplitudes = [value * force * (1.0 + error) for error in errors]
+        found = [[] if curve is None else list(_crossings(curve, body, amplitude)) for amplitude in amplitudes]
+        if not all(found):
+            yield None
+            continue
+        exact = [min(some, key=lambda each: abs(each.value - drive)).force for some in found]
+        bound = float(np.ptp(exact)) / 2.0 + (_EXACT_ERROR if known else relative) * force
+        yield force, bound, (max(exact) + min(exact)) / 2.0, force
 
 
-def _phase_points(case: Case) -> Iterator[_Point]:
+def _phase_points(case: Case) -> Iterator[_Point | None]:
     """Yield frequency and amplitude of each locked level."""
     result = analysis.backbone(case.recording)
     body = case.scene.structure.labels.index(result.body)
-    for k in np.flatnonzero(result.settled):
-        curve = _orbits(case, "frequency", float(result.frequency[k]), force=float(result.level[k]))
+    for k, (_, _, fields) in zip(np.flatnonzero(result.settled), _measured(case), strict=True):
+        measured = float(result.frequency[k])
+        curve = _orbits(case, float(fields["drive"]), measured, over_drive=False)
         found = [] if curve is None else list(_crossings(curve, body, 0.0, phase=True))
-        if found:
-            frequency, amplitude = min(found, key=lambda each: abs(each[0] - result.frequency[k]))
-            width = max(float(result.damping[k]) * frequency, 1e-6 * frequency)
-            yield float(result.frequency[k]), float(result.frequency_bound[k]), frequency, width
-            yield float(result.amplitude[k]), float(result.amplitude_bound[k]), amplitude, amplitude
+        if not found:
+            yield None
+            continue
+        exact = min(found, key=lambda each: abs(each.value - measured))
+        width = max(float(result.damping[k]) * exact.value, 1e-6 * exact.value)
+        yield measured, float(result.frequency_bound[k]), exact.value, width
+        yield float(result.amplitude[k]), float(result.amplitude_bound[k]), exact.amplitude, exact.amplitude
 
 
-def _folds(case: Case) -> Iterator[_Point]:
+def _folds(case: Case) -> Iterator[_Point | None]:
     """Yield the frequency of each fold; the scale is a tenth of the band."""
+    shaker = case.scene.driven_shaker
+    if shaker is None or not shaker.drive_is_force:
+        # Orbits have a constant drive, so that their folds are others.
+        return
     for fold in analysis.continuation(case.recording).folds:
-        curve = _orbits(case, "frequency", fold.frequency, force=fold.level)
+        curve = _orbits(case, fold.level, fold.frequency, over_drive=False)
         exact = [value for branch in (curve.branches if curve else ()) for value in branch.folds.tolist()]
-        if exact:
-            nearest = min(exact, key=lambda value: abs(value - fold.frequency))
-            yield fold.frequency, fold.bound, nearest, 0.01 * fold.frequency
+        if not exact:
+            yield None
+            continue
+        nearest = min(exact, key=lambda value: abs(value - fold.frequency))
+        yield fold.frequency, fold.bound, nearest, 0.01 * fold.frequency

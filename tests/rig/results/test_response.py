@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from rig.core.base.errors import SceneError
 from rig.core.results.response import Point, Response, stack
-from rig.core.results.uncertainty import CLOCK, SENSITIVITY, UncertaintyBudget
+from rig.core.results.uncertainty import CLOCK, SENSITIVITY, Contribution, UncertaintyBudget
 
 # Frequency lines, Hz.
 LINES = np.linspace(10.0, 30.0, 41)
@@ -191,3 +191,9 @@ def test_universal_file_has_each_element(tmp_path) -> None:
     assert [(int(data["rsp_node"]), int(data["ref_node"])) for data in sets] == [
         (1, 1), (1, 3), (2, 1), (2, 3), (3, 1), (3, 3),
     ]  # fmt: skip
+
+
+def test_source_without_effect_has_no_unbounded_limit() -> None:
+    sources = ({"cell": np.array([0.5]), "table": np.array([0.0])},)
+    limits = Contribution(SENSITIVITY, "B", np.array([[np.inf]]), sources=sources).limits()
+    assert limits.ravel().tolist() == [np.inf, 0.0]

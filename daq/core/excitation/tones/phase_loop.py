@@ -2,16 +2,19 @@
 
 At constant force the phase obeys e' = -d sin e - (w - w0(|X|)) with the decay rate d: a plant of first order at every
 amplitude, also where the resonance curve overhangs. (S. Peter, R. I. Leine, Mech. Syst. Signal Process. 96 (2017) 139;
-tuning by the SIMC rules for an integrating plant with dead time, as in `envelope_control`.)
+tuning by the SIMC rules for a plant of first order with dead time: S. Skogestad, J. Process Control 13 (2003) 291.)
 """
 
 from __future__ import annotations
 
 import math
 
-# The loop is slowed down if the deviation does not decay by this ratio from one to the next group of so many windows: a
-# coil spring or another mode adds dynamics to the force.
+import numpy as np
+
+# The loop is slowed down if the scatter of the deviation does not decay by this ratio from one to the next group of so
+# many windows: a coil spring or another mode adds dynamics to the force.
 _COMPARED_ERRORS = 25
+_BEFORE, _LATEST = slice(_COMPARED_ERRORS), slice(_COMPARED_ERRORS, None)
 _MIN_DECAY = 0.7
 _MAX_SLOWNESS = 16.0
 # The frequency changes by at most this fraction from window to window.
@@ -22,9 +25,10 @@ class PhaseLoop:
     """PI control of the angular frequency by the deviation of the phase.
 
     `frequency`: first frequency, Hz; `lowest`, `highest`: its limits, Hz; `phase`: required phase of the displacement
-    relative to the force, rad; `tolerance`: its permitted deviation, rad.
+    relative to the force, rad; `tolerance`: its permitted deviation, rad; `decay_rate`: the smallest expected one, 1/s;
+    `slowness`: factor on the length of the windows, which the loop raises.
 
-    >>> loop, omega, error = PhaseLoop(10.3, 5.0, 20.0, -math.pi / 2, 0.02), 2 * math.pi * 10.3, 0.0
+    >>> loop, omega, error = PhaseLoop(10.3, 5.0, 20.0, -math.pi / 2, 0.02, 0.4), 2 * math.pi * 10.3, 0.0
     >>> for _ in range(200):
     ...     error += 0.2 * (-0.4 * math.sin(error) - (omega - 2 * math.pi * 10.0))
     ...     omega = 2 * math.pi * loop.next_frequency(error - math.pi / 2, 0.2, 0.3)
@@ -32,10 +36,19 @@ class PhaseLoop:
     10.0
     """
 
-    def __init__(self, frequency: float, lowest: float, highest: float, phase: float, tolerance: float) -> None:
-        self.phase, self._tolerance = phase, tolerance
+    def __init__(
+        self,
+        frequency: float,
+        lowest: float,
+        highest: float,
+        phase: float,
+        tolerance: float,
+        decay_rate: float,
+        slowness: float = 1.0,
+    ) -> None:
+        self.phase, self._tolerance, self._decay_rate = phase, tolerance, decay_rate
         self._errors: list[float] = []
-        self._slowness = 1.0  # factor on the dead time
+        self.slowness = slowness
         self._omega, self._integral = 2.0 * math.pi * frequency, 2.0 * math.pi * frequency
         self._lowest, self._highest = 2.0 * math.pi * lowest, 2.0 * math.pi * highest
 
@@ -48,16 +61,21 @@ class PhaseLoop:
         error = self.error(phase)
         self._errors.append(error)
         if len(self._errors) == 2 * _COMPARED_ERRORS:
-            before = math.sqrt(sum(each**2 for each in self._errors[:_COMPARED_ERRORS]))
-            latest = math.sqrt(sum(each**2 for each in self._errors[_COMPARED_ERRORS:]))
-            if latest > _MIN_DECAY * before and latest > self._tolerance * math.sqrt(_COMPARED_ERRORS):
-                self._slowness = min(2.0 * self._slowness, _MAX_SLOWNESS)
+            before, latest = (_scatter(self._errors[part]) for part in (_BEFORE, _LATEST))
+            if latest > max(_MIN_DECAY * before, self._tolerance):
+                self.slowness = min(2.0 * self.slowness, _MAX_SLOWNESS)
             self._errors.clear()
-        dead_time *= self._slowness
-        self._integral += window * error / (16.0 * dead_time**2)
-        requested = self._integral + error / (2.0 * dead_time)
+        correction = error / (2.0 * dead_time)
+        self._integral += window * max(self._decay_rate, 1.0 / (8.0 * dead_time)) * correction
+        requested = self._integral + correction
         change = max(-_MAX_CHANGE_RATIO, min(_MAX_CHANGE_RATIO, requested / self._omega - 1.0))
         self._omega = max(self._lowest, min(self._highest, self._omega * (1.0 + change)))
         # Without the part beyond a limit, the integral does not wind up.
         self._integral += self._omega - requested
         return self._omega / (2.0 * math.pi)
+
+
+def _scatter(errors: list[float]) -> float:
+    """Return the standard deviation about a straight line: a deviation that decays slowly does not scatter."""
+    place = np.arange(len(errors))
+    return float(np.std(errors - np.polyval(np.polyfit(place, errors, 1), place)))

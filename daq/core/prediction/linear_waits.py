@@ -29,6 +29,8 @@ from rig.core.system.open_loop_drive import riding_equations, riding_response
 
 # The tones are represented by this number of samples per period of the highest frequency.
 _SAMPLES_PER_PERIOD = 32
+# Number of samples of transients that are in memory at a time.
+_MAX_TRANSIENT_SAMPLES = 1 << 16
 # Number of windows after the end of the transient until the detector has confirmed the steady state.
 _CONFIRMING_WINDOWS = 2
 # Shortest wait, s: beats of several modes have to be distinguished from noise.
@@ -153,13 +155,16 @@ def _amplitudes_in_window(poles: ComplexArray, tones: Array, periods: NDArray[np
     """
     result = np.empty((tones.size, poles.size))
     for count in np.unique(periods):
-        is_equal, samples = periods == count, int(count) * _SAMPLES_PER_PERIOD
-        steps = np.exp(poles / (_SAMPLES_PER_PERIOD * tones[is_equal, None])).reshape(-1, 1)
-        transients = np.cumprod(np.repeat(steps, samples, axis=1), axis=1) / steps
-        real, imaginary = lock_in(
-            np.concatenate([transients.real, transients.imag]), 1.0, float(_SAMPLES_PER_PERIOD)
-        ).reshape(2, -1, poles.size)
-        result[is_equal] = abs(real + 1j * imaginary)
+        equal, samples = np.flatnonzero(periods == count), int(count) * _SAMPLES_PER_PERIOD
+        tones_at_once = max(1, _MAX_TRANSIENT_SAMPLES // (samples * poles.size))
+        for first in range(0, equal.size, tones_at_once):
+            indices = equal[first : first + tones_at_once]
+            steps = np.exp(poles / (_SAMPLES_PER_PERIOD * tones[indices, None])).reshape(-1, 1)
+            transients = np.cumprod(np.repeat(steps, samples, axis=1), axis=1) / steps
+            real, imaginary = lock_in(
+                np.concatenate([transients.real, transients.imag]), 1.0, float(_SAMPLES_PER_PERIOD)
+            ).reshape(2, -1, poles.size)
+            result[indices] = abs(real + 1j * imaginary)
     return result
 
 

@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 _LARGE_RANGE = 1 << 22
 # At most this number of samples may be requested for each sample in the file.
 _MAX_REQUESTED_PER_STORED = 16
+# Voltages above this multiple of the converter's range are no measured values. The factor admits readings that were
+# imported with a wrong unit or range, which the import names.
+_MAX_RANGES = 1000.0
 # Memory for decoded samples of a recording, bytes. Decoded samples are cached, because an analysis reads a measured
 # segment several times.
 _MAX_CACHE_BYTES = 1 << 27
@@ -79,6 +82,10 @@ class Series:
             check({"scale": self.scale}, {"scale": NOT_ZERO})
         except (ValueError, RecordingError):
             raise self._error(f"scale = {self.metadata['scale']!r}; expected {NOT_ZERO.expected}.") from None
+        try:
+            self._max_volts = min(MAX_VOLTS, _MAX_RANGES * float(self.metadata["range"]))
+        except (KeyError, ValueError):
+            self._max_volts = MAX_VOLTS
 
     @property
     def stored(self) -> str:
@@ -146,9 +153,9 @@ class Series:
     def _without_invalid(self, block: SampleBlock) -> SampleBlock:
         """Replace numbers that no converter outputs by NaN, as lost samples read."""
         with np.errstate(invalid="ignore"):
-            if block.samples.size == 0 or max(block.samples.max(), -block.samples.min()) < MAX_VOLTS:
+            if block.samples.size == 0 or max(block.samples.max(), -block.samples.min()) < self._max_volts:
                 return block
-            return block._replace(samples=np.where(np.abs(block.samples) < MAX_VOLTS, block.samples, np.nan))
+            return block._replace(samples=np.where(np.abs(block.samples) < self._max_volts, block.samples, np.nan))
 
     def _stored_blocks(self, chunk: int, records: memoryview | None = None) -> Iterator[tuple[SampleBlock, int]]:
         """Yield each block of this topic in a chunk, unchecked, with its log time in ns."""

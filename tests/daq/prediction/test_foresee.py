@@ -22,6 +22,7 @@ from rig.core.system.assembly import assemble
 from rig.core.system.structural_model import receptance
 from tests.gauntlet.predicted_maxima import KINDS, compare, with_long_test
 from tests.gauntlet.scenes import draw
+from tests.peak_memory import peak_memory
 
 TONE = {"kind": "sine", "frequency": "30 Hz", "force": "2 N", "duration": "3 s"}
 VOLTS_PER_UNIT = 0.1 / 9.80665  # sensitivity of the accelerometer, V per m/s^2
@@ -382,6 +383,16 @@ def test_waits_include_averages_of_noise() -> None:
         scene = one_body(steps, channels=[{"name": "a1", "at": "body 1", "accelerometer": noisy}])
         waits.append(linear_waits(scene, assemble(scene), Bench(scene).channels))
     assert waits[0].sum() > waits[1].sum() + 1.0 and (waits[0] >= waits[1]).all()
+
+
+def test_memory_of_one_more_step_is_small() -> None:
+    peaks = []
+    # The first test includes imports.
+    for points in (10, 1000, 3000):
+        scene = one_body(STEPS | {"points": points})
+        peaks.append(peak_memory(linear_waits, scene, assemble(scene), Bench(scene).channels)[0])
+    # It was 5 kB with the transients of all steps at once.
+    assert peaks[2] - peaks[1] < 2000 * 1000
 
 
 def test_range_of_duration_contains_steps_that_do_not_settle() -> None:

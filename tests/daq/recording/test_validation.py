@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 import json
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +28,15 @@ from daq.extras.viewer.description import describe
 from rig.core.base.errors import RecordingError, RunWarning, add_path
 from rig.core.base.escaping import is_single_line
 from tests.daq.mcap_file.mcap_records import message, packed_chunk, record
-from tests.daq.recording.recordings import CONVERTER_24_BIT, FLUSH_LENGTH, make_scene, random_volts, write_recording
+from tests.daq.recording.recordings import (
+    CONVERTER_24_BIT,
+    FLUSH_LENGTH,
+    RATE,
+    make_scene,
+    random_volts,
+    two_channels,
+    write_recording,
+)
 
 ANY_JSON = st.recursive(
     st.none() | st.booleans() | st.floats() | st.integers() | st.just(10**300) | st.text() | st.just("x" * 60_000),
@@ -176,6 +186,18 @@ def test_number_that_is_no_voltage_is_lost(tmp_path: Path, stored: str, value: f
             (gap,) = recording.gaps
         assert (gap.first_sample, gap.last_sample, gap.channels) == (2000, 2009, ("body2",))
         with pytest.raises(RecordingError, match="samples 2000 to 2009 of body2"):
+            recording.check()
+
+
+@pytest.mark.parametrize(("volts", "is_measured"), [(1e4, False), (4e3, True)])
+def test_voltage_far_above_the_range_is_lost(tmp_path: Path, volts: float, is_measured: bool) -> None:
+    samples, channels = random_volts(3 * FLUSH_LENGTH), [replace(info, range=5.0) for info in two_channels()]
+    samples[1, 2000] = -volts
+    with recorder.Recorder(tmp_path / "a.mcap", make_scene(), channels, RATE) as new:
+        new.write(samples)
+    with daq.open(tmp_path / "a.mcap") as recording:
+        assert np.isfinite(recording.read("body2")[2000]) == is_measured
+        with nullcontext() if is_measured else pytest.raises(RecordingError, match="samples 2000 to 2000 of body2"):
             recording.check()
 
 

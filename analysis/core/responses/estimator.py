@@ -6,14 +6,15 @@ A module of this package that evaluates a kind of recording defines an `Estimato
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Protocol
 
 from analysis.core.responses.checks.channel_changes import Parts
 from analysis.core.responses.checks.curve_checks import delayed_channels, reversed_force
+from analysis.core.responses.checks.several_inputs import check_matrix
 from analysis.core.responses.estimators import ESTIMATORS
-from analysis.core.responses.measurands import input_location, output_point
+from analysis.core.responses.measurands import Measurand, force_of, input_location, output_point
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.base.progress import CountProgress
 from rig.core.results.response import Point, Response, stack
@@ -22,9 +23,7 @@ if TYPE_CHECKING:
     from daq.core.recording.markers import Marker
     from daq.core.recording.recording import Recording
 
-#: Module of the estimator of a recording with several driving forces.
-SEVERAL_INPUTS = "several_inputs"
-#: Module of the estimator of each kind of recording (`TestKind`) with one input.
+#: Module of the estimator of each kind of recording (`TestKind`).
 MODULES = {
     "tones": "stepped_sine",
     "none": "stepped_sine",
@@ -58,8 +57,15 @@ class Blocks:
 class Source(Protocol):
     """Spectra or amplitudes of a sweep, or of a test without sweeps, from which responses are estimated."""
 
-    def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
-        """Estimate one response."""
+    def frf(
+        self,
+        rec: Recording,
+        response: str,
+        reference: str | Measurand = "force",
+        motion: str = "displacement",
+        others: Sequence[Measurand] = (),
+    ) -> Response:
+        """Estimate one response to a reference; `others`: the other inputs, if several drive the structure."""
 
 
 @dataclass(frozen=True)
@@ -79,15 +85,23 @@ class Request:
     direction: str | None = None  # up or down, likewise
 
     def compute(self, sources: Iterable[Source]) -> list[Response]:
-        """Compute the response of each source, with all outputs."""
-        computed = []
+        """Compute the response of each source: the matrix of all outputs over all inputs."""
+        forces = [force_of(point.name) for point in self.inputs]
+        n_inputs, computed = max(len(forces), 1), []
         for source in sources:
-            curves = []
+            columns: list[list[Response]] = [[] for _ in range(n_inputs)]
             for n_completed, name in enumerate(self.names, 1):
-                curves.append(source.frf(self.rec, name, self.reference, self.motion))
+                if not forces:
+                    columns[0].append(source.frf(self.rec, name, self.reference, self.motion))
+                for k, (point, force) in enumerate(zip(self.inputs, forces, strict=True)):
+                    others = [*forces[:k], *forces[k + 1 :]]
+                    curve = source.frf(self.rec, name, force, self.motion, others)
+                    columns[k].append(replace(curve, inputs=(point,)))
                 if self.progress is not None:
                     self.progress(n_completed, len(self.names))
-            computed.append(stack(annotate(self.rec, curves)))
+            columns = [annotate(self.rec, column) for column in columns]
+            response = stack([curve for row in zip(*columns, strict=True) for curve in row], n_inputs)
+            computed.append(check_matrix(response) if forces else response)
         return computed
 
 
@@ -109,12 +123,12 @@ class Estimator:
     line_remedy: Callable[[float], str] = lambda step: f"Measure every {step:.2g} Hz there."
 
 
-def estimator_of(kind: str, inputs: int = 1) -> Estimator:
-    """Return the estimator of a kind of recording with a number of inputs.
+def estimator_of(kind: str) -> Estimator:
+    """Return the estimator of a kind of recording.
 
     An empty `kind` is that of curves without a recording.
     """
-    module = MODULES.get(kind or "none") if inputs < 2 else SEVERAL_INPUTS
+    module = MODULES.get(kind or "none")
     if module is None:
         raise RecordingError(f"a recording of kind {kind} has no frequency responses. Use another analysis.")
     estimator: Estimator = import_module(f"analysis.core.responses.{module}").ESTIMATOR
@@ -125,7 +139,7 @@ def annotate(rec: Recording, curves: Sequence[Response]) -> list[Response]:
     """Add locations to the curves of one sweep, and warnings of a force with the wrong sign and of a late channel."""
     points = [output_point(rec, curve.response, curve.motion) for curve in curves]
     curves = [
-        curve.placed(point.place, input_location(rec, curve.reference), point.body)
+        curve.placed(point.place, curve.input_at or input_location(rec, curve.reference), point.body)
         for curve, point in zip(curves, points, strict=True)
     ]
     warnings = [text for text in (reversed_force(curves), delayed_channels(curves)) if text]

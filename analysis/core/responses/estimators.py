@@ -1,16 +1,25 @@
-"""Estimators H1, H2 and Hv from windowed and averaged spectra of blocks of a recording (Welch)."""
+"""Estimators H1, H2 and Hv from windowed and averaged spectra of blocks of a recording (Welch).
+
+References
+----------
+.. [1] G. T. Rocklin, J. Crowley, H. Vold, A comparison of H1, H2 and Hv frequency response functions, Proceedings of
+   the 3rd International Modal Analysis Conference (1985).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from analysis.core.recordings.slices import read_slices
 from analysis.core.responses.checks.clean_segments import Flaw, find_flaws
+from analysis.core.responses.checks.several_inputs import MAX_CONDITION_NUMBER, condition, unit_power
 from analysis.core.responses.errors.budget import assemble_budget
 from analysis.core.responses.errors.random_errors import MeanErrors
 from analysis.core.responses.errors.systematic import (
@@ -23,7 +32,13 @@ from analysis.core.responses.errors.systematic import (
     shared_noise_bound,
     zero_safe_product,
 )
-from analysis.core.responses.measurands import motion_of, reference_of, reject_zero_reference
+from analysis.core.responses.measurands import (
+    Measurand,
+    motion_of,
+    reference_name,
+    reference_of,
+    reject_zero_reference,
+)
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
 from rig.core.base.progress import CountProgress
@@ -82,34 +97,59 @@ class AveragedSpectra:
     leakage_free: SegmentFits | None = None
     estimator: str = "H1"  # or ``"H2"``, ``"Hv"``
 
-    def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
-        """Estimate a frequency response with coherence; random error by Bendat and Piersol, Random Data, eq. 9.90."""
+    def frf(
+        self,
+        rec: Recording,
+        response: str,
+        reference: str | Measurand = "force",
+        motion: str = "displacement",
+        others: Sequence[Measurand] = (),
+    ) -> Response:
+        """Estimate a frequency response with coherence; random error by Bendat and Piersol, Random Data, eq. 9.90.
+
+        `others`: other inputs. Response and reference are conditioned on them (section 7.3).
+        """
         numerator, denominator = motion_of(rec, response, motion), reference_of(rec, reference)
-        names = tuple(dict.fromkeys((*numerator.channels, *denominator.channels)))
+        inputs = (denominator, *others)
+        names = tuple(dict.fromkeys(name for each in (numerator, *inputs) for name in each.channels))
         positions = [self.channels.index(name) for name in names]
         factor = self.factor[:, positions]
         rounding = np.broadcast_to(self.rounding_gain_error, (len(self.channels), self.frequency.size))[positions]
         response_weights = numerator.row(rec, names, self.frequency)
         reference_weights = denominator.row(rec, names, self.frequency)
         x, f = (np.einsum("in,rin->nr", row, factor) for row in (response_weights, reference_weights))
+        reject_zero_reference(rec, reference, f)
+        several = None
+        if others:
+            rows = [each.row(rec, names, self.frequency) for each in inputs]
+            amplitudes = np.stack([np.einsum("in,rin->nr", row, factor) for row in rows], axis=2)
+            input_names = [each.channels[0] for each in inputs]
+            outputs = [k for k, name in enumerate(self.channels) if name not in input_names]
+            several = _SeveralInputs(x, amplitudes, np.argsort(input_names), self.factor[:, outputs].transpose(2, 0, 1))
+            x, f = several.conditioned()
         sxx, sff = (np.sum(np.square(np.abs(amplitude)), axis=1) for amplitude in (x, f))
         sxf = np.sum(x * f.conj(), axis=1)
-        reject_zero_reference(rec, reference, sff)
+        is_coherent = several is not None and several.condition > MAX_CONDITION_NUMBER
+        sff = np.where(is_coherent, 1.0, sff)  # the response to coherent inputs has no value
+        if several is not None and self.estimator == "H2":
+            raise SceneError("estimator: got 'H2'; expected H1 or Hv for several inputs")
         value = estimate(self.estimator, sxx, sff, sxf)
+        if several is not None and self.estimator == "Hv":
+            value = np.where(is_coherent, value, several.total_least_squares())
         # Ratio of incoherent to coherent power of the response.
         with np.errstate(divide="ignore", invalid="ignore"):
             incoherence = np.sum(np.square(np.abs(x - (sxf / sff)[:, None] * f)), axis=1) / (abs(sxf) ** 2 / sff)
         coherence = 1.0 / (1.0 + incoherence)
         # Reading of each channel per unit of the reference.
         readings = np.einsum("rin,nr->in", factor, f.conj()) / sff
-        # The estimated response uses one average, so that few blocks have too much coherence and too little scatter.
-        n_free_averages = self.n_averages - 1.0
+        # Each input uses one average, so that few blocks have too much coherence and too little scatter.
+        n_free_averages = self.n_averages - len(inputs)
         error = np.full(value.shape, np.nan)
         if n_free_averages > 0.0:
             error = abs(value) * np.sqrt(incoherence / (2.0 * n_free_averages))
         bounds: dict[str, Array] = {}
         if self.leakage_free is not None:
-            leakage_free = self.leakage_free.frf(rec, response, reference, motion)
+            leakage_free = self.leakage_free.frf(rec, response, reference, motion, others)
             bounds[LEAKAGE] = leakage(self.frequency, value, error, leakage_free)
         contributions = ChannelContributions(
             names, self.frequency, motion, value, response_weights * readings, reference_weights * readings
@@ -119,21 +159,27 @@ class AveragedSpectra:
         if len(denominator.channels) > 1:
             noise = self._incoherent_power(factor, [names.index(name) for name in denominator.channels])
             noise_bias = np.maximum(noise_bias, shared_noise_bound(noise, change_per_reading, reference_weights, sff))
+        if several is not None:
+            noise_bias = several.noise_bias()
         bounds[REFERENCE_NOISE] = noise_bias
         bounds |= rounding_bound(rounding, contributions)
-        # Weights of the channels in the incoherent part of the response, relative to the reference (Bendat and Piersol,
-        # chapter 7).
-        residual_weights = change_per_reading / np.sqrt(sff * max(n_free_averages, 1e-300))
+        # Incoherent part of the response, relative to the reference (Bendat and Piersol, chapter 7).
+        deviations = np.einsum("in,rin->nr", change_per_reading / np.sqrt(sff * max(n_free_averages, 1e-300)), factor)
+        if several is not None:
+            deviations = several.deviations() / np.sqrt(max(n_free_averages, 1e-300))
+            coherence = several.multiple_coherence()
+            value = np.where(is_coherent, np.nan, value)
         degrees_of_freedom = np.full(value.shape, max(2.0 * n_free_averages, 0.0))
         reference_bounds = [np.sum(zero_safe_product(np.abs(contributions.reference), rounding), axis=0)]
         budget = assemble_budget(
             rec, contributions, error, degrees_of_freedom, bounds, reference_bounds,
-            MeanErrors(self.factor, (tuple(positions),), (residual_weights,)),
+            MeanErrors(self.factor, (deviations,)),
             scale=common_scale(rec, numerator.channels, denominator.channels),
         )  # fmt: skip
         return Response.curve(
-            self.frequency, value, numerator.channels[0], reference=reference, motion=motion, uncertainty=budget,
-            coherence=coherence, label=self.label, resolution=self.resolution, warnings=self.warnings,
+            self.frequency, value, numerator.channels[0], reference=reference_name(reference), motion=motion,
+            uncertainty=budget, coherence=coherence, label=self.label, resolution=self.resolution,
+            warnings=self.warnings,
         )  # fmt: skip
 
     def _incoherent_power(self, factor: ComplexArray, rows: Sequence[int]) -> Array:
@@ -146,6 +192,81 @@ class AveragedSpectra:
             noise[row] = np.sum(np.square(np.abs(reading - common * other)), axis=0)
         # With few blocks, too much power is coherent by chance.
         return np.asarray(noise * self.n_averages / max(self.n_averages - 1.0, 1e-300))
+
+
+@dataclass(frozen=True)
+class _SeveralInputs:
+    """Amplitudes of a response and of several inputs, the reference first: rows of a factor at each line."""
+
+    response: ComplexArray  # shape (lines, rows)
+    inputs: ComplexArray  # shape (lines, rows, inputs)
+    order: NDArray[np.intp]  # order of the inputs that does not depend on which of them is the reference
+    outputs: ComplexArray  # readings of all response channels, shape (lines, rows, outputs)
+
+    def conditioned(self) -> tuple[ComplexArray, ComplexArray]:
+        """Return response and reference without the parts that are coherent with the other inputs."""
+        q, _ = np.linalg.qr(self.inputs[:, :, 1:])
+        both: ComplexArray = np.stack([self.response, self.inputs[:, :, 0]], axis=2)
+        both -= q @ (q.conj().swapaxes(1, 2) @ both)
+        return both[:, :, 0], both[:, :, 1]
+
+    @cached_property
+    def spectra(self) -> ComplexArray:
+        """Spectral matrix of the inputs, shape (lines, inputs, inputs)."""
+        return np.asarray(self.inputs.swapaxes(1, 2) @ self.inputs.conj())
+
+    @property
+    def condition(self) -> Array:
+        """Condition number of the input spectra at unit power, shape (lines,)."""
+        return condition(self.spectra)
+
+    def _fit(self, responses: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return responses to all inputs by H1, shape (lines, inputs, responses), and residuals of their shape."""
+        values = np.linalg.pinv(self.inputs) @ responses
+        return values, responses - self.inputs @ values
+
+    @cached_property
+    def residual(self) -> ComplexArray:
+        """Residual of the response, shape (lines, rows)."""
+        return np.asarray(self._fit(self.response[:, :, None])[1][:, :, 0])
+
+    def total_least_squares(self) -> ComplexArray:
+        """Estimate the response by Hv for several inputs [1]_, shape (lines,).
+
+        The eigenvector of the smallest eigenvalue of the spectral matrix at unit power is the linear combination of
+        response and inputs that contains only noise: response minus the sum over the inputs, up to a factor.
+        """
+        amplitudes = np.concatenate([self.response[:, :, None], self.inputs], axis=2)
+        unit, scale = unit_power(amplitudes.swapaxes(1, 2) @ amplitudes.conj())
+        noise = np.linalg.eigh(unit)[1][:, :, 0].conj() / scale
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(-noise[:, 1] / noise[:, 0])
+
+    def noise_bias(self) -> Array:
+        """Bound the bias by noise of the inputs: their power that is not coherent with an output, shape (lines,)."""
+        values, residual = self._fit(self.outputs)
+        power = np.sum(np.square(abs(residual)), axis=1)[:, None]
+        noise = np.min(power / np.maximum(np.square(abs(values)), 1e-300), axis=2)
+        noise = np.minimum(noise, np.einsum("nkk->nk", self.spectra).real)
+        own = abs(self._fit(self.response[:, :, None])[0][:, :, 0])
+        return np.asarray(np.sum(own * noise * abs(np.linalg.pinv(self.spectra)[:, 0]), axis=1))
+
+    def deviations(self) -> ComplexArray:
+        """Return the residual times the reference in the basis of all inputs, shape (lines, rows inputs).
+
+        With it, the covariance of two elements is that of the residuals times the inverse of the input spectra.
+        """
+        q, _ = np.linalg.qr(self.inputs[:, :, self.order])
+        _, reference = self.conditioned()
+        power = np.sum(np.square(abs(reference)), axis=1)
+        direction = np.einsum("nrs,nr->ns", q.conj(), reference) / np.maximum(power, 1e-300)[:, None]
+        return np.asarray((self.residual[:, :, None] * direction[:, None]).reshape(len(q), -1))
+
+    def multiple_coherence(self) -> Array:
+        """Return the share of the response's power that is coherent with all inputs, shape (lines,)."""
+        total = np.sum(np.square(abs(self.response)), axis=1)
+        residual = np.sum(np.square(abs(self.residual)), axis=1)
+        return np.asarray(np.clip(1.0 - residual / np.maximum(total, 1e-300), 0.0, 1.0))
 
 
 def leakage(frequency: Array, value: ComplexArray, error: Array, leakage_free: Response) -> Array:

@@ -108,9 +108,9 @@ def frequency_responses(
         raise SceneError(f"{rec.path}: no sweeps of steady tones to choose from. Leave out level and direction.")
     reference = reference or default_reference(rec)
     levels = force_levels(rec) if reference == "force" else []
-    inputs = strong_forces(levels)
-    has_one = len(inputs) < 2
-    used = required_channels(rec, names, reference) if has_one else [*names, *(point.name for point in inputs)]
+    forces = strong_forces(levels)
+    inputs = forces if len(forces) > 1 else ()
+    used = [*names, *(point.name for point in inputs)] if inputs else required_channels(rec, names, reference)
     request = Request(
         rec,
         names,
@@ -124,7 +124,7 @@ def frequency_responses(
         number(level, FORCE, "level"),
         direction,
     )
-    computed = estimator_of(kind, len(inputs)).compute(request)
+    computed = own_estimator.compute(request)
     warnings = weak_force_warnings(levels)
     warnings += dead_channel_warnings(rec, used, names)
     if faulty := describe_faulty_hits(rec.markers, used):

@@ -119,12 +119,19 @@ def default_reference(rec: Recording) -> str:
         return "force"
 
 
-def reference_of(rec: Recording, reference: str) -> Measurand:
-    """Return the force on the structure, or the displacement of the shaker table.
+def force_of(channel: str) -> Measurand:
+    """Return the force that a channel measures."""
+    return Measurand((channel,), (1.0,), "force")
+
+
+def reference_of(rec: Recording, reference: str | Measurand) -> Measurand:
+    """Return the force on the structure, or the displacement of the shaker table; a measurand as it is.
 
     The force is measured by a force channel if there is one. Otherwise it is the force of the coil spring,
     F1 = k0 (x0 - x1), from the channels on the table and on the driven body.
     """
+    if isinstance(reference, Measurand):
+        return reference
     if reference == "table":
         location = rec.scene.at_driven("table")
         table = motion_channel_at(rec, location)
@@ -140,7 +147,7 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
     # If there are several shakers, only one of them is driven.
     forces.sort(key=lambda info: info.at not in ("hammer", rec.scene.at_driven("shaker")))
     if forces:
-        return Measurand((forces[0].name,), (1.0,), "force")
+        return force_of(forces[0].name)
     if rec.scene.hammer is not None:
         raise RecordingError(
             f"{rec.path}: no channel measures the force of the hammer ({_places(rec)}). "
@@ -190,10 +197,15 @@ def required_channels(rec: Recording, responses: Sequence[str], reference: str) 
     return list(dict.fromkeys(name for measurand in measurands for name in measurand.channels))
 
 
-def reject_zero_reference(rec: Recording, reference: str, amplitude: NDArray[np.generic]) -> None:
+def reference_name(reference: str | Measurand) -> str:
+    """Return the quantity of a reference: force or table."""
+    return reference if isinstance(reference, str) else reference.motion
+
+
+def reject_zero_reference(rec: Recording, reference: str | Measurand, amplitude: NDArray[np.generic]) -> None:
     """Reject a reference that is zero at all lines, because the response is then undefined."""
     if not np.any(np.abs(amplitude) > 0):
-        quantity = "force on the structure" if reference == "force" else "displacement of the table"
+        quantity = "force on the structure" if reference_name(reference) == "force" else "displacement of the table"
         raise RecordingError(
             f"{rec.path}: the {quantity} is zero throughout the measurement. Check the excitation and its channels "
             "(`daq info`), and record again."

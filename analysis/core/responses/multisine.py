@@ -1,14 +1,21 @@
 """Multisine with random phases: best linear approximation, with noise and nonlinear distortion separated.
 
 A *realization* is a measurement of several periods with one set of random phases. *Distortion* is the difference
-between the response of a nonlinear structure and its best linear approximation.
+between the response of a nonlinear structure and its best linear approximation. With several inputs, a realization
+consists of as many *experiments*, with mutually orthogonal phases, so that the matrix of inputs can be inverted at each
+line [1]_: a sum of the experiments is due to each input alone.
+
+References
+----------
+.. [1] R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012, sections 2.7
+   and 4.3.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +24,7 @@ from scipy import fft
 from analysis.core.recordings.slices import read_slices
 from analysis.core.responses.checks.channel_changes import Parts
 from analysis.core.responses.checks.clean_segments import describe_flaws, find_flaws
+from analysis.core.responses.checks.several_inputs import MAX_CONDITION_NUMBER
 from analysis.core.responses.errors.scatter import Scatter
 from analysis.core.responses.errors.systematic import (
     power_in_counts,
@@ -26,7 +34,7 @@ from analysis.core.responses.errors.systematic import (
 )
 from analysis.core.responses.estimator import Estimator, Request
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH
-from analysis.core.responses.measurands import motion_channel_at, reference_of
+from analysis.core.responses.measurands import force_of, motion_channel_at, reference_of
 from analysis.core.responses.spectral_lines import Lines, residual_transient
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
@@ -66,65 +74,121 @@ def best_linear_approximation(
     names: Sequence[str],
     reference: str = "force",
     progress: CountProgress | None = None,
+    forces: Sequence[str] = (),
 ) -> Lines:
     """Average the amplitudes of each channel over periods, then over realizations.
 
-    `markers`: measured interval of each realization; `names`: channels; `reference`: force or table.
+    `markers`: measured interval of each experiment; `names`: channels; `reference`: force or table; `forces`: instead
+    of it, the channels of several forces.
 
-    Before the second average, each realization is rotated by the phase of its own reference. The scatter between
-    periods is noise. The scatter between realizations also contains nonlinear distortion (R. Pintelon, J. Schoukens,
-    System Identification, 2nd ed., Wiley 2012, section 4.3).
+    Before the second average, each realization is rotated by the phase of its own reference, or separated into the
+    amplitudes due to each input. The scatter between periods is noise. The scatter between realizations also contains
+    nonlinear distortion [1]_.
     """
-    all_spectra = [period_spectra(rec, names, marker) for marker in markers]
+    inputs = [force_of(name) for name in forces] or [reference_of(rec, reference)]
+    realizations, notes = _realizations(rec, names, markers, len(inputs))
     if progress is not None:
         progress(len(markers), len(markers))
-    notes = [note for spectra in all_spectra for note in spectra.notes]
-    complete = [spectra for spectra in all_spectra if len(spectra.spectra)]
+    complete = [spectra for realization in realizations for spectra in realization]
     if not complete:
         raise RecordingError(
             f"{rec.path}: no realization has two periods without faults. {' '.join(notes)} Record again."
         )
-    count, frequency = len(complete), complete[0].frequency
-    reference_weights = reference_of(rec, reference).row(rec, names, frequency)
-    means, noises = [], []
-    for spectra in complete:
-        mean, periods = spectra.spectra.mean(axis=0), len(spectra.spectra)
-        phase_factor = np.sum(reference_weights * mean, axis=0).conj()
-        phase_factor /= np.maximum(abs(phase_factor), 1e-300)
-        means.append(mean * phase_factor)
-        noises.append((spectra.spectra - mean) * phase_factor / np.sqrt(periods * (periods - 1.0)))
+    count, frequency = len(realizations), complete[0].frequency
+    input_weights = np.stack([each.row(rec, names, frequency) for each in inputs])
+    means, noises, transients, gains = [], [], [], []
+    for realization in realizations:
+        experiment_means = np.stack([spectra.spectra.mean(axis=0) for spectra in realization])
+        factors = _separation(np.einsum("kcn,ecn->nke", input_weights, experiment_means))
+        sizes = abs(factors) if len(inputs) > 1 else np.ones(factors.shape)
+        means.append(_by_input(experiment_means, factors).sum(axis=0))
+        for e, spectra in enumerate(realization):
+            periods = len(spectra.spectra)
+            deviations = spectra.spectra - experiment_means[e]
+            noises.append(_by_input(deviations, factors[:, [e]]) / np.sqrt(periods * (periods - 1.0)))
+        residuals = np.stack([residual_transient(spectra.spectra) for spectra in realization])
+        transients.append(_by_input(residuals, sizes).sum(axis=0))
+        gains.append(_by_input(np.ones(residuals.shape), sizes).sum(axis=0))
     realization_means = np.stack(means)
     mean_spectrum = realization_means.mean(axis=0)
     noise = Scatter(
         np.asarray(np.concatenate(noises) / count, dtype=complex),
         np.full(frequency.size, 2.0 * sum(len(spectra.spectra) - 1 for spectra in complete)),
     )
-    unsettled = np.mean([residual_transient(spectra.spectra) for spectra in complete], axis=0)
+    unsettled = np.mean(transients, axis=0)
     steps = quantization_steps(rec, names)
     samples_per_period = rec.rate / (frequency[1] - frequency[0]) if frequency.size > 1 else rec.rate / frequency[0]
     # Rounding resembles noise of 1/12 count². At a line, 95 % of its amplitudes are below steps / sqrt(samples)
     # (Rayleigh distribution). The share of this error that is equal in every period does not appear in the scatter.
     noise_power = np.mean([spectra.samples.var(axis=0, ddof=1).mean(axis=1) for spectra in complete], axis=0)
     reproducible = reproducible_rounding(noise_power / np.where(steps > 0.0, steps, 1.0) ** 2)
-    amplitude: Array = np.abs(mean_spectrum)
+    by_input: Array = np.abs(mean_spectrum).reshape(len(inputs), len(names), -1)
+    amplitude: Array = np.hypot.reduce(by_input, axis=0) / np.sqrt(len(inputs))
     # In the worst case, the reading at a resonance is a single tone with the power of all lines.
     gain_error = np.minimum(tone_gain_error(power_in_counts(rec, names, np.sum(amplitude**2, axis=1) / 2.0)), 0.5)
     rounding = reproducible[:, None] * (steps[:, None] / np.sqrt(samples_per_period) + gain_error[:, None] * amplitude)
+    rounding = np.tile(rounding, (len(inputs), 1)) * np.mean(gains, axis=0)
     noise_only = Lines(
         tuple(names), frequency, mean_spectrum, noise, rec.scene.name, tuple(notes), unsettled,
-        n_neighbors=FIT_HALF_WIDTH, n_rotated=count, resolution=rounding,
+        n_neighbors=FIT_HALF_WIDTH, n_rotated=count, resolution=rounding, inputs=tuple(forces),
     )  # fmt: skip
     dampers_move = any(damper.impacts for damper in rec.scene.dampers)
     if count == 1:
         return replace(noise_only, warnings=(*notes, ONE_REALIZATION)) if dampers_move else noise_only
     deviations = (realization_means - mean_spectrum) / np.sqrt(count * (count - 1.0))
-    realizations = Scatter(deviations, np.full(frequency.size, 2.0 * (count - 1.0)))
-    with_distortion = replace(noise_only, scatter=realizations, noise=noise)
+    scatter = Scatter(deviations, np.full(frequency.size, 2.0 * (count - 1.0)))
+    with_distortion = replace(noise_only, scatter=scatter, noise=noise)
     if _is_distorted(with_distortion, noise_only):
         return replace(with_distortion, warnings=(*notes, NONLINEAR))
     if dampers_move:
-        return replace(with_distortion, warnings=(*notes, _undistorted_warning(rec, with_distortion, reference)))
+        of_force = reference if not forces else ""
+        return replace(with_distortion, warnings=(*notes, _undistorted_warning(rec, with_distortion, of_force)))
     return with_distortion
+
+
+def _realizations(
+    rec: Recording, names: Sequence[str], markers: Sequence[Marker], n_inputs: int
+) -> tuple[list[list[PeriodSpectra]], list[str]]:
+    """Return the experiments of each complete realization, and notes on the others; one input needs one experiment."""
+    groups: dict[int, list[Marker]] = {}
+    for number, marker in enumerate(markers):
+        groups.setdefault(number if n_inputs == 1 else int(marker.fields["realisation"]), []).append(marker)
+    complete, notes = [], []
+    for number, group in groups.items():
+        if len(group) < n_inputs:
+            was = "was" if len(group) == 1 else "were"
+            notes.append(
+                f"Realization {number} left out: only {len(group)} of its {n_inputs} experiments {was} recorded."
+            )
+            continue
+        spectra = [period_spectra(rec, names, marker) for marker in group]
+        notes += [note for experiment in spectra for note in experiment.notes]
+        if all(len(experiment.spectra) for experiment in spectra):
+            complete.append(spectra)
+    return complete, notes
+
+
+def _separation(forces: ComplexArray) -> ComplexArray:
+    """Return factors of the experiments whose sum is due to each input alone; NaN where the inputs are coherent.
+
+    `forces`: amplitudes of the inputs in the experiments, shape (lines, inputs, experiments). Shape of the result:
+    (lines, experiments, inputs). With one input, this is the conjugate phase factor of the force.
+    """
+    unit = forces / np.maximum(np.linalg.norm(forces, axis=2, keepdims=True), 1e-300)
+    if unit.shape[1] == 1:
+        return unit.conj()
+    # The condition number of the input spectra is the square of the condition number of the amplitudes.
+    unit[~(np.linalg.cond(unit) ** 2 <= MAX_CONDITION_NUMBER)] = np.nan
+    return np.linalg.inv(unit)
+
+
+def _by_input(values: NDArray[Any], factors: NDArray[Any]) -> NDArray[Any]:
+    """Multiply values, shape (rows, channels, lines), by factors, shape (lines, rows or 1, inputs).
+
+    Shape of the result: (rows, inputs channels, lines).
+    """
+    products = values[:, None] * np.moveaxis(factors, 0, 2)[:, :, None]
+    return products.reshape(len(values), -1, values.shape[2])
 
 
 def _undistorted_warning(rec: Recording, averages: Lines, reference: str) -> str:
@@ -220,7 +284,9 @@ def _is_distorted(measured: Lines, noise: Lines) -> bool:
 def _compute(request: Request) -> list[Response]:
     """Estimate the best linear approximation of all realizations."""
     rec, measured, progress = request.rec, request.measured, request.progress
-    return request.compute([best_linear_approximation(rec, measured, request.channels, request.reference, progress)])
+    forces = [point.name for point in request.inputs]
+    lines = best_linear_approximation(rec, measured, request.channels, request.reference, progress, forces)
+    return request.compute([lines])
 
 
 def _parts(request: Request) -> list[Parts]:

@@ -25,7 +25,7 @@ from analysis.core.responses.hits import PRE_HIT_S
 from analysis.core.responses.local_models.jitter import jitter_factor
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH, LocalSpectra
 from analysis.core.responses.local_models.low_spectra import low_spectra
-from analysis.core.responses.measurands import motion_of, reference_of, response_channels
+from analysis.core.responses.measurands import Measurand, motion_of, reference_of, response_channels
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.results import format_percent
@@ -77,14 +77,21 @@ class SegmentFits:
     # spectra of random tests by channels, because all responses use the same spectra
     stored: dict[tuple[str, ...], LocalSpectra] = field(default_factory=dict)
 
-    def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
-        """Estimate the frequency response with coherence, random and systematic errors."""
+    def frf(
+        self,
+        rec: Recording,
+        response: str,
+        reference: str | Measurand = "force",
+        motion: str = "displacement",
+        others: Sequence[Measurand] = (),
+    ) -> Response:
+        """Estimate the frequency response with coherence, random and systematic errors; `others`: other inputs."""
         numerator, denominator = motion_of(rec, response, motion), reference_of(rec, reference)
-        segments, notes = self.usable_segments(rec, denominator.channels)
+        segments, notes = self.usable_segments(rec, [name for each in (denominator, *others) for name in each.channels])
         warnings = (*self.warnings, *notes)
         if self.hits is None:
             spectra = self.spectra(rec, self.channels, segments)
-            return spectra.frf(rec, numerator, denominator, reference, motion, self.label, warnings)
+            return spectra.frf(rec, numerator, denominator, reference, motion, self.label, warnings, others=others)
         # The channels of each response determine whether the rig was at rest before its impacts.
         names = tuple(dict.fromkeys([*numerator.channels, *denominator.channels]))
         longest = max(stop - start for start, stop in segments)

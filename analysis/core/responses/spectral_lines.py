@@ -19,7 +19,7 @@ from analysis.core.responses.errors.random_errors import MeanErrors
 from analysis.core.responses.errors.ringing import ringing
 from analysis.core.responses.errors.scatter import Scatter, moderate
 from analysis.core.responses.errors.systematic import RESOLUTION, UNSETTLED, ChannelContributions, common_scale
-from analysis.core.responses.measurands import motion_of, reference_of, reject_zero_reference
+from analysis.core.responses.measurands import Measurand, motion_of, reference_name, reference_of, reject_zero_reference
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import circle_factor
@@ -53,9 +53,11 @@ _TRANSIENT_FACTOR = 1.05
 class Lines:
     """Amplitudes of the recorded channels at the frequencies of a periodic excitation."""
 
-    channels: tuple[str, ...]  # names, in the order of the rows
+    # names, in the order of the rows; with several inputs, the rows of each input follow one another
+    channels: tuple[str, ...]
     frequency: Array  # Hz, in the order measured; shape (n,)
-    # amplitude as recorded, without correction for the sensors; complex, shape (channels, n)
+    # amplitude as recorded, without correction for the sensors; complex, shape (channels, n); with several inputs, due
+    # to each of them alone, shape (inputs channels, n)
     mean: ComplexArray
     scatter: Scatter  # random deviation of the mean
     label: str = ""  # for legends
@@ -76,12 +78,23 @@ class Lines:
     # for successive tones: wait before each window, and length of the window, s; shape (n,)
     wait: Array | None = None
     duration: Array | None = None
+    inputs: tuple[str, ...] = ()  # channels of several inputs, in the order of the rows
 
-    def frf(self, rec: Recording, response: str, reference: str = "force", motion: str = "displacement") -> Response:
-        """Divide the mean of the response by that of the reference; propagate their covariance to first order."""
+    def frf(
+        self,
+        rec: Recording,
+        response: str,
+        reference: str | Measurand = "force",
+        motion: str = "displacement",
+        others: Sequence[Measurand] = (),
+    ) -> Response:
+        """Divide the mean of the response by that of the reference; propagate their covariance to first order.
+
+        `others`: other inputs.
+        """
         numerator, denominator = motion_of(rec, response, motion), reference_of(rec, reference)
-        names = tuple(dict.fromkeys((*numerator.channels, *denominator.channels)))
-        positions = [self.channels.index(name) for name in names]
+        names = tuple(dict.fromkeys(name for each in (numerator, denominator, *others) for name in each.channels))
+        positions = self._positions(names, denominator)
         mean, scatter, noise, residual_transient, resolution = self._rows_of(positions)
         response_weights = numerator.row(rec, names, self.frequency)
         reference_weights = denominator.row(rec, names, self.frequency)
@@ -89,7 +102,16 @@ class Lines:
         reject_zero_reference(rec, reference, f)
         value = x / f
         # d(x/f) = (dx - value df) / f, and both are sums over the same channels.
-        weights = (response_weights - value * reference_weights) / f
+        change = response_weights - value * reference_weights
+        explained, variances = [abs(x) ** 2], []
+        for other in others:
+            other_mean, other_scatter, *_ = self._rows_of(self._positions(names, other))
+            other_weights = other.row(rec, names, self.frequency)
+            other_x, other_f = (np.sum(row * other_mean, axis=0) for row in (response_weights, other_weights))
+            change = change - other_x / other_f * other_weights
+            explained.append(abs(other_x) ** 2)
+            variances.append(other_scatter)
+        weights = change / f
         variance, degrees_of_freedom = scatter.variance(weights), scatter.degrees_of_freedom
         if self.n_neighbors:
             expected = noise.local_variance(weights, self.n_neighbors)
@@ -108,21 +130,29 @@ class Lines:
             bounds[UNSETTLED] = np.maximum(bounds.get(UNSETTLED, 0.0), free_vibration)
         with np.errstate(invalid="ignore", divide="ignore"):
             averages = 1.0 + scatter.degrees_of_freedom / 2.0
-            coherence = 1.0 / (1.0 + averages * variance / abs(value) ** 2)
+            unexplained = variance / abs(value) ** 2
+            if others:
+                unexplained = sum(each.variance(change) for each in (scatter, *variances)) / sum(explained)
+            coherence = 1.0 / (1.0 + averages * unexplained)
         contributions = ChannelContributions(
             names, self.frequency, motion, value, response_weights * mean / f, reference_weights * mean / f
         )
         amplitude = None if self.unsteady is None else abs(f)
         budget = assemble_budget(
             rec, contributions, error, degrees_of_freedom, bounds, reference_bounds,
-            MeanErrors(self.scatter.rows, (tuple(positions),), (weights,)),
+            MeanErrors(self.scatter.rows, (np.einsum("cn,rcn->nr", weights, scatter.rows),)),
             scale=common_scale(rec, numerator.channels, denominator.channels),
         )  # fmt: skip
         return Response.curve(
-            self.frequency, value, numerator.channels[0], reference=reference, motion=motion, uncertainty=budget,
-            coherence=coherence, label=self.label, warnings=self.warnings, unsteady=self.unsteady,
+            self.frequency, value, numerator.channels[0], reference=reference_name(reference), motion=motion,
+            uncertainty=budget, coherence=coherence, label=self.label, warnings=self.warnings, unsteady=self.unsteady,
             amplitude=amplitude, omitted=self.left_out,
         )  # fmt: skip
+
+    def _positions(self, names: Sequence[str], reference: Measurand) -> list[int]:
+        """Return the rows of channels, with several inputs those due to the reference."""
+        block = self.inputs.index(reference.channels[0]) * len(self.channels) if self.inputs else 0
+        return [block + self.channels.index(name) for name in names]
 
     def _rows_of(self, positions: Sequence[int]) -> tuple[ComplexArray, Scatter, Scatter, Array | None, Array | None]:
         """Return mean, scatter, noise, residual transient and resolution of some channels."""

@@ -357,20 +357,21 @@ class ResponseValues(Result):
 ValuesT = TypeVar("ValuesT", bound=ResponseValues)
 
 
-def stack(curves: Sequence[ValuesT]) -> ValuesT:
-    """Join responses to the same inputs to a response of all outputs; NaN at lines that a response does not have."""
+def stack(curves: Sequence[ValuesT], n_inputs: int = 1) -> ValuesT:
+    """Join the curves of all outputs and inputs, output by output; NaN at lines that a curve does not have."""
     first = curves[0]
     if any(not np.array_equal(curve.frequency, first.frequency) for curve in curves):
         frequency = np.unique(np.concatenate([curve.frequency for curve in curves]))
         curves = [_with_added_lines(curve, frequency) for curve in curves]
-    shape = (curves[0].frequency.size, len(curves), len(first.inputs))
+    shape = (curves[0].frequency.size, len(curves) // n_inputs, n_inputs)
     amplitudes = [curve.amplitude for curve in curves if curve.amplitude is not None]
     return replace(
         curves[0],
         value=np.stack([curve.value for curve in curves], axis=1).reshape(shape),
-        outputs=tuple(curve.outputs[0] for curve in curves),
+        outputs=tuple(curve.outputs[0] for curve in curves[::n_inputs]),
+        inputs=tuple(curve.inputs[0] for curve in curves[:n_inputs]),
         uncertainty=stack_budgets([curve.uncertainty for curve in curves], shape),
-        coherence=np.stack([curve.coherence for curve in curves], axis=1).reshape(shape[:2]),
+        coherence=np.stack([curve.coherence for curve in curves[::n_inputs]], axis=1).reshape(shape[:2]),
         unsteady=any_unsteady(curves),
         amplitude=np.fmax.reduce(amplitudes) if amplitudes else None,
         omitted=np.unique(np.concatenate([curve.omitted for curve in curves])),

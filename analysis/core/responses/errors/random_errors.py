@@ -45,30 +45,25 @@ _MAX_ELEMENTS = 1 << 22
 
 @dataclass(frozen=True)
 class MeanErrors:
-    """Errors of ratios of means, independent from line to line: weighted sums of the errors of the channels."""
+    """Errors of ratios of means, independent from line to line."""
 
-    # factor S: the covariance of the means of channels i and j is the sum over rows of ``S_i conj(S_j)``; shape
-    # (rows, channels, lines)
-    factor: ComplexArray
-    channels: tuple[tuple[int, ...], ...]  # positions of the channels in each element
-    weights: tuple[ComplexArray, ...]  # their weights in each element, shape (channels of the element, lines)
+    # factor of the covariance of the channels' means, shape (rows, channels, lines): elements of one test have the same
+    test: ComplexArray
+    # deviation of each element in each of some independent directions, whose products sum up to the covariance of two
+    # elements; shape (lines, directions)
+    deviations: tuple[ComplexArray, ...]
 
     def at(self, lines: Lines) -> MeanErrors:
         """Select some lines."""
-        weights = tuple(weights[:, lines] for weights in self.weights)
-        return replace(self, factor=self.factor[:, :, lines], weights=weights)
+        return replace(self, test=self.test[:, :, lines], deviations=tuple(each[lines] for each in self.deviations))
 
     def select(self, elements: Sequence[int]) -> MeanErrors:
         """Select some elements."""
-        return replace(
-            self,
-            channels=tuple(self.channels[k] for k in elements),
-            weights=tuple(self.weights[k] for k in elements),
-        )
+        return replace(self, deviations=tuple(self.deviations[k] for k in elements))
 
     def scaled(self, factor: ComplexArray) -> MeanErrors:
         """Multiply by a factor at each line."""
-        return replace(self, weights=tuple(weights * factor for weights in self.weights))
+        return replace(self, deviations=tuple(each * factor[:, None] for each in self.deviations))
 
     def joined(self, others: Sequence[RandomErrors]) -> MeanErrors | None:
         """Join the errors of these and other elements."""
@@ -76,52 +71,16 @@ class MeanErrors:
         for other in others:
             if not isinstance(other, MeanErrors):
                 return None
-            if other.factor is not self.factor and not np.array_equal(other.factor, self.factor, equal_nan=True):
+            if other.test is not self.test and not np.array_equal(other.test, self.test, equal_nan=True):
                 return None
             same.append(other)
-        return replace(
-            self,
-            channels=tuple(channels for errors in same for channels in errors.channels),
-            weights=tuple(weights for errors in same for weights in errors.weights),
-        )
+        return replace(self, deviations=tuple(each for errors in same for each in errors.deviations))
 
     def covariance(self, error: Array, shared: float) -> LineCovariance:
         """Compute the covariance over elements, scaled to the stated variances, which neighboring lines moderate."""
-        deviations = np.stack(
-            [
-                np.einsum("cn,rcn->nr", weights, self.factor[:, channels])
-                for channels, weights in zip(self.channels, self.weights, strict=True)
-            ],
-            axis=1,
-        )
+        deviations = np.stack(self.deviations, axis=1)
         elements = deviations @ deviations.conj().swapaxes(1, 2)
         return LineCovariance(_add_uncorrelated(_scale_to_variances(elements, error)), shared)
-
-
-@dataclass(frozen=True)
-class MatrixErrors:
-    """Errors of all elements of a matrix, given by their covariance at each line."""
-
-    line_covariance: ComplexArray  # shape (lines, elements, elements)
-
-    def at(self, lines: Lines) -> MatrixErrors:
-        """Select some lines."""
-        return MatrixErrors(self.line_covariance[lines])
-
-    def select(self, elements: Sequence[int]) -> MatrixErrors:
-        """Select some elements."""
-        return MatrixErrors(self.line_covariance[:, elements][:, :, elements])
-
-    def scaled(self, factor: ComplexArray) -> MatrixErrors:
-        """Multiply by a factor at each line."""
-        return MatrixErrors(self.line_covariance * np.square(abs(factor))[:, None, None])
-
-    def joined(self, others: Sequence[RandomErrors]) -> None:
-        """Return None, because the correlation with other elements is unknown."""
-
-    def covariance(self, error: Array, shared: float) -> LineCovariance:
-        """Compute the covariance over elements, scaled to the stated variances."""
-        return LineCovariance(_add_uncorrelated(_scale_to_variances(self.line_covariance, error)), shared)
 
 
 @dataclass(frozen=True)
@@ -241,7 +200,10 @@ class SharedErrors:
             first.residual.shape == second.residual.shape
             and np.array_equal(self.lines, other.lines)
             and np.array_equal(first.first_bin, second.first_bin)
-            and np.array_equal(first.reference_power, second.reference_power, equal_nan=True)
+            and (
+                not first.has_single_reference
+                or np.array_equal(first.reference_power, second.reference_power, equal_nan=True)
+            )
         )
 
     def covariance(self, error: Array, shared: float) -> LocalCovariance:

@@ -11,6 +11,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from analysis.core.responses.checks.several_inputs import MAX_CONDITION_NUMBER, condition
 from analysis.core.responses.errors.budget import assemble_budget
 from analysis.core.responses.errors.random_errors import LocalErrors, SharedErrors
 from analysis.core.responses.errors.systematic import (
@@ -31,7 +32,7 @@ from analysis.core.responses.local_models.local_rational import (
     OutputSpectra,
     local_fit,
 )
-from analysis.core.responses.measurands import Measurand, reject_zero_reference
+from analysis.core.responses.measurands import Measurand, reference_name, reject_zero_reference
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import Response
 
@@ -60,6 +61,8 @@ class LocalSpectra:
     jitter: Array  # factor of the covariance of errors due to jitter, from `jitter_factor`; shape (rows, channels)
     # stored fits of a channel to a reference, because responses share the channels of their reference
     stored_fits: dict[tuple[str, Measurand], LocalFit] = field(default_factory=dict)
+    # stored noise bounds of several inputs, relative to their power; shape (lines,)
+    stored_noise: dict[Measurand, Array] = field(default_factory=dict)
     # stored spectra of references; complex, shape (segments, bins)
     stored_spectra: dict[Measurand, ComplexArray] = field(default_factory=dict)
 
@@ -68,18 +71,21 @@ class LocalSpectra:
         rec: Recording,
         numerator: Measurand,
         denominator: Measurand,
-        reference: str,
+        reference: str | Measurand,
         motion: str,
         label: str,
         warnings: Sequence[str],
         reference_noise: ComplexArray | None = None,
+        others: Sequence[Measurand] = (),
     ) -> Response:
-        """Estimate the response of one measurand to another.
+        """Estimate the response of one measurand to another; `others`: other inputs, with numerators of their own.
 
         `reference_noise`, shape (lines, parts): relative change of the reference due to independent parts of its noise,
         each with a real coefficient of variance 1; if it is omitted, the coherence limits the noise.
         """
-        names = list(dict.fromkeys([*numerator.channels, *denominator.channels]))
+        names = list(dict.fromkeys(name for each in (numerator, denominator, *others) for name in each.channels))
+        if others and denominator not in self.stored_noise:
+            self.stored_noise[denominator] = self._input_noise(rec, denominator, others)
         if names != list(self.channels):
             rows = [self.channels.index(name) for name in names]
             selected = replace(
@@ -90,7 +96,9 @@ class LocalSpectra:
                 noise=self.noise[rows],
                 jitter=self.jitter[:, rows],
             )
-            return selected.frf(rec, numerator, denominator, reference, motion, label, warnings, reference_noise)
+            return selected.frf(
+                rec, numerator, denominator, reference, motion, label, warnings, reference_noise, others
+            )
         frequency = self.frequency[self.lines]
         force = self.spectrum(rec, denominator)
         reject_zero_reference(rec, reference, force)
@@ -102,8 +110,10 @@ class LocalSpectra:
             if denominator.channels == (name,) and name != numerator.channels[0]:
                 readings[index] = 1.0 / reference_weights[index]
                 continue
+            if any(name in each.channels for each in others):  # independent of this input
+                continue
             # The other fits are large and are needed only once.
-            fit = self._fit(rec, name, denominator, is_stored=name in denominator.channels)
+            fit = self._fit(rec, name, denominator, others, is_stored=name in denominator.channels)
             readings[index] = fit.value * rec.channels[name].response(frequency)
             if name == numerator.channels[0]:
                 main_fit = fit
@@ -139,7 +149,7 @@ class LocalSpectra:
                 noise_bias = np.maximum(
                     noise_bias, shared_noise_bound(channel_noise, change_per_reading, reference_weights, power)
                 )
-            bounds[REFERENCE_NOISE] = noise_bias
+            bounds[REFERENCE_NOISE] = abs(value) * self.stored_noise[denominator] if others else noise_bias
             common_error = np.zeros((frequency.size, 0), dtype=complex)
         else:
             common_error = value[:, None] * reference_noise
@@ -154,16 +164,20 @@ class LocalSpectra:
             reference_power=self.power(force, self.half_width),
             complex_degrees_of_freedom=float(main_fit.degrees_of_freedom[0]) / 2.0,
             measured_share=self.measured_share,
-            has_single_reference=denominator.channels[1:] == () and not reference_noise_power.any(),
+            has_single_reference=denominator.channels[1:] == () and not others and not reference_noise_power.any(),
             common_error=common_error[:, None],
         )
         budget = assemble_budget(
             rec, contributions, np.sqrt(variance), main_fit.degrees_of_freedom, bounds, reference_bounds,
             SharedErrors.of(errors), self.shared, common_scale(rec, numerator.channels, denominator.channels),
         )  # fmt: skip
+        coherence = main_fit.coherence
+        if others:
+            coherence = np.clip(1.0 - main_fit.noise_power / self.power(self.output(rec, output).spectra), 0.0, 1.0)
+            value = np.where(self._condition(rec, (denominator, *others)) > MAX_CONDITION_NUMBER, np.nan, value)
         return Response.curve(
-            frequency, value, output, reference=reference, motion=motion, uncertainty=budget,
-            coherence=main_fit.coherence, label=label, warnings=tuple(warnings),
+            frequency, value, output, reference=reference_name(reference), motion=motion, uncertainty=budget,
+            coherence=coherence, label=label, warnings=tuple(warnings),
         )  # fmt: skip
 
     @property
@@ -189,19 +203,45 @@ class LocalSpectra:
             np.array(transients).reshape(-1, self.frequency.size),
         )
 
-    def power(self, spectra: ComplexArray, half_width: int) -> Array:
-        """Compute the mean square of spectra over `half_width` bins on either side of each line; shape (lines,)."""
+    def power(self, spectra: ComplexArray, half_width: int | None = None) -> Array:
+        """Compute the mean square of spectra over some bins on either side of each line; shape (lines,).
+
+        `half_width`: number of bins, by default those of a fit.
+        """
+        half_width = self.half_width if half_width is None else half_width
         mean_square = np.mean(abs(spectra) ** 2, axis=0)
         return np.asarray(scipy.ndimage.uniform_filter1d(mean_square, 2 * half_width + 1)[self.lines])
 
-    def _fit(self, rec: Recording, name: str, to: Measurand, is_stored: bool = True) -> LocalFit:
-        """Fit the response of the quantity that a channel measures to the measurand `to`."""
+    def _input_noise(self, rec: Recording, to: Measurand, others: Sequence[Measurand]) -> Array:
+        """Bound the noise power of an input relative to its power: the part that is not coherent with an output."""
+        inputs = {name for each in (to, *others) for name in each.channels}
+        frequency, power = self.frequency[self.lines], self.power(self.spectrum(rec, to))
+        ratios = [np.ones(frequency.size)]
+        for name in self.channels:
+            if name not in inputs:
+                fit = self._fit(rec, name, to, others)
+                explained = np.square(abs(fit.value * rec.channels[name].response(frequency))) * power
+                ratios.append(fit.noise_power / np.maximum(explained, 1e-300))
+        return np.asarray(np.min(ratios, axis=0))
+
+    def _condition(self, rec: Recording, inputs: Sequence[Measurand]) -> Array:
+        """Compute the condition number of the spectra of inputs at unit power, averaged over the bins of each fit."""
+        forces = np.stack([self.spectrum(rec, each) for each in inputs])
+        products = np.mean(forces[:, None] * forces[None].conj(), axis=2)
+        averages = scipy.ndimage.uniform_filter1d(products, 2 * self.half_width + 1, axis=-1)
+        return condition(np.moveaxis(averages[..., self.lines], -1, 0))
+
+    def _fit(
+        self, rec: Recording, name: str, to: Measurand, others: Sequence[Measurand] = (), is_stored: bool = True
+    ) -> LocalFit:
+        """Fit the response of the quantity that a channel measures to the measurand `to`, beside other inputs."""
         if (name, to) in self.stored_fits:
             return self.stored_fits[name, to]
         half_width = min(self.half_width, (self.frequency.size - 1) // 2)
         fit = local_fit(
-            self.output(rec, name), self.spectrum(rec, to), self.end_phases, self.lines, half_width, self.measured_share
-        )
+            self.output(rec, name), self.spectrum(rec, to), self.end_phases, self.lines, half_width,
+            self.measured_share, np.stack([self.spectrum(rec, other) for other in others]) if others else None,
+        )  # fmt: skip
         if is_stored:
             self.stored_fits[name, to] = fit
         return fit

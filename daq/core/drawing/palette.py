@@ -1,4 +1,4 @@
-"""Colors of drawings and curves: a body and its channels have one color, as in figures (`rig.core.base.palette`)."""
+"""Colors of drawings and curves on a dark page: those of figures and report (`rig.core.base.palette`), lightened."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ Color = tuple[int, int, int]
 
 
 def _rgb(color: str) -> Color:
-    red, green, blue = bytes.fromhex(color.removeprefix("#"))
+    red, green, blue = bytes.fromhex(palette.on_dark(color).removeprefix("#"))
     return red, green, blue
 
 

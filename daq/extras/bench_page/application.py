@@ -74,7 +74,7 @@ class Application:
         if name == "start":
             controller.start()
         elif name == "hit" and controller.has_hammer:
-            controller.start(hits=1)
+            controller.start(single_hit=True)
         elif name == "stop":
             controller.stop()
         elif name == "record":

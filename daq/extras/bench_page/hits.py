@@ -33,6 +33,7 @@ class Hit:
     faults: list[str]  # Reasons to reject it
     force: Array  # Force around the pulse, N
     readings: Array  # Readings of all channels in the window, shape (channels, samples)
+    is_complete: bool = True  # Whether its window is complete
     accepted: bool = field(init=False)  # Whether it is used for the frequency response; the operator can change it
 
     def __post_init__(self) -> None:
@@ -48,7 +49,8 @@ class HitDetector:
     """Detects impacts in the channel of the hammer, and checks each impact for faults at the end of its window.
 
     `row` is the row of this channel in the readings, `min_peak` the smallest accepted peak, N. `window` is the duration
-    of a window, s: the time after the trigger, and a short time before it, that belong to one impact.
+    of a window, s: the time after the trigger, and a short time before it, that belong to one impact. `pending` is the
+    impact whose window is not yet complete, if there is one, as far as it is known.
     """
 
     def __init__(self, row: int, rate: float, min_peak: float, window: float) -> None:
@@ -58,6 +60,7 @@ class HitDetector:
         self._overload: NDArray[np.bool_] = np.zeros((0, 0), bool)
         self._first = 0
         self.hits: list[Hit] = []
+        self.pending: Hit | None = None
 
     def add(self, first: int, readings: Array, overload: NDArray[np.bool_]) -> list[Hit]:
         """Add the next readings, the first with the number `first`; return the impacts whose windows are complete."""
@@ -74,13 +77,22 @@ class HitDetector:
     def _next_hit(self) -> Hit | None:
         """Return and remove the first impact whose window is complete; None if there is none."""
         assert self._readings is not None
+        self.pending = None
         force = self._readings[self._row]
         is_above = force > _TRIGGER_RATIO * self.min_peak
         trigger = int(np.argmax(is_above)) if is_above.any() else force.size
         self._drop(max(0, trigger - self._pretrigger))
-        if not is_above.any() or self._readings.shape[1] < self._window_samples:
+        if not is_above.any():
             return None
-        window, overload = self._readings[:, : self._window_samples], self._overload[:, : self._window_samples]
+        if self._readings.shape[1] < self._window_samples:
+            self.pending = self._judge(self._readings, self._overload)
+            return None
+        hit = self._judge(self._readings[:, : self._window_samples], self._overload[:, : self._window_samples])
+        self._drop(self._window_samples)
+        return hit
+
+    def _judge(self, window: Array, overload: NDArray[np.bool_]) -> Hit:
+        """Return the impact in a window that begins with the next sample, with its faults."""
         force = window[self._row]
         peak = float(force.max())
         faults = []
@@ -92,9 +104,8 @@ class HitDetector:
         if peak < self.min_peak and "clipped" not in faults:
             faults.append("too weak")
         displayed = force[: round(_DISPLAYED_S * self._rate)]
-        hit = Hit(len(self.hits) + 1, self._first, peak, faults, displayed, window)
-        self._drop(self._window_samples)
-        return hit
+        is_complete = window.shape[1] == self._window_samples
+        return Hit(len(self.hits) + 1, self._first, peak, faults, displayed, window, is_complete)
 
     def _drop(self, samples: int) -> None:
         """Remove the oldest stored samples."""

@@ -76,7 +76,8 @@ class TestController:
     The initial `settings` are those of the scene's test. `forms` are the procedures of the tests for which the scene
     has a shaker or a hammer, by title. `message` is the state of the test, or the reason why it did not start.
     `progress` is the completed fraction of the measurement, 0 while the test settles. `is_aborted` states whether the
-    last test ended early. `tests` is the number of started tests. `target` is the level of the test, N.
+    last test ended early. `tests` is the number of started tests; single impacts of the same settings belong to one
+    test. `target` is the level of the test, N.
     `frf_unavailable_reason` is the reason why there is no live frequency response.
     """
 
@@ -113,6 +114,9 @@ class TestController:
         self._test: tuple[Procedure[Any], Any] | None = None
         self._background_test: BackgroundTest | None = None
         self._controls: ToneControls | None = None
+        # Level and interval of the impacts that are averaged, and the message during a single impact.
+        self._series: tuple[float, float] | None = None
+        self._single_hit = ""
         # First sample, stop and marker fields of each impact of the test.
         self._hits: list[tuple[int, int, dict[str, Any]]] = []
 
@@ -205,32 +209,37 @@ class TestController:
         tone = procedure.frequency_at(test, self.progress)
         return (self.settings.low, self.settings.high) if tone is None else (tone, tone)
 
-    def start(self, hits: int | None = None) -> None:
+    def start(self, single_hit: bool = False) -> None:
         """Start the test that the settings describe; on failure `message` states the reason.
 
-        `hits`: number of impacts, instead of that of the settings.
+        `single_hit`: one impact, instead of the number in the settings. It is averaged with the impacts before, until
+        the level or the interval changes, or a whole test starts.
         """
         if self.running:
             return
-        chassis = self._chassis
+        chassis, monitor = self._chassis, self._monitor
         try:
             self._require_numbers()
-            values = self.settings if hits is None else replace(self.settings, hits=hits)
+            values = replace(self.settings, hits=1) if single_hit else self.settings
             scene, excite, self._controls = self._build_test(values)
-            frf, detector = self._build_estimate(scene)
+            series = values.level, values.interval
+            continues = single_hit and series == self._series and monitor.detector is not None
+            frf, detector = (monitor.frf, monitor.detector) if continues else self._build_estimate(scene)
+            self._series = series
+            self._single_hit = f"impact {1 + len(detector.hits)}" if single_hit and detector is not None else ""
             with chassis.changed:
                 chassis.return_outputs()
                 self._hits = []
                 self.progress, self._measures_from, self.is_aborted = 0.0, None, False
                 self._test, self.target = (self.forms[values.kind], scene.test), values.level
-                self.tests += 1
+                self.tests += not continues
                 self._recordings.begin_test(scene, kind_of_settings(scene.test))
                 self.message = f"{self.settings.kind} runs"
                 self._background_test = self._terminals.run_test(
                     scene, chassis.position, self._on_mark, self._on_progress, self._on_end, excite
                 )
                 if self.running:
-                    self._monitor.start_estimate(frf, detector, self.excited_band)
+                    monitor.start_estimate(frf, detector, self.excited_band)
         except (ShotrigError, ValueError) as error:
             self.message = str(error)
 
@@ -320,7 +329,7 @@ class TestController:
         self._hits = []
 
     def _on_progress(self, fraction: float, message: str) -> None:
-        self.message, self.progress = message, fraction
+        self.message, self.progress = (fraction and self._single_hit) or message, fraction
         if fraction and self._measures_from is None:
             self._measures_from = self._chassis.elapsed
 

@@ -22,6 +22,7 @@ from rig.core.base.arrays import Array
 from rig.core.base.errors import ShotrigError
 
 if TYPE_CHECKING:
+    from daq.extras.bench_page.hits import Hit
     from daq.extras.bench_page.live_bench import LiveBench
 
 # The page is refreshed at this interval, s; spectra, responses and the rig every so many refreshes.
@@ -81,6 +82,11 @@ def message(content: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> b
     return b"".join([struct.pack("<I", len(text)), text, *(a.astype("<f4").tobytes() for a in arrays.values())])
 
 
+def _verdict(hit: Hit) -> str:
+    """Return the faults of an impact, or its state."""
+    return ", ".join(hit.faults) or ("good" if hit.is_complete else "measuring")
+
+
 class Page:
     """The view of the bench in one browser."""
 
@@ -127,9 +133,8 @@ class Page:
             content["motion"] = self._rig.frames(motion)
             if self._rig.svg != self._shown_svg:
                 self._shown_svg = content["svg"] = self._rig.svg
-        detector = monitor.detector
-        if detector is not None and detector.hits:
-            arrays["pulse"] = detector.hits[-1].force
+        if hits := self._hits():
+            arrays["pulse"] = hits[-1].force
             content["pulse_step"] = 1.0 / monitor.rate
         self._refreshes += 1
         return message(content, arrays)
@@ -137,7 +142,7 @@ class Page:
     def _state(self) -> dict[str, Any]:
         """Return the state of the bench."""
         bench, monitor, controller, recordings = self._bench, self._monitor, self._controller, self._bench.recordings
-        hits = [] if monitor.detector is None else monitor.detector.hits[-_MAX_LISTED:]
+        hits = self._hits()
         return {
             "state": bench.state,
             "running": controller.running,
@@ -158,8 +163,16 @@ class Page:
             "outputs": bench.outputs(),
             "clients": bench.clients(_MAX_LISTED),
             "frf_reason": controller.frf_unavailable_reason,
-            "hits": [[hit.number, hit.peak, ", ".join(hit.faults) or "good", hit.accepted] for hit in reversed(hits)],
+            "hits": [[hit.number, hit.peak, _verdict(hit), hit.accepted, hit.is_complete] for hit in reversed(hits)],
         }
+
+    def _hits(self) -> list[Hit]:
+        """Return the last impacts of the test; the window of the last may not be complete."""
+        detector = self._monitor.detector
+        if detector is None:
+            return []
+        pending = detector.pending
+        return [*detector.hits, *([] if pending is None else [pending])][-_MAX_LISTED:]
 
     def _add_response(self, content: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
         """Add the live frequency response if it has changed."""

@@ -23,6 +23,9 @@ REFERENCE = "#404040"
 RECORDINGS = ("#AA4499", "#44AA99", "#A6761D", "#7E6BC4", "#CC6677", "#999933")
 #: Dampers by their type of motion (`rig.studies.motion_map`), from rest to irregular.
 MOTIONS = ("#e4e4e4", "#a6cee3", "#3f8fc4", "#1b4f7e", "#f2c14e", "#e07b39", "#8c1c3a")
+#: Background of dark pages, and the contrast of curves on it: they are thinner than text, for which WCAG requires 4.5.
+DARK_PAGE = "#14181d"
+MIN_DARK_CONTRAST = 6.0
 # Lengths of dashes and gaps, in line widths.
 _DASHES: tuple[tuple[float, ...], ...] = ((), (6, 2), (8, 2, 2, 2), (2, 1.5), (10, 3), (6, 2, 1, 2, 1, 2))
 _MARKERS = "os^DvP"
@@ -100,3 +103,30 @@ def recording_styles(is_reference: Sequence[bool]) -> list[CurveStyle]:
         index = (index if reference else index + 1) % len(_DASHES)
         styles.append(CurveStyle(color, _DASHES[index], _MARKERS[index]))
     return styles
+
+
+def on_dark(color: str) -> str:
+    """Return the shade of a color for curves on a dark page: lighter until its contrast suffices, as in the report.
+
+    >>> on_dark(BODIES[0]), on_dark(DAMPER) == DAMPER
+    ('#59a2cd', True)
+    """
+    while contrast(color, DARK_PAGE) < MIN_DARK_CONTRAST:
+        color = "#" + "".join(f"{int(part + 0.1 * (255 - part) + 0.5):02x}" for part in bytes.fromhex(color[1:]))
+    return color
+
+
+def contrast(color: str, background: str) -> float:
+    """Return the contrast ratio of two colors (WCAG 2.1), from 1 to 21.
+
+    >>> round(contrast("#ffffff", "#000000"))
+    21
+    """
+    brighter, darker = sorted(map(_luminance, (color, background)), reverse=True)
+    return (brighter + 0.05) / (darker + 0.05)
+
+
+def _luminance(color: str) -> float:
+    values = [part / 255 for part in bytes.fromhex(color[1:])]
+    linear = [v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in values]
+    return sum(weight * v for weight, v in zip((0.2126, 0.7152, 0.0722), linear, strict=True))

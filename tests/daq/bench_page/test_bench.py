@@ -25,6 +25,7 @@ from daq.extras.bench_page.bench import _open_browser, _serve_page
 from daq.extras.bench_page.half_power import largest_peaks, live_peaks
 from daq.extras.bench_page.live_bench import LiveBench
 from daq.extras.bench_page.live_frf import LiveCurves
+from daq.extras.bench_page.page import Page
 from daq.extras.bench_page.rig_svg import RigDrawing
 from daq.extras.ni_device.connecting import connect_scene
 from daq.extras.ni_device.engines.log import MarkedRecording
@@ -214,9 +215,31 @@ def test_state_follows_the_test(bench):
 @pytest.mark.parametrize("bench", ["hammer"], indirect=True)
 def test_key_gives_a_single_hit(bench):
     set_controls(bench, level=100.0, hits=4, interval=2.0)
-    bench.controller.start(hits=1)
+    bench.controller.start(single_hit=True)
     pass_time(bench, 4.0)
     assert len(bench.monitor.detector.hits) == 1 and bench.controller.settings.hits == 4
+
+
+@pytest.mark.parametrize("bench", ["hammer"], indirect=True)
+def test_single_hits_of_equal_settings_are_averaged(bench):
+    set_controls(bench, level=100.0, hits=4, interval=2.0)
+    averages, tests = [], []
+    for level in (100.0, 100.0, 90.0):
+        set_controls(bench, level=level)
+        bench.controller.start(single_hit=True)
+        pass_time(bench, 4.0)
+        averages.append(bench.monitor.frf.curves().averages)
+        tests.append(bench.controller.tests)
+    assert averages == [1, 2, 1] and tests == [1, 1, 2]
+
+
+@pytest.mark.parametrize("bench", ["hammer"], indirect=True)
+def test_impact_is_listed_before_its_window_ends(bench):
+    set_controls(bench, level=1000.0, hits=1, interval=2.0)
+    bench.controller.start()
+    pass_time(bench, 1.5)
+    ((number, peak, verdict, _, is_complete),) = Page(bench)._state()["hits"]
+    assert (number, verdict, is_complete) == (1, "clipped", False) and peak > 400.0
 
 
 @pytest.mark.parametrize("bench", ["sine"], indirect=True)

@@ -22,7 +22,7 @@ import pytest
 import analysis
 import daq
 from daq.extras.ni_server.client_defaults import open_channel
-from rig.core.base.palette import BODIES, HAMMER
+from rig.core.base.palette import BODIES, HAMMER, contrast, on_dark
 from tests.daq.bench_page.test_bench import BRACKET, SHAKER_TEST
 
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
@@ -182,12 +182,20 @@ def test_keys_start_freeze_and_stop(bench, browser):
     wait_for(browser, lambda: element(browser, "pill").text == "aborted")
 
 
+def value_of(browser, script):
+    return browser.execute_script(f"return {script}")
+
+
 @pytest.mark.thorough
 def test_page_has_the_colors_of_the_figures(bench, browser):
     browser.get(bench[0])
     wait_for(browser, lambda: element(browser, "state").text == "ready")
     colors = dict(browser.execute_script("return channels.map(each => [each.name, each.color])"))
-    assert colors == {"base": BODIES[0].lower(), "arm": BODIES[1].lower(), "force": HAMMER.lower()}
+    expected = {"base": BODIES[0], "arm": BODIES[1], "force": HAMMER}
+    assert colors == {name: on_dark(color).lower() for name, color in expected.items()}
+    panel = value_of(browser, "getComputedStyle(document.querySelector('section')).backgroundColor")
+    background = "#{:02x}{:02x}{:02x}".format(*map(int, re.findall(r"\d+", panel)))
+    assert min(contrast(color, background) for color in colors.values()) >= 4.5
 
 
 @pytest.mark.thorough
@@ -195,9 +203,7 @@ def test_texts_and_scales_suit_the_values(bench, browser):
     browser.get(bench[0])
     wait_for(browser, lambda: element(browser, "state").text == "ready")
 
-    def value(script):
-        return browser.execute_script(f"return {script}")
-
+    value = functools.partial(value_of, browser)
     # Noise at ±180° does not cross the chart.
     assert value("Array.from(wrapped(Float32Array.of(180, 0, -170)))") == [-180, 0, -170]
     assert value("levelText({target: 200, level_kind: 'peak', force: null})") == "200 N peak"
@@ -205,12 +211,15 @@ def test_texts_and_scales_suit_the_values(bench, browser):
     assert "1 average: no γ²" in value(f"(response.head = {{averages: 1}}, {note})")
     # The phase of a single hit, without coherence, is drawn where it changes little from line to line.
     phase = "Float32Array.from({length: 200}, (_, k) => k < 100 ? k / 10 : (40 * k) % 180)"
-    drawn = value(f"Array.from(cut({phase}, new Float32Array(200).fill(NaN)), (value) => !isNaN(value))")
+    drawn = value(f"Array.from({{length: 200}}, (_, k) => determined({phase}, new Float32Array(200).fill(NaN))(k))")
     assert all(drawn[:70]) and not any(drawn[130:])
     # The axis of a hammer test is logarithmic and ends at the highest excited frequency.
     curves = "{frequency: Float32Array.of(0, 0.5, 1, 300, 400), rows: [{magnitude: Float32Array.of(1, 1, 1, 1, NaN)}]}"
     low, high = value(f"response.range.call({{curves: {curves}}})")
     assert (round(low, 2), high) == (0.95, 300)
+    clipped = "cause({name: 'a', unit: 'm/s^2', limit: 490.3325}, [3.624, READING])"
+    assert value(clipped.replace("READING", "490.3")) == "a: at 3.624 s clipped at its limit, 50 g"
+    assert value(clipped.replace("READING", "588.4")) == "a: at 3.624 s 60 g, limit 50 g"
     panel = "{name: 'µm', range: [-2000, 2000], curves: [{y: Float32Array.of(1500)}]}"
     assert value(f"inMillimeters({panel}).name") == "mm"
     assert value(f"inMillimeters({panel}).curves[0].y[0]") == 1.5

@@ -71,7 +71,8 @@ function inMillimeters(panel) {
 
 function panels(kind, x, values, log) {
   return groups().map(({ key, name, factor, smallest, rows }) => {
-    const curves = rows.map((row) => ({ x, y: values[row].map((value) => factor * value), color: channels[row].color, width: 1.2 }));
+    // Bodies are in front of tables, which would hide them.
+    const curves = [...rows].sort((a, b) => Boolean(channels[a].responds) - Boolean(channels[b].responds)).map((row) => ({ x, y: values[row].map((value) => factor * value), color: channels[row].color, width: 1.4 }));
     const label = key === "hammer" ? "hammer / N" : name, panel = { name: label, log, smallest, share: rows.length > 1 ? 2 : 1, curves };
     const [low, high] = limits(panel);
     // A spectrum shows three decades below its highest line, or below the smallest full scale.

@@ -47,6 +47,11 @@ class Chart {
       top += height + GAP;
     }
     this.drawAbscissa(top - GAP);
+    if (this.hint && this.panels.every((panel) => !panel.curves.length)) {
+      context.font = "15px system-ui, sans-serif";
+      [context.textAlign, context.textBaseline] = ["center", "middle"];
+      text(context, this.hint, (LEFT + this.width) / 2, this.height / 3);
+    }
     for (const [k, x] of this.cursors.entries()) this.drawCursor(x, "AB"[k], top - GAP);
   }
 
@@ -79,10 +84,10 @@ class Chart {
     context.restore();
   }
 
-  drawCurve({ x, y, color, dash = [], width = 1.4, dots = false }, toPixel) {
+  drawCurve({ x, y, color, dash = [], width = 1.4, opacity = 1, dots = false }, toPixel) {
     const { context } = this, isGap = (k) => k < 0 || k >= y.length || !isFinite(y[k]);
     context.strokeStyle = context.fillStyle = color;
-    context.lineWidth = width;
+    [context.lineWidth, context.globalAlpha] = [width, opacity];
     context.setLineDash(dash);
     context.beginPath();
     for (let k = 0; k < y.length; k++) {
@@ -94,7 +99,7 @@ class Chart {
     }
     context.stroke();
     context.setLineDash([]);
-    context.lineWidth = 1;
+    context.lineWidth = context.globalAlpha = 1;
   }
 
   drawAbscissa(bottom) {

@@ -15,6 +15,10 @@ const levels = {
       name.title = level.title = value.title = `${channel.name}: peak of the last 0.25 s; white: held peak; ${limit}; from ${FLOOR_DB} to 0 dB`;
       return { channel, name, bar: make(level, "i"), hold: make(level, "b"), value, held: 0, since: 0 };
     });
+    make($("levels"), "span");
+    const scale = make($("levels"), "span");
+    scale.className = "scale";
+    for (const decibels of [FLOOR_DB, FLOOR_DB / 2, 0]) make(scale, "span", `${decibels}`.replace("-", "−"));
     $("clear").addEventListener("click", () => this.rows.forEach((row) => { row.held = 0; }));
   },
 
@@ -28,12 +32,19 @@ const levels = {
       row.value.firstChild.data = withUnit(level, channel.unit);
       row.name.classList.toggle("over", Boolean(overload));
       if (!overload) return;
-      const limit = channel.limit == null ? "limit of its sensor" : `limit ${withUnit(channel.limit, channel.unit)}`;
-      causes.push(`${channel.name}: overloaded at ${digits(overload[0], 4)} s, reading ${withUnit(overload[1], channel.unit)}, ${limit}`);
+      causes.push(cause(channel, overload));
     });
+    if (causes.length) causes.push("Lower the level or extend the range, then Clear.");
     setText("causes", causes.join("\n"));
   },
 };
+
+// A clipped reading equals the limit: by how much the signal exceeds the limit is not known.
+function cause({ name, unit, limit }, [time, reading]) {
+  const at = `${name}: at ${digits(time, 4)} s`;
+  if (limit == null) return `${at} ${withUnit(reading, unit)}, limit of its sensor`;
+  return reading > 1.01 * limit ? `${at} ${withUnit(reading, unit)}, limit ${withUnit(limit, unit)}` : `${at} clipped at its limit, ${withUnit(limit, unit)}`;
+}
 
 function part(level, limit) {
   if (limit == null || !(level > 0)) return 0;

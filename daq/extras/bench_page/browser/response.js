@@ -9,11 +9,13 @@ const response = {
   start(channels) {
     this.channels = channels.filter((channel) => channel.responds);
     this.chart = new Chart($("frf"), { name: "frequency / Hz", log: false });
+    this.chart.hint = "Start a test: the response of the structure grows here.";
     for (const { name, color } of this.channels) {
       const entry = make($("legend"), "span");
       make(entry, "i").style.background = color;
       entry.append(name);
     }
+    make($("legend"), "small").id = "thin";
     $("frf").addEventListener("click", (event) => {
       this.chart.cursors[event.shiftKey ? 1 : 0] = this.nearest(this.chart.value(event.offsetX));
       this.draw();
@@ -47,7 +49,7 @@ const response = {
   // What the chart contains, or why it is empty.
   note(state) {
     const averages = this.head?.averages;
-    const empty = state.hits.length ? "no accepted impact yet" : state.running ? "begins with the measurement" : "begins with a test";
+    const empty = state.hits.length ? (state.hits[0][4] ? "no accepted impact" : "after this impact") : state.running ? "after settling" : "start a test";
     return (averages ? (averages > 1 ? `H1, ${averages} averages` : "1 average: no γ²") : state.frf_reason || empty) + (this.problem ? `; ${this.problem}` : "");
   },
 
@@ -63,18 +65,19 @@ const response = {
   draw() {
     const micro = (values) => Float32Array.from(values, (value) => 1e6 * value);
     const { curves, previous, theory } = this, magnitude = [], phase = [], coherence = [];
-    setText("last-level", previous ? `: ${previous.level} ` : " ");
-    if (previous && $("last").checked) {
-      for (const row of previous.rows) magnitude.push({ x: previous.frequency, y: micro(row.magnitude), color: row.color, dash: [2, 3], width: 1 });
-    }
+    const showsLast = previous && $("last").checked;
+    if (showsLast) for (const row of previous.rows) magnitude.push({ x: previous.frequency, y: micro(row.magnitude), color: LAST, width: 1 });
+    setText("thin", [curves ? "thin: uncertain (γ² < 0.7, or phase scatters)" : "", showsLast ? `gray: last test, ${previous.level}` : ""].filter(Boolean).join("; "));
     if (theory && $("theory").checked) {
       theory.rows.forEach((row, k) => magnitude.push({ x: theory.frequency, y: micro(row), color: this.channels[k].color, dash: [7, 4], width: 1 }));
     }
     for (const row of curves?.rows ?? []) {
       const style = { x: curves.frequency, color: row.color, dots: true };
-      magnitude.push({ ...style, y: micro(row.magnitude), width: 0.7 });
-      magnitude.push({ ...style, y: micro(row.magnitude).map((value, k) => (row.coherence[k] >= COHERENT ? value : NaN)), width: 2 });
-      phase.push({ ...style, y: cut(row.phase, row.coherence), width: this.head?.averages === 1 ? 0.7 : 1.4 });
+      const certain = determined(row.phase, row.coherence), only = (values, isShown) => values.map((value, k) => (isShown(k) ? value : NaN));
+      magnitude.push({ ...style, y: micro(row.magnitude), width: 0.6, opacity: 0.6 });
+      magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => (isNaN(row.coherence[k]) ? certain(k) : row.coherence[k] >= COHERENT)), width: 1.8 });
+      // No line crosses the chart where the phase wraps.
+      phase.push({ ...style, y: only(row.phase, (k) => certain(k) && !(Math.abs(row.phase[k] - row.phase[k - 1]) > 180)), width: 1.6 });
       coherence.push({ ...style, y: row.coherence });
     }
     const fixed = (values) => values.map((value) => [value, true]), range = this.range();
@@ -83,7 +86,8 @@ const response = {
     this.chart.show(range, [
       { name: "|compliance| / (µm/N)", log: true, share: 3.2, curves: magnitude },
       { name: "phase / °", range: [-285, 105], ticks: fixed([-270, -180, -90, 0, 90]), curves: phase },
-      { name: "γ²", range: [0, 1.02], ticks: fixed([0, 0.5, 1]), share: 0.7, curves: coherence },
+      // A single average has no coherence.
+      ...(curves?.rows.every((row) => row.coherence.every(isNaN)) ? [] : [{ name: "γ²", range: [0, 1.02], ticks: fixed([0, 0.5, 1]), share: 0.7, curves: coherence }]),
     ]);
     this.describe();
   },
@@ -102,30 +106,33 @@ const response = {
       const [[f, i], [g, k]] = cursors;
       rows.push(["B − A", `${digits(g - f, 4)} Hz`, ...curves.rows.map((row) => `${digits(20 * Math.log10(row.magnitude[k] / row.magnitude[i]), 3)} dB`)]);
     }
-    fillTable($("cursors"), rows.length ? [["cursor", "frequency", ...curves.rows.map((row) => row.name)], ...rows] : [["Click: cursor A. Shift and click: cursor B. Double-click: none."]]);
+    fillTable($("cursors"), rows.length ? [["cursor", "frequency", ...curves.rows.map((row) => row.name)], ...rows] : [[curves ? "Click: cursor A. Shift and click: cursor B. Double-click: none." : ""]]);
     const peaks = this.head?.peaks ?? [];
+    $("peaks-title").hidden = !peaks.length;
     if (!peaks.length) return $("peaks").replaceChildren();
     fillTable($("peaks"), [["peak", "frequency", "value", "damping"], ...peaks.map(([name, f, value, damping]) => [
       name, `${digits(f, 5)} Hz`, withUnit(value, "m/N"), damping == null ? "–" : `${digits(100 * damping, 2)} %`])]);
   },
 };
 
+// Color of the last test: its curves lie behind those of the present test.
+const LAST = "#8994a0";
 // Below this coherence, the magnitude is thin and the phase empty.
 const COHERENT = 0.7;
-// The phase is noise where a quarter of the lines around have larger steps, degrees.
+// A line is noise where the phase has larger steps, degrees, at a quarter of the lines around.
 const LARGEST_STEP = 17;
 const AROUND = 40; // lines on either side
 const DECADES = 2.5;
 
-// The phase where it is coherent, without the lines across the chart where it wraps.
-function cut(phase, coherence) {
+// Return whether the response at line k is determined: coherent, and with a phase that does not scatter.
+function determined(phase, coherence) {
   const steps = phase.map((value, k) => (k ? Math.abs(value - phase[k - 1]) : 0));
   const isSmooth = (k) => {
     const around = steps.subarray(Math.max(k - AROUND, 0), k + AROUND + 1);
     return around.filter((step) => Math.min(step, 360 - step) > LARGEST_STEP).length < around.length / 4;
   };
   // A single average has no coherence.
-  return phase.map((value, k) => (steps[k] > 180 || coherence[k] < COHERENT || !isSmooth(k) ? NaN : value));
+  return (k) => !(coherence[k] < COHERENT) && isSmooth(k);
 }
 
 // The phase from -270° to 90°, as in the report: a receptance out of phase stays at -180° whatever the noise.

@@ -15,17 +15,20 @@ const bar = {
     setText("message", state.message);
     const { progress, remaining } = state;
     $("progress").hidden = progress == null;
-    $("progress").firstChild.style.width = `${100 * (progress ?? 0)}%`;
+    $("progress").querySelector("i").style.width = `${100 * (progress ?? 0)}%`;
     $("progress").lastChild.textContent = progress == null ? "" : `${Math.floor(100 * progress)} %${remaining == null ? "" : `, ${Math.ceil(remaining)} s left`}`;
     setText("force", state.running ? levelText(state) : "");
     setText("lag", state.lag < 0.04 ? "real time" : `${Math.round(1000 * state.lag)} ms late`);
+    const overloads = Object.keys(state.overloads).length;
+    $("overloads").hidden = !overloads;
+    setText("overloads", overloads === 1 ? "1 channel overloaded" : `${overloads} channels overloaded`);
     $("lag").classList.toggle("bad", state.lag >= 0.25);
     this.showRecording(state);
     setText("outputs", state.outputs.join("\n") || "none");
     setText("clients", state.clients.join("\n") || "no task of an NI client");
     setText("problem", state.problem);
     $("pulse").hidden = !arrays.pulse;
-    setText("no-hit", arrays.pulse ? "" : "no impact yet");
+    setText("no-hit", arrays.pulse ? "" : state.running ? "waiting for the impact" : "none: press Start, or add one impact");
     if (arrays.pulse) {
       const force = arrays.pulse[0];
       this.pulse.show([0, 1000 * step * force.length], [
@@ -48,13 +51,13 @@ const bar = {
     if (shown === this.shownHits) return;
     this.shownHits = shown;
     $("hit-list").replaceChildren();
-    for (const [number, peak, verdict, accepted] of hits) {
+    for (const [number, peak, verdict, accepted, complete] of hits) {
       const row = make($("hit-list"), "tr"), box = make(make(row, "td"), "input");
-      Object.assign(box, { type: "checkbox", checked: accepted, title: "Use this impact for the response" });
+      Object.assign(box, { type: "checkbox", checked: accepted, disabled: !complete, title: "Use this impact for the response" });
       box.addEventListener("change", () => send("accept", [number, box.checked]));
       make(row, "td", `${number}`);
       make(row, "td", `${digits(peak, 3)} N`);
-      make(row, "td", verdict).className = verdict === "good" ? "" : "bad";
+      make(row, "td", verdict).className = ["good", "measuring"].includes(verdict) ? "" : "bad";
     }
   },
 };

@@ -8,12 +8,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from PIL import Image
-
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "recordings"
-# Height of the menu of the viewer, pixels.
-_MENU = 38
 #: Commands for each picture; they write to the folder or file OUT, and the picture is the file that matches.
 PICTURES = {
     "bench.png": ("tests.browser_picture bench OUT/bench.png", "bench.png"),
@@ -47,10 +43,6 @@ def draw(name: str, folder: Path) -> Path:
     for command in commands.replace("OUT", str(folder)).split("; "):
         subprocess.run([sys.executable, "-m", *command.split()], cwd=ROOT, check=True)
     (picture,) = folder.glob(pattern)
-    if name == "replay.png":
-        # Without the menu of the viewer, which shows warnings on a machine without a graphics card.
-        with Image.open(picture) as drawn:
-            drawn.crop((0, _MENU, *drawn.size)).save(picture)
     return picture
 
 

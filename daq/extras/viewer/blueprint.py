@@ -27,23 +27,34 @@ def layout(
     lowest_mode_hz: float,
     camera: Camera,
     span_s: tuple[float, float],
+    is_whole: bool,
+    tables: Sequence[str],
     speed: float,
 ) -> rrb.Blueprint:
     """Arrange a replay: rig and notes at the left, plots at the right.
 
-    The plot at the top shows the whole recording, with the phases of the test under it. The plots below show some
-    periods of the lowest mode around the time cursor.
+    The plot at the top shows the whole segment without tables, which would hide the bodies; the phases of the test are
+    under it. The plots below show some periods of the lowest mode around the time cursor.
 
     `plots` lists entity and title of the plot of each quantity, the most important first. `damper_count` is the number
     of dampers with known gaps. `camera` gives its position and the point at which it looks. `span_s` is the start and
-    the end on the timeline. `speed` is the playback speed (1 is real time).
+    the end on the timeline; `is_whole` states whether this is the recording. `tables` lists the entities of channels on
+    tables. `speed` is the playback speed (1 is real time).
     """
     cursor_range = _cursor_range(CURSOR_PERIODS / lowest_mode_hz, CURSOR_PERIODS / lowest_mode_hz)
     entity, title = plots[0]
     # Without limits the viewer shows only about a minute around the cursor.
     begin, end = (rrb.TimeRangeBoundary.absolute(seconds=time_s) for time_s in span_s)
     axis = rrb.TimeAxis(view_range=rrb.TimeRange(start=begin, end=end))
-    overview = rrb.TimeSeriesView(origin=entity, name=f"{title}, whole recording", plot_legend=_legend(), axis_x=axis)
+    part = "whole recording" if is_whole else f"{round(span_s[0], 3):g} s to {round(span_s[1], 3):g} s of the recording"
+    overview = rrb.TimeSeriesView(
+        origin=entity,
+        contents=[f"{entity}/**", *(f"- {table}" for table in tables)],
+        name=f"{title}, {part}{', without table' if tables else ''}",
+        # The legend of the plot below is valid here, too.
+        plot_legend=rrb.PlotLegend(visible=False),
+        axis_x=axis,
+    )
     phase_view = rrb.StateTimelineView(
         origin="test",
         contents=["test/phase", f"{OVERLOAD_ENTITY}/**"],
@@ -56,7 +67,8 @@ def layout(
     if damper_count:
         right_column.append(_curve_view("dampers/gap_mm", "damper gap [mm] around the cursor (truth)", cursor_range))
         axis = rrb.TimeAxis(view_range=cursor_range)
-        right_column.append(rrb.StateTimelineView(origin="dampers/contact", name="contact (truth)", time_view=axis))
+        name = "contact (truth; blue: flight, brown: floor, red: ceiling)"
+        right_column.append(rrb.StateTimelineView(origin="dampers/contact", name=name, time_view=axis))
     notes = rrb.Tabs(
         rrb.Spatial2DView(origin="spectrum", name="spectrum"),
         rrb.TextDocumentView(origin="about", name="recording"),
@@ -65,9 +77,9 @@ def layout(
     )
     # The lanes of a state timeline have a fixed height, so that their view must grow with their number.
     lane_height = 0.6 * overloaded_count
-    row_heights = [3.0, 1.0 + lane_height, 4.5]
+    row_heights = [3.6, 1.0 + lane_height, 4.5]
     if damper_count:
-        row_heights = [3.0, 1.5 + lane_height, 3.8, 3.0, 0.8 + 0.6 * damper_count]
+        row_heights = [3.9, 1.3 + lane_height, 3.9, 2.6, 0.8 + 0.6 * damper_count]
     panel = rrb.TimePanel(state="collapsed", timeline=TIMELINE, playback_speed=speed, loop_mode="all")
     return _two_columns(camera, notes, right_column, row_heights, panel)
 
@@ -107,4 +119,4 @@ def _cursor_range(before_s: float, after_s: float) -> rrb.TimeRange:
 
 
 def _legend() -> rrb.PlotLegend:
-    return rrb.PlotLegend(rrb.Corner2D.RightTop)
+    return rrb.PlotLegend(rrb.Corner2D.LeftTop)

@@ -21,6 +21,8 @@ NOT_PHASE_KINDS = ("overload", "clipped", "alarm", "level")
 PHASE_COLORS = {"settle": 0x55606EFF, "measure": 0x3D8B5FFF, "hit": 0x3D8B5FFF, "gap": 0xC4453BFF, "lost": 0xC4453BFF}
 OTHER_PHASE_COLOR = 0x7A6AA8FF
 OVERLOAD_COLOR = 0xC4453BFF
+# An overload is drawn at least this fraction of the segment long: it may last a sample.
+_MIN_DRAWN_PART = 0.004
 
 
 class LogLine(NamedTuple):
@@ -85,13 +87,17 @@ def phases(recording: Recording, start: int, stop: int) -> list[LabeledSegment]:
 
 
 def overloads(recording: Recording, start: int, stop: int) -> dict[str, list[LabeledSegment]]:
-    """Return the segments of [start, stop) in which each channel was overloaded, in order of time."""
+    """Return the drawn segments of [start, stop) in which each channel was overloaded, in order of time."""
     by_channel: dict[str, list[LabeledSegment]] = {}
+    shortest = round(_MIN_DRAWN_PART * (stop - start))
     for marker in sorted(recording.overloads, key=lambda marker: marker.first_sample):
         first, last = max(start, marker.first_sample), min(stop, marker.stop)
         if first < last:
-            name = str(marker.fields.get("channel", ""))
-            by_channel.setdefault(name, []).append(LabeledSegment(first, last, f"{name} overloaded", OVERLOAD_COLOR))
+            drawn = by_channel.setdefault(str(marker.fields.get("channel", "")), [])
+            if drawn and first < drawn[-1].stop:
+                drawn[-1] = drawn[-1]._replace(stop=max(last, drawn[-1].stop))
+            else:
+                drawn.append(LabeledSegment(first, min(max(last, first + shortest), stop), " ", OVERLOAD_COLOR))
     return by_channel
 
 

@@ -10,11 +10,13 @@ import threading
 import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from io import BytesIO
 from pathlib import Path
 from urllib.parse import quote
 from uuid import uuid4
 
 import rerun as rr
+from PIL import Image
 
 from daq.extras.viewer.replay import Replay
 from daq.extras.viewer.rerun_viewer import (
@@ -41,6 +43,8 @@ _BYTES_PER_VALUE = 20
 _LAST_ENTITY = "complete"
 # A note is printed if the viewer will need more memory, GB.
 _NOTE_ABOVE_GB = 2.0
+# Height of the menu of the viewer, pixels. Pictures omit it: it shows warnings on a machine without a graphics card.
+_MENU_PIXELS = 38
 # Maximum wait for a viewer or a file to accept a block, s.
 _MAX_SINK_WAIT_S = 60.0
 
@@ -128,11 +132,12 @@ def draw_picture(
     with tempfile.TemporaryDirectory(prefix="shotrig-") as folder:
         rrd_path = Path(folder) / "replay.rrd"
         save(replay, rrd_path, progress)
+        window_size = size[0], size[1] + _MENU_PIXELS
         png, views = headless_picture(
-            rrd_path, time_s - replay.start / rate, size, (replay.stop - 1 - replay.start) / rate, _LAST_ENTITY
+            rrd_path, time_s - replay.start / rate, window_size, (replay.stop - 1 - replay.start) / rate, _LAST_ENTITY
         )
-    with atomic_write(file) as part:
-        part.write_bytes(png)
+    with atomic_write(file) as part, Image.open(BytesIO(png)) as drawn:
+        drawn.crop((0, _MENU_PIXELS, *drawn.size)).save(part, "PNG")
     problems = [f"{view.name}: {report.summary}" for view in views for report in view.reports]
     if problems:
         raise RunError(f"{file}: parts of the picture could not be drawn ({'; '.join(problems)}). Draw it again.")

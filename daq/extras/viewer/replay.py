@@ -16,7 +16,7 @@ from daq.extras.viewer.blueprint import OVERLOAD_ENTITY, layout
 from daq.extras.viewer.description import markdown_page
 from daq.extras.viewer.marker_log import LabeledSegment, log_lines, overloads, phases
 from daq.extras.viewer.recorded_motion import BLOCK_SAMPLES, RecordedMotion
-from daq.extras.viewer.viewer_stream import CurveSender, plots
+from daq.extras.viewer.viewer_stream import CurveSender, channel_entity, plots
 from rig.core.base.errors import SceneError
 from rig.core.base.progress import FractionProgress
 
@@ -103,7 +103,14 @@ class Replay:
         span = self.start / self.recording.rate, self.stop / self.recording.rate
         overloaded = len(overloads(self.recording, self.start, self.stop))
         curves = plots(self.recording.channels)
-        return layout(curves, dampers, overloaded, self.lowest_mode_hz, self.view.camera, span, self.speed)
+        tables = [
+            channel_entity(info.quantity, name)
+            for name, info in self.recording.channels.items()
+            if info.at.startswith("table") and curves[0][0] == f"channels/{info.quantity}"
+        ]
+        is_whole = (self.start, self.stop) == (0, self.recording.samples)
+        camera = self.view.camera
+        return layout(curves, dampers, overloaded, self.lowest_mode_hz, camera, span, is_whole, tables, self.speed)
 
     def send(
         self,

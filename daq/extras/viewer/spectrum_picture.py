@@ -23,6 +23,8 @@ _MAX_SEGMENTS = 200
 _SIZE_INCH = (7.6, 3.6)
 _BACKGROUND = "#16181d"
 _FOREGROUND = "#c8ccd4"
+# Displayed units, by SI units, with their factors; other units are as recorded.
+_DISPLAY_UNITS = {"m": (1e6, "µm"), "m/s": (1e3, "mm/s")}
 
 
 def peak_hold_spectrum(
@@ -66,15 +68,18 @@ def spectrum_picture(recording: Recording, start: int, stop: int) -> bytes:
         spectra = {name: peak_hold_spectrum(recording, name, start, stop) for name in channels}
         frequency = next(iter(spectra.values()))[0]
         in_range = (frequency >= 1.0) & (frequency <= max(100.0, 8 * natural_hz[-1]))
+        factor, shown_unit = _DISPLAY_UNITS.get(unit, (1.0, unit))
         for name, (_, amplitude) in spectra.items():
             color = tuple(component / 255 for component in channel_color(channels[name].at))
-            panel.plot(frequency[in_range], amplitude[in_range], color=color, label=escape_figure(name), linewidth=1.0)
+            panel.plot(
+                frequency[in_range], factor * amplitude[in_range], color=color, label=escape_figure(name), linewidth=1.2
+            )
         for natural_frequency in natural_hz[natural_hz > 1.0]:
             panel.axvline(natural_frequency, color=_FOREGROUND, linewidth=0.8, linestyle=":", alpha=0.7)
         set_log_scale(panel.xaxis)
         if any(np.any(amplitude[in_range] > 0.0) for _, amplitude in spectra.values()):
             set_log_scale(panel.yaxis, 5)
-        divisor = f"({unit})" if "/" in unit else unit
+        divisor = f"({shown_unit})" if "/" in shown_unit else shown_unit
         panel.set_ylabel(f"{quantity} / {divisor}".replace("^2", "²"), color=_FOREGROUND)
         panel.set_facecolor(_BACKGROUND)
         panel.grid(color=_FOREGROUND, alpha=0.15)
@@ -83,8 +88,8 @@ def spectrum_picture(recording: Recording, start: int, stop: int) -> bytes:
         panel.legend(facecolor=_BACKGROUND, edgecolor="none", labelcolor=_FOREGROUND, fontsize="small", framealpha=0.6)
     panels[-1].set_xlabel("frequency / Hz", color=_FOREGROUND)
     panels[0].set_title(
-        "peak-hold spectrum (Hann); dotted: natural frequencies without dampers",
-        color=_FOREGROUND, fontsize="medium",
+        f"peak hold, Hann, lines of {frequency[0]:.2g} Hz; dotted: natural frequencies without dampers",
+        color=_FOREGROUND, fontsize="medium", loc="left",
     )  # fmt: skip
     picture = io.BytesIO()
     figure.savefig(picture, format="png", facecolor=_BACKGROUND)

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from rig.core.scene.damper import Damper
 
 CONTACTS = ("flight", "floor", "ceiling", "lost")
-CONTACT_COLORS = (0x3B82C4FF, 0x8A5A2BFF, 0xC4453BFF, 0x404040FF)
+# Different in lightness, so that they remain distinct in a gray print.
+CONTACT_COLORS = (0x5AA0DCFF, 0x6B4423FF, 0xC4453BFF, 0x404040FF)
 # Quantities in the order of their plots: factor from SI to the displayed unit, and this unit.
 DISPLAY_UNITS = {
     "displacement": (1e3, "mm"),
@@ -55,7 +56,10 @@ class CurveSender:
         for name, info in channels.items():
             stream.log(channel_entity(info.quantity, name), curve_style(channel_color(info.at), name), static=True)
         contact_style = rr.StateConfiguration(
-            values=list(CONTACTS), labels=list(CONTACTS), colors=np.array(CONTACT_COLORS, dtype=np.uint32)
+            # Most contacts are shorter than their names; the title of the view has the colors.
+            values=list(CONTACTS),
+            labels=[" "] * len(CONTACTS),
+            colors=np.array(CONTACT_COLORS, dtype=np.uint32),
         )
         for number, damper in enumerate(dampers, start=1):
             style = curve_style(body_color(damper.body), f"damper {number} (body {damper.body})")

@@ -211,7 +211,7 @@ def test_texts_and_scales_suit_the_values(bench, browser):
     assert "1 average: no γ²" in value(f"(response.head = {{averages: 1}}, {note})")
     # The phase of a single hit, without coherence, is drawn where it changes little from line to line.
     phase = "Float32Array.from({length: 200}, (_, k) => k < 100 ? k / 10 : (40 * k) % 180)"
-    drawn = value(f"Array.from({{length: 200}}, (_, k) => determined({phase}, new Float32Array(200).fill(NaN))(k))")
+    drawn = value(f"determined({phase}, new Float32Array(200).fill(NaN))")
     assert all(drawn[:70]) and not any(drawn[130:])
     # The axis of a hammer test is logarithmic and ends at the highest excited frequency.
     curves = "{frequency: Float32Array.of(0, 0.5, 1, 300, 400), rows: [{magnitude: Float32Array.of(1, 1, 1, 1, NaN)}]}"

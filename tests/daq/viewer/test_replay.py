@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pyarrow as pa
 import pytest
+import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 import daq
@@ -15,7 +16,7 @@ from daq.core.recording.displacement import HIGH_PASS_HZ
 from daq.core.recording.recorder import Recorder
 from daq.core.signal_chain.chain import Chain
 from daq.extras.viewer import spectrum_picture
-from daq.extras.viewer.marker_log import phases
+from daq.extras.viewer.marker_log import overloads, phases
 from daq.extras.viewer.outputs import save
 from daq.extras.viewer.recorded_motion import RecordedMotion
 from daq.extras.viewer.replay import Replay
@@ -261,6 +262,42 @@ def test_overloaded_channel_has_a_lane(tmp_path):
     displayed = dict(zip(changed.round(6).tolist(), states, strict=True))
     # Times of samples 512, 1024 and 4096; the replay ends with sample 4352, one interval before 0.850195 s.
     assert displayed == {0.1: "0", 0.2: "none", 0.8: "1", 0.850195: "none"}
+
+
+def views(part):
+    """Return the names and contents of all views of a layout."""
+    if isinstance(part, rrb.View):
+        return [(str(part.name), part.contents)]
+    return [view for inner in getattr(part, "contents", []) for view in views(inner)]
+
+
+def test_short_overload_is_drawn_visibly(tmp_path):
+    scene = rig.load("bare-structure").replace(shaker=None, test=None)
+    channels = Chain(scene, 5120.0, ["body 1", "body 2", "body 3"]).channels
+    with Recorder(tmp_path / "overload.mcap", scene, channels, 5120.0) as recorder:
+        recorder.write(np.zeros((3, 5120)))
+        recorder.mark("overload", 512, 512, channel="body1")
+        recorder.mark("overload", 514, 514, channel="body1")
+    with daq.open(tmp_path / "overload.mcap") as opened:
+        ((drawn,),) = overloads(opened, 0, 5120).values()
+    assert drawn.stop - drawn.start == 20
+
+
+def test_shown_segment_is_named(recording):
+    whole, part = (views(each.blueprint().root_container) for each in (Replay(recording), Replay(recording, end_s=0.5)))
+    assert any("whole recording" in name for name, _ in whole)
+    assert any("0 s to 0.5 s of the recording" in name for name, _ in part)
+
+
+def test_overview_omits_the_table(tmp_path):
+    scene = rig.load("fig8-three-dampers")
+    channels = Chain(scene, 5120.0, ["body 3", "table"]).channels
+    with Recorder(tmp_path / "table.mcap", scene, channels, 5120.0) as recorder:
+        recorder.write(np.zeros((2, 5120)))
+    with daq.open(tmp_path / "table.mcap") as opened:
+        shown = dict(views(Replay(opened).blueprint().root_container))
+    (overview,) = (contents for name, contents in shown.items() if "without table" in name)
+    assert any(rule.startswith("- ") and rule.endswith("table") for rule in overview)
 
 
 def test_channel_name_with_slash_is_escaped():

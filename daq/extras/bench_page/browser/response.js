@@ -9,7 +9,6 @@ const response = {
   start(channels) {
     this.channels = channels.filter((channel) => channel.responds);
     this.chart = new Chart($("frf"), { name: "frequency / Hz", log: false });
-    this.chart.hint = "Start a test: the response of the structure grows here.";
     for (const { name, color } of this.channels) {
       const entry = make($("legend"), "span");
       make(entry, "i").style.background = color;
@@ -48,6 +47,11 @@ const response = {
 
   // What the chart contains, or why it is empty.
   note(state) {
+    const hint = state.running ? "" : "Start a test: the response of the structure grows here.";
+    if (this.chart.hint !== hint) {
+      this.chart.hint = hint;
+      this.chart.draw();
+    }
     const averages = this.head?.averages;
     const empty = state.hits.length ? (state.hits[0][4] ? "no accepted impact" : "after this impact") : state.running ? "after settling" : "start a test";
     return (averages ? (averages > 1 ? `H1, ${averages} averages` : "1 average: no γ²") : state.frf_reason || empty) + (this.problem ? `; ${this.problem}` : "");
@@ -73,11 +77,11 @@ const response = {
     }
     for (const row of curves?.rows ?? []) {
       const style = { x: curves.frequency, color: row.color, dots: true };
-      const certain = determined(row.phase, row.coherence), only = (values, isShown) => values.map((value, k) => (isShown(k) ? value : NaN));
+      const certain = determined(row.phase, row.coherence), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
       magnitude.push({ ...style, y: micro(row.magnitude), width: 0.6, opacity: 0.6 });
-      magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => (isNaN(row.coherence[k]) ? certain(k) : row.coherence[k] >= COHERENT)), width: 1.8 });
+      magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => (isNaN(row.coherence[k]) ? certain[k] : row.coherence[k] >= COHERENT)), width: 1.8 });
       // No line crosses the chart where the phase wraps.
-      phase.push({ ...style, y: only(row.phase, (k) => certain(k) && !(Math.abs(row.phase[k] - row.phase[k - 1]) > 180)), width: 1.6 });
+      phase.push({ ...style, y: only(row.phase, (k) => certain[k] && !(Math.abs(row.phase[k] - row.phase[k - 1]) > 180)), width: 1.6 });
       coherence.push({ ...style, y: row.coherence });
     }
     const fixed = (values) => values.map((value) => [value, true]), range = this.range();
@@ -124,7 +128,7 @@ const LARGEST_STEP = 17;
 const AROUND = 40; // lines on either side
 const DECADES = 2.5;
 
-// Return whether the response at line k is determined: coherent, and with a phase that does not scatter.
+// Return whether the response at each line is determined: coherent, and with a phase that does not scatter.
 function determined(phase, coherence) {
   const steps = phase.map((value, k) => (k ? Math.abs(value - phase[k - 1]) : 0));
   const isSmooth = (k) => {
@@ -132,7 +136,7 @@ function determined(phase, coherence) {
     return around.filter((step) => Math.min(step, 360 - step) > LARGEST_STEP).length < around.length / 4;
   };
   // A single average has no coherence.
-  return (k) => !(coherence[k] < COHERENT) && isSmooth(k);
+  return Array.from(coherence, (value, k) => !(value < COHERENT) && isSmooth(k));
 }
 
 // The phase from -270° to 90°, as in the report: a receptance out of phase stays at -180° whatever the noise.

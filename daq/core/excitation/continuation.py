@@ -22,7 +22,11 @@ from daq.core.excitation.controlled import displacement, measured_force
 from daq.core.excitation.procedure import Form, FormValues
 from daq.core.excitation.station import Excitation, GivenUp, Station
 from daq.core.excitation.stepped_sine import SteadyTonesProcedure, expected_wait
-from daq.core.excitation.tones.envelope_control import MAX_POLE_TIMES_DEAD_TIME, EnvelopeTone
+from daq.core.excitation.tones.envelope_control import (
+    MAX_GROWTH_TIMES_DEAD_TIME,
+    MAX_POLE_TIMES_DEAD_TIME,
+    EnvelopeTone,
+)
 from daq.core.excitation.tones.lock_in import lock_in
 from daq.core.excitation.tones.steady_tone import TRANSITION_S, AmplitudeControl
 from rig.core.base.arrays import Array, ComplexArray
@@ -75,6 +79,9 @@ class Lost(Exception):
 
 class _CurveTone(EnvelopeTone):
     """A tone that settles at points of a curve."""
+
+    # The shorter the windows, the faster an unstable motion may grow.
+    periods = 2.0
 
     def __init__(self, station: Station, test: Continuation) -> None:
         super().__init__(station, test.from_, displacement(station, test.at))
@@ -183,7 +190,7 @@ class _Curve:
                 point = yield from (self._held(length) if self._holding else self._driven(length))
                 length *= _SHORTER
             if point is None:
-                raise Lost(self._reason())
+                raise Lost(self._reason((yield from self._growth()) if self._holding and self.unstable else 0.0))
             yield from self._measure(point)
         if len(self.points) == test.points:
             self._station.warn(
@@ -277,28 +284,39 @@ class _Curve:
             position = max(-length, min(length, position - error / slope))
         return None
 
+    def _growth(self) -> Generator[Array, Array, float]:
+        """Return the rate at which the motion leaves the last point without feedback, 1/s; 0 if it is not reached."""
+        last = self.points[-1]
+        if (yield from self._tone.hold_at(last.frequency, last.motion)) is None:
+            return 0.0
+        samples = round(self._test.measure.periods * self._station.rate / last.frequency)
+        return (yield from self._tone.hold_envelope(samples, last.motion, feedback=False)).growth
+
     def _limitation(self) -> str:
         """Describe that the amplifier limits the drive; empty if it does not."""
         if self._tone.amplitude < AT_LIMIT_RATIO * self._station.drive_limit:
             return ""
         return f"the amplifier is at its limit at {self._tone.frequency:.4g} Hz. Lower the level"
 
-    def _reason(self) -> str:
-        """Describe why no further point was measured."""
+    def _reason(self, growth: float = 0.0) -> str:
+        """Describe why no further point was measured; `growth`: of the last motion without feedback, 1/s."""
         last, tone = self.points[-1], self._tone
         if limitation := self._limitation():
             return limitation
-        dead_time, growth = tone.dead_time, abs(last.pole)
-        if not tone.is_holdable(last, 1.0) and growth:
-            return (
-                f"a pole of {growth:.2g} 1/s at {last.frequency:.4g} Hz requires a dead time below "
-                f"{MAX_POLE_TIMES_DEAD_TIME / growth:.2g} s; it is {dead_time:.2g} s. Use a converter filter with a "
-                "shorter delay"
-            )
+        rates = (
+            ("an open-loop growth", growth, MAX_GROWTH_TIMES_DEAD_TIME),
+            ("a pole", 0.0 if tone.is_holdable(last, 1.0) else abs(last.pole), MAX_POLE_TIMES_DEAD_TIME),
+        )
+        for name, rate, largest in rates:
+            if rate * tone.dead_time > largest:
+                return (
+                    f"{name} of {rate:.2g} 1/s at {last.frequency:.4g} Hz requires a dead time below "
+                    f"{largest / rate:.2g} s; it is {tone.dead_time:.2g} s. Use a converter filter with a shorter delay"
+                )
         return (
             f"{self._test.at} with {1e3 * last.motion:.3g} mm at {last.frequency:.4g} Hz is the last point: the motion "
-            "next to it does not settle. Its period may have doubled; raise test.settle.longest, or give a smaller "
-            "test.step"
+            f"next to it does not settle (scatter {tone.scatter:.1%}). Its period may have doubled, or its impacts "
+            "change; raise test.settle.longest, or give a smaller test.step"
         )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +10,7 @@ from scipy.interpolate import CubicSpline
 
 import analysis
 import rig
+from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import ShotrigError
 from rig.core.results.response import Response
 from tests.gauntlet.controlled_tones import BACKBONE, CURVE, HELD
@@ -29,6 +30,8 @@ _DRIVES, _FREQUENCIES = (0.75, 1.33), (0.97, 1.03)
 
 # Measured value, half of its interval, exact value, and the scale of relative errors.
 _Point = tuple[float, float, float, float]
+# Function of the parameter, the response and the amplitude along a branch.
+_Offset = Callable[[Array, ComplexArray, Array], Array]
 
 
 def check(case: Case, kind: str) -> list[CheckResult]:
@@ -81,13 +84,13 @@ def _orbits(case: Case, drive: float, frequency: float, over_drive: bool) -> rig
         return None
 
 
-def _crossings(curve: rig.OrbitCurve, body: int, level: float, phase: bool = False) -> Iterator[_Crossing]:
-    """Yield where a branch has an amplitude, or a phase of -90 degrees, interpolated by a cubic along the branch."""
+def _crossings(curve: rig.OrbitCurve, body: int, offset_of: _Offset) -> Iterator[_Crossing]:
+    """Yield where an offset along a branch is zero, interpolated by cubics along the branch."""
     for branch in curve.branches:
         force = np.array([orbit.reference_amplitude for orbit in branch.orbits])
         frf = branch.frf[body]
         amplitude = abs(frf) * force
-        offset = np.unwrap(np.angle(1j * frf)) if phase else np.log(amplitude / level)
+        offset = offset_of(branch.value, frf, amplitude)
         lengths = np.hypot(np.diff(branch.value) / np.ptp(branch.value), np.diff(np.log(amplitude)))
         chosen = np.flatnonzero(np.append(True, lengths > 1e-9))
         if chosen.size < 4:
@@ -96,6 +99,21 @@ def _crossings(curve: rig.OrbitCurve, body: int, level: float, phase: bool = Fal
         curves = CubicSpline(along, np.array([branch.value, np.log(amplitude), np.log(force)]).T[chosen])
         for value, height, level_there in curves(CubicSpline(along, offset[chosen]).solve(0.0, extrapolate=False)):
             yield _Crossing(float(value), float(np.exp(height)), float(np.exp(level_there)))
+
+
+def _at_amplitude(curve: rig.OrbitCurve, body: int, level: float) -> list[_Crossing]:
+    """Return where a branch has an amplitude in m."""
+    return list(_crossings(curve, body, lambda _value, _frf, amplitude: np.log(amplitude / level)))
+
+
+def _at_value(curve: rig.OrbitCurve, body: int, wanted: float) -> list[_Crossing]:
+    """Return where a branch has a value of the parameter."""
+    return list(_crossings(curve, body, lambda value, _frf, _amplitude: value - wanted))
+
+
+def _phase_offset(_value: Array, frf: ComplexArray, _amplitude: Array) -> Array:
+    """Return the deviation of the phase from -90 degrees, rad."""
+    return np.unwrap(np.angle(1j * frf))
 
 
 def _measured(case: Case) -> Iterator[tuple[Response, int, Mapping[str, Any]]]:
@@ -123,7 +141,7 @@ def _force_points(case: Case) -> Iterator[_Point | None]:
         # where the response is nonlinear.
         errors = (-relative, 0.0, relative) if known else (0.0,)
         amplitudes = [value * force * (1.0 + error) for error in errors]
-        found = [[] if curve is None else list(_crossings(curve, body, amplitude)) for amplitude in amplitudes]
+        found = [[] if curve is None else _at_amplitude(curve, body, amplitude) for amplitude in amplitudes]
         if not all(found):
             yield None
             continue
@@ -139,14 +157,17 @@ def _phase_points(case: Case) -> Iterator[_Point | None]:
     for k, (_, _, fields) in zip(np.flatnonzero(result.settled), _measured(case), strict=True):
         measured = float(result.frequency[k])
         curve = _orbits(case, float(fields["drive"]), measured, over_drive=False)
-        found = [] if curve is None else list(_crossings(curve, body, 0.0, phase=True))
+        found = [] if curve is None else list(_crossings(curve, body, _phase_offset))
         if not found:
             yield None
             continue
         exact = min(found, key=lambda each: abs(each.value - measured))
         width = max(float(result.damping[k]) * exact.value, 1e-6 * exact.value)
         yield measured, float(result.frequency_bound[k]), exact.value, width
-        yield float(result.amplitude[k]), float(result.amplitude_bound[k]), exact.amplitude, exact.amplitude
+        # At a coil spring, the force changes much with the frequency.
+        there = [each.amplitude for each in _at_value(curve, body, measured)]
+        amplitude = min(there, key=lambda each, known=exact.amplitude: abs(each - known))
+        yield float(result.amplitude[k]), float(result.amplitude_bound[k]), amplitude, amplitude
 
 
 def _folds(case: Case) -> Iterator[_Point | None]:

@@ -22,12 +22,15 @@ from daq.core.excitation.station import Station
 from daq.core.excitation.tones.lock_in import min_samples
 from daq.core.excitation.tones.nearest_mode import NearestMode
 from daq.core.excitation.tones.settling import Settling
-from daq.core.excitation.tones.steady_tone import TRANSITION_S, SteadyTone, half_cosine
+from daq.core.excitation.tones.steady_tone import MAX_TOLERANCE, TRANSITION_S, SteadyTone, half_cosine
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.scene.excitation import FORCE_TOLERANCE
 
 # Largest product of |l| and dead time at which the control is used: errors of the stability limit begin at 0.54.
 MAX_POLE_TIMES_DEAD_TIME = 0.5
+# Largest product of open-loop growth and dead time that the control stabilizes: with the scene `continuation`, 0.28 was
+# held and 0.31 lost.
+MAX_GROWTH_TIMES_DEAD_TIME = 0.3
 # An observation updates the model of the mode if motion or drive changed by more than this fraction.
 _MIN_CHANGE = 0.01
 # Number of latest drives, from which their limits follow.
@@ -112,11 +115,15 @@ class Held(NamedTuple):
 class EnvelopeTone(SteadyTone):
     """A tone with a complex amplitude, and a model of the mode nearest to it (`NearestMode`)."""
 
+    # Length of a control window, periods: three contain impacts of several cycles.
+    periods = 3.0
+
     def __init__(self, station: Station, frequency: float, controlled: Controlled) -> None:
         super().__init__(station, frequency, controlled)
         self.forget_mode()
         self.direction = 1.0 + 0j  # phase of the drive relative to that of the envelopes, as e^{i phase}
         self.motion = 0j  # last envelope of the controlled motion, m
+        self.scatter = 0.0  # standard deviation of the last envelopes of a motion that did not settle, relative
         self._observed = 0.0, 0j, 0j  # frequency and envelopes of motion and drive in the last observation of the mode
 
     def forget_mode(self) -> None:
@@ -126,7 +133,11 @@ class EnvelopeTone(SteadyTone):
     @property
     def window(self) -> int:
         """Length of a control window."""
-        return _window(self.frequency, self.rate)
+        return self._window_at(self.frequency)
+
+    def _window_at(self, frequency: float) -> int:
+        """Return the length of a control window in samples at a frequency in Hz."""
+        return max(min_samples(frequency, self.rate), round(self.periods * self.rate / frequency))
 
     @property
     def dead_time(self) -> float:
@@ -140,7 +151,7 @@ class EnvelopeTone(SteadyTone):
 
     def is_controllable(self, frequency: float) -> bool:
         """Return whether the dead time is short enough for control of the envelope at a frequency in Hz."""
-        dead_time = (1.5 * _window(frequency, self.rate) + self.station.latency) / self.rate
+        dead_time = (1.5 * self._window_at(frequency) + self.station.latency) / self.rate
         relative_pole = self._pole - 2j * np.pi * frequency
         return self._gain != 0.0 and abs(relative_pole) * dead_time <= MAX_POLE_TIMES_DEAD_TIME
 
@@ -206,7 +217,7 @@ class EnvelopeTone(SteadyTone):
             return False
         self.control = None
         control = self._control_to(target * self.motion / abs(self.motion))
-        detector, drives = Settling(tolerance), [self.envelope]
+        detector, drives, motions = Settling(tolerance), [self.envelope], deque([self.motion], maxlen=_AVERAGED_WINDOWS)
         while station.now + self.window <= end:
             envelopes = yield from self.steer(self._next_drive(control))
             self.motion = complex(envelopes[0])
@@ -215,11 +226,13 @@ class EnvelopeTone(SteadyTone):
                 yield from self.steer(self.envelope * target / abs(self.motion))
                 return False
             drives.append(self.envelope)
+            motions.append(self.motion)
             detector.add(np.array([*envelopes, self.envelope]))
             error = abs(detector.predicted_final() / control.target - 1.0)
-            if detector.settled and error < max(FORCE_TOLERANCE, 2.0 * detector.standard_error()):
+            if detector.settled and error < min(max(FORCE_TOLERANCE, 2.0 * detector.standard_error()), MAX_TOLERANCE):
                 yield from self.steer(complex(np.mean(drives[-_AVERAGED_WINDOWS:])))
                 return True
+        self.scatter = float(np.std(motions)) / max(float(abs(np.mean(motions))), 1e-300)
         return False
 
     def _control_to(self, target: complex) -> EnvelopeControl:
@@ -253,11 +266,6 @@ class EnvelopeTone(SteadyTone):
             force=abs(held.drive) if self.station.force_is_drive else None,
             settled=settled, invasive=held.invasive, **fields,
         )  # fmt: skip
-
-
-def _window(frequency: float, rate: float) -> int:
-    """Return the length of a control window in samples: three periods, which contain impacts of several cycles."""
-    return max(min_samples(frequency, rate), round(3.0 * rate / frequency))
 
 
 def _growth(motions: ComplexArray, target: float, window: float) -> float:

@@ -226,8 +226,8 @@ def _new_drive(control: AmplitudeControl, detector: Settling, drive: float) -> f
     return None if new_drive == drive else new_drive
 
 
-# If the force scatters, its relative tolerance is twice its standard error, up to this value.
-_MAX_TOLERANCE = 0.02
+#: If the force scatters, its relative tolerance is twice its standard error, up to this value.
+MAX_TOLERANCE = 0.02
 # The slope d log(force) / d log(drive) is assumed to be at least this. When dampers begin to impact, the force can rise
 # slowly or even fall with the drive.
 _MIN_SLOPE = 0.3
@@ -280,7 +280,7 @@ class AmplitudeControl:
 
     def is_at_level(self, force: float, standard_error: float = 0.0) -> bool:
         """Return whether a force amplitude in N, with a relative standard error, is at the level within tolerance."""
-        return abs(force / self.level - 1.0) <= min(max(FORCE_TOLERANCE, 2.0 * standard_error), _MAX_TOLERANCE)
+        return abs(force / self.level - 1.0) <= min(max(FORCE_TOLERANCE, 2.0 * standard_error), MAX_TOLERANCE)
 
     def reduce_drive(self, drive: float, force: float) -> float | None:
         """Return a smaller drive for an excessive force in N; None if a much smaller drive did not reduce the force."""

@@ -53,8 +53,8 @@ class Curve:
     low: ArrayLike | None = None  # lower bound of `y`
     high: ArrayLike | None = None  # upper bound of `y`
     style: CurveStyle = _DEFAULT_STYLE
-    # "points" of separate tones, the thin line "through" them, or "crosses", "circles" or "arrows" at points; of these,
-    # only points have values in the readout
+    # "points" of separate tones, the thin line "through" them, or symbols at points: "dots", "crosses", "circles",
+    # "arrows"; of these, only points have values in the readout
     draw: str = "line"
 
 
@@ -85,6 +85,7 @@ class Chart:
     x_unit: str = "Hz"
     logarithmic: bool = False  # horizontal axis
     x_limits: tuple[float, float] | None = None  # least extent of the horizontal axis
+    x_view: tuple[float, float] | None = None  # part of the horizontal axis that is shown first
 
 
 @dataclass
@@ -103,6 +104,7 @@ class ChartWriter:
                 "unit": chart.x_unit,
                 "log": chart.logarithmic,
                 "range": chart.x_limits,
+                "view": chart.x_view,
             },
             "panels": [_panel(panel) for panel in chart.panels],
         }

@@ -13,7 +13,7 @@ from analysis.commands.figures.decay_figure import frequency_title, group_modes
 from analysis.commands.figures.frf_figure import MAX_POINTS, break_at_wraps, is_determined, is_smooth, phase_degrees
 from analysis.commands.report_page.charts import Chart, Curve, Panel, needs_logarithmic_axis
 from analysis.commands.report_page.measurements import Measurement, SweepChange, SweepResults
-from analysis.core.damper_motion.comparison import Peak
+from analysis.core.damper_motion.comparison import Peak, local_model
 from analysis.core.damper_motion.dampers import Dampers
 from analysis.core.decays.free_decay import Decay
 from analysis.core.decays.modal_decay import ModalDecay
@@ -27,6 +27,12 @@ _REQUIRED = CurveStyle("#6E7681", (2, 2))
 _UNDETERMINED = CurveStyle("#9aa2ab")
 # The axis of bounds relative to the value ends here.
 _MAX_PERCENT = 100.0
+# A peak is higher than the points at its half-power bandwidth by this factor.
+_HALF_POWER = float(np.sqrt(2.0))
+# The first view of a wide band ends at this multiple of the highest mode, and begins at this part of the lowest.
+_VIEW_RATIO = 4.0
+# A stable pole belongs to a mode if their frequencies differ by at most this fraction.
+_MODE_WIDTH = 0.05
 # A long curve is reduced to the highest and the lowest point of this number of intervals.
 _INTERVALS = 1200
 
@@ -58,6 +64,9 @@ def response_charts(
         ]
         baseline = next((each for each in with_responses if each.label == reference), with_responses[0]).sweeps[0]
         chart = response_chart(group, names, styles, peaks, _mode_marks(baseline, group))
+        if baseline.modes is not None:
+            band = np.concatenate([frf.frequency for frf in group])
+            chart = replace(chart, x_view=_first_view(band, baseline.modes.frequency))
         tests = {each.label: excitation_text(each.rec) for each in with_responses}
         equal = len(set(tests.values())) == 1
         levels = [text if equal else f"{label}: {text}" for label, text in tests.items() if text]
@@ -93,7 +102,9 @@ def response_chart(
     unit, factor = thinned[0].shown_in
     magnitude, phase, coherence, relative = [], [], [], []
     strips: list[tuple[float, float]] = []
-    for frf, name, style, found in zip(thinned, names, styles, peaks or [()] * len(thinned), strict=True):
+    extrapolated: set[float] = set()
+    rows = zip(frfs, thinned, names, styles, peaks or [()] * len(thinned), strict=True)
+    for original, frf, name, style, found in rows:
         f, modulus, expanded = frf.frequency, factor * abs(frf.value), factor * frf.expanded()
         known = is_determined(frf) & np.isfinite(frf.value)
         low, high = (np.where(known, modulus + sign * expanded, np.nan) for sign in (-1.0, 1.0))
@@ -104,27 +115,40 @@ def response_chart(
             strips += _ranges(f, unknown)
             # One more point on either side makes the curve continuous where it becomes gray.
             joined = unknown | np.roll(unknown, 1) | np.roll(unknown, -1)
-            magnitude.append(Curve(name, f, np.where(joined, modulus, np.nan), style=_UNDETERMINED, draw="through"))
+            stored = joined | np.roll(joined, 1)
+            gray = np.where(joined, modulus, np.nan)[stored]
+            magnitude.append(Curve(name, f[stored], gray, style=_UNDETERMINED, draw="through"))
         if draw == "points":
             through = frf.continued(np.isfinite(frf.value))
             magnitude.append(Curve(name, through[0], factor * abs(through[1]), style=style, draw="through"))
+            # The phase has the gaps of the magnitude.
+            smooth = frf.continued(known & is_smooth(frf))
+            phase.append(Curve(name, *break_at_wraps(smooth[0], phase_degrees(smooth[1])), style=style, draw="through"))
         unsteady = np.zeros(f.size, dtype=bool) if frf.unsteady is None else frf.unsteady
         magnitude += _symbols(name, style, "crosses", zip(f[unsteady], modulus[unsteady], strict=True))
         # A peak of unknown height has the value of its highest point.
         points = {peak: (peak.frequency, factor * peak.value) for peak in found if not peak.at_end}
-        magnitude += _symbols(name, style, "circles", [at for peak, at in points.items() if isfinite(peak.bound)])
+        interpolated = [peak for peak in points if isfinite(peak.bound)]
+        if draw == "line":
+            # The lines of a spectrum do not show the curve between them that carries the peak.
+            models = [local_model(original, peak) for peak in interpolated]
+            magnitude += [Curve(name, at, factor * height, style=style, draw="through") for at, height in models]
+        extrapolated |= {p.frequency for p in interpolated if _exceeds_points(p, f, modulus / factor)}
+        magnitude += _symbols(name, style, "circles", [points[peak] for peak in interpolated])
         magnitude += _symbols(name, style, "arrows", [at for peak, at in points.items() if not peak.is_determined])
         angle = np.where(known & is_smooth(frf), phase_degrees(frf.value), np.nan)
-        phase.append(Curve(name, *break_at_wraps(f, angle), style=style))
+        phase.append(Curve(name, *break_at_wraps(f, angle), style=style, draw=draw))
         coherence.append(Curve(name, f, frf.coherence, style=style))
         relative.append(Curve(name, f, np.minimum(100.0 * expanded / modulus, _MAX_PERCENT), style=style))
     quantity = thinned[0].name
     outputs = ", ".join(dict.fromkeys(frf.response for frf in thinned))
     band = np.concatenate([frf.frequency for frf in thinned])
     drawn = {curve.draw for curve in magnitude}
+    listed = ", ".join(format_decimals(frequency, 2) for frequency in sorted(extrapolated))
     notes = [
         "Bands and U: 95 % intervals.",
-        "Circles: interpolated peaks." * ("circles" in drawn),
+        "Circles: peaks of the local model (thin) between the points." * ("circles" in drawn),
+        f"Extrapolated, far above the points on either side: {listed} Hz." * bool(extrapolated),
         "Arrows: the peak may be higher." * ("arrows" in drawn),
         "Crosses: steady state not reached." * ("crosses" in drawn),
         "Gray, with a strip at the axis: undetermined (noise, or bound above 100 %)." * bool(strips),
@@ -140,6 +164,12 @@ def response_chart(
         ],
         logarithmic=needs_logarithmic_axis(band),
     )
+
+
+def _exceeds_points(peak: Peak, f: NDArray[np.float64], modulus: NDArray[np.float64]) -> bool:
+    """Return whether a peak exceeds the points next to it by more than half-power: they are on its flanks."""
+    near = np.argsort(abs(f - peak.frequency))[:2]
+    return bool(peak.value > _HALF_POWER * np.nanmax(modulus[near], initial=0.0))
 
 
 def _symbols(name: str, style: CurveStyle, draw: str, points: Iterable[tuple[float, float]]) -> list[Curve]:
@@ -201,22 +231,53 @@ def stabilization_charts(measurements: Sequence[Measurement]) -> list[Chart]:
         poles = sorted(sweep.modes.chart, key=lambda pole: pole.frequency)
         frequency, order, stable = np.array([(pole.frequency, pole.order, pole.stable) for pole in poles]).T
         band, top = sweep.frfs[0].frequency, float(order.max())
+        modes, ticks = sweep.modes.frequency, np.arange(0.0, top + 1.0, 5.0).tolist()
+        is_near = (abs(frequency[:, None] / modes - 1.0) <= _MODE_WIDTH).any(axis=1)
+        # Symbols, not points of a series: poles of several orders have the same frequency.
+        kinds = {
+            ("new", "crosses"): stable == 0,
+            ("stable", "dots"): (stable > 0) & is_near,
+            ("stable, no mode", "circles"): (stable > 0) & ~is_near,
+        }
+        styles = {"crosses": _UNDETERMINED}
         curves = [
-            Curve("stable", frequency[stable > 0], order[stable > 0], style=CurveStyle(REFERENCE), draw="points"),
-            Curve("new", frequency[stable == 0], order[stable == 0], style=_UNDETERMINED, draw="crosses"),
+            curve
+            for (name, draw), selected in kinds.items()
+            for curve in _symbols(
+                name,
+                styles.get(draw, CurveStyle(REFERENCE)),
+                draw,
+                zip(frequency[selected], order[selected], strict=True),
+            )
         ]
         marks = [(natural, 0.0, f"{format_decimals(natural, 2)} Hz") for natural in sorted(sweep.modes.frequency)]
         charts.append(
             Chart(
-                f"{sweep.label}: poles of models of increasing order, stable (dots) or new (crosses), and the "
-                "identified modes (lines). A mode is a column of stable poles.",
+                f"{sweep.label}: poles of models of increasing order. Dotted lines: the identified modes, each a "
+                "column of stable poles; a column that is split around its line is a nonlinear mode."
+                + " Hollow: stable, but not identified as a mode."
+                * any(curve.draw == "circles" for curve in curves),
                 f"Stabilization diagram of {sweep.label}.",
-                [Panel("model order", "", curves, height=150, limits=(0.0, 1.05 * top), marks=marks)],
+                [Panel("model order", "", curves, 210, limits=(0.0, 1.05 * top), ticks=ticks, marks=marks)],
                 logarithmic=needs_logarithmic_axis(band),
                 x_limits=(float(band.min()), float(band.max())),
+                x_view=_first_view(band, modes),
             )
         )
     return charts
+
+
+def _first_view(band: NDArray[np.float64], modes: NDArray[np.float64]) -> tuple[float, float] | None:
+    """Return the part of a band around the modes that is shown first; None if that is most of it.
+
+    >>> _first_view(np.array([0.5, 2000.0]), np.array([13.0, 50.0]))
+    (3.25, 200.0)
+    """
+    low, high = float(band[band > 0].min()), float(band.max())
+    if not modes.size:
+        return None
+    view = max(low, float(modes.min()) / _VIEW_RATIO), min(high, float(modes.max()) * _VIEW_RATIO)
+    return view if high / low > 2.0 * view[1] / view[0] else None
 
 
 def _ranges(f: NDArray[np.float64], selected: NDArray[np.bool_]) -> list[tuple[float, float]]:
@@ -264,15 +325,16 @@ def damper_chart(measurement: Measurement, result: Dampers) -> Chart:
     for motions in result.bodies:
         style = place_style(measurement.rec.channels[motions[0].channel].at)
         count = np.array([sum(motion.impacts_per_period) for motion in motions])
-        impacts.append(Curve(motions[0].channel, frequency[order], count[order], style=style))
+        impacts.append(Curve(motions[0].channel, frequency[order], count[order], style=style, draw="points"))
     if impacts:
         panels.append(Panel("impacts per period", "", impacts, height=150))
     energy = result.energy
     if energy is not None:
         percent, bound = (_percent(energy_part, energy.supplied) for energy_part in (energy.dampers, energy.bound))
         low, high = (percent - bound)[order], (percent + bound)[order]
-        curve = Curve("dampers", frequency[order], percent[order], low, high, CurveStyle(DAMPER))
-        panels.append(Panel("share of energy", "%", [curve], height=150, limits=(-5.0, 105.0)))
+        curve = Curve("dampers", frequency[order], percent[order], low, high, CurveStyle(DAMPER), "points")
+        limits = min(-5.0, float(np.nanmin(percent)) - 5.0), max(105.0, float(np.nanmax(percent)) + 5.0)
+        panels.append(Panel("share of energy", "%", [curve], height=150, limits=limits))
     level = f"drive level {result.sweep.level:.4g}"
     if measurement.rec.scene.level_key == "force":
         level = f"force {result.sweep.level:.4g} N"
@@ -337,12 +399,15 @@ def _damping_chart(
             percent, expanded = (values[order] for values in mode.percent)
             # A logarithmic axis has no zero: the band ends at the axis.
             low, high = np.maximum(percent - expanded, lowest), np.minimum(percent + expanded, highest)
-            curves.append(Curve(labeled_decays[index][0], mode.amplitude[order], percent, low, high, styles[index]))
+            label, amplitude, style = labeled_decays[index][0], mode.amplitude[order], styles[index]
+            differs = np.where(percent > expanded, percent, np.nan)
+            curves.append(Curve(label, amplitude, differs, low, high, style))
+            curves.append(Curve(label, amplitude, percent, style=_UNDETERMINED, draw="through"))
         title = frequency_title(group).removeprefix("mode ")
         panels.append(Panel(f"ζ {title}", "%", curves, height=130, logarithmic=True, limits=(lowest, highest)))
     return Chart(
-        "Damping ratio ζ of each mode against amplitude of the acceleration, with 95 % intervals. A band down to the "
-        "axis includes zero. Frequencies: those of the decay table.",
+        "Damping ratio ζ of each mode against amplitude of the acceleration, with 95 % intervals. Gray, with a "
+        "band down to the axis: includes zero. Frequencies: those of the decay table.",
         "Damping ratio of each mode against the amplitude of the acceleration.",
         panels,
         x_name="amplitude",

@@ -24,6 +24,8 @@ _BAND_BELOW_RATIO = 0.15
 _MAX_LEAVE_ONE_OUT_ERROR = 0.2
 # Number of frequencies of the interpolated curve between the neighbors of the highest point.
 _GRID_POINTS = 801
+# Number of its frequencies that are drawn.
+_DRAWN_POINTS = 41
 # Largest relative difference between tolerances at different frequencies that counts as a rounding error.
 _SAME_TOLERANCE = 1e-6
 # An acceleration is divided by the square of its frequency, so that its error is this multiple of a clock error.
@@ -168,6 +170,18 @@ def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
         tolerances=tolerances,
         clock=clock,
     )
+
+
+def local_model(frf: Response, found: Peak) -> tuple[np.ndarray, np.ndarray]:
+    """Return the interpolated receptance of a `peak` between the points next to its highest: Hz and m/N, to draw it."""
+    curve = frf.to("displacement").sorted()
+    curve = curve.at(np.isfinite(curve.value) & (abs(curve.value) > 0))
+    f, magnitude = curve.frequency, abs(curve.value)
+    above = int(np.clip(np.searchsorted(f, found.frequency), 1, f.size - 1))
+    highest = int(np.clip(above - (magnitude[above - 1] > magnitude[above]), 1, f.size - 2))
+    points = slice(highest - 1, highest + 2)
+    grid = np.linspace(f[highest - 1], f[highest + 1], _DRAWN_POINTS)
+    return grid, abs(1.0 / _interpolate(f[points], 1.0 / curve.value[points], grid))
 
 
 def resonance_peak(frf: Response, band_low: float, band_high: float) -> Peak | None:

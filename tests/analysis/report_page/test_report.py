@@ -27,11 +27,16 @@ from analysis.commands.report_page.charts import Chart, ChartWriter, Curve, Even
 from analysis.commands.report_page.drawing import mode_drawing, rig_drawing
 from analysis.commands.report_page.measurements import Measurements, SweepChange, highest_peak
 from analysis.commands.report_page.report import write_report
-from analysis.commands.report_page.responses import force_charts, response_chart, response_charts
+from analysis.commands.report_page.responses import (
+    force_charts,
+    response_chart,
+    response_charts,
+    stabilization_charts,
+)
 from analysis.commands.report_page.summary import summarize
 from analysis.commands.report_page.tables import changes_table, peak_height
 from analysis.commands.report_page.tables import test_sentence as sentence_of
-from analysis.core.damper_motion.comparison import Peak, PeakChange
+from analysis.core.damper_motion.comparison import Peak, PeakChange, local_model, resonance_peak
 from analysis.core.modal.modes import BodyShapes
 from rig.core.base.palette import HAMMER, TABLE
 from rig.core.results import format_interval
@@ -459,3 +464,48 @@ def test_page_prints_to_pdf(page: Path, tmp_path: Path) -> None:
     browse(page, tmp_path, f"--print-to-pdf={tmp_path / 'page.pdf'}")
     pdf = (tmp_path / "page.pdf").read_bytes()
     assert pdf.startswith(b"%PDF") and pdf.count(b"/Type /Page\n") >= 4
+
+
+def test_stabilization_diagram_has_every_pole(recordings: list[Path]) -> None:
+    with Measurements(recordings[:1]) as measurements:
+        modes = measurements.results[0].sweeps[0].modes
+        [chart] = stabilization_charts(measurements.results)
+    assert modes is not None
+    # Poles of several orders with the same frequency: points of a series would be lost.
+    symbols = [curve for curve in chart.panels[0].curves if curve.draw in ("dots", "crosses", "circles")]
+    drawn = sorted(pair for curve in symbols for pair in zip(np.asarray(curve.x), np.asarray(curve.y), strict=True))
+    assert drawn == sorted((pole.frequency, pole.order) for pole in modes.chart)
+
+
+def test_local_model_carries_a_peak_between_lines() -> None:
+    f = np.linspace(10.0, 16.0, 1201)[::50]
+    curve = Response.curve(f, 1.0 / (13.04**2 - f**2 + 0.13j * f), "body1")
+    found = resonance_peak(curve, 11.0, 15.0)
+    assert found is not None
+    at, height = local_model(curve, found)
+    assert height.max() == pytest.approx(found.value, rel=1e-3) and at[height.argmax()] == pytest.approx(13.04, abs=0.1)
+
+
+def test_peak_far_above_its_points_is_called_extrapolated() -> None:
+    f = np.linspace(10.0, 16.0, 1201)
+    curve = Response.curve(f, 1.0 / (13.04**2 - f**2 + 0.13j * f), "body1")
+    coarse = curve.at(np.arange(0, f.size, 50))
+    for frf, is_extrapolated in ((curve, False), (coarse, True)):
+        found = resonance_peak(frf, 11.0, 15.0)
+        assert found is not None
+        assert ("Extrapolated" in response_chart([frf], ["body1"], peaks=[[found]]).caption) == is_extrapolated
+
+
+def test_phase_of_tones_has_gaps_of_magnitude() -> None:
+    f = np.linspace(10.0, 20.0, 41)
+    value = 1.0 / (15.1**2 - f**2 + 0.3j * f)
+    limits = {"sensors": np.where(abs(f - 12.0) < 0.6, 2.0, 0.01) * abs(value)}
+    magnitude, phase, *_ = response_chart([Response.curve(f, value, "body1", limits=limits)], ["body1"]).panels
+    points = [next(curve for curve in panel.curves if curve.draw == "points") for panel in (magnitude, phase)]
+    assert np.isnan(points[0].y).any() and np.array_equal(*(np.isnan(np.asarray(each.y)) for each in points))
+
+
+def test_mode_shape_rests_at_its_positive_maximum() -> None:
+    style = (files("analysis.commands.report_page") / "browser" / "page.css").read_text("utf-8")
+    assert "\n.moving { transform: translateY(calc(-1 * var(--swing))); }" in style
+    assert re.findall(r"([^\n{]*)\{ animation: swing", style) == [" .shapes figure:hover .moving "]

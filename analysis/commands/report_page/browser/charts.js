@@ -3,14 +3,14 @@
 "use strict";
 (function () {
   const LIGHT = { text: "#1b1f24", grid: "#d8dde3", page: "#ffffff" };
-  const DARK = { text: "#dfe4ea", grid: "#333b44", page: "#14181d", undetermined: "#66707b" };
+  const DARK = { text: "#dfe4ea", grid: "#333b44", page: "#14181d", undetermined: "#808c99" };
   const UNDETERMINED = "#9aa2ab"; // the color of undetermined curves in the data
   const PRINT_WIDTH = 700; // px: the printable width of A4
   const PRINT_HEIGHT = 0.64; // of the height on screen: two charts fit on a page
   const MIN_CONTRAST = 6; // of curves on a dark page: they are thinner than text, for which WCAG requires 4.5
   const MIN_DECADE = 120; // px: a shorter decade has no grid lines between its ends
   const MIN_LABEL = 14; // px between labels of decades
-  const SYMBOLS = ["crosses", "circles", "arrows"];
+  const SYMBOLS = ["dots", "crosses", "circles", "arrows"];
   const FONT = "12px system-ui, sans-serif";
   // Anchors of a perceptually uniform color map (viridis), dark to bright.
   const MAP = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
@@ -100,6 +100,7 @@
   }
 
   const PATHS = {
+    dots: (context, x, y, r) => { context.arc(x, y, 0.7 * r, 0, 7); },
     crosses: (context, x, y, r) => { context.moveTo(x - r, y - r); context.lineTo(x + r, y + r); context.moveTo(x - r, y + r); context.lineTo(x + r, y - r); },
     circles: (context, x, y, r) => { context.arc(x, y, 1.2 * r, 0, 7); },
     arrows: (context, x, y, r) => {
@@ -107,6 +108,26 @@
       context.moveTo(x - r, y - 4.5 * r); context.lineTo(x, y - 6 * r); context.lineTo(x + r, y - 4.5 * r);
     },
   };
+
+  // Centers of labels of these wanted centers (ascending) and widths: labels that would overlap move aside together.
+  function spread(labels, left, right) {
+    const groups = [];
+    for (const [center, width] of labels) {
+      let group = { items: [[0, width]], sum: center, width };
+      for (;;) {
+        group.center = Math.min(Math.max(group.sum / group.items.length, left + group.width / 2), right - group.width / 2);
+        const last = groups[groups.length - 1];
+        if (!last || last.center + last.width / 2 <= group.center - group.width / 2) break;
+        groups.pop();
+        group = {
+          items: [...last.items.map(([at, wide]) => [at - group.width / 2, wide]), ...group.items.map(([at, wide]) => [at + last.width / 2, wide])],
+          sum: last.sum + last.items.length * (group.width / 2) + group.sum - group.items.length * (last.width / 2), width: last.width + group.width,
+        };
+      }
+      groups.push(group);
+    }
+    return groups.flatMap(({ center, items }) => items.map(([at]) => center + at));
+  }
 
   // Strips at the axis where the values are undetermined, symbols, and labels of peaks above the axes.
   function annotate(plot, panel) {
@@ -120,38 +141,41 @@
       context.fillRect(low, top + height - 5 * ratio, high - low, 5 * ratio);
     }
     for (const curve of panel.curves.filter(({ draw }) => SYMBOLS.includes(draw))) {
-      if (plot.series.some((other) => other.label === curve.label && !other.show)) continue;
+      if (curve.hidden) continue;
       context.beginPath();
       curve.x.forEach((value, i) => {
         const [x, y] = position(value, curve.y[i]), r = (curve.draw === "circles" ? 3.2 : 3) * ratio;
         if (curve.y[i] == null || x < left || x > left + width || y < top || y > top + height) return;
-        context.moveTo(x + 1.2 * r, y);
+        context.moveTo(x + (curve.draw === "dots" ? 0.7 : 1.2) * r, y);
         PATHS[curve.draw](context, x, y, r);
       });
       context.lineWidth = 1.3 * ratio;
       context.strokeStyle = shade(curve.color);
-      context.fillStyle = theme("page");
-      if (curve.draw === "circles") context.fill();
+      context.fillStyle = curve.draw === "dots" ? shade(curve.color) : theme("page");
+      if (["dots", "circles"].includes(curve.draw)) context.fill();
       context.stroke();
     }
     context.fillStyle = theme("text");
     context.strokeStyle = theme("text");
     context.lineWidth = 0.6 * ratio;
     context.font = `${12 * ratio}px system-ui, sans-serif`;
-    context.textAlign = "left";
-    let free = 0;
-    for (const [x, y, label] of panel.marks) {
-      const [px, py] = position(x, y), wide = context.measureText(label).width;
-      if (px < left || px > left + width) continue;
+    context.textAlign = "center";
+    const marks = panel.marks.map(([x, y, label]) => [...position(x, y), label]).filter(([px]) => px >= left && px <= left + width);
+    const places = spread(marks.map(([px, , label]) => [px, context.measureText(label).width + 8 * ratio]), left, left + width);
+    marks.forEach(([px, py, label], k) => {
       context.setLineDash([2 * ratio, 3 * ratio]);
       context.beginPath();
       context.moveTo(px, top);
       context.lineTo(px, Math.max(py - 8 * ratio, top));
       context.stroke();
-      const at = Math.max(Math.min(px - wide / 2, left + width - wide), left, free);
-      free = at + wide + 8 * ratio;
-      context.fillText(label, at, top - 5 * ratio);
-    }
+      // A label that has moved aside is joined to its line.
+      context.setLineDash([]);
+      context.beginPath();
+      context.moveTo(px, top);
+      context.lineTo(places[k], top - 7 * ratio);
+      context.stroke();
+      context.fillText(label, places[k], top - 9 * ratio);
+    });
     context.restore();
   }
 
@@ -264,7 +288,8 @@
     });
     if (panel.image) return [panel.image.x];
     if (x.range && !tables.some(([own]) => own[0] === x.range[0] && own[own.length - 1] === x.range[1])) tables.push([x.range]);
-    return tables.length === 1 ? tables[0] : uPlot.join(tables);
+    // A gap includes the abscissae of other curves inside it (null mode 2): pieces of a line through it would be drawn.
+    return tables.length === 1 ? tables[0] : uPlot.join(tables, tables.map((columns) => columns.map(() => 2)));
   }
 
   // The curves of all panels by name: their values under the cursor are in one row of the readout.
@@ -272,8 +297,11 @@
     const rows = new Map();
     chart.panels.forEach((panel, k) => {
       let series = 1;
-      for (const curve of inSeries(panel)) {
-        if (!rows.has(curve.label)) rows.set(curve.label, { color: curve.color, places: [] });
+      for (const curve of panel.curves) {
+        if (!rows.has(curve.label)) rows.set(curve.label, { color: curve.color, places: [], draws: new Set(), dash: [] });
+        rows.get(curve.label).draws.add(curve.draw);
+        if (SYMBOLS.includes(curve.draw)) continue;
+        if (curve.draw === "line") rows.get(curve.label).dash = curve.dash;
         rows.get(curve.label).places.push({ k, series, bounded: Boolean(curve.low), shown: curve.draw !== "through" });
         series += curve.low ? 3 : 1;
       }
@@ -298,24 +326,39 @@
     return parent.appendChild(made);
   }
 
+  // A piece of a curve as it is drawn: line with its dashes, points, or symbols.
+  function swatch(holder, color, draws, dash) {
+    const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+    svg.setAttribute("viewBox", "0 0 30 10");
+    svg.setAttribute("class", "swatch");
+    const lines = draws.has("line") || draws.has("through");
+    const symbol = draws.has("points") || draws.has("dots") ? '<circle cx="15" cy="5" r="2.6"/>'
+      : draws.has("crosses") && !lines ? '<path fill="none" d="M12 2l6 6m0-6l-6 6"/>'
+        : draws.has("circles") && !lines ? '<circle fill="none" cx="15" cy="5" r="3.4"/>' : "";
+    svg.innerHTML = (lines ? `<path fill="none" d="M0 5H30" stroke-dasharray="${dash.map((length) => 1.5 * length).join(" ")}"/>` : "") + symbol;
+    svg.setAttribute("stroke-width", draws.has("line") ? 1.8 : 1.2);
+    holder.appendChild(svg);
+    paints.push(() => { svg.style.stroke = svg.style.fill = shade(color); });
+  }
+
   // One table below the chart: a name for each curve, which hides it, and its value in each panel under the cursor.
   function readout(holder, chart, drawn) {
     const table = element(holder, "table", "", "readout"), head = element(table, "tr");
     const abscissa = element(head, "th");
     const update = [(x) => { abscissa.textContent = `${chart.x.name}: ${x == null ? "–" : `${Number(x.toPrecision(6))} ${chart.x.unit}`}`; }];
     for (const panel of chart.panels) element(head, "td", panel.label);
-    for (const [label, { color, places }] of curveRows(chart)) {
+    for (const [label, { color, places, draws, dash }] of curveRows(chart)) {
       const row = element(table, "tr"), name = element(row, "th", "", "name");
-      const swatch = element(name, "span", "", "swatch");
-      paints.push(() => { swatch.style.background = shade(color); });
+      swatch(name, color, draws, dash);
       name.append(label);
       name.title = "Hide or show this curve";
       name.addEventListener("click", () => {
         const shown = row.classList.toggle("hidden");
         for (const { k, series, bounded } of places) {
           for (let n = series; n < series + (bounded ? 3 : 1); n++) drawn[k].setSeries(n, { show: !shown });
-          drawn[k].redraw(false, false);
         }
+        for (const curve of chart.panels.flatMap((panel) => panel.curves)) if (curve.label === label) curve.hidden = shown;
+        for (const plot of drawn) plot.redraw(false, false);
       });
       const cells = chart.panels.map(() => element(row, "td", "–"));
       for (const { k, series, bounded } of places.filter((place) => place.shown)) {
@@ -342,14 +385,12 @@
     link.click();
   }
 
-  // The curves as a table: a column for each abscissa and curve of each panel, as they may differ.
-  function csv(chart, drawn) {
-    const columns = [];
-    chart.panels.forEach((panel, k) => {
-      if (!panel.curves.length) return;
-      columns.push([chart.x.label, ...drawn[k].data[0]]);
-      drawn[k].series.slice(1).forEach((curve, n) => columns.push([`${panel.label}: ${curve.label}`, ...drawn[k].data[n + 1]]));
-    });
+  // The curves as a table: columns of abscissa, value and limits for each curve, as the abscissae differ.
+  function csv(chart) {
+    const columns = chart.panels.flatMap((panel) => panel.curves.flatMap((curve) => [
+      [chart.x.label, ...abscissa(curve.x)],
+      ...["y", "low", "high"].filter((key) => curve[key]).map((key) => [`${panel.label}: ${curve.label}${key === "y" ? "" : ` ${key}`}`, ...column(curve[key])]),
+    ]));
     const rows = Math.max(...columns.map((column) => column.length));
     // An apostrophe keeps spreadsheets from computing a name as a formula.
     const quoted = (text) => `"${text.replace(/^['\s]*[=+\-@]./s, "'$&").replaceAll('"', '""')}"`;
@@ -376,7 +417,7 @@
     const bar = element(holder, "div", "", "tools"), name = holder.dataset.source;
     if (chart.panels.some((panel) => panel.curves.length)) {
       element(bar, "button", "CSV").addEventListener("click", () => {
-        save(`${name}.csv`, `data:text/csv;charset=utf-8,${encodeURIComponent(csv(chart, drawn))}`);
+        save(`${name}.csv`, `data:text/csv;charset=utf-8,${encodeURIComponent(csv(chart))}`);
       });
     }
     element(bar, "button", "PNG").addEventListener("click", () => save(`${name}.png`, png(drawn)));
@@ -412,7 +453,7 @@
   function height(panel, last) {
     measure.font = FONT;
     const title = measure.measureText(panel.label).width + 10;
-    return Math.max(panel.height * (printing ? PRINT_HEIGHT : 1), title) + (last ? 52 : 6) + (panel.marks.length ? 18 : 0);
+    return Math.max(panel.height * (printing ? PRINT_HEIGHT : 1), title) + (last ? 52 : 6) + (panel.marks.length ? 22 : 0);
   }
 
   function draw(holder, chart, number) {
@@ -423,7 +464,7 @@
       const last = k === chart.panels.length - 1, { shown, bands } = series(panel);
       const canvas = panel.image ? picture(panel.image) : null;
       const plot = new uPlot({
-        width: holder.clientWidth || PRINT_WIDTH, height: height(panel, last), padding: [panel.marks.length ? 22 : 8, 16, 0, 0],
+        width: holder.clientWidth || PRINT_WIDTH, height: height(panel, last), padding: [panel.marks.length ? 26 : 8, 16, 0, 0],
         scales: {
           x: { time: false, distr: chart.x.log ? 3 : 1, range: (u, low, high) => [low, high] },
           y: { distr: panel.log ? 3 : 1, range: range(panel.log, panel.range) },
@@ -442,11 +483,16 @@
       drawn.push(plot);
       plots.push({ plot, holder, height: () => height(panel, last) });
     });
-    if (chart.panels.some((panel) => inSeries(panel).length)) show = readout(holder, chart, drawn);
+    if (chart.panels.some((panel) => panel.curves.length)) show = readout(holder, chart, drawn);
     tools(holder, chart, drawn);
     holder.dataset.drawn = chart.panels.length;
+    if (chart.x.view) for (const plot of drawn) plot.setScale("x", { min: chart.x.view[0], max: chart.x.view[1] });
   }
 
+  // Drawings have the colors of the charts.
+  for (const key of ["stroke", "fill"]) {
+    document.querySelectorAll(`svg [${key}^="#"]`).forEach((each) => paints.push(() => { each.style[key] = shade(each.getAttribute(key)); }));
+  }
   const repaint = () => paints.forEach((paint) => paint());
 
   function redraw() {

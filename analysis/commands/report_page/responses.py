@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from math import inf, isfinite
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -166,7 +167,7 @@ def response_chart(
     )
 
 
-def _exceeds_points(peak: Peak, f: NDArray[np.float64], modulus: NDArray[np.float64]) -> bool:
+def _exceeds_points(peak: Peak, f: NDArray[np.float64], modulus: NDArray[np.floating[Any]]) -> bool:
     """Return whether a peak exceeds the points next to it by more than half-power: they are on its flanks."""
     near = np.argsort(abs(f - peak.frequency))[:2]
     return bool(peak.value > _HALF_POWER * np.nanmax(modulus[near], initial=0.0))

@@ -489,7 +489,7 @@ def test_local_model_carries_a_peak_between_lines() -> None:
 def test_peak_far_above_its_points_is_called_extrapolated() -> None:
     f = np.linspace(10.0, 16.0, 1201)
     curve = Response.curve(f, 1.0 / (13.04**2 - f**2 + 0.13j * f), "body1")
-    coarse = curve.at(np.arange(0, f.size, 50))
+    coarse = curve.at(np.arange(25, f.size, 50))
     for frf, is_extrapolated in ((curve, False), (coarse, True)):
         found = resonance_peak(frf, 11.0, 15.0)
         assert found is not None

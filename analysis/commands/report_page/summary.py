@@ -30,6 +30,7 @@ def summarize(measurements: Sequence[Measurement], changes: Sequence[SweepChange
         if not changes:
             texts += _resonance_texts(measurement)
         texts += [text for result in measurement.dampers for text in _impact_texts(measurement, result)]
+    texts = texts or [text for each in measurements for text in _response_texts(each)]
     return texts[:_MAX_TEXTS] or ["No result: see the warnings."]
 
 
@@ -122,6 +123,12 @@ def _resonance_texts(measurement: Measurement) -> list[str]:
         if (text := _highest_compliance(sweep))
     )
     return ["\n".join([_resonance_text(sweeps[0]), *others])]
+
+
+def _response_texts(measurement: Measurement) -> list[str]:
+    """Describe the response with the highest value of each sweep, of which no mode is identified."""
+    known = ([frf for frf in sweep.frfs if np.isfinite(frf.value).any()] for sweep in measurement.sweeps)
+    return [f"{max(frfs, key=lambda frf: abs(frf.value[frf.peak_line()])).summary()}." for frfs in known if frfs]
 
 
 def _resonance_text(sweep: SweepResults) -> str:

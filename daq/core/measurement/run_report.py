@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from rig.core.scene.measurement_chain import Accelerometer, Hammer
     from rig.core.scene.scene import Scene
 
+# `analysis modes` requires this number of frequencies.
+_MIN_MODE_TONES = 8
+
 
 def record_and_report(name: str, scene: Scene, path: Path, block: int | None) -> int:
     """Record the test of a scene with a progress bar and print a summary.
@@ -114,9 +117,8 @@ def next_steps(rec: Recording) -> list[str]:
         return [f"daq replay {path}"]
     steps = ["decay"] if "hit" in kinds or not kind.drives else []
     if ("hit" in kinds and has_force_channel) or ("measure" in kinds and has_force_reference):
-        # The response to one tone has no modes.
-        is_one_tone = kind.steady and len({mark.fields.get("frequency") for mark in measured}) == 1
-        steps += ["frf"] if is_one_tone else ["frf", "modes"]
+        is_few_tones = kind.steady and len({mark.fields.get("frequency") for mark in measured}) < _MIN_MODE_TONES
+        steps += ["frf"] if is_few_tones else ["frf", "modes"]
     steps = [*own_analyses(rec.markers), *(["srs"] if shocks_of(rec.markers) else steps)]
     steps += ["dampers"] if kind.steady and "measure" in kinds and outline.n_dampers else []
     return [*(f"analysis {step} {path}" for step in steps), f"daq replay {path}"]

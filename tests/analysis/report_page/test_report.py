@@ -119,6 +119,14 @@ def test_peak_of_report_equals_peak_of_frf(recordings: list[Path]) -> None:
     assert f"({peak_height(highest[1], curve.shown_in)}) µm/N" in text
 
 
+def test_summary_without_modes_states_the_response(recordings: list[Path]) -> None:
+    with Measurements(recordings[:1]) as measurements:
+        [measurement] = measurements.results
+        [sweep] = measurement.sweeps
+        [sentence] = summarize([replace(measurement, sweeps=(replace(sweep, modes=None),))], [])
+    assert "compliance" in sentence and "largest contribution" in sentence
+
+
 def test_peak_without_determined_height_has_no_value(recordings: list[Path]) -> None:
     [responses] = analysis.frf(recordings[0])
     curve = responses.curves()[0]

@@ -36,7 +36,7 @@ from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.extras.formats.frf_files import is_frf_file
 from rig.core.base.palette import recording_styles
 from rig.core.base.progress import CountProgress
-from rig.core.results import format_interval, format_percent, format_quantity
+from rig.core.results import format_interval, format_percent
 from rig.core.results.resonances import MIN_LINES, Resonance
 from rig.core.results.response import MOTIONS, Response
 from rig.core.results.text import table_lines
@@ -165,8 +165,8 @@ def _peaks_between_points(frf: Response) -> list[str]:
     if highest is not None and value + scale * highest.interpolation_bound > point:
         unit, factor = frf.shown_in
         remarks.append(
-            f"the peak between the points is {format_quantity(factor * value, factor * scale * highest.bound, unit)} "
-            f"at {highest.frequency:.2f} Hz"
+            f"the peak between the points is {_in_unit(highest.height_text(factor * scale), unit)} at "
+            f"{highest.frequency:.2f} Hz"
         )
     elif frequency in (frf.frequency.min(), frf.frequency.max()):
         remarks.append(
@@ -174,6 +174,11 @@ def _peaks_between_points(frf: Response) -> list[str]:
         )
     coarse = [r for r, _, _ in peaks if r.lines < MIN_LINES or np.isfinite(r.needed_spacing) or r in uncertain]
     return remarks + ([_spacing_remark(frf, coarse)] if coarse else [])
+
+
+def _in_unit(interval: str, unit: str) -> str:
+    """Add a unit to a value with its interval, so that a bound is not read as relative."""
+    return f"({interval}) {unit}" if "±" in interval else f"{interval} {unit}"
 
 
 def _spacing_remark(frf: Response, coarse: Sequence[Resonance]) -> str:

@@ -10,10 +10,10 @@ import numpy as np
 
 from analysis.commands.presentation.damper_findings import detection_limits
 from analysis.commands.report_page.measurements import Measurement, SweepChange, SweepResults
-from analysis.commands.report_page.tables import change_heights, change_text, peak_height, with_bound
+from analysis.commands.report_page.tables import change_heights, change_text
 from analysis.core.damper_motion.dampers import Dampers
 from daq.core.recording.recorded_test import deviation_unit, shocks_of
-from rig.core.results import format_decimals, format_frequencies
+from rig.core.results import format_decimals, format_frequencies, format_interval
 
 # Number of texts in the summary.
 _MAX_TEXTS = 3
@@ -155,7 +155,7 @@ def _highest_compliance(sweep: SweepResults) -> str:
         where = f"{curve.ratio}, mode at {format_decimals(float(sweep.modes.frequency[mode]), 2)} Hz"
     if highest.value < highest.bound < inf:
         return f"the height of the highest peak of the {curve.name} is not determined ({where})"
-    return f"the highest {curve.name} is {peak_height(highest, curve.shown_in)} {curve.shown_in[0]} ({where})"
+    return f"the highest {curve.name} is {highest.height_text(curve.shown_in[1])} {curve.shown_in[0]} ({where})"
 
 
 def _impact_texts(measurement: Measurement, result: Dampers) -> list[str]:
@@ -181,7 +181,7 @@ def _impact_texts(measurement: Measurement, result: Dampers) -> list[str]:
         if share[largest] > bound[largest] > 0:
             # The chart shows whole percents.
             percent, percent_bound = 100 * float(share[largest]), 100 * float(bound[largest])
-            value = f"{percent:.0f}" if percent_bound < 0.5 else with_bound(percent, percent_bound)
+            value = f"{percent:.0f}" if percent_bound < 0.5 else format_interval(percent, percent_bound)
             text += f"; the dampers dissipate up to {value} % of the supplied energy (at {frequency[largest]:.4g} Hz)"
     return [f"{text}."]
 

@@ -13,7 +13,7 @@ from analysis.core.damper_motion.comparison import Peak, PeakChange
 from analysis.core.modal.modes import Modes, mac
 from analysis.core.responses.errors.systematic import tolerance
 from rig.core.base.escaping import escape_html
-from rig.core.results import format_decimals, format_number, format_percent, round_to_bound
+from rig.core.results import format_decimals, format_interval, format_number, format_percent, round_to_bound
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import expand
 
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from rig.core.scene.damper import Damper
     from rig.core.scene.scene import Scene
 
-# An interval whose lower part is a smaller fraction of its upper part is stated by its ends.
-_MIN_SYMMETRY = 0.9
 # Maximum number of overloads or gaps that are listed individually.
 _MAX_LISTED = 5
 
@@ -56,49 +54,15 @@ def resonances(measurements: Sequence[Measurement]) -> str:
             continue
         rows.append((modes.label,))
         for k, highest in enumerate(peaks):
-            frequency = with_bound(float(modes.frequency[k]), float(expand(modes.frequency_error[k])))
+            frequency = format_interval(float(modes.frequency[k]), float(expand(modes.frequency_error[k])))
             location, height = (
-                ("", "") if highest is None else (highest[0].ratio, peak_height(highest[1], highest[0].shown_in))
+                ("", "") if highest is None else (highest[0].ratio, highest[1].height_text(highest[0].shown_in[1]))
             )
             rows.append((frequency, modes.damping_text(k), location, height))
     found = (peak for measurement in measurements for sweep in measurement.sweeps for peak in sweep.peaks)
     units = " or ".join(dict.fromkeys(peak[0].shown_in[0] for peak in found if peak is not None)) or "µm/N"
     heading = ["natural frequency / Hz", "damping ratio", "highest at", f"peak / ({units})"]
     return table("Resonances, with 95 % intervals", heading, rows) if rows else ""
-
-
-def peak_height(highest: Peak, shown_in: tuple[str, float]) -> str:
-    """Format the height of a peak with its bound, or its lower bound if the upper bound is infinite.
-
-    `shown_in`: unit and the factor to it.
-
-    >>> peak_height(Peak(1e-3, 2e-3, 10.0, 9.9, 10.1), ("µm/N", 1e6))
-    'not determined'
-    >>> peak_height(Peak(211e-6, 34e-6, 33.6, 33.3, 33.9, lower_limit=209e-6), ("µm/N", 1e6))
-    '211 (209 to 245)'
-    """
-    _, factor = shown_in
-    if isinf(highest.bound):
-        return f"at least {factor * highest.low:.4g}"
-    if highest.bound > highest.value:
-        return "not determined"
-    low, value, high = (factor * each for each in (highest.low, highest.value, highest.value + highest.bound))
-    if value - low < _MIN_SYMMETRY * (high - value):
-        # The measured points are a lower limit of the peak.
-        value_text, low_text, high_text = (round_to_bound(each, high - value) for each in (value, low, high))
-        return f"{value_text} ({low_text} to {high_text})"
-    return with_bound(value, high - value)
-
-
-def with_bound(value: float, bound: float) -> str:
-    """Format a value and its bound with the same number of decimals.
-
-    >>> with_bound(34.7812, 0.0123), with_bound(1.0, 0.0), with_bound(2.0, float("inf"))
-    ('34.781 ± 0.012', '1', '2 (unbounded)')
-    """
-    if not isfinite(bound):
-        return f"{value:.4g} (unbounded)"
-    return f"{round_to_bound(value, bound)} ± {round_to_bound(bound, bound)}" if bound > 0.0 else f"{value:.4g}"
 
 
 def changes_table(changes: Sequence[SweepChange]) -> str:
@@ -178,12 +142,12 @@ def decays(measurements: Sequence[Measurement]) -> str:
             if mode.damping.size:
                 percent, expanded = mode.percent
                 first, last = (
-                    f"{with_bound(percent[k], expanded[k])} at {mode.amplitude[k]:.3g} m/s²" for k in (0, -1)
+                    f"{format_interval(percent[k], expanded[k])} at {mode.amplitude[k]:.3g} m/s²" for k in (0, -1)
                 )
                 damping_texts = (first, last)
             frequency = f"{mode.center:.4g}"
             if np.isfinite(mode.frequency):
-                frequency = with_bound(mode.frequency, float(expand(mode.frequency_error)))
+                frequency = format_interval(mode.frequency, float(expand(mode.frequency_error)))
             rows.append((frequency, *damping_texts))
     heading = ["natural frequency / Hz", "damping ratio / % at the largest amplitude", "at the smallest"]
     caption = (
@@ -204,7 +168,7 @@ def budget(curve: Response, highest: Peak) -> str:
         for name, evaluation, standard, share in result.rows
     ]
     return table(
-        f"Uncertainty budget of {curve.label}, {result.title}: {with_bound(result.value, result.expanded)} "
+        f"Uncertainty budget of {curve.label}, {result.title}: {format_interval(result.value, result.expanded)} "
         f"{result.unit} (95 %)",
         ["contribution", "type (GUM)", f"standard uncertainty / ({result.unit})", "share of the variance"],
         [*rows, ("combined", "", format_number(float(f"{result.combined:.2g}")), "")],

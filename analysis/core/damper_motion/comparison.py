@@ -12,7 +12,7 @@ from math import floor, hypot, inf, isfinite, isinf, log10, sqrt
 import numpy as np
 
 from analysis.core.modal.modes import Modes
-from rig.core.results import format_decimals, format_number
+from rig.core.results import format_decimals, format_interval, format_number, round_to_bound
 from rig.core.results.resonances import MIN_LINES, Resonance, find_resonances
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import CLOCK, COVERAGE_FACTOR, SENSITIVITY, SYSTEMATIC, expand
@@ -32,6 +32,8 @@ _SAME_TOLERANCE = 1e-6
 _CLOCK_ERRORS_IN_HEIGHT = 2.0
 # The height of a peak is stated if its relative bound is at most this.
 _MAX_PEAK_UNCERTAINTY = 0.5
+# An interval whose lower part is a smaller fraction of its upper part is stated by its ends.
+_MIN_SYMMETRY = 0.9
 # Stands for an unbounded error, m/N: products of the largest floating-point number would overflow.
 _UNBOUNDED = 1e100
 # If the relative interpolation error at a peak exceeds this value, a smaller frequency step is recommended.
@@ -94,6 +96,25 @@ class Peak:
             inf if low <= 0.0 else max(20.0 * log10(self.value / low), 0.0),
             max(20.0 * log10(high / self.value), 0.0),
         )
+
+    def height_text(self, factor: float) -> str:
+        """Write the height times a factor with its interval, or its lower bound if the upper bound is infinite.
+
+        >>> Peak(1e-3, 2e-3, 10.0, 9.9, 10.1).height_text(1e6)
+        'not determined'
+        >>> Peak(211e-6, 34e-6, 33.6, 33.3, 33.9, lower_limit=209e-6).height_text(1e6)
+        '211 (209 to 245)'
+        """
+        if isinf(self.bound):
+            return f"at least {factor * self.low:.4g}"
+        if self.bound > self.value:
+            return "not determined"
+        low, value, high = (factor * each for each in (self.low, self.value, self.value + self.bound))
+        if value - low < _MIN_SYMMETRY * (high - value):
+            # The measured points are a lower limit of the peak.
+            value_text, low_text, high_text = (round_to_bound(each, high - value) for each in (value, low, high))
+            return f"{value_text} ({low_text} to {high_text})"
+        return format_interval(value, high - value)
 
 
 def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:

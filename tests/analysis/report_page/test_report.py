@@ -18,6 +18,7 @@ import pytest
 import analysis
 import daq
 import rig
+from analysis.commands.presentation import frf_findings
 from analysis.commands.presentation.comparison import describe_changes
 from analysis.commands.presentation.damper_findings import describe_motions
 from analysis.commands.presentation.frf_findings import describe_frfs
@@ -34,7 +35,7 @@ from analysis.commands.report_page.responses import (
     stabilization_charts,
 )
 from analysis.commands.report_page.summary import summarize
-from analysis.commands.report_page.tables import changes_table, peak_height
+from analysis.commands.report_page.tables import changes_table
 from analysis.commands.report_page.tables import test_sentence as sentence_of
 from analysis.core.damper_motion.comparison import Peak, PeakChange, local_model, resonance_peak
 from analysis.core.modal.modes import BodyShapes
@@ -116,7 +117,16 @@ def test_peak_of_report_equals_peak_of_frf(recordings: list[Path]) -> None:
     highest = highest_peak([curve], [None])
     assert highest is not None
     [text] = [line for line in describe_frfs([curve]) if "the peak between the points" in line]
-    assert f"({peak_height(highest[1], curve.shown_in)}) µm/N" in text
+    assert f"({highest[1].height_text(curve.shown_in[1])}) µm/N" in text
+
+
+def test_frf_prints_asymmetric_interval_of_peak(recordings: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    curve = analysis.frf(recordings[0])[0].curves()[0].band(20.0, 60.0)
+    [(resonance, _), *_] = frf_findings.resonance_peaks(curve)
+    # The highest measured point is a lower limit of the peak.
+    found = Peak(2.11e-2, 3.4e-3, 33.6, 33.3, 33.9, lower_limit=2.09e-2, interpolation_bound=1e-4)
+    monkeypatch.setattr(frf_findings, "resonance_peaks", lambda _: [(resonance, found)])
+    assert any("is 21100 (20900 to 24500) µm/N at 33.60 Hz" in line for line in describe_frfs([curve]))
 
 
 def test_summary_without_modes_states_the_response(recordings: list[Path]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from analysis.core.damper_motion.energy_balance import CycleEnergy
 from analysis.core.damper_motion.motion_types import DamperMotion
 from analysis.core.responses.spectral_lines import Lines
 from rig.core.base.escaping import escape_figure
-from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
+from rig.core.base.figure_style import add_legend_below, add_title, cell_edges, frequency_axis, log_axis, new_figure
 from rig.core.base.palette import DAMPER, MOTIONS
 
 if TYPE_CHECKING:
@@ -56,22 +57,26 @@ def dampers_figure(dampers: Dampers, title: str) -> Figure:
 
 
 def _draw_motions(axes: Axes, motions: Sequence[Sequence[DamperMotion]]) -> None:
-    """Draw one row for each body, with a bar in the color of its motion at each measured frequency."""
+    """Draw one row for each body, with a cell in the color of its motion at each measured frequency."""
     drawn: set[str] = set()
     for row, body in enumerate(motions):
         axes.axhline(row, color="#d9d9d9", lw=0.8, zorder=0)
+        distinct = np.unique([motion.frequency for motion in body])
+        borders = cell_edges(distinct, True)
+        edges = dict(zip(distinct.tolist(), pairwise(borders), strict=True))
         frequencies: dict[str, list[float]] = {}
         for motion in body:
             frequencies.setdefault(motion.name.split(":")[0], []).append(motion.frequency)
         for kind, frequency in frequencies.items():
-            axes.vlines(frequency, row - 0.35, row + 0.35, color=_MOTION_COLORS[kind], lw=2.4)
+            for low, high in (edges[each] for each in frequency):
+                axes.fill_between([low, high], row - 0.35, row + 0.35, color=_MOTION_COLORS[kind], lw=0)
         drawn |= frequencies.keys()
     axes.set_ylim(len(motions) - 0.4, -0.6)
     axes.set_yticks(range(len(motions)), [escape_figure(body[0].channel) for body in motions])
     axes.grid(False, axis="y")
     for kind, text in _LEGEND_TEXTS.items():
         if kind in drawn:
-            axes.plot([], [], "|", color=_MOTION_COLORS[kind], ms=8, mew=2.4, label=text)
+            axes.plot([], [], "s", color=_MOTION_COLORS[kind], ms=7, label=text)
 
 
 def _draw_energies(axes: Axes, energy: CycleEnergy, lines: Lines, true_loss: np.ndarray | None) -> None:
@@ -92,8 +97,8 @@ def _draw_energies(axes: Axes, energy: CycleEnergy, lines: Lines, true_loss: np.
     axes.errorbar(energy.frequency, 1e3 * into_dampers, 1e3 * energy.bound, fmt="none", ecolor=DAMPER, elinewidth=0.9)
     upper_limit = 1e3 * np.maximum(energy.dampers + energy.bound, 0.0)
     axes.plot(
-        energy.frequency[~is_determined], upper_limit[~is_determined], "v", mfc="none", ms=4.5, mew=0.8,
-        color=DAMPER, label="into the dampers, upper bound",
+        energy.frequency[~is_determined], upper_limit[~is_determined], "v", mfc="none", ms=3.5, mew=0.6,
+        color=DAMPER, alpha=0.6, label="into the dampers, upper bound",
     )  # fmt: skip
     plotted = [1e3 * energy.supplied, 1e3 * energy.structure, 1e3 * into_dampers, upper_limit[~is_determined]]
     if true_loss is not None:
@@ -110,7 +115,7 @@ def _caption(energy: CycleEnergy | None, lines: Lines) -> list[str]:
     """Explain error bars and markers in sentences."""
     sentences = []
     if energy is not None:
-        sentences.append("Bars: 95 % intervals of the energy, with scatter and systematic errors.")
+        sentences.append("Bars (most are smaller than the points): 95 % intervals of the energy.")
     if lines.unsteady is not None and lines.unsteady.any():
         sentences.append("Crosses: steady state not reached.")
     if lines.left_out.size:

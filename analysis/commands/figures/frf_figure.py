@@ -13,7 +13,7 @@ from analysis.core.damper_motion.comparison import resonance_peaks
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
-from rig.core.base.palette import CurveStyle, place_styles
+from rig.core.base.palette import CurveStyle, faded, place_style, place_styles
 from rig.core.results.response import MOTIONS, Response
 
 if TYPE_CHECKING:
@@ -46,6 +46,8 @@ MAX_POINTS = 600
 _MIN_PEAK_EXCESS = 0.01
 # A peak at a line with a smaller coherence is that of the noise, and is not marked.
 _MIN_PEAK_COHERENCE = 0.9
+# A peak is marked if it is the highest point at frequencies that differ by at most this fraction.
+_PEAK_RANGE = 0.05
 # Length of the dashes of a curve of many lines, relative to those of other curves.
 _DASH_SCALE = 0.5
 _THEORY_COLOR = "#222222"
@@ -69,11 +71,15 @@ def frf_figure(
     low, high = float(frequencies.min()), float(frequencies.max())
     if high <= low:
         low, high = low / 1.2, high * 1.2
+    several = bool(styles)
     styles = styles or place_styles([frf.outputs[0].at for frf in frfs])
+    if len(frfs) == 1:
+        styles = [styles[0]._replace(dashes=())]
     with new_figure(6.8) as figure:
         magnitude_axes, phase_axes, coherence_axes = figure.subplots(3, 1, height_ratios=[3.2, 1.3, 0.9])
         for curve in theory:
-            style: dict[str, Any] = {"color": _THEORY_COLOR, "lw": 0.9, "ls": ":", "zorder": 3.5}
+            color = place_style(curve.outputs[0].at).color if curve.outputs[0].at and not several else _THEORY_COLOR
+            style: dict[str, Any] = {"color": color, "lw": 0.9, "ls": ":", "zorder": 3.5}
             magnitude_axes.plot(curve.frequency, curve.shown_in[1] * abs(curve.value), **style)
             phase_axes.plot(*break_at_wraps(curve.frequency, phase_degrees(curve.value)), **style)
         if theory:
@@ -134,7 +140,7 @@ def _caption(frfs: Sequence[Response], has_peaks: bool, has_arrows: bool) -> lis
     if causes:
         sentences.append(f"Light band: also limits of error (type B): {', '.join(causes)}.")
     if not all(is_determined(frf).all() for frf in frfs):
-        sentences.append("Gray, with a strip at the axis: undetermined (noise, or bound above 100 %); phase not shown.")
+        sentences.append("Pale, with a strip at the axis: undetermined (noise, or bound above 100 %); phase not shown.")
     if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
         sentences.append("Crosses: steady state not reached.")
     if any(np.isfinite(frf.value).sum() < frf.frequency.size or frf.resolution == 0.0 for frf in frfs):
@@ -190,7 +196,7 @@ def _draw_curve(frf: Response, style: CurveStyle, magnitude_axes: Axes, phase_ax
         )  # fmt: skip
         # One more point on either side makes the line continuous where its color changes to gray.
         noisy = ~is_known | ~np.roll(is_known, 1) | ~np.roll(is_known, -1)
-        magnitude_axes.plot(frf.frequency, np.where(noisy, magnitude, np.nan), color=_NOISE_COLOR, lw=0.7, zorder=2)
+        magnitude_axes.plot(frf.frequency, np.where(noisy, magnitude, np.nan), color=faded(color), lw=0.7, zorder=2)
     if not points["marker"]:
         # Lines close together are joined also where their noise prevents interpolation.
         is_joined = np.isfinite(value) | np.isin(frequency, frf.frequency)
@@ -214,7 +220,7 @@ def _draw_curve(frf: Response, style: CurveStyle, magnitude_axes: Axes, phase_ax
     phase_axes.plot(frf.frequency, angle, **points)
     if _has_scatter(frf):
         if is_unknown.any():
-            coherence_axes.plot(frf.frequency, frf.coherence, color=_NOISE_COLOR, lw=0.7, zorder=2)
+            coherence_axes.plot(frf.frequency, frf.coherence, color=faded(color), lw=0.7, zorder=2)
         coherence_axes.plot(
             frf.frequency, np.where(is_known, frf.coherence, np.nan), color=color, ls=style.line, zorder=3
         )
@@ -239,8 +245,10 @@ def _draw_peaks(frf: Response, color: str, axes: Axes) -> tuple[list[float], lis
             height = factor * peak.value * (2.0 * np.pi * peak.frequency) ** MOTIONS.index(frf.motion)
             is_near = abs(np.searchsorted(ordered, peak.frequency) - np.searchsorted(ordered, line_frequency)) <= 1
             is_noise = _has_scatter(frf) and frf.coherence[resonance.line] < _MIN_PEAK_COHERENCE
-            # A jump next to the line is higher than its peak.
-            around = abs(frf.value[max(resonance.line - 2, 0) : resonance.line + 3])
+            # A jump next to the line, or the highest point of a scattered range, is higher than its peak.
+            is_around = abs(frf.frequency / line_frequency - 1.0) < _PEAK_RANGE
+            is_around[max(resonance.line - 2, 0) : resonance.line + 3] = True
+            around = abs(frf.value[is_around])
             is_highest = height >= factor * np.nanmax(around)
             is_visible = is_near and is_highest and height > (1.0 + _MIN_PEAK_EXCESS) * factor * point
             if is_visible and not peak.at_end and not is_noise:

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from analysis.commands.figures.frf_figure import is_determined
 from analysis.core.modal.modes import Modes
 from rig.core.base.arrays import Array
 from rig.core.base.escaping import escape_figure
-from rig.core.base.figure_style import add_title, frequency_axis, log_axis, new_figure
-from rig.core.base.palette import place_styles
+from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
+from rig.core.base.palette import faded, place_styles
 from rig.core.results.response import MAX_MARKERS, Response
 from rig.core.results.uncertainty import expand
 
@@ -23,6 +24,8 @@ MAX_SHAPE_BOUND = 0.5
 _FADED = 0.35
 # Longer error bars are cut: they are wider than the panel.
 _WIDEST_BAR = 3.0
+# A mode whose pole is stable in fewer of the orders, as a fraction, is marked.
+_MIN_STABLE = 0.5
 # Number of mode shapes side by side; with more, their titles would overlap.
 _MAX_COLUMNS = 5
 
@@ -52,26 +55,30 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
         near_peaks = modes.frequency[:, None] * (1.0 + np.outer(modes.damping, np.linspace(-8.0, 8.0, 161)))
         dense = np.unique(np.append(np.geomspace(low, high, 1500), near_peaks))
         dense = dense[(dense >= low) & (dense <= high)]
-        # Few points are drawn as dots with a line for the model, many points as a broad line with a thin dark line.
+        # Few points are drawn as dots with a line for the model, many points as a broad line with a thin line.
         is_sparse = curves[0].frequency.size <= MAX_MARKERS
         styles = place_styles([curve.outputs[0].at for curve in curves])
         unit, factor = curves[0].shown_in
         for index, (curve, style) in enumerate(zip(curves, styles, strict=True)):
             color = style.color
+            measured, known = factor * abs(curve.value), is_determined(curve)
+            points: dict[str, Any] = {"marker": style.marker, "ls": ""} if is_sparse else {"lw": 2.8}
+            pale = color if is_sparse else faded(color)
+            magnitude_axes.plot(curve.frequency, np.where(known, measured, np.nan), ms=2.4, color=pale, **points)
             magnitude_axes.plot(
-                curve.frequency, factor * abs(curve.value), style.marker if is_sparse else "-", ms=2.4, color=color,
-                lw=2.4, alpha=1.0 if is_sparse else 0.35, label=escape_figure(curve.response),
-            )  # fmt: skip
+                curve.frequency, np.where(known, np.nan, measured), color=faded(color), lw=0.7, zorder=1
+            )
             model = factor * abs(modes.receptance(dense)[index])
-            model_color, dashes = (color, "-") if is_sparse else ("black", style.line)
-            magnitude_axes.plot(dense, model, color=model_color, lw=0.9, ls=dashes)
+            name = escape_figure(curve.response)
+            magnitude_axes.plot(
+                dense, model, color=color, lw=1.1, ls="-" if is_sparse else style.line, label=name, ms=3.5,
+                marker=style.marker if is_sparse else "", markevery=[],
+            )  # fmt: skip
         magnitudes = [factor * abs(modes.receptance(dense)), *(factor * abs(curve.value) for curve in curves)]
         log_axis(magnitude_axes, magnitudes)
         frequency_axis(magnitude_axes, low, high, False)
         magnitude_axes.set_ylabel(f"|{curves[0].name}| / ({unit})")
         add_title(magnitude_axes, title)
-        legend_title = f"{'dots' if is_sparse else 'broad'}: measured, thin: model"
-        magnitude_axes.legend(loc="best", title=legend_title, title_fontsize=8.5)
         modes.plot_stabilization(chart_axes)
         frequency_axis(chart_axes, low, high, True)
         for frequency in modes.frequency:
@@ -94,7 +101,23 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
             axes.annotate("+", (0.82, 0.08), (0.82, 0.08), ha="right", color="#555555", **positive)
             names = ["ground", *map(escape_figure, bodies.names)] if column == 0 else [""] * (heights.size + 1)
             axes.set_yticks(np.append(0, heights), names)
+            remark = _tentative_text(modes, i)
             axes.set_title(
-                f"{modes.frequency_text(i)}\n{modes.damping_text(i)}", y=1.0, fontsize=9, fontweight="normal"
-            )
+                f"{modes.frequency_text(i)}\nζ = {modes.damping_text(i)}{remark}", y=1.0, fontsize=9,
+                fontweight="normal",
+            )  # fmt: skip
+        add_legend_below(
+            figure, f"{'Points' if is_sparse else 'Broad and pale'}: measured. Lines: modal model. ±: 95 % intervals.",
+            "Shapes: the largest element is 1.",
+        )  # fmt: skip
         return figure
+
+
+def _tentative_text(modes: Modes, index: int) -> str:
+    """Return a line for a mode whose pole is stable in few of the model orders; empty for others."""
+    orders = {pole.order for pole in modes.chart}
+    width = max(2.0 * modes.damping[index], 0.005) * modes.frequency[index]
+    stable = {
+        pole.order for pole in modes.chart if pole.stable and abs(pole.frequency - modes.frequency[index]) < width
+    }
+    return f"\ntentative: {len(stable)} of {len(orders)} orders" if len(stable) < _MIN_STABLE * len(orders) else ""

@@ -29,7 +29,8 @@ def present_backbone(recordings: OpenRecordings, paths: Sequence[Path], output: 
 def _draw(result: Backbone, figure: Figure, axes: Axes) -> None:
     result.draw(axes)
     sensor = "Those of the amplitude contain the limit of error of the sensor, which is common to all points."
-    add_caption(figure, "Bars: 95 % intervals.", sensor)
+    axes.margins(x=0.08)
+    add_caption(figure, "Numbers: level of each point. Bars: 95 % intervals.", sensor)
 
 
 def level_lines(result: Backbone) -> list[str]:

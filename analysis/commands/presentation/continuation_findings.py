@@ -12,7 +12,7 @@ from analysis.commands.presentation.figures_of_recordings import present_each
 from analysis.commands.presentation.outputs import CommandOutput
 from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.tracking.continuation import AmplitudeCurve, continuation
-from rig.core.base.figure_style import add_caption
+from rig.core.base.figure_style import add_legend_below
 from rig.core.base.palette import level_styles
 from rig.core.orbits.branches import follow_orbits
 from rig.core.orbits.orbit_curve import OrbitBranch
@@ -66,13 +66,15 @@ def present_continuation(
         result.draw(axes)
         colors = level_styles(result.level)
         for level, branch, amplitude in exact:
-            # Broad and pale below the measured points of the same level.
-            line: dict[str, Any] = {"color": colors[level].color, "alpha": 0.35, "zorder": 1}
-            axes.plot(branch.value, np.where(branch.stable, 1e3 * amplitude, np.nan), lw=3.0, **line)
-            axes.plot(branch.value, 1e3 * amplitude, "--", lw=1.0, **line)
-        axes.legend()
-        orbits = ["Pale: exact orbits (dashed: unstable)."] if exact else []
-        add_caption(figure, "Hollow: unstable. Crosses: folds.", *orbits)
+            line: dict[str, Any] = {"color": colors[level].color, "lw": 1.2, "zorder": 1}
+            for dashes, selected in (("-", branch.stable), ((0, (3, 2)), ~branch.stable)):
+                # One more point on either side joins the stable and the unstable part.
+                joined = selected | np.roll(selected, 1) | np.roll(selected, -1)
+                axes.plot(branch.value, np.where(joined, 1e3 * amplitude, np.nan), ls=dashes, **line)
+        for dashes, name in (("-", "exact, stable"), ((0, (3, 2)), "exact, unstable")) if exact else ():
+            axes.plot([], [], ls=dashes, color="#555555", lw=1.2, label=name)
+        paths = ["A branch without points was not followed by the test."] if exact else []
+        add_legend_below(figure, "Points: measured.", *paths)
 
     title = "Response at constant level"
     return present_each(

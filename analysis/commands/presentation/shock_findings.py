@@ -70,13 +70,21 @@ def present_srs(
         for index, (label, spectrum) in enumerate(spectra):
             name = f"{label}, {spectrum.channel}" if len(paths) > 1 else spectrum.channel
             color = COLORS[index % len(COLORS)] if len(paths) > 1 else place_style(places[spectrum.channel]).color
-            spectrum.draw(axes, color=color, label=escape_figure(name))
+            style = {"color": color, "label": escape_figure(name)}
+            if len(spectra) == 1:
+                spectrum.draw(axes, **style)
+            else:
+                # The signed spectra of several channels would hide each other; the table contains them.
+                dashes = "-" if len(paths) > 1 else place_style(places[spectrum.channel]).line
+                axes.loglog(spectrum.frequency, spectrum.maximax, ls=dashes, lw=1.6, **style)
+                axes.set(xlabel="natural frequency / Hz", ylabel=f"shock response / ({spectrum.unit})")
         if required is not None:
             axes.loglog(*required, color=REFERENCE, lw=4.0, alpha=0.25, label="prescribed pulse")
         for axis in (axes.xaxis, axes.yaxis):
             set_log_scale(axis)
         add_title(axes, title)
-        add_legend_below(figure, "Solid: largest magnitude. Dashed: positive. Dotted: negative.")
+        signed = " Dashed: positive. Dotted: negative." if len(spectra) == 1 else ""
+        add_legend_below(figure, f"Largest magnitude of the absolute acceleration (maximax).{signed}")
         files = save_figure(figure, stem)
     rows: list[Row] = [
         (label, spectrum.channel, spectrum.unit, spectrum.q, *values)

@@ -10,7 +10,7 @@ from analysis.commands.presentation.figures_of_recordings import present_each
 from analysis.commands.presentation.outputs import CommandOutput
 from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.tracking.force_surface import ForceSurface, force_surface
-from rig.core.base.figure_style import add_caption
+from rig.core.base.figure_style import add_legend_below
 from rig.core.base.palette import level_styles
 from rig.core.results import format_number
 from rig.core.results.text import table_lines
@@ -29,10 +29,12 @@ def present_surface(
     def draw(result: ForceSurface, figure: Figure, axes: Axes) -> None:
         if forces:
             draw_responses(result, forces, axes)
-            add_caption(figure, "Hollow: unstable.")
+            held = "Gray: held amplitudes, between which the force is interpolated."
+            is_unstable = any(not result.at_force(force)["stable"].all() for force in forces)
+            add_legend_below(figure, "Bars: 95 % intervals.", "Hollow: unstable." * is_unstable, held)
         else:
             result.draw(axes)
-        axes.legend()
+            add_legend_below(figure, "Bars: 95 % intervals.")
 
     title = "Response at constant force" if forces else "Force at constant amplitude"
     return present_each(
@@ -41,7 +43,8 @@ def present_surface(
 
 
 def draw_responses(result: ForceSurface, forces: Sequence[float], axes: Axes) -> None:
-    """Draw the responses at force amplitudes in N."""
+    """Draw the responses at force amplitudes in N, and the points at which the amplitude was held."""
+    axes.plot(result.frequency, 1e3 * result.amplitude, "o", ms=2.5, color="#b0b0b0", zorder=1)
     for force, style in level_styles(forces).items():
         draw_response(result, force, axes, style.color, style.marker)
     axes.set(xlabel="frequency / Hz", ylabel=f"amplitude of {result.body} / mm")

@@ -159,10 +159,10 @@ def _modes(results: Sequence[Measurement]) -> list[str]:
             bodies = modes.of_bodies()
             if len(bodies.names) < 2 or not modes.frequency.size:
                 continue
-            sensors = zip(modes.places or modes.responses, modes.responses, strict=True)
-            places = [*dict.fromkeys(place or name for place, name in sensors)]
             drawings = [
-                mode_drawing(bodies, places, k, f"{modes.frequency_text(k)}, damping ratio {modes.damping_text(k)}")
+                mode_drawing(
+                    bodies, bodies.places, k, f"{modes.frequency_text(k)}, damping ratio {modes.damping_text(k)}"
+                )
                 for k in range(modes.frequency.size)
             ]
             sections += [

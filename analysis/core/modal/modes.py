@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import inf
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -31,12 +32,18 @@ MAX_RELATIVE_UNCERTAINTY = 1.0 / 3.0
 _POLE_STYLES = ((False, "x", "#bbbbbb", "new pole"), (True, "o", "#333333", "stable"))
 
 
+def _body_number(place: str) -> float:
+    """Return the number of a body; infinite for another place."""
+    return float(place.removeprefix("body ")) if place.removeprefix("body ").isdecimal() else inf
+
+
 class BodyShapes(NamedTuple):
     """Mode shapes with an element for each body, scaled to largest element 1, with standard deviations."""
 
     names: tuple[str, ...]
     shapes: ComplexArray  # shape (bodies, modes)
     errors: Array  # shape (bodies, modes)
+    places: tuple[str, ...] = ()  # of the sensors: "body 2"
 
 
 @dataclass(frozen=True, repr=False)
@@ -168,7 +175,7 @@ class Modes(Result):
         return self.residue / self.residue[largest, np.arange(self.residue.shape[1])]
 
     def of_bodies(self) -> BodyShapes:
-        """Return an element of each shape for each body: the weighted mean of the sensors on the same body."""
+        """Return an element of each shape for each body, in their order: the weighted mean of the sensors on it."""
         places = self.places or ("",) * len(self.responses)
         # A channel with an unknown location is a separate point.
         keys = [place or f"channel {name}" for place, name in zip(places, self.responses, strict=True)]
@@ -177,7 +184,8 @@ class Modes(Result):
         # other element.
         smallest_error = np.min(self.shape_error, axis=0, initial=np.inf, where=self.shape_error > 0.0)
         weights = 1.0 / np.where(np.isfinite(smallest_error), np.maximum(self.shape_error, smallest_error), 1.0) ** 2
-        for key in dict.fromkeys(keys):
+        ordered = sorted(dict.fromkeys(keys), key=_body_number)
+        for key in ordered:
             rows = [row for row, other in enumerate(keys) if other == key]
             ratio = weights[rows] / weights[rows].sum(axis=0)
             # A single sensor on a body without a name, or at an unknown location, is named by its channel.
@@ -188,7 +196,8 @@ class Modes(Result):
         shape, error = np.array(shapes), np.array(errors)
         largest, modes = np.argmax(abs(shape), axis=0), np.arange(shape.shape[1])
         error[largest, modes] = 0.0
-        return BodyShapes(tuple(names), shape / shape[largest, modes], error / abs(shape[largest, modes]))
+        shape, error = shape / shape[largest, modes], error / abs(shape[largest, modes])
+        return BodyShapes(tuple(names), shape, error, tuple(ordered))
 
     @property
     def poles(self) -> ComplexArray:

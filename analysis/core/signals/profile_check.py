@@ -136,6 +136,17 @@ class ProfileCheck(Result):
             for start, stop in runs_of(self.is_limited(level))
         ]
 
+    def excesses(self) -> list[str]:
+        """Return the largest excess of each channel above its limit in words."""
+        texts = []
+        for level in self.limited:
+            excess = self.excess(level)
+            if (excess > 0.0).any():
+                highest = int(np.nanargmax(excess))
+                place = f"at {self.frequency[highest]:.4g} Hz"
+                texts.append(f"{level.channel} up to {excess[highest]:.1f} dB above its limit, {place}")
+        return texts
+
     def summary(self) -> str:
         """Return the fractions of frequencies within the tolerance and reduced by limits, and the largest excesses."""
         worst = int(np.argmax(self.deviation))
@@ -144,12 +155,7 @@ class ProfileCheck(Result):
         if self.is_reduced.any():
             parts.append(f"{100 * self.is_reduced.mean():.1f} % below it because of limits")
         parts.append(f"highest {self.deviation[worst]:+.1f} dB at {self.frequency[worst]:.4g} Hz")
-        for level in self.limited:
-            excess = self.excess(level)
-            if (excess > 0.0).any():
-                highest = int(np.nanargmax(excess))
-                place = f"at {self.frequency[highest]:.4g} Hz"
-                parts.append(f"{level.channel} up to {excess[highest]:.1f} dB above its limit, {place}")
+        parts += self.excesses()
         return f"{self.label}: {'; '.join(parts)}"
 
     def columns(self) -> Mapping[str, Array]:
@@ -162,17 +168,23 @@ class ProfileCheck(Result):
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw control and limited channels with profile, tolerance, limits, and strips where a limit acts."""
-        ax.loglog(self.frequency, self.profile, color=REFERENCE, lw=1.0, label="profile")
+        ax.loglog(self.frequency, self.profile, "--", color=REFERENCE, lw=1.2, label="profile", zorder=3)
         ax.fill_between(self.frequency, *self.band, color="#999999", alpha=0.3, lw=0)
         control, *limited = place_styles([level.place for level in (self.channels[0], *self.limited)])
         names = " and ".join(level.channel for level in self.channels)
-        ax.loglog(self.frequency, self.control, **complete_style(style, color=control.color, label=f"control: {names}"))
+        line = complete_style(style, color=control.color, lw=1.8, label=f"control: {names}")
+        ax.loglog(self.frequency, self.control, **line)
         for level, limiting in zip(self.limited, limited, strict=True):
             ax.loglog(self.frequency, level.values, color=limiting.color, lw=0.9, label=level.channel)
-            ax.loglog(self.frequency, level.bound, "--", color=limiting.color, lw=0.9)
+            line = {"color": limiting.color, "lw": 1.2, "label": f"limit of {level.channel}"}
+            ax.loglog(self.frequency, level.bound, ls=(0, (1, 1.5)), **line)
             acts = self.is_limited(level) & self.is_reduced
             bottom = ax.get_xaxis_transform()
             ax.fill_between(self.frequency, 0.0, 0.02, where=acts, transform=bottom, color=limiting.color, lw=0)
+        outside = (abs(self.deviation) > self.tolerance) & ~self.is_reduced
+        ax.fill_between(
+            self.frequency, 0.0, 0.02, where=outside, transform=ax.get_xaxis_transform(), color="#222222", lw=0
+        )
         density = "acceleration spectral density"
         ax.set(xlabel="frequency / Hz")
         ax.set_ylabel(f"{density if self.is_density else 'acceleration amplitude'} / ({self.unit})")

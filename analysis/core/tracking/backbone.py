@@ -22,7 +22,7 @@ from daq.core.recording.recorded_test import HELD_PHASE
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import place_styles
-from rig.core.results import Result, complete_style
+from rig.core.results import Result, complete_style, format_number
 from rig.core.results.uncertainty import SENSITIVITY
 from rig.core.system.structural_model import structural_model
 
@@ -94,9 +94,9 @@ class Backbone(Result):
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the frequency against the amplitude: the measured points, and a thin dotted line through them."""
+        """Draw the frequency against the amplitude: the measured points with their levels."""
         color = place_styles([self.body])[0].color
-        line = {"color": color, "ls": ":", "lw": 0.8, "marker": "o", "markersize": 4}
+        line = {"color": color, "ls": "", "marker": "o", "markersize": 4.5}
         bars = complete_style(style, label=self.label, capsize=2, elinewidth=1.0, **line)
         order = np.argsort(self.amplitude)
         ax.errorbar(
@@ -106,6 +106,8 @@ class Backbone(Result):
             self.frequency_bound[order],
             **bars,
         )
+        for level, frequency, amplitude in zip(self.level, self.frequency, 1e3 * self.amplitude, strict=True):
+            ax.annotate(format_number(level), (frequency, amplitude), (7, 5), textcoords="offset points", fontsize=8)
         ax.set(xlabel="frequency / Hz", ylabel=f"amplitude of {self.body} / mm")
 
 

@@ -101,17 +101,23 @@ class AmplitudeCurve(Result):
             color = level_style.color
             frequency, amplitude = self.frequency[chosen], 1e3 * self.amplitude[chosen]
             label = f"{format_number(level)} {self.unit}"
-            ax.plot(frequency, amplitude, **complete_style(style, color=color, lw=0.8, label=label))
             for is_stable, face in ((True, color), (False, "white")):
                 part = self.stable[chosen] == is_stable
-                ax.plot(frequency[part], amplitude[part], level_style.marker, ms=4, color=color, markerfacecolor=face)
+                points = complete_style(style, color=color, marker=level_style.marker, ms=4, ls="", zorder=3)
+                name = f"{label}, unstable" if not is_stable else label
+                if part.any():
+                    ax.plot(frequency[part], amplitude[part], markerfacecolor=face, label=name, **points)
             folds = [fold for fold in self.folds if fold.level == level]
+            if not folds:
+                continue
             ax.errorbar(
                 [fold.frequency for fold in folds],
                 [1e3 * fold.amplitude for fold in folds],
                 xerr=[fold.bound for fold in folds],
                 fmt="x",
-                color=color,
+                color="black",
+                zorder=4,
+                label="_folds" if any(fold.level < level for fold in self.folds) else "fold",
                 ms=8,
                 capsize=2,
             )

@@ -10,7 +10,7 @@ import numpy as np
 from analysis.studies.cost.study import ChainStudy, Measurement
 from analysis.studies.cost.variants import GROUPS, scene_setting
 from rig.core.base.escaping import escape_figure
-from rig.core.base.figure_style import COLORS, new_figure, save_with_table
+from rig.core.base.figure_style import COLORS, add_page_title, new_figure, save_with_table
 from rig.core.base.output_files import file_stem
 from rig.core.results.text import table_lines
 
@@ -124,5 +124,5 @@ def _draw(study: ChainStudy) -> Figure:
         error_axes.plot([], [], "o", color=UNCORRECTED_COLOR, mfc="white", ms=4.5, label="displacement, not corrected")
         error_axes.plot([], [], "--", color=SCENE_COLOR, lw=0.8, label="the scene as it is")
         figure.legend(loc="outside lower center", ncols=3)
-        figure.suptitle(escape_figure(study.scene.name))
+        add_page_title(figure, study.scene.name)
         return figure

@@ -38,7 +38,12 @@ _MIN_DECADE_RATIO = 300.0
 _DRAWABLE_RANGE = 1e-250, 1e250
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 # Number of characters per line of a note below a figure of the default width.
-_NOTE_CHARACTERS = 112
+_NOTE_CHARACTERS = 104
+# Entries of a legend in one line, if they have few characters in all.
+_LEGEND_COLUMNS = 5
+_LINE_CHARACTERS = 66
+# Space between the axes and a title above a subtitle, points.
+_SUBTITLE_HEIGHT = 18.0
 # Maximum number of characters of a legend entry in two columns.
 _LEGEND_CHARACTERS = 46
 
@@ -137,6 +142,7 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
 def add_title(axes: Axes, text: str) -> None:
     """Add a title above the uppermost axes, wrapped to the width of the figure; call it after the vertical axis is set.
 
+    Text in parentheses at its end, such as test and level, becomes a subtitle in regular weight.
     Only the exponent above a vertical axis can move a title. Without it, the position is fixed: matplotlib would
     measure the tick labels of the axes three more times.
     """
@@ -144,8 +150,25 @@ def add_title(axes: Axes, text: str) -> None:
 
     has_exponent = isinstance(axes.yaxis.get_major_formatter(), ScalarFormatter)
     # A number and its unit stay on one line.
-    lines = wrap(re.sub(r"(?<=\d) (?=[^\W\d]{1,3}\b)", "\u00a0", escape_figure(text)), _TITLE_CHARACTERS)
-    axes.set_title("\n".join(lines).replace("\u00a0", " "), y=None if has_exponent else 1.0)
+    name, subtitle = re.fullmatch(r"(.*?)(?: \(([^()]*)\))?", text, re.DOTALL).groups()  # type: ignore[union-attr]
+    lines = wrap(re.sub(r"(?<=\d) (?=[^\W\d]{1,3}\b)", "\u00a0", escape_figure(name)), _TITLE_CHARACTERS)
+    title = "\n".join(lines).replace("\u00a0", " ")
+    axes.set_title(title, y=None if has_exponent else 1.0, pad=_SUBTITLE_HEIGHT if subtitle else None)
+    if subtitle:
+        axes.annotate(
+            escape_figure(subtitle), (0.0, 1.0), xycoords="axes fraction", xytext=(0.0, 5.0),
+            textcoords="offset points", fontsize=8.5,
+        )  # fmt: skip
+
+
+def add_page_title(figure: Figure, name: str, text: str = "") -> None:
+    """Add a bold title, and a line in regular weight below it, above several panels."""
+    from matplotlib.text import Annotation
+
+    # An empty line of the title is free for the text.
+    lines = escape_figure(name) + ("\n" if text else "")
+    title = figure.suptitle(lines, x=0.01, ha="left", fontweight="bold", fontsize=11.0)
+    figure.add_artist(Annotation(escape_figure(text), (0.0, 0.0), xycoords=title, va="bottom", fontsize=9.5))
 
 
 def frequency_axis(axes: Axes, low: float, high: float, labeled: bool) -> None:
@@ -259,7 +282,7 @@ def add_caption(figure: Figure, *sentences: str) -> None:
 
 
 def add_legend_below(figure: Figure, *sentences: str) -> None:
-    """Add a common legend below all axes, with sentences above it as in `add_caption`."""
+    """Add a common legend below all axes, with sentences below it as in `add_caption`."""
     entries: dict[str, Any] = {}
     for axes in figure.axes:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -268,12 +291,17 @@ def add_legend_below(figure: Figure, *sentences: str) -> None:
         add_caption(figure, *sentences)
         return
     title = _wrapped(figure, sentences) or None
-    has_long_entries = max(map(len, entries)) > _LEGEND_CHARACTERS * figure.get_figwidth() / WIDTH_INCH
+    scale = figure.get_figwidth() / WIDTH_INCH
+    columns = 1 if max(map(len, entries)) > _LEGEND_CHARACTERS * scale else 2
+    if len(entries) <= _LEGEND_COLUMNS and sum(map(len, entries)) + 4 * len(entries) <= _LINE_CHARACTERS * scale:
+        columns = len(entries)
     legend = figure.legend(
-        list(entries.values()), list(entries), loc="outside lower left", ncols=1 if has_long_entries else 2,
-        title=title, title_fontsize=7.5, alignment="left",
+        list(entries.values()), list(entries), loc="outside lower left", ncols=columns, title=title,
+        title_fontsize=7.5, alignment="left",
     )  # fmt: skip
     legend.get_title().set_color("#555555")
+    # The title of a legend is above its entries; a caption is the last text of a figure.
+    legend.get_children()[0].get_children().reverse()
 
 
 def _wrapped(figure: Figure, sentences: Sequence[str]) -> str:

@@ -26,6 +26,9 @@ MOTIONS = ("#e4e4e4", "#a6cee3", "#3f8fc4", "#1b4f7e", "#f2c14e", "#e07b39", "#8
 #: Background of dark pages, and the contrast of curves on it: they are thinner than text, for which WCAG requires 4.5.
 DARK_PAGE = "#14181d"
 MIN_DARK_CONTRAST = 6.0
+# Curves by type of motion; the lightest shade of the map would be too pale for a line.
+_MOTION_CURVES = {"riding": "#777777", "I": "#5ba3cf", "II": "#2171b5", "III": "#0b3c6b"}
+_OTHER_MOTION = "#e07b39"
 # Lengths of dashes and gaps, in line widths.
 _DASHES: tuple[tuple[float, ...], ...] = ((), (6, 2), (8, 2, 2, 2), (2, 1.5), (10, 3), (6, 2, 1, 2, 1, 2))
 _MARKERS = "os^DvP"
@@ -88,6 +91,25 @@ def level_styles(levels: Iterable[float]) -> dict[float, CurveStyle]:
     """
     distinct = dict.fromkeys(map(float, levels))
     return dict(zip(distinct, recording_styles([False] * len(distinct)), strict=True))
+
+
+def motion_color(name: str) -> str:
+    """Return the color of a type of damper motion for curves: types I to III as in the motion map, but darker.
+
+    >>> motion_color("I") == motion_color("type I"), motion_color("period 2") == motion_color("I")
+    (True, False)
+    """
+    kind = name.removeprefix("type ")
+    return _MOTION_CURVES.get(kind, _OTHER_MOTION)
+
+
+def faded(color: str) -> str:
+    """Return a pale shade of a color, for what is not determined.
+
+    >>> faded("#0072B2")
+    '#a6cce3'
+    """
+    return "#" + "".join(f"{round(0.35 * part + 0.65 * 255):02x}" for part in bytes.fromhex(color[1:]))
 
 
 def recording_styles(is_reference: Sequence[bool]) -> list[CurveStyle]:

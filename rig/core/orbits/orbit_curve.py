@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
+from rig.core.base.palette import motion_color
 from rig.core.numerics import continuation
 from rig.core.orbits.event_sequence import Plan
 from rig.core.orbits.orbit import Orbit
@@ -142,8 +143,7 @@ class OrbitCurve(Result):
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw every branch, with one color for each type of motion; unstable orbits are dashed."""
-        types = list(dict.fromkeys(branch.motion_type for branch in self.branches))
         for branch in self.branches:
             is_first = branch.motion_type not in {line.get_label() for line in ax.lines}
-            color = f"C{types.index(branch.motion_type)}"
+            color = motion_color(branch.motion_type)
             branch.draw(ax, **complete_style(style, color=color, label=branch.motion_type if is_first else "_again"))

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.core.base.escaping import escape_figure
-from rig.core.base.figure_style import new_figure, save_with_table
+from rig.core.base.figure_style import add_page_title, new_figure, save_with_table
 from rig.core.base.output_files import file_stem
 from rig.core.results import Result
 from rig.core.results.text import format_number, table_lines
@@ -214,7 +213,7 @@ def _draw(study: MotionStudy, steady: SteadyStudy) -> Figure:
         if steady.points:
             draw_points(panels[1], steady.points, "total CPU time / s")
             panels[1].set(ylabel="error of the compliance, relative", title=_steady_title(steady))
-        figure.suptitle(escape_figure(study.scene.name))
+        add_page_title(figure, study.scene.name)
         return figure
 
 
@@ -234,7 +233,7 @@ def _draw_models(cost: Cost) -> Figure:
             )
         # Leave space for the labels at the right end.
         axes.margins(x=0.25)
-        figure.suptitle(f"{escape_figure(cost.scene.name)}: models of its beds of grains")
+        add_page_title(figure, f"{cost.scene.name}: models of its beds of grains")
         return figure
 
 

@@ -135,7 +135,7 @@ class Design(Result):
         ax.plot(factor * mass, reduction, "o", color="#a0a0a0", ms=3, label="tried")
         ax.plot(
             *zip(*best, strict=True),
-            **complete_style(style, marker="o", color=COLORS[0], ms=5, label="best for its mass"),
+            **complete_style(style, marker="o", color=COLORS[0], ms=5, ls=":", lw=0.8, label="best for its mass"),
         )
         ax.set(xlabel=f"added mass / {unit}", ylabel="reduction of the largest peak / dB", xlim=(0.0, None))
         ax.set_title("Added mass")

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from rig.core.base.escaping import escape_figure
-from rig.core.base.figure_style import COLORS, cell_edges, new_figure, save_figure, set_log_scale
+from rig.core.base.figure_style import COLORS, add_page_title, cell_edges, new_figure, save_figure, set_log_scale
 from rig.core.base.output_files import atomic_write, file_stem
 from rig.core.base.palette import REFERENCE
 from rig.core.results import format_decimals, format_number, format_percent
 from rig.core.scene.damper import Damper
 from rig.core.scene.excitation import FORCE_TOLERANCE
-from rig.core.scene.scene import STANDARD_GRAVITY, Scene
+from rig.core.scene.scene import Scene
 from rig.core.system.reference import linear_response
 from rig.studies.design.check import Expected
 from rig.studies.design.choice import Choice, mass_unit
@@ -217,9 +216,10 @@ def _draw(design: Design) -> Figure:
         _draw_reductions(reductions, design)
         _draw_responses(responses, design)
         levels = ", ".join(map(format_number, design.question.levels))
-        figure.suptitle(
-            f"Design for {escape_figure(design.scene.name)} (computed)\n{headline(design)}, "
-            f"largest peak at {levels} {design.question.level.unit}"
+        add_page_title(
+            figure,
+            f"Design for {design.scene.name} (computed)",
+            f"{headline(design)}, largest peak at {levels} {design.question.level.unit}",
         )
         return figure
 
@@ -235,7 +235,8 @@ def _draw_chart(axes: Axes, design: Design) -> None:
     axes.figure.colorbar(mesh, ax=axes, pad=0.02, label=f"reduction at this {design.question.level.name} / dB")
     levels = design.question.levels
     label = "chosen" if design.best.choice.has_ceiling else "largest searched"
-    axes.plot(levels, [chosen] * len(levels), "o-", color=RED, lw=2.0, ms=4, label=label)
+    axes.plot(levels, [chosen] * len(levels), "o-", color="white", lw=4.0, ms=9)
+    axes.plot(levels, [chosen] * len(levels), "o-", color=RED, lw=2.0, ms=6, label=f"{label}: {1e3 * chosen:.3g} mm")
     axes.grid(False)
     axes.set(xlabel=design.question.level.label, ylabel=clearance_label(choice))
     set_log_scale(axes.xaxis)
@@ -258,8 +259,8 @@ def _draw_reductions(axes: Axes, design: Design) -> None:
     # The axis is the acceleration without dampers: with dampers it jumps where another peak becomes the largest.
     chosen = int(np.argmin(np.abs(np.log(design.clearance_factors))))
     plotted_rows = (chosen - 1, chosen, chosen + 1)
-    bare_acceleration = design.levels / design.bare.level * design.bare.acceleration / STANDARD_GRAVITY
-    for row_number, color, marker in zip(plotted_rows, (COLORS[4], BLUE, COLORS[5]), "v^o", strict=True):
+    bare_acceleration = design.levels / design.bare.level * design.bare.acceleration
+    for row_number, color, marker in zip(plotted_rows, ("#777777", BLUE, "#B87400"), "v^o", strict=True):
         row = design.chart[row_number]
         choice = design.charted
         clearance = 1e3 * design.clearance_factors[row_number] * choice.clearances[choice.heaviest_index]
@@ -267,7 +268,7 @@ def _draw_reductions(axes: Axes, design: Design) -> None:
             bare_acceleration, [design.reduction(peak) for peak in row], f"{marker}-", ms=4,
             color=color, lw=1.6 if row_number == chosen else 0.8, label=f"clearance {clearance:.3g} mm",
         )  # fmt: skip
-    axes.set(xlabel="acceleration at the peak without dampers / g", ylabel="reduction of the largest peak / dB")
+    axes.set(xlabel="acceleration at the peak without dampers / (m/s²)", ylabel="reduction of the largest peak / dB")
     set_log_scale(axes.xaxis)
     axes.axhline(0.0, color="black", lw=0.8)
     _add_legend_below(axes)

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.core.base.arrays import Array
-from rig.core.base.escaping import escape_figure
-from rig.core.base.figure_style import cell_edges, new_figure, save_with_table, set_log_scale
+from rig.core.base.figure_style import add_page_title, cell_edges, new_figure, save_with_table, set_log_scale
 from rig.core.base.output_files import file_stem
 from rig.core.base.palette import MOTIONS
 from rig.core.base.progress import CountProgress
@@ -395,5 +394,5 @@ def _draw(map_: MotionMap) -> Figure:
         if not np.isfinite(settling).all():
             handles.append(Patch(facecolor="white", edgecolor="black", lw=0.5, label="does not settle (right)"))
         figure.legend(handles=handles, loc="outside lower center", ncols=5)
-        figure.suptitle(f"{escape_figure(map_.scene.name)} (computed)")
+        add_page_title(figure, f"{map_.scene.name} (computed)")
         return figure

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
 from rig.core.base.errors import SceneError
+from rig.core.base.palette import motion_color
 from rig.core.numerics import continuation
 from rig.core.results import Result, complete_style, join_columns
 from rig.core.scene.body_names import body_number
@@ -119,7 +120,7 @@ class Approximation(Result):
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the compliance of admissible motions; unstable motions are dashed."""
         for branch in self.branches:
-            color, magnitude = f"C{('I', 'II', 'III').index(branch.motion_type)}", 1e6 * abs(branch.compliance)
+            color, magnitude = motion_color(branch.motion_type), 1e6 * abs(branch.compliance)
             labels = {line.get_label() for line in ax.lines}
             label = f"Type {branch.motion_type}"
             for selected, line_style in ((branch.stable, "-"), (~branch.stable, "--")):

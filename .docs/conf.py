@@ -109,8 +109,12 @@ def write_reference() -> None:
 def commands(package: str) -> str:
     """Give the help of every command of a package as a page."""
     app = import_module(f"{package}.commands.cli").app
-    text = f"# {package}: commands\n"
-    for name in typer.main.get_command(app).commands:
+    known = typer.main.get_command(app).commands
+    text = f"# {package}: commands\n\n| command | purpose |\n|---|---|\n"
+    text += "".join(
+        f"| [`{package} {name}`](#{package}-{name}) | {each.get_short_help_str(99)} |\n" for name, each in known.items()
+    )
+    for name in known:
         shown = CliRunner().invoke(app, [name, "--help"], prog_name=package, terminal_width=100).output
         text += f"\n## {package} {name}\n\n```text\n{shown}```\n"
     return text

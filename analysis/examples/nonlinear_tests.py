@@ -29,11 +29,12 @@ tone = {"kind": "sine", "frequency": band[0], "force": 1.0}
 orbits = rig.follow_orbits(scene.replace(test=tone, channels=None), "frequency", band)
 
 axes = plt.subplots(layout="constrained")[1]
-curve.draw(axes)
-backbone.draw(axes, label="backbone", color="C3")
 for number, branch in enumerate(orbits.branches):
     amplitude = abs(branch.frf[0]) * [orbit.reference_amplitude for orbit in branch.orbits]
-    axes.plot(branch.value, 1e3 * amplitude, "k", lw=0.8, label=None if number else "exact orbits")
+    axes.plot(branch.value, 1e3 * amplitude, "#777777", lw=0.9, zorder=1, label=None if number else "exact orbits")
+curve.draw(axes)
+backbone.draw(axes, label="backbone (numbers: force in N)", color="black")
+axes.set_title("Continuation at 1 N, and the backbone")
 axes.legend()
 exact = np.concatenate([abs(b.frf[0]) * [orbit.reference_amplitude for orbit in b.orbits] for b in orbits.branches])
 exact_frequency = np.concatenate([branch.value for branch in orbits.branches])
@@ -49,7 +50,8 @@ table = rig.load("shaker-table-random", {"test.duration": "30 s"})
 profile = analysis.profile(daq.record(table, "random.mcap", overwrite=True))
 axes = plt.subplots(layout="constrained")[1]
 profile.draw(axes)
-axes.set(xscale="log", yscale="log")
+axes.set_ylim(0.003)
+axes.set_title("Random vibration: the limit of the unit causes notches")
 axes.legend()
 print(profile)
 print("notches:", *(f"{name} from {low:.4g} to {high:.4g} Hz" for name, low, high in profile.notches()))
@@ -59,7 +61,8 @@ print("notches:", *(f"{name} from {low:.4g} to {high:.4g} Hz" for name, low, hig
 shock = daq.record("shaker-table-shock", "shock.mcap", overwrite=True)
 axes = plt.subplots(layout="constrained")[1]
 spectra = [analysis.srs(shock, channel) for channel in ("table", "unit")]
-for spectrum, line in zip(spectra, ("-", "--"), strict=True):
-    spectrum.draw(axes, label=spectrum.channel, linestyle=line)
+for spectrum, color in zip(spectra, ("#CC79A7", "#009E73"), strict=True):
+    spectrum.draw(axes, label=spectrum.channel, color=color)
+axes.set_title("Shock response spectra (dashed: positive, dotted: negative)")
 axes.legend()
 print(*spectra, sep="\n")

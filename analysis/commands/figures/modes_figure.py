@@ -80,6 +80,8 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
         magnitude_axes.set_ylabel(f"|{curves[0].name}| / ({unit})")
         add_title(magnitude_axes, title)
         modes.plot_stabilization(chart_axes)
+        if legend := chart_axes.get_legend():
+            legend.remove()
         frequency_axis(chart_axes, low, high, True)
         for frequency in modes.frequency:
             magnitude_axes.axvline(frequency, color="#777777", lw=0.7, ls=":", zorder=0)

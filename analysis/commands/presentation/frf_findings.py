@@ -214,7 +214,10 @@ def _draw_figures(
     tests = set(excitations.values())
     test = f" ({tests.pop()})" if len(tests) == 1 and "" not in tests else ""
     if len(sweep_labels) == 1:
-        labeled = [replace(frf, label=frf.ratio) for frf in curves]
+        inputs = {frf.input for frf in curves}
+        labeled = [replace(frf, label=frf.response if len(inputs) == 1 else frf.ratio) for frf in curves]
+        if test and len(inputs) == 1:
+            test = f"{test[:-1]}; {inputs.pop()})"
         return save_figure(
             frf_figure(
                 labeled, f"{quantity}: {sweep_labels[0]}{test}", _without_duplicates(theory), _jump_marks(labeled)

@@ -38,7 +38,9 @@ _MIN_DECADE_RATIO = 300.0
 _DRAWABLE_RANGE = 1e-250, 1e250
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 # Number of characters per line of a note below a figure of the default width.
-_NOTE_CHARACTERS = 104
+_NOTE_CHARACTERS = 100
+# Name of the text below all axes.
+_CAPTION = "caption"
 # Entries of a legend in one line, if they have few characters in all.
 _LEGEND_COLUMNS = 5
 _LINE_CHARACTERS = 66
@@ -68,6 +70,8 @@ _STYLE: Any = {
     "legend.fontsize": 8.5,
     "xtick.labelsize": 8.5,
     "ytick.labelsize": 8.5,
+    # Ticks from 0.001 to 1000 are plain numbers.
+    "axes.formatter.min_exponent": 4,
     "svg.hashsalt": "shotrig",
     "svg.fonttype": "none",
     "path.simplify": True,
@@ -125,6 +129,7 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
             layout_engine.execute(figure)
             # With a layout engine, matplotlib draws each file twice.
             figure.set_layout_engine(None)
+            _align_captions(figure)
         with atomic_write(png) as temporary:
             compression = {"compress_level": _PNG_COMPRESSION}
             figure.savefig(temporary, dpi=_DPI, metadata={"Software": None}, pil_kwargs=compression)
@@ -137,6 +142,17 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
         with atomic_write(svg) as temporary:
             figure.savefig(temporary, metadata={"Date": None, "Creator": None})
     return [png, svg]
+
+
+def _align_captions(figure: Figure) -> None:
+    """Move legends and captions below the axes to the left end of the axes."""
+    left = min((axes.get_position().x0 for axes in figure.axes), default=0.0)
+    for legend in figure.legends:
+        legend.set_bbox_to_anchor((left, 0.0, 1.0 - left, 1.0), transform=figure.transFigure)
+        legend.borderaxespad = 0.2
+    for text in figure.texts:
+        if text.get_gid() == _CAPTION:
+            text.set_x(left)
 
 
 def add_title(axes: Axes, text: str) -> None:
@@ -278,7 +294,7 @@ def cell_edges(centers: Array, logarithmic: bool) -> Array:
 def add_caption(figure: Figure, *sentences: str) -> None:
     """Add sentences below all axes, for elements that are not in a legend."""
     if sentences:
-        figure.supxlabel(_wrapped(figure, sentences), x=0.01, ha="left", fontsize=7.5, color="#555555")
+        figure.supxlabel(_wrapped(figure, sentences), x=0.01, ha="left", fontsize=7.5, color="#555555", gid=_CAPTION)
 
 
 def add_legend_below(figure: Figure, *sentences: str) -> None:

@@ -107,7 +107,7 @@ def faded(color: str) -> str:
     """Return a pale shade of a color, for what is not determined.
 
     >>> faded("#0072B2")
-    '#a6cce3'
+    '#a6cee4'
     """
     return "#" + "".join(f"{round(0.35 * part + 0.65 * 255):02x}" for part in bytes.fromhex(color[1:]))
 

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import rig
@@ -12,8 +16,10 @@ from analysis.commands.report_page.responses import response_chart
 from daq.core.drawing.palette import channel_color, hex_color
 from daq.core.drawing.rig_view import RigMotion
 from daq.extras.bench_page.rig_svg import RigDrawing
-from rig.core.base.palette import BODIES, DAMPER
+from rig.core.base.palette import BODIES, DAMPER, motion_color
+from rig.core.orbits.orbit_curve import OrbitCurve
 from rig.core.results.response import Response
+from rig.studies.single_mode.approximate_response import Approximation
 
 PLACES = ("body 3", "body 1", "body 2")
 
@@ -46,3 +52,18 @@ def test_named_body_has_the_color_of_its_number() -> None:
     axes = Figure().subplots()
     curves()[0].placed("tip", "", 5).draw(axes)
     assert axes.lines[0].get_color() == BODIES[4]
+
+
+def draw_point(axes: Axes, **style: Any) -> None:
+    axes.plot(1, 1, **style)
+
+
+def test_types_of_motion_have_equal_colors() -> None:
+    points = {"frequency": np.ones(1), "compliance": np.ones(1)} | dict.fromkeys(("stable", "valid"), np.ones(1, bool))
+    axes, orbits = Figure().subplots(2)
+    types = [SimpleNamespace(**points, motion_type=name) for name in ("II", "I")]
+    Approximation.draw(SimpleNamespace(branches=types), axes)  # type: ignore[arg-type]
+    followed = [SimpleNamespace(motion_type=name, draw=draw_point) for name in ("I", "II")]
+    OrbitCurve.draw(SimpleNamespace(branches=followed), orbits)  # type: ignore[arg-type]
+    colors, others = ({line.get_color() for line in each.lines} for each in (axes, orbits))
+    assert colors == others == {motion_color("I"), motion_color("II")}

@@ -16,7 +16,7 @@ from analysis.commands.report_page.responses import response_chart
 from daq.core.drawing.palette import channel_color, hex_color
 from daq.core.drawing.rig_view import RigMotion
 from daq.extras.bench_page.rig_svg import RigDrawing
-from rig.core.base.palette import BODIES, DAMPER, motion_color
+from rig.core.base.palette import BODIES, DAMPER, motion_color, on_dark
 from rig.core.orbits.orbit_curve import OrbitCurve
 from rig.core.results.response import Response
 from rig.studies.single_mode.approximate_response import Approximation
@@ -37,7 +37,9 @@ def test_bodies_have_equal_colors_everywhere() -> None:
     figure = {line.get_label(): line.get_color() for line in axes.lines if line.get_label() in PLACES}
     report = {curve.label: curve.style.color for curve in response_chart(curves(), PLACES).panels[0].curves}
     replay = {place: hex_color(channel_color(place)).upper() for place in PLACES}
-    assert figure == report == replay == {place: BODIES[int(place[-1]) - 1] for place in PLACES}
+    assert figure == report == {place: BODIES[int(place[-1]) - 1] for place in PLACES}
+    # Replay and bench are dark.
+    assert replay == {place: on_dark(color).upper() for place, color in figure.items()}
 
 
 def test_drawings_have_colors_of_bodies_and_dampers() -> None:
@@ -45,7 +47,7 @@ def test_drawings_have_colors_of_bodies_and_dampers() -> None:
     page = RigDrawing(scene)
     page.frames(RigMotion(np.zeros((3, 1)), np.zeros((1, 1)), np.zeros((3, 1))))
     for color in (*BODIES[:3], DAMPER):
-        assert color.lower() in rig_drawing(scene).lower() and color.lower() in page.svg.lower()
+        assert color.lower() in rig_drawing(scene).lower() and on_dark(color).lower() in page.svg.lower()
 
 
 def test_named_body_has_the_color_of_its_number() -> None:

@@ -196,6 +196,7 @@ def settings(measurement: Measurement) -> str:
         ("test", test_sentence(scene)),
         ("shaker", ", ".join(shaker.kind for shaker in scene.shakers) or "none"),
         ("dampers", dampers or "none"),
+        *([("joints", "; ".join(joint.text(scene.structure.label) for joint in scene.joints))] if scene.joints else []),
         ("duration", f"{rec.duration:.2f} s, {rec.samples} samples at {rec.rate:g} Hz"),
         ("overloads", _times_text(rec, [(m.first_sample, m.fields.get("channel", "?")) for m in rec.overloads])),
         ("lost samples", _times_text(rec, [(gap.first_sample, ", ".join(gap.channels)) for gap in rec.gaps])),

@@ -131,6 +131,11 @@ def dampers_in(rec: Recording, label: str | None = None, progress: CountProgress
     for sweep in sweeps(rec, progress=progress):
         bodies, warnings = [], list(sweep.lines.warnings)
         missing = [
+            f"joint {number}, {joint.text(rec.scene.structure.label)}: channels cannot tell when it acts. The energy "
+            "into the dampers includes its loss."
+            for number, joint in enumerate(rec.scene.joints, 1)
+        ]
+        missing += [
             f"{rec.scene.structure.label(damper.body)}: {_impact_text(damper)} The energy into the dampers includes "
             "its loss."
             for damper in other

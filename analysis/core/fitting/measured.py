@@ -87,9 +87,9 @@ class Curves:
     warnings: tuple[str, ...]  # warnings of the estimation
 
     @property
-    def has_moving_dampers(self) -> bool:
-        """Whether there are dampers that can move in their cavities."""
-        return any(damper.impacts for damper in self.scene.dampers)
+    def is_linear(self) -> bool:
+        """Whether the structure is linear: no dampers that can move in their cavities, and no joints."""
+        return self.scene.is_linear
 
 
 def measured_curves(rec: Recording, name: str) -> list[Curves]:
@@ -121,9 +121,10 @@ def measured_curves(rec: Recording, name: str) -> list[Curves]:
     has_table = spring is not None or default_reference(rec) == "table"
     reference = "table" if has_table and not rec.test.kind.hammered else "force"
     has_tones = rec.test.kind.steady
-    if any(damper.impacts for damper in scene.dampers) and not has_tones:
+    if not scene.is_linear and not has_tones:
+        parts = "joints" if scene.joints else "dampers that move"
         raise RecordingError(
-            f"{name}: {rec.test.name} with dampers that move cannot be fitted, because their response depends on the "
+            f"{name}: {rec.test.name} with {parts} cannot be fitted, because their response depends on the "
             "level. Record test: {kind: stepped_sine, ...} at one or several levels."
         )
     if has_tones:

@@ -139,7 +139,7 @@ class Problem:
         self.groups = [
             Group(
                 measured,
-                _sweep_orbits(measured) if measured.has_moving_dampers else None,
+                None if measured.is_linear else _sweep_orbits(measured),
                 np.ones(measured.frequency.size, bool),
                 _local_peaks(measured),
             )

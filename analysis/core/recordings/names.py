@@ -144,9 +144,9 @@ def belongs_to(label: str, recording: str) -> bool:
     return bool(recording) and (label == recording or label.startswith(f"{recording}, "))
 
 
-def has_moving_dampers(rec: Recording) -> bool:
-    """Return whether a recording is of a structure with dampers that can move."""
-    return any(damper.impacts for damper in rec.scene.dampers)
+def is_linear(rec: Recording) -> bool:
+    """Return whether a recording is of a linear structure: without dampers that can move, and without joints."""
+    return rec.scene.is_linear
 
 
 def excitation_text(rec: Recording) -> str:

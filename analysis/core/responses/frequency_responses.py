@@ -143,8 +143,7 @@ def frequency_responses(
             "converter.filter), and import again."
         )
     if own_estimator.jumps:
-        is_linear = not any(damper.impacts for damper in rec.scene.dampers)
-        computed = [response.warn(*step_warnings(response, is_linear)) for response in computed]
+        computed = [response.warn(*step_warnings(response, rec.scene.is_linear)) for response in computed]
     return [replace(response, test=kind.value).warn(*warnings) for response in computed]
 
 

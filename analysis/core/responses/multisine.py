@@ -132,15 +132,14 @@ def best_linear_approximation(
         tuple(names), frequency, mean_spectrum, noise, rec.scene.name, tuple(notes), unsettled,
         n_neighbors=FIT_HALF_WIDTH, n_rotated=count, resolution=rounding, inputs=tuple(forces),
     )  # fmt: skip
-    dampers_move = any(damper.impacts for damper in rec.scene.dampers)
     if count == 1:
-        return replace(noise_only, warnings=(*notes, ONE_REALIZATION)) if dampers_move else noise_only
+        return noise_only if rec.scene.is_linear else replace(noise_only, warnings=(*notes, ONE_REALIZATION))
     deviations = (realization_means - mean_spectrum) / np.sqrt(count * (count - 1.0))
     scatter = Scatter(deviations, np.full(frequency.size, 2.0 * (count - 1.0)))
     with_distortion = replace(noise_only, scatter=scatter, noise=noise)
     if _is_distorted(with_distortion, noise_only):
         return replace(with_distortion, warnings=(*notes, NONLINEAR))
-    if dampers_move:
+    if not rec.scene.is_linear:
         of_force = reference if not forces else ""
         return replace(with_distortion, warnings=(*notes, _undistorted_warning(rec, with_distortion, of_force)))
     return with_distortion
@@ -213,6 +212,11 @@ def _undistorted_warning(rec: Recording, averages: Lines, reference: str) -> str
     tones = f"of more than {smallest_force:.2g} N at {frequency:.4g} Hz"
     if np.isinf(smallest_force):
         tones = "of a higher level"
+    if not any(damper.impacts for damper in rec.scene.dampers):
+        return (
+            "No nonlinear distortion is detected at this level, but joints may act under steady tones of a higher "
+            "level. Use stepped sine for the response to such tones."
+        )
     return (
         "No nonlinear distortion is detected at this level, but dampers can move: steady tones "
         f"{tones} lift a damper. Use stepped sine for the response to such tones."

@@ -349,10 +349,11 @@ def _with_motion_before(frf: Response, prior_motion: Sequence[float]) -> Respons
 
 
 def warn_of_dampers(rec: Recording) -> tuple[str, ...]:
-    """Return a warning if dampers may move; the response is then valid only for this excitation."""
-    if not any(damper.impacts for damper in rec.scene.dampers):
+    """Return a warning if dampers or joints may act; the response is then valid only for this excitation."""
+    if rec.scene.is_linear:
         return ()
+    subject = "Moving dampers" if any(damper.impacts for damper in rec.scene.dampers) else "Joints"
     return (
-        "Moving dampers make the structure nonlinear: this curve is valid only for this level and kind of excitation, "
+        f"{subject} make the structure nonlinear: this curve is valid only for this level and kind of excitation, "
         "and its error bars assume linearity. Use stepped sine for the response to steady tones.",
     )

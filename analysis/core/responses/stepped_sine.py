@@ -514,9 +514,8 @@ def _sweep(
     mean = np.stack([tone.amplitude[:, 0] for tone in tones], axis=1)
     windows = np.array([point.window for point in points])
     # With moving dampers, the decay of a transient cannot be predicted from the steady responses.
-    is_linear = not any(damper.impacts for damper in rec.scene.dampers)
     test = rec.scene.test
-    undetected = 0.0 if is_linear or test is None else _UNDETECTED_TRANSIENT * test.accepted_transient
+    undetected = 0.0 if rec.scene.is_linear or test is None else _UNDETECTED_TRANSIENT * test.accepted_transient
     last_stops = [windows[windows[:, 1] <= first, 1].max(initial=0) for first in windows[:, 0]]
     wait = (windows[:, 0] - np.array(last_stops)) / rec.rate
     lines = Lines(
@@ -532,8 +531,8 @@ def _sweep(
         resolution=_resolution(rec, channels, mean, np.stack([tone.noise for tone in tones], axis=1)),
         unsteady=np.array([not point.steady for point in points]),
         left_out=np.array([omission.frequency for omission in omissions]),
-        wait=wait if is_linear else None,
-        duration=np.diff(windows)[:, 0] / rec.rate if is_linear else None,
+        wait=wait if rec.scene.is_linear else None,
+        duration=np.diff(windows)[:, 0] / rec.rate if rec.scene.is_linear else None,
     )
     return Sweep(lines, tones, level, direction, windows)
 

@@ -101,10 +101,10 @@ class SweptTone:
             return frf
         # Two digits, so that responses with nearly the same band share one warning.
         low, high = (format_number(float(f"{end:.2g}")) for end in frf.frequency[np.flatnonzero(too_fast)[[0, -1]]])
+        parts = "joints that act" if rec.scene.joints else "dampers in flight"
         return frf.warn(
-            f"Between {low} and {high} Hz this sweep is too fast to reach steady state with dampers in "
-            f"flight, so the curve is a transient response there. Sweep {_RECOMMENDED_SLOWDOWN} times slower, or use "
-            "stepped sine."
+            f"Between {low} and {high} Hz this sweep is too fast to reach steady state with {parts}, so the curve is a "
+            f"transient response there. Sweep {_RECOMMENDED_SLOWDOWN} times slower, or use stepped sine."
         )
 
     def _sweep_error(self, frf: Response) -> Array:
@@ -221,7 +221,7 @@ def sweep_spectra(
 
 def _dampers_on_floor(rec: Recording, names: Sequence[str], frequency: Array, variances: Array) -> NDArray[np.bool_]:
     """Return whether all dampers stay on their floors at each frequency, from the variances of the motion channels."""
-    on_floor = np.ones(frequency.size, dtype=bool)
+    on_floor = np.full(frequency.size, not rec.scene.joints)  # a stop may act at any acceleration
     infos = [rec.channels[name] for name in names]
     for damper in rec.scene.dampers:
         largest = np.full(frequency.size, np.inf)

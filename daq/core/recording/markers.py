@@ -56,6 +56,7 @@ _EVENT_CHECKS = {
     "damper": Check(lambda value: is_count(value) and value < 2**31, "the number of a damper, from 1"),
     "kind": Check(lambda value: value in CONTACT_CHANGES, f"one of {', '.join(CONTACT_CHANGES)}"),
     "speed": NUMBER,
+    "joint": Check(lambda value: is_count(value) and value < 2**31, "the number of a joint, from 1"),
 }
 
 _MARKER_JSON_SCHEMA: dict[str, Any] = {
@@ -79,8 +80,8 @@ _MARKER_JSON_SCHEMA: dict[str, Any] = {
 }
 
 
-def event_schema(has_friction: bool) -> Schema:
-    """Return the schema of contact events; without friction a recording does not name its events."""
+def event_schema(has_friction: bool, has_joints: bool = False) -> Schema:
+    """Return the schema of contact events; a recording names events of friction or joints only if it can have them."""
     kinds = [kind for kind in CONTACT_CHANGES if has_friction or kind not in FRICTION_CHANGES]
     content: dict[str, Any] = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -95,11 +96,19 @@ def event_schema(has_friction: bool) -> Schema:
             "speed": {"type": "number", "description": "closing speed before an impact, m/s"},
         },
     }
+    if has_joints:
+        content["description"] = "A contact event of a damper or joint, at its exact time."
+        content["required"].remove("damper")
+        content["properties"]["joint"] = {
+            "type": "integer",
+            "description": "instead of damper: position in the scene's list of joints, from 1",
+        }
     return Schema("shotrig.Event", "jsonschema", json.dumps(content).encode(), "json")
 
 
 MARKER_SCHEMA = Schema("shotrig.Marker", "jsonschema", json.dumps(_MARKER_JSON_SCHEMA).encode(), "json")
 EVENT_TYPE = np.dtype([("time", "f8"), ("damper", "i4"), ("kind", "U10"), ("speed", "f8")])
+EVENT_TYPE_WITH_JOINT = np.dtype([*EVENT_TYPE.descr, ("joint", "i4")])
 
 
 @dataclass(frozen=True)
@@ -251,25 +260,29 @@ def unmarked_ranges(missing: Iterable[tuple[int, int]], gaps: Sequence[Gap]) -> 
             yield first, stop
 
 
-def event_to_json(time: float, damper: int, kind: str, speed: float) -> bytes:
+def event_to_json(time: float, damper: int, kind: str, speed: float, joint: int = 0) -> bytes:
     """Encode a contact event as JSON.
 
-    `time`: s after sample 0; `damper`: number, from 1; `kind`: from `CONTACT_CHANGES`; `speed`: closing speed, m/s.
+    `time`: s after sample 0; `damper`, `joint`: number of one of them, from 1, and 0; `kind`: from `CONTACT_CHANGES`;
+    `speed`: closing speed, m/s.
     """
-    return _json({"time": time, "damper": damper, "kind": kind, "speed": speed})
+    return _json({"time": time, **({"joint": joint} if joint else {"damper": damper}), "kind": kind, "speed": speed})
 
 
-def event_from_json(data: memoryview) -> tuple[float, int, str, float]:
-    """Return time, damper, kind and speed of a contact event, as in `event_to_json`.
+def event_from_json(data: memoryview) -> tuple[float, int, str, float, int]:
+    """Return time, damper, kind, speed and joint of a contact event, as in `event_to_json`.
 
     Raises `RecordingError` if the message is malformed.
     """
-    content: dict[str, Any] = dict.fromkeys(_EVENT_CHECKS) | _object(data, EVENTS)
+    given = _object(data, EVENTS)
+    absent = "damper" if "joint" in given else "joint"
+    content: dict[str, Any] = dict.fromkeys(_EVENT_CHECKS) | given
     try:
-        check(content, _EVENT_CHECKS)
+        check(content, {key: value for key, value in _EVENT_CHECKS.items() if key != absent})
     except RecordingError as error:
         raise RecordingError(f"{EVENTS}: a message is not a valid contact event ({error}). {WRITER_REMEDY}") from error
-    return float(content["time"]), content["damper"], content["kind"], float(content["speed"])
+    content[absent] = 0
+    return float(content["time"]), content["damper"], content["kind"], float(content["speed"]), content["joint"]
 
 
 def _json(content: Mapping[str, Any]) -> bytes:

@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 from daq.core.mcap_file.reader import Container
 from daq.core.recording import layout
 from daq.core.recording.channel_series import BlockCache, Series
-from daq.core.recording.markers import EVENT_TYPE, Gap, Marker, event_from_json, gaps_of, unmarked_ranges
+from daq.core.recording.markers import (
+    EVENT_TYPE,
+    EVENT_TYPE_WITH_JOINT,
+    Gap,
+    Marker,
+    event_from_json,
+    gaps_of,
+    unmarked_ranges,
+)
 from daq.core.recording.recorded_test import RecordedTest, SceneOutline, TestKind, kind_from_markers
 from daq.core.recording.sample_block import SAMPLE_TYPE
 from daq.core.signal_chain.channel import UNITS, ChannelInfo
@@ -337,14 +345,17 @@ class Recording(Result):
 
     @cached_property
     def events(self) -> NDArray[Any]:
-        """True contact events of the dampers, one a row.
+        """True contact events of the dampers and joints, one a row.
 
         Fields: `time` [s], `damper` (number, from 1), `kind` (such as `floor` or `separation`), and `speed`, the
-        closing speed before an impact [m/s].
+        closing speed before an impact [m/s]. If joints have events, the field `joint` is the number of the joint, from
+        1, where `damper` is 0, and vice versa.
         """
         with add_path(self.path):
             events = [event_from_json(data) for data in self._messages(layout.EVENTS)]
-        return np.array(events, dtype=EVENT_TYPE)
+        if any(joint for *_, joint in events):
+            return np.array(events, dtype=EVENT_TYPE_WITH_JOINT)
+        return np.array([event[:-1] for event in events], dtype=EVENT_TYPE)
 
     def _messages(self, topic: str) -> Iterator[memoryview]:
         """Yield the content of each message of a topic; nothing if there is no such topic."""

@@ -9,7 +9,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +62,7 @@ class Truth:
             Grouping(len(MOTION_QUANTITIES) * points + dampers, group_samples, np.dtype("<f8")),
             Grouping(dampers, group_samples, np.dtype("<i4")),
         )
-        self._events: deque[tuple[float, int, str, float]] = deque()
+        self._events: deque[tuple[Any, ...]] = deque()
         self._n_events = 0
         # The last groups of displacements and gaps by number.
         self._recent_groups: dict[int, Group] = {}
@@ -86,7 +86,9 @@ class Truth:
             contact = topic(point, "contact", "", integer_schema, values=contact_values)
             self.chunks.append([(0, len(MOTION_QUANTITIES) * points + damper, gap), (1, damper, contact)])
         has_friction = any(damper.friction is not None for damper in scene.dampers)
-        self._topic = register(EVENTS, event_schema(has_friction), {}) if dampers else 0
+        self._event_fields = ["time", "damper", "kind", "speed", *(["joint"] if scene.joints else [])]
+        schema = event_schema(has_friction, bool(scene.joints))
+        self._topic = register(EVENTS, schema, {}) if dampers or scene.joints else 0
 
     @property
     def position(self) -> int:
@@ -100,7 +102,7 @@ class Truth:
         parts = (motion.displacement, motion.velocity, motion.acceleration, motion.gap)
         self.streams[0].add(np.concatenate(parts))
         self.streams[1].add(motion.contact)
-        self._events += motion.events[["time", "damper", "kind", "speed"]].tolist()
+        self._events += motion.events[self._event_fields].tolist()
 
     def take(self, number: int) -> tuple[Group | None, Group | None]:
         """Return and remove the groups of motion and of contacts with a number; None if they have no samples.
@@ -121,14 +123,12 @@ class Truth:
         """
         messages = []
         while self._events:
-            time, damper, kind, speed = self._events[0]
+            time = self._events[0][0]
             if math.ceil(time * self._clock.rate) + 1 >= stop:
                 break
-            self._events.popleft()
+            content = event_to_json(*self._events.popleft())
             time_ns = self._clock.start_ns + round(time * 1e9)
-            messages.append(
-                Message(self._topic, time_ns, time_ns, event_to_json(time, damper, kind, speed), self._n_events)
-            )
+            messages.append(Message(self._topic, time_ns, time_ns, content, self._n_events))
             self._n_events += 1
         return messages
 

@@ -164,6 +164,9 @@ def motion_effects(scene: Scene) -> Iterable[Effect]:
     for shaker in scene.shakers:
         yield from _shaker_effects(shaker, scene)
     yield from _damper_effects(scene, system)
+    if scene.joints:
+        texts = (joint.text(scene.structure.label) for joint in scene.joints)
+        yield Effect("motion", "joints", 0, "; ".join(texts))
 
 
 def _frequencies_text(model: StructuralModel) -> str:

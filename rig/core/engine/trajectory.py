@@ -60,6 +60,11 @@ class Trajectory:
     """table_index_before, table_index_after: shape (breaks,)."""
 
 
+def event_type(system: HybridSystem) -> np.dtype[Any]:
+    """Return the type of the events of a system."""
+    return EVENT_WITH_JOINT if len(system.elements) > system.dampers else EVENT
+
+
 def event_table(
     times: Array, damper: NDArray[np.int64], kind: NDArray[np.int64], speed: Array, system: HybridSystem
 ) -> NDArray[Any]:
@@ -68,12 +73,13 @@ def event_table(
     `times`: s; `damper`: number of the element from 0; `kind`: index of `EVENT_NAMES`; `speed`: closing speed, m/s; all
     of shape (events,).
     """
-    has_joints = len(system.elements) > system.dampers
-    table = np.zeros(len(times), dtype=EVENT_WITH_JOINT if has_joints else EVENT)
+    table = np.zeros(len(times), dtype=event_type(system))
     if not len(times):
         return table
     table["time"] = times
-    for field, is_joint in (("damper", False), ("joint", True))[: 1 + has_joints]:
+    for field, is_joint in (("damper", False), ("joint", True)):
+        if field not in (table.dtype.names or ()):
+            continue
         numbers = [element.number if element.is_joint == is_joint else 0 for element in system.elements]
         table[field] = np.array(numbers, dtype=np.int64)[damper]
     table["kind"] = EVENT_NAMES[kind]

@@ -49,6 +49,7 @@ class Plan:
     sequence: Sequence
     configurations: tuple[int, ...]  # As in `HybridSystem.strides`
     repetition: int  # Duration in periods of the drive
+    joints: tuple[str, ...] = ()  # Names of the joints, which are the last elements
 
     @property
     def flying(self) -> NDArray[np.int64]:
@@ -89,29 +90,31 @@ class Plan:
     @cached_property
     def borders(self) -> tuple[str, ...]:
         """Names of the borders in the order of the flattened `rig.core.orbits.admissibility.margins`."""
-        events, dampers = self.label.split(), self.sequence.damper + 1
-        count = max(len(events), self.sequence.wall.shape[1], 1)
+        events, elements = self.label.split(), self.sequence.wall.shape[1]
+        element_names = [f"damper {j + 1}" for j in range(elements - len(self.joints))] + list(self.joints)
+        own_names = [element_names[j] for j in self.sequence.damper]
+        count = max(len(events), elements, 1)
         pairs = zip(events, events[1:] + events[:1], strict=True)
         names: list[list[str]] = [
             [f"event {first} and event {second} change order" for first, second in pairs],
             [
-                f"damper {number} {'does not stop' if kind in (kinds.STOP, kinds.REVERSE) else 'is not released'}"
-                for number, kind in zip(dampers, self.sequence.kind, strict=True)
+                f"{name} {'does not stop' if kind in (kinds.STOP, kinds.REVERSE) else 'is not released'}"
+                for name, kind in zip(own_names, self.sequence.kind, strict=True)
             ],
-            [f"damper {number} misses the wall that it should hit" for number in dampers],
+            [f"{name} misses the wall that it should hit" for name in own_names],
         ]
         for template in (
-            "the flight of damper {} vanishes",
-            "damper {} hits the floor early",
-            "damper {} hits the ceiling early",
-            "damper {} leaves its wall early",
-            "damper {} stays at the wall that it should leave at once",
-            "damper {} separates from its wall by the impact of another damper",
-            "damper {} slips early",
-            "damper {} stops early",
-            "damper {} sticks where it should reverse",
+            "the flight of {} vanishes",
+            "{} hits the floor early",
+            "{} hits the ceiling early",
+            "{} leaves its wall early",
+            "{} stays at the wall that it should leave at once",
+            "{} separates from its wall by the impact of another damper",
+            "{} slips early",
+            "{} stops early",
+            "{} sticks where it should reverse",
         ):
-            names.append([template.format(number) for number in range(1, count + 1)])
+            names.append([template.format(name) for name in element_names])
         return tuple(name for row in names for name in [*row, *[""] * (count - len(row))])
 
     def has_same_cycle(self, other: Plan) -> bool:
@@ -142,8 +145,8 @@ def derive_plan(
         impacts = [i for i in simultaneous if dampers[i] == damper and events[i] in (kinds.FLOOR, kinds.CEILING)]
         if any(dampers[i] != damper for i in simultaneous) and system.impacts_interact:
             raise UncoveredMotionError(
-                f"an impact of damper {damper + 1} acts on damper {dampers[simultaneous[-1]] + 1} at the same "
-                "instant, through a common body or the mass matrix"
+                f"an impact of {system.elements[damper].name} acts on {system.elements[dampers[simultaneous[-1]]].name} "
+                "at the same instant, through a common body or the mass matrix"
             )
         previous = [i for i in simultaneous if dampers[i] == damper]
         if finite_contact[damper]:
@@ -287,4 +290,5 @@ def make_plan(
         np.array([configurations.index(configuration) for configuration in segment_configurations], dtype=np.int64),
         np.array(walls, dtype=np.int64),
     )
-    return Plan(sequence, configurations, repetition)
+    joints = tuple(element.name for element in system.elements if element.is_joint)
+    return Plan(sequence, configurations, repetition, joints)

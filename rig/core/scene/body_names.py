@@ -16,8 +16,10 @@ from rig.core.settings.settings import value_at
 _NAME = re.compile(r"[^\W\d][\w.-]{0,39}")
 #: Locations of channels other than bodies.
 LOCATIONS = ("table", "hammer", "shaker", "drive")
+#: The end of a joint that is at rest.
+GROUND = "ground"
 #: Reserved words, which a body must not have as its name.
-RESERVED_NAMES = ("body", "ground", *LOCATIONS)
+RESERVED_NAMES = ("body", GROUND, *LOCATIONS)
 # Number of unknown names for which a similar name is suggested; each is compared with all names.
 _MAX_SUGGESTIONS = 20
 # Locations that contain no body name: a body by its number, or another location on the bench.
@@ -88,6 +90,11 @@ def replace_names(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Proble
         report_unknown(value, key_path)
         return value
 
+    def replace_end(value: Any, key_path: KeyPath) -> Any:
+        if isinstance(value, list | tuple):
+            return [replace_end(item, (*key_path, k)) for k, item in enumerate(value)]
+        return value if value == GROUND else replace_body(value, key_path)
+
     def replace_location(value: Any, key_path: KeyPath) -> Any:
         if not isinstance(value, str) or _LOCATION_WITHOUT_NAME.fullmatch(value) or (n_bodies and names is None):
             check_number(str(value).removeprefix("body "), key_path)
@@ -109,6 +116,7 @@ def replace_names(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Proble
 
     replacements = (
         ("dampers", "body", replace_body),
+        ("joints", "between", replace_end),
         ("shaker", "body", replace_body),
         ("test", "body", replace_body),
         ("test", "at", replace_location),

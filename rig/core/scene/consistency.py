@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import AfterValidator, ValidationInfo
 
 from rig.core.base.errors import suggestion
-from rig.core.scene.body_names import body_problems
+from rig.core.scene.body_names import GROUND, body_problems
 from rig.core.scene.measurement_chain import Channel, Converter
 from rig.core.scene.shaker import KINDS, Shaker, as_tuple, at_shaker
 from rig.core.settings.problems import KeyPath, Problem, combined_error
@@ -19,6 +19,7 @@ from rig.core.settings.problems import KeyPath, Problem, combined_error
 if TYPE_CHECKING:
     from rig.core.scene.damper import Damper
     from rig.core.scene.excitation import Test
+    from rig.core.scene.joint import Stop
     from rig.core.scene.measurement_chain import RecordingSettings
 
 ValidSections = Mapping[str, Any]
@@ -28,12 +29,21 @@ def _check_damper(damper: Damper, valid: ValidSections) -> Iterable[Problem]:
     yield from body_problems(valid, damper.body, ("body",))
 
 
+def _check_joint(joint: Stop, valid: ValidSections) -> Iterable[Problem]:
+    for k, body in enumerate(joint.between):
+        if body != GROUND:
+            yield from body_problems(valid, int(body), ("between", k))
+
+
 def _check_shakers(value: Shaker | tuple[Shaker, ...] | None, valid: ValidSections) -> Iterable[Problem]:
     shakers = as_tuple(value)
     for number, shaker in enumerate(shakers):
         for body, key_path in zip(shaker.bodies, shaker.body_keys, strict=True):
             yield from body_problems(valid, body, (number, *key_path) if isinstance(value, tuple) else key_path)
     carriers = [number for number, shaker in enumerate(shakers) if shaker.carries_structure]
+    if carriers and any(GROUND in joint.between for joint in valid.get("joints", ())):
+        message = f"a shaker of kind {shakers[carriers[0]].kind} moves the ground, to which joints are connected."
+        yield Problem((carriers[0],) if isinstance(value, tuple) else (), f"{message} Connect them to bodies only.")
     if carriers and not all(shaker.drive_is_force for shaker in shakers[: carriers[0]] + shakers[carriers[0] + 1 :]):
         message = f"a shaker of kind {shakers[carriers[0]].kind} can be combined with shakers of kind force only."
         yield Problem((carriers[0],), f"{message} Remove the others.")
@@ -128,6 +138,7 @@ def _validator(check: Check) -> AfterValidator:
 
 
 DAMPER = _validator(_check_damper)
+JOINT = _validator(_check_joint)
 SHAKERS = _validator(_check_shakers)
 TEST = _validator(_check_test)
 CHANNEL = _validator(_check_channel)

@@ -33,6 +33,7 @@ EFFECTS: dict[str, tuple[str, int | None]] = {
     "dampers.friction": ("sliding masses", 2),
     "dampers.contact": ("finite-duration contact", 0),
     "dampers.locked": ("locked dampers", 0),
+    "joints.between": ("joints", 0),
     "shaker.spring": ("coil spring and table", 2),
     "shaker.coil": ("coil current", 1),
     "shaker.amplifier.limit": ("amplifier clipping", 0),

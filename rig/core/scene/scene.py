@@ -9,6 +9,7 @@ from rig.core.scene import consistency
 from rig.core.scene.body_names import replace_names
 from rig.core.scene.damper import Damper
 from rig.core.scene.excitation import Test
+from rig.core.scene.joint import Stop
 from rig.core.scene.measurement_chain import Channel, Converter, RecordingSettings
 from rig.core.scene.shaker import KINDS, Shaker, Shakers, as_tuple, at_shaker
 from rig.core.scene.structure import Structure
@@ -33,6 +34,8 @@ class Scene(Settings):
     """Downward acceleration [m/s^2]."""
     dampers: tuple[Annotated[Damper, consistency.DAMPER], ...] = ()
     """Particle dampers; a body may have several."""
+    joints: tuple[Annotated[Stop, consistency.JOINT], ...] = ()
+    """Stops between two bodies, or a body and the ground."""
     shaker: Annotated[Shakers | None, consistency.SHAKERS] = None
     """One shaker or a list of shakers, each with its own body, spring, amplifier and output."""
     test: Annotated[Test | None, consistency.TEST] = None
@@ -115,6 +118,11 @@ class Scene(Settings):
         return self.shakers[number - 1].force_terms(location, at_shaker("table", number, len(self.shakers)))
 
     @property
+    def is_linear(self) -> bool:
+        """Whether no damper can hit a wall or slide with friction, and there are no joints."""
+        return not self.joints and not any(damper.impacts for damper in self.dampers)
+
+    @property
     def hammer(self) -> int | None:
         """Number of the body that the test hits with a hammer, from 1; None without a hammer."""
         return None if self.test is None else self.test.hammer
@@ -178,6 +186,8 @@ class Scene(Settings):
         if self.dampers:
             where = ", ".join(dict.fromkeys(self.structure.label(damper.body) for damper in self.dampers))
             parts.append(f"{len(self.dampers)} damper{'s' * (len(self.dampers) > 1)} ({where})")
+        if self.joints:
+            parts.append(f"{len(self.joints)} joint{'s' * (len(self.joints) > 1)}")
         parts += [f"shaker {shaker.kind}" for shaker in self.shakers]
         parts += [] if self.test is None else [f"test {self.test.kind}"]
         parts += [] if self.channels is None else [f"{len(self.channels)} channels"]

@@ -7,6 +7,7 @@ from typing import Any
 
 import yaml
 
+from rig.core.scene.body_names import GROUND
 from rig.core.scene.matrices import Matrices
 from rig.core.scene.measurement_chain import Channel
 from rig.core.scene.structure import Structure
@@ -85,7 +86,7 @@ def _given_values(settings: Settings, structure: Structure | None, kinds: Mappin
             content: Any = _format(value, kind, settings.written.get(name))
         elif isinstance(settings, Matrices):
             content = [list(row) for row in value]
-        elif name == "body" or (name == "at" and isinstance(settings, Channel)):
+        elif name in ("body", "between") or (name == "at" and isinstance(settings, Channel)):
             content = _body_name(value, structure)
         elif isinstance(value, tuple):
             content = [_given_values(item, structure, {}) if isinstance(item, Settings) else item for item in value]
@@ -109,7 +110,9 @@ def _format(value: Any, kind: Kind, previous: Any) -> Any:
 def _body_name(body: Any, structure: Structure | None) -> Any:
     if structure is None or structure.names is None:
         return list(body) if isinstance(body, tuple) else body
-    return [structure.label(number) for number in body] if isinstance(body, tuple) else structure.label(body)
+    if isinstance(body, tuple):
+        return [item if item == GROUND else structure.label(item) for item in body]
+    return structure.label(body)
 
 
 def _si_values(settings: Settings) -> dict[str, Any]:

@@ -73,11 +73,12 @@ def summary(run: Run) -> str:
         peaks = (np.abs(motion[row]).max() for motion in (run.displacement, run.velocity, run.acceleration))
         lines.append(f"{point:10}" + "".join(f"{peak:12.4g}" for peak in peaks))
     lines.append("")
-    for damper in sorted({int(number) for number in run.events["damper"]}):
-        events = run.events[run.events["damper"] == damper]
-        counts = Counter(str(kind) for kind in events["kind"])
-        event_counts = [f"{kind} {counts[kind]}" for kind in dict.fromkeys(EVENT_NAMES.tolist()) if counts[kind]]
-        lines.append(f"damper {damper}: {', '.join(event_counts)}; fastest impact {events['speed'].max():.4g} m/s")
+    for noun in [name for name in ("damper", "joint") if name in (run.events.dtype.names or ())]:
+        for number in sorted({int(number) for number in run.events[noun]} - {0}):
+            events = run.events[run.events[noun] == number]
+            counts = Counter(str(kind) for kind in events["kind"])
+            event_counts = [f"{kind} {counts[kind]}" for kind in dict.fromkeys(EVENT_NAMES.tolist()) if counts[kind]]
+            lines.append(f"{noun} {number}: {', '.join(event_counts)}; fastest impact {events['speed'].max():.4g} m/s")
     lines.append(f"events: {len(run.events)}; contacts decided by rounding errors: {run.ambiguous}")
     energy = run.energy
     lines += [

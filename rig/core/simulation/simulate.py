@@ -16,7 +16,7 @@ from rig.core.base.errors import RunError, SceneError
 from rig.core.base.progress import CountProgress
 from rig.core.engine.propagator import Propagator, sampled_propagator, tone_propagator
 from rig.core.engine.state import State
-from rig.core.engine.trajectory import EVENT, Trajectory, event_table, gaps_and_contacts
+from rig.core.engine.trajectory import Trajectory, event_table, gaps_and_contacts
 from rig.core.numerics.memory import require_memory
 from rig.core.results import Result, complete_style
 from rig.core.scene.loading import SceneLike, scene_of
@@ -55,7 +55,8 @@ class Run(Result):
     events : structured ndarray
         `time` [s], `damper` (1-based position in the scene's list), `kind` ("separation", "floor", "ceiling"; with
         finite-duration contact "touch" and "release"), `speed` (closing speed at an impact or touch, m/s).
-        Grains have no events.
+        Grains have no events. In a scene with joints also `joint`, the number of the joint, where `damper` is 0; it is
+        0 for an event of a damper.
         `events.dtype.metadata` also contains `ambiguous`.
     ambiguous : int
         Number of contact decisions within rounding error; each was decided as no contact.
@@ -298,7 +299,7 @@ def _assemble_run(
         acceleration=propagator.accelerations(states, table_indices)[:points],
         gap=np.concatenate([initial_gap, gap[:, sample_rows]], axis=1),
         contact=np.concatenate([initial_contact, contact[:, sample_rows]], axis=1),
-        events=events.astype(np.dtype(EVENT.descr, metadata={"ambiguous": propagator.ambiguous})),
+        events=events.astype(np.dtype(events.dtype.descr, metadata={"ambiguous": propagator.ambiguous})),
         ambiguous=propagator.ambiguous,
         _energy_balance=partial(energy_balance, propagator.tables, start, end, trajectory, segment_states, durations),
     )

@@ -7,6 +7,7 @@ floor of the cavity; otherwise it *flies*.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -20,8 +21,10 @@ from rig.core.laws.law import Law
 from rig.core.laws.particle_bed import particle_bed
 from rig.core.laws.sliding_mass import sliding_mass
 from rig.core.laws.spring_mass import spring_mass
+from rig.core.laws.stop import stop
 from rig.core.laws.wall_contact import wall_contact
 from rig.core.scene.damper import Damper, TimedContact, Wall, Walls
+from rig.core.scene.joint import Stop
 from rig.core.scene.scene import Scene
 from rig.core.scene.shaker import at_shaker
 from rig.core.system.hybrid_system import Element, HybridSystem
@@ -49,6 +52,11 @@ def assemble(scene: Scene) -> HybridSystem:
     finite_contact = any(scene.dampers[j].contact is not None for j in free)
     # Finite-duration contact has three configurations: no contact, contact with the floor, and with the ceiling.
     limit = MAX_DAMPERS // 2 if finite_contact else MAX_DAMPERS
+    if scene.joints and len(free) + len(scene.joints) > MAX_DAMPERS // 2:
+        raise SceneError(
+            f"joints: got {len(free)} dampers that are not locked and {len(scene.joints)} joints; expected at most "
+            f"{MAX_DAMPERS // 2} together. Remove some."
+        )
     if len(free) > limit:
         condition = " with finite-duration contact" if finite_contact else ""
         raise SceneError(
@@ -63,7 +71,10 @@ def assemble(scene: Scene) -> HybridSystem:
         _element(equations, scene, number=int(j) + 1, mass=float(masses[j]), inverse_mass=float(inverse_mass[body[j]]))
         for j in free
     )
-    system = _system(equations, scene.gravity, elements)
+    joints = tuple(_joint(equations, joint, number) for number, joint in enumerate(scene.joints, 1))
+    system = _system(equations, scene.gravity, elements + joints)
+    if scene.joints:
+        system = _with_joints_at_rest(scene, system)
     system.initial[:] = _initial_state(scene, system)
     return system
 
@@ -116,6 +127,39 @@ def _element(equations: Equations, scene: Scene, number: int, mass: float, inver
     return Element(
         declare, damper.body - 1, gap, mass, damper.clearance, damper.restitution, number, damper.grains is not None
     )
+
+
+def _joint(equations: Equations, joint: Stop, number: int) -> Element:
+    """Return the element of a joint."""
+    lower, upper = joint.ends
+    gap, base = (lower, -1) if upper is None else (upper, -1 if lower is None else lower)
+    assert gap is not None
+    mass, direction = equations.matrices()[0], np.zeros(len(equations.mass))
+    direction[gap] = 1.0
+    if base >= 0:
+        direction[base] = -1.0
+    declare = partial(stop, joint.stiffness, joint.damping, upper is None)
+    accelerated_mass = float(1.0 / (direction @ np.linalg.solve(mass, direction)))
+    return Element(declare, gap, gap, accelerated_mass, joint.gap, 0.0, number, is_joint=True, base=base)
+
+
+def _with_joints_at_rest(scene: Scene, system: HybridSystem) -> HybridSystem:
+    """Return the system with its joints at the start in the modes of the static equilibrium.
+
+    The equilibrium with a set of closed stops shows which of them are closed; this is repeated until the set remains.
+    """
+    for _ in range(2 + 2 * len(scene.joints)):
+        state = np.zeros(system.states)
+        if scene.test is None or scene.test.start == "settled":
+            state[: system.coordinates] = static_equilibrium(scene, system)
+        modes, present = system.joint_modes(state), system.elements[system.dampers :]
+        joints = tuple(
+            replace(joint, start=list(joint.law.modes)[mode]) for joint, mode in zip(present, modes, strict=True)
+        )
+        if joints == present:
+            break
+        system = replace(system, elements=system.elements[: system.dampers] + joints)
+    return system
 
 
 def _system(equations: Equations, gravity: float, elements: tuple[Element, ...]) -> HybridSystem:
@@ -210,7 +254,7 @@ def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
         return np.zeros(n)
     stiffness = -(system.force_state + force)[:, :n]
     # Nothing holds a mass that slides freely; it remains in the middle.
-    supported = [i for i in range(n) if stiffness[i].any() or i not in system.gap_coordinate]
+    supported = [i for i in range(n) if stiffness[i].any() or i not in system.gap_coordinate[: system.dampers]]
     stiffness, load = stiffness[np.ix_(supported, supported)], load[supported]
     if not stiffness.any() or (np.linalg.cond(stiffness) > MAX_CONDITION and _is_singular(stiffness)):
         raise SceneError(

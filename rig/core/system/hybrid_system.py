@@ -32,9 +32,9 @@ class Element:
     `declare`: the law as a function of the clearance, m. `body`: coordinate of the body to which the gap is measured.
     `gap`: coordinate that is the gap; -1 for a *detached* mass, whose position is not a coordinate: its force is
     constant while it is not held. `mass`: of the damper, kg; of a joint the mass that its force accelerates along the
-    gap. `clearance`: m; `restitution`: coefficient in the scene. `number`: in the scene, from 1. `is_grains`: whether
-    the damper is a bed of grains. `is_joint`: whether it is a joint. `base`: coordinate that is subtracted from `gap`;
-    -1 if `gap` alone is the gap. `start`: mode at the start; empty: that of the law.
+    gap. `clearance`: m, of a joint its gap; `restitution`: coefficient in the scene. `number`: in the scene, from 1.
+    `is_grains`: whether the damper is a bed of grains. `is_joint`: whether it is a joint. `base`: coordinate that is
+    subtracted from `gap`; -1 if `gap` alone is the gap. `start`: mode at the start; empty: that of the law.
     """
 
     declare: Callable[[float], Law]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.core.base.arrays import Array
-from rig.core.engine.trajectory import EVENT, event_table
+from rig.core.engine.trajectory import event_table, event_type
 from rig.core.scene.scene import Scene
 from rig.core.simulation.energy import Energy, energy_balance
 from rig.core.system.open_loop_drive import ToneDrive
@@ -102,7 +102,7 @@ class GrainsRun:
             coupled.state(),
             np.concatenate([state.rows, buffer.rows], axis=1),
             np.concatenate([state.contact, buffer.contact], axis=1),
-            np.concatenate([state.events, events]).astype(EVENT),
+            np.concatenate([state.events, events]).astype(event_type(coupled.system)),
             (*state.energy, energy),
             coupled.ambiguous,
         )

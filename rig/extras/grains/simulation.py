@@ -9,7 +9,7 @@ import numpy as np
 
 from rig.core.base.arrays import Array
 from rig.core.base.progress import CountProgress
-from rig.core.engine.trajectory import EVENT
+from rig.core.engine.trajectory import event_type
 from rig.core.scene.scene import Scene
 from rig.core.simulation.energy import total_energy
 from rig.core.simulation.simulate import Run
@@ -64,7 +64,9 @@ def simulate(
         acceleration=acceleration,
         gap=gap,
         contact=state.contact,
-        events=state.events.astype(np.dtype(EVENT.descr, metadata={"ambiguous": state.ambiguous})),
+        events=state.events.astype(
+            np.dtype(event_type(run.coupled.system).descr, metadata={"ambiguous": state.ambiguous})
+        ),
         ambiguous=state.ambiguous,
         _energy_balance=partial(total_energy, state.energy),
     )

@@ -1,0 +1,69 @@
+"""Settings of a joint, which acts between two bodies, or between a body and the ground."""
+
+from collections.abc import Callable, Iterable
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, WithJsonSchema
+
+from rig.core.scene.body_names import GROUND
+from rig.core.settings.problems import Problem
+from rig.core.settings.quantities import DASHPOT, LENGTH, STIFFNESS
+from rig.core.settings.quantity_field import Quantity, unexpected_value_error
+from rig.core.settings.settings import Settings
+
+
+def _end(value: Any) -> int | str:
+    """Check one end of a joint; `Scene` has replaced names of bodies by their numbers."""
+    if value == GROUND:
+        return GROUND
+    number = int(value) if isinstance(value, str) and value.isdecimal() else value
+    if not isinstance(number, int) or isinstance(number, bool) or number < 1:
+        raise unexpected_value_error(value, "a body by its number from 1 or its name, or ground")
+    return number
+
+
+def _ends(value: Any) -> Any:
+    """Check that a joint has two ends."""
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise unexpected_value_error(value, "two items, such as [1, 2] or [ground, 1]")
+    return tuple(value)
+
+
+_END_SCHEMA: dict[str, Any] = {"anyOf": [{"type": "integer", "minimum": 1}, {"type": "string"}]}
+_End = Annotated[int | str, BeforeValidator(_end), WithJsonSchema(_END_SCHEMA)]
+_Ends = Annotated[
+    tuple[_End, _End],
+    BeforeValidator(_ends),
+    WithJsonSchema({"type": "array", "items": _END_SCHEMA, "minItems": 2, "maxItems": 2}),
+]
+
+
+class Stop(Settings):
+    """A stop: spring and dashpot that act between two bodies, or a body and the ground, while its gap is closed."""
+
+    between: _Ends
+    """The lower and the upper of two bodies, by number from 1 or name; one of them may be ground. The stop closes when
+    the upper has moved towards the lower by `gap`."""
+    gap: Annotated[float, Quantity(LENGTH, at_least=0.0)]
+    """Distance between both while no weight of dampers deforms the structure [m]; 0: they touch without force."""
+    stiffness: Annotated[float, Quantity(STIFFNESS, above=0.0)]
+    """Contact stiffness: force per overlap [N/m]."""
+    damping: Annotated[float, Quantity(DASHPOT, at_least=0.0)] = 0.0
+    """Contact damping: force per speed of approach [N s/m]; the stop never pulls."""
+
+    @property
+    def ends(self) -> tuple[int | None, int | None]:
+        """Indices (from 0) of the lower and of the upper body; None for the ground."""
+        lower, upper = (None if end == GROUND else int(end) - 1 for end in self.between)
+        return lower, upper
+
+    def text(self, label: Callable[[int], str]) -> str:
+        """Describe the joint; `label`: returns the name of a body for its number."""
+        lower, upper = (end if isinstance(end, str) else label(end) for end in self.between)
+        dashpot = f", {self.damping:.4g} N s/m" if self.damping else ""
+        return f"stop between {lower} and {upper}, gap {1e3 * self.gap:.4g} mm, {self.stiffness:.4g} N/m{dashpot}"
+
+    def check_consistency(self) -> Iterable[Problem]:
+        """Check that the joint connects two places."""
+        if self.between[0] == self.between[1]:
+            yield Problem(("between",), f"both ends are {self.between[0]}; expected two bodies, or a body and ground")

@@ -60,7 +60,7 @@ def check_recording(rec: Recording, path: Path, command: str) -> None:
             f"{path}: {test.name} has no driving force, from which responses are computed. Use `analysis decay {file}`."
         )
     if command == "dampers":
-        if not rec.scene.dampers:
+        if not rec.scene.dampers and not rec.scene.joints:
             raise RecordingError(f"{path}: its scene has no dampers. Use `analysis frf {file}` for its responses.")
         if not test.kind.steady and test.kind is not TestKind.NONE:
             suitable = "decay" if test.decays else "frf"

@@ -14,6 +14,7 @@ from rig.core.results.uncertainty import expand
 
 if TYPE_CHECKING:
     from analysis.core.modal.modes import BodyShapes
+    from rig.core.scene.joint import Stop
     from rig.core.scene.scene import Scene
     from rig.core.scene.shaker import Shaker
 
@@ -63,6 +64,8 @@ def rig_drawing(scene: Scene) -> str:
     if scene.test is not None and scene.hammer is not None:
         y = tops[scene.hammer - 1] + _BODY_HEIGHT / 2
         elements.append(f'<text x="4" y="{y - 12:g}">hammer, {scene.test.level_text(None)}</text>{_push(y, HAMMER)}')
+    for joint in scene.joints:
+        elements += _stop(joint, tops)
     elements += _channels(scene, tops)
     names = ", ".join(structure.labels)
     return (
@@ -119,6 +122,17 @@ def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
             mass = f"{1e3 * damper.mass:.4g} g" if damper.mass is not None else f"ratio {damper.mass_ratio:.3g}"
             locked = ", locked" if damper.locked else ""
             yield f'<text x="{x + 32:g}" y="{top + 43:g}">{mass}{locked}{clearance}</text>'
+
+
+def _stop(joint: Stop, tops: Sequence[float]) -> Iterator[str]:
+    """Draw the block of a stop below the upper body, if this is next above the lower; others are in the settings."""
+    lower, upper = joint.ends
+    if upper is not None and upper == (0 if lower is None else lower + 1):
+        x, y = _LEFT + _BODY_WIDTH - 30, tops[upper] + _BODY_HEIGHT
+        yield (
+            f'<path class="joint" stroke="currentColor" d="M{x} {y:g}v{_SPACING - 8}h14v{8 - _SPACING}"/>'
+            f'<text x="{x + 20}" y="{y + _SPACING - 6:g}">{format_number(1e3 * joint.gap)} mm</text>'
+        )
 
 
 def _spring(x: float, top: float, bottom: float, color: str = "currentColor") -> str:

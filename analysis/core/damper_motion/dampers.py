@@ -125,14 +125,16 @@ def dampers_in(rec: Recording, label: str | None = None, progress: CountProgress
     """
     other = [damper for damper in rec.scene.dampers if not damper.falls_freely and damper.moves]
     unknown_impacts = {damper.body for damper in other if damper.has_walls}
+    # The force of a joint changes the motion of its bodies as fast as an impact.
+    unknown_impacts |= {end + 1 for joint in rec.scene.joints for end in joint.ends if end is not None}
     beds = [damper for damper in rec.scene.dampers if not damper.locked and damper.falls_freely]
     bodies_with_dampers = sorted({damper.body for damper in beds} - unknown_impacts)
     results = []
     for sweep in sweeps(rec, progress=progress):
         bodies, warnings = [], list(sweep.lines.warnings)
         missing = [
-            f"joint {number}, {joint.text(rec.scene.structure.label)}: channels cannot tell when it acts. The energy "
-            "into the dampers includes its loss."
+            f"joint {number}, {joint.text(rec.scene.structure.label)}: channels cannot tell when it acts, nor the "
+            "impacts of dampers in its bodies. The energy into the dampers includes its loss."
             for number, joint in enumerate(rec.scene.joints, 1)
         ]
         missing += [

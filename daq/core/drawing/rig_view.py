@@ -156,6 +156,8 @@ class RigView:
                 yield f"rig/spring_{body}", coils((-0.3 * WIDTH, 0.3 * WIDTH), length, STEEL)
         for table in self.shaker_tables:
             yield from self._shaker(table)
+        for block in self.stack.blocks:
+            yield block.entity, boxes([block.box], STEEL)
         # Arrows show forces that act directly on a body: a shaker of kind force, and the hammer.
         forced_bodies = [
             body for shaker in self.scene.shakers if shaker.glyph.shape == "arrow" for body in shaker.bodies

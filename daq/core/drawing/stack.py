@@ -14,6 +14,7 @@ from daq.core.drawing.shapes import Point
 
 if TYPE_CHECKING:
     from rig.core.scene.damper import Damper
+    from rig.core.scene.joint import Stop
     from rig.core.scene.scene import Scene
     from rig.core.scene.shaker.kind import Glyph
 
@@ -32,6 +33,8 @@ COIL_LENGTH = 0.110  # of a coil spring at rest
 PLATE = 0.018  # thickness of the plate of a shaker table
 PLINTH = 0.050  # height of a shaker below its table
 LUG = 0.050  # width of a lug, a bracket of a body for a coil spring next to the rig
+BLOCK_WIDTH = 0.014  # width of the block of a stop
+BLOCK_HEIGHT = 0.010  # least height of a block
 SHAKER_PITCH = 0.120  # distance between shakers next to the rig
 
 
@@ -85,6 +88,13 @@ def walls(cavities: Sequence[Cavity]) -> list[Box]:
     return parts
 
 
+class Block(NamedTuple):
+    """The block of a stop: it is fixed to the upper of two parts, and hangs above the lower by the gap."""
+
+    entity: str  # path of the drawing
+    box: Box  # relative to the underside of its body, or to the ground
+
+
 class Table(NamedTuple):
     """The table of a shaker; lengths in m."""
 
@@ -126,6 +136,23 @@ class Stack:
             x = 0.0 if is_under_body else WIDTH / 2 + LUG / 2 + SHAKER_PITCH * next(right_positions)
             top = self.ground or self.bottoms[body - 1] - COIL_LENGTH
             self.tables.append(Table(point, shaker.glyph, body, x, top, shaker.coil_spring is not None))
+        self.blocks = [self._block(number, joint, exaggeration) for number, joint in enumerate(scene.joints, 1)]
+
+    def _block(self, number: int, joint: Stop, exaggeration: float) -> Block:
+        """Return the block of a stop: below the upper body if it is next above the lower, otherwise beside the bodies.
+
+        A gap that exceeds the space below a body is drawn smaller.
+        """
+        lower, upper = joint.ends
+        top = self.ground if lower is None else self.bottoms[lower] + self.heights[lower]
+        bottom = 0.0 if upper is None else self.bottoms[upper]
+        is_next = upper is not None and upper == (0 if lower is None else lower + 1)
+        space = bottom - top if is_next else SPRING_LENGTH
+        end = top + min(joint.gap * exaggeration, space - BLOCK_HEIGHT)
+        height = bottom - end if is_next else BLOCK_HEIGHT
+        x = (0.42 if is_next else 0.56) * WIDTH
+        entity = f"rig/joint_{number}" if upper is None else f"rig/body_{upper + 1}/joint_{number}"
+        return Block(entity, ((x, 0.0, end + height / 2 - bottom), (BLOCK_WIDTH, DEPTH / 2, height)))
 
 
 def round_factor(limit: float) -> float:

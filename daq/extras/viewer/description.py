@@ -223,6 +223,9 @@ def markdown_page(recording: Recording, motion: RecordedMotion, view: RigView) -
                 f"| {number} | {damper.body} | {mass * 1e3:.4g} g | {clearance} | {damper.restitution:g} "
                 f"| {'grains' if damper.grains else 'instantaneous' if damper.contact is None else 'finite-duration'} |"
             )
+    if scene.joints:
+        texts = [escape_markdown(joint.text(scene.structure.label)) for joint in scene.joints]
+        lines += ["", "## Joints", *(f"{number}. {text}" for number, text in enumerate(texts, 1))]
     lines += ["", "## Channels", "| channel | at | quantity | unit | V per unit |", "|---|---|---|---|---|"]
     for name, info in recording.channels.items():
         lines.append(

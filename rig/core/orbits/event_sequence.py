@@ -145,8 +145,9 @@ def derive_plan(
         impacts = [i for i in simultaneous if dampers[i] == damper and events[i] in (kinds.FLOOR, kinds.CEILING)]
         if any(dampers[i] != damper for i in simultaneous) and system.impacts_interact:
             raise UncoveredMotionError(
-                f"an impact of {system.elements[damper].name} acts on {system.elements[dampers[simultaneous[-1]]].name} "
-                "at the same instant, through a common body or the mass matrix"
+                f"an impact of {system.elements[damper].name} acts on "
+                f"{system.elements[dampers[simultaneous[-1]]].name} at the same instant, through a common body or the "
+                "mass matrix"
             )
         previous = [i for i in simultaneous if dampers[i] == damper]
         if finite_contact[damper]:

@@ -72,8 +72,6 @@ class FirstOrderForm:
         self, system: HybridSystem, tone: ToneDrive, periods: int, number_type: Callable[[float], Any] = float,
         pi: Any = math.pi, integrals: bool = False,
     ) -> None:  # fmt: skip
-        if len(system.elements) > system.dampers:
-            raise SceneError("joints: the compared methods require dampers only. Remove the joints.")
         if not (system.detached | system.finite_contact).all() or np.isinf(system.take_off_acceleration).any():
             raise SceneError(
                 "dampers: the compared methods require dampers with a floor, but one is a mass on a spring or a "

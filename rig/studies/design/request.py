@@ -127,6 +127,8 @@ def parse_request(
         raise SceneError(
             "gravity: got 0; expected more than 0, because dampers without weight do not return to their floors"
         )
+    if scene.joints:
+        raise SceneError("joints: a design requires a linear structure with dampers. Remove the joints.")
     impact_law = impact_law_of(scene.dampers)
     bare = with_ideal_force(_with_controlled_force(scene.with_ideal_channels(dampers=[]), levels))
     default_levels = [level_of(bare) * factor for factor in DEFAULT_LEVEL_RATIOS]

@@ -138,6 +138,8 @@ def single_mode(
     form one equivalent damper, so they must have the same clearance. The method requires instantaneous contact and
     restitution 0.
     """
+    if scene.joints:
+        raise SceneError("joints: the reduction to one mode requires a linear structure with dampers. Remove them.")
     model = structural_model(scene)
     mass = model.mass.copy()
     damper_masses: dict[int, float] = {}

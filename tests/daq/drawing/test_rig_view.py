@@ -41,6 +41,25 @@ def draw(scene, motion):
     return view, parts
 
 
+def test_stop_hangs_above_the_lower_body_by_its_gap():
+    scene = SCENE.replace(joints=[{"between": [1, 2], "gap": 1e-4, "stiffness": 1e5}])
+    view, _ = draw(scene, random_motion(scene, 1e-3))
+    [block] = view.stack.blocks
+    (_, _, middle), (_, _, height) = block.box
+    top_of_lower = view.stack.bottoms[0] + view.stack.heights[0]
+    assert block.entity == "rig/body_2/joint_1"
+    assert view.stack.bottoms[1] + middle - height / 2 - top_of_lower == pytest.approx(1e-4 * view.exaggeration)
+    assert middle + height / 2 == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("between", [[2, 1], [1, "ground"], ["ground", 2], ["ground", 1], [1, 3]])
+def test_stop_between_any_places_is_drawn(between):
+    scene = SCENE.replace(joints=[{"between": between, "gap": 1e-2, "stiffness": 1e5}])
+    view, _ = draw(scene, random_motion(scene, 1e-3))
+    assert all(size > 0.0 for size in view.stack.blocks[0].box[1])
+    assert any(entity.endswith("joint_1") for entity, _ in view.static_parts())
+
+
 @pytest.mark.parametrize("amplitude_m", [1e-6, 0.3e-3, 1e-3, 7e-3, 0.2])
 def test_springs_end_at_the_parts_they_join(amplitude_m):
     motion = random_motion(SCENE, amplitude_m)

@@ -207,7 +207,8 @@ def test_malformed_marker_is_rejected(data):
 
 def test_event_survives_json_exactly():
     time = 0.1 + 0.2
-    assert event_from_json(memoryview(event_to_json(time, 2, "floor", 1e-17))) == (time, 2, "floor", 1e-17)
+    assert event_from_json(memoryview(event_to_json(time, 2, "floor", 1e-17))) == (time, 2, "floor", 1e-17, 0)
+    assert event_from_json(memoryview(event_to_json(time, 0, "touch", 0.5, 3))) == (time, 0, "touch", 0.5, 3)
     with pytest.raises(RecordingError, match="/truth/events"):
         event_from_json(memoryview(b'{"time":"x"}'))
 
@@ -215,3 +216,5 @@ def test_event_survives_json_exactly():
 def test_json_schemas_require_message_fields():
     assert json.loads(MARKER_SCHEMA.data)["required"] == ["kind", "first_sample", "last_sample"]
     assert json.loads(event_schema(has_friction=False).data)["required"] == ["time", "damper", "kind", "speed"]
+    with_joints = json.loads(event_schema(has_friction=False, has_joints=True).data)
+    assert with_joints["required"] == ["time", "kind", "speed"] and "joint" in with_joints["properties"]

@@ -73,14 +73,15 @@ def test_any_marker_is_valid_or_rejected(key: str, value: Any) -> None:
         marker.fields["duration"]
 
 
-@given(st.sampled_from(["time", "damper", "kind", "speed"]), ANY_JSON)
-def test_any_contact_event_is_valid_or_rejected(key: str, value: Any) -> None:
-    event = {"time": 0.1, "damper": 1, "kind": "floor", "speed": 0.2} | {key: value}
+@pytest.mark.parametrize("element", ["damper", "joint"])
+@given(st.sampled_from(["time", "damper", "joint", "kind", "speed"]), ANY_JSON)
+def test_any_contact_event_is_valid_or_rejected(element: str, key: str, value: Any) -> None:
+    event = {"time": 0.1, element: 1, "kind": "floor", "speed": 0.2} | {key: value}
     try:
-        time, damper, kind, speed = event_from_json(memoryview(json.dumps(event).encode()))
+        time, damper, kind, speed, joint = event_from_json(memoryview(json.dumps(event).encode()))
     except RecordingError:
         return
-    assert np.isfinite([time, speed]).all() and damper >= 1 and kind in CONTACT_CHANGES
+    assert np.isfinite([time, speed]).all() and damper + joint >= 1 and kind in CONTACT_CHANGES
 
 
 def rewrite(path: Path, checksums: bool = True, shift: int = 0) -> Path:

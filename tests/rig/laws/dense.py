@@ -107,6 +107,12 @@ class DenseMotion:
         gap_of_detached = iter(range(bodies, n))
         self.laws: list[Law] = [element.law for element in system.elements]
         self.gaps = [element.gap if element.gap >= 0 else next(gap_of_detached) for element in system.elements]
+        # Rows whose product with the coordinates is the gap: a joint between two bodies has two entries.
+        self.directions = np.zeros((len(self.gaps), n))
+        self.directions[np.arange(len(self.gaps)), self.gaps] = 1.0
+        for direction, element in zip(self.directions, system.elements, strict=True):
+            if element.base >= 0:
+                direction[element.base] = -1.0
         for element, gap in zip(system.elements, self.gaps, strict=True):
             if element.gap < 0:
                 pair = np.ix_([element.body, gap], [element.body, gap])
@@ -154,7 +160,7 @@ class DenseMotion:
     def _spring_energy(self, j: int, mode: Mode) -> float:
         """Return the energy in the spring of an element in a mode, J."""
         force = mode.force or Row()
-        return -0.5 * force.gap * float(self.state[self.gaps[j]] - force.rest) ** 2
+        return -0.5 * force.gap * float(self.directions[j] @ self.state[: self.n] - force.rest) ** 2
 
     def _present_modes(self) -> list[tuple[int, Mode]]:
         """Return number and mode of every element."""
@@ -175,7 +181,7 @@ class DenseMotion:
         forces = [law.modes[name].force for law, name in zip(self.laws, modes, strict=True)]
         for j, row in enumerate(forces):
             if row is not None:
-                force[self.gaps[j]] += self._plain_row(j, row)
+                force += np.outer(self.directions[j], self._plain_row(j, row))
         held = [j for j, row in enumerate(forces) if row is None]
         hold = np.zeros((len(forces), self.size))
         if held:
@@ -195,7 +201,7 @@ class DenseMotion:
     def _plain_row(self, j: int, row: Row) -> Array:
         """Return a row without holding force as a row of the state."""
         values = np.zeros(self.size)
-        values[[self.gaps[j], self.n + self.gaps[j]]] = row.gap, row.speed
+        values[: self.n], values[self.n : 2 * self.n] = row.gap * self.directions[j], row.speed * self.directions[j]
         values[-1] = row.constant - row.gap * row.rest
         return values
 
@@ -222,7 +228,7 @@ class DenseMotion:
             self.work += weight * tau * step * power
             self.exchanged += weight * tau * step * abs(power)
             for j, mode in self._present_modes():
-                speed, force = float(velocity[self.gaps[j]]), mode.force or Row()
+                speed, force = float(self.directions[j] @ velocity), mode.force or Row()
                 self.lost -= weight * tau * step * (force.speed * speed + force.constant) * speed
 
     def _leave(self, j: int, guard: Guard) -> None:
@@ -261,7 +267,7 @@ class DenseMotion:
 
     def _speed(self, j: int) -> float:
         """Return the rate of change of a gap, m/s."""
-        return float(self.state[self.n + self.gaps[j]])
+        return float(self.directions[j] @ self.state[self.n : 2 * self.n])
 
     def _speed_rounding(self) -> float:
         """Return the largest speed of a gap that may be a rounding error of zero, m/s."""
@@ -400,7 +406,10 @@ class DenseMotion:
         hold, counts = self._equations(self.modes).hold, []
         for guard in guards(self._mode(j)):
             row = self._row(j, guard, hold)
-            is_at_limit = bool(abs(row @ self.state) <= AT_LIMIT * (np.abs(row) @ np.abs(self.state)))
+            # A gap whose limit is 0 has no other terms than itself, so that the largest coordinate counts.
+            scale = np.abs(self.state)
+            scale[: 2 * self.n] = np.repeat(scale[: 2 * self.n].reshape(2, -1).max(axis=1), self.n)
+            is_at_limit = bool(abs(row @ self.state) <= AT_LIMIT * (np.abs(row) @ scale))
             if not departure.left.row.hold:
                 counts.append(self._zeros_of_change(guard, departure.left, is_at_limit))
             elif guard.row.speed and not guard.row.gap:

@@ -1,7 +1,8 @@
-"""Random structures with dampers of given kinds, also several in one body, for the comparison with the oracle."""
+"""Random structures with dampers and joints of given kinds, also several in one body, to compare with the oracle."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import inf, sqrt
 from typing import Any
 
@@ -13,8 +14,13 @@ import rig
 KINDS = "bed", "tuned", "impact", "sliding"
 
 
-def random_scene(seed: int, *kinds: str) -> rig.Scene:
-    """Return a chain of 1 to 5 bodies with 1 to 4 dampers of some of `KINDS`, driven at its first body."""
+def random_scene(
+    seed: int, *kinds: str, joint: Callable[[np.random.Generator], dict[str, Any]] | None = None
+) -> rig.Scene:
+    """Return a chain of 1 to 5 bodies with 1 to 4 dampers of some of `KINDS`, driven at its first body.
+
+    `joint`: returns random settings of a joint; with it, the chain has 1 to 3 joints and up to two dampers.
+    """
     random = np.random.default_rng(seed)
     bodies = int(random.integers(1, 6))
     content: dict[str, Any] = {
@@ -30,7 +36,21 @@ def random_scene(seed: int, *kinds: str) -> rig.Scene:
         "shaker": {"kind": "force", "body": 1},
         "test": {"kind": "sine", "frequency": float(random.uniform(8.0, 50.0)), "force": 20.0},
     }
+    if joint is not None:
+        places = ["ground", *range(1, bodies + 1)]
+        pairs = [random.choice(len(places), 2, replace=False).tolist() for _ in range(random.integers(1, 4))]
+        content["joints"] = [{"between": [places[i] for i in pair]} | joint(random) for pair in pairs]
+        content["dampers"] = content["dampers"][: random.integers(0, 3)]
     return rig.load(content)
+
+
+def random_stop(random: np.random.Generator) -> dict[str, Any]:
+    """Return the settings of a stop without its ends."""
+    return {
+        "gap": float(random.choice([0.0, 1e-4, 5e-4])),
+        "stiffness": float(10.0 ** random.uniform(4.0, 6.5)),
+        "damping": float(random.choice([0.0, 5.0, 100.0])),
+    }
 
 
 def _random_damper(random: np.random.Generator, kind: str) -> dict[str, Any]:

@@ -106,6 +106,7 @@ CHANGES: dict[str, tuple[dict[str, object], dict[str, object]]] = {
         {"dampers": None},
         {"dampers": [{"body": 2, "mass": "10 g", "friction": 0.2, "clearance": ".inf"}]},
     ),
+    "joints.between": ({}, {"joints": [{"between": [1, 2], "gap": "1 mm", "stiffness": "1 MN/m"}]}),
     "dampers.contact": ({}, {"dampers[1].contact": {"duration": "2 ms"}}),
     "dampers.locked": ({"dampers": None}, {"dampers[1].locked": True}),
     "shaker.spring": (

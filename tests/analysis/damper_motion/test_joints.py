@@ -47,7 +47,7 @@ def test_channels_cannot_tell_contacts_of_joint(recording: Path) -> None:
 def test_response_is_that_of_a_nonlinear_structure(recording: Path) -> None:
     assert not SCENE.is_linear
     with daq.open(recording) as rec:
-        [measured] = [each for each in analysis.frfs(rec, channels=["arm"])][:1]
+        measured = analysis.frfs(rec, channels=["arm"])[0]
     expected = rig.frequency_response(SCENE, measured.frequency.tolist())
     steady = expected.converged
     np.testing.assert_allclose(abs(measured.value)[steady], abs(expected.compliance[1])[steady], rtol=0.02)

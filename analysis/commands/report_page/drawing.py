@@ -14,7 +14,7 @@ from rig.core.results.uncertainty import expand
 
 if TYPE_CHECKING:
     from analysis.core.modal.modes import BodyShapes
-    from rig.core.scene.joint import Stop
+    from rig.core.scene.joint import Joint
     from rig.core.scene.scene import Scene
     from rig.core.scene.shaker import Shaker
 
@@ -65,7 +65,7 @@ def rig_drawing(scene: Scene) -> str:
         y = tops[scene.hammer - 1] + _BODY_HEIGHT / 2
         elements.append(f'<text x="4" y="{y - 12:g}">hammer, {scene.test.level_text(None)}</text>{_push(y, HAMMER)}')
     for joint in scene.joints:
-        elements += _stop(joint, tops)
+        elements += _joint(joint, tops)
     elements += _channels(scene, tops)
     names = ", ".join(structure.labels)
     return (
@@ -124,14 +124,14 @@ def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
             yield f'<text x="{x + 32:g}" y="{top + 43:g}">{mass}{locked}{clearance}</text>'
 
 
-def _stop(joint: Stop, tops: Sequence[float]) -> Iterator[str]:
-    """Draw the block of a stop below the upper body, if this is next above the lower; others are in the settings."""
+def _joint(joint: Joint, tops: Sequence[float]) -> Iterator[str]:
+    """Draw the block of a joint below the upper body, if this is next above the lower; others are in the settings."""
     lower, upper = joint.ends
     if upper is not None and upper == (0 if lower is None else lower + 1):
         x, y = _LEFT + _BODY_WIDTH - 30, tops[upper] + _BODY_HEIGHT
         yield (
             f'<path class="joint" stroke="currentColor" d="M{x} {y:g}v{_SPACING - 8}h14v{8 - _SPACING}"/>'
-            f'<text x="{x + 20}" y="{y + _SPACING - 6:g}">{format_number(1e3 * joint.gap)} mm</text>'
+            f'<text x="{x + 20}" y="{y + _SPACING - 6:g}">{joint.short_text}</text>'
         )
 
 

@@ -14,7 +14,7 @@ from daq.core.drawing.shapes import Point
 
 if TYPE_CHECKING:
     from rig.core.scene.damper import Damper
-    from rig.core.scene.joint import Stop
+    from rig.core.scene.joint import Joint
     from rig.core.scene.scene import Scene
     from rig.core.scene.shaker.kind import Glyph
 
@@ -89,7 +89,7 @@ def walls(cavities: Sequence[Cavity]) -> list[Box]:
 
 
 class Block(NamedTuple):
-    """The block of a stop: it is fixed to the upper of two parts, and hangs above the lower by the gap."""
+    """The block of a joint: it is fixed to the upper of two parts, and hangs above the lower by the gap of a stop."""
 
     entity: str  # path of the drawing
     box: Box  # relative to the underside of its body, or to the ground
@@ -138,8 +138,8 @@ class Stack:
             self.tables.append(Table(point, shaker.glyph, body, x, top, shaker.coil_spring is not None))
         self.blocks = [self._block(number, joint, exaggeration) for number, joint in enumerate(scene.joints, 1)]
 
-    def _block(self, number: int, joint: Stop, exaggeration: float) -> Block:
-        """Return the block of a stop: below the upper body if it is next above the lower, otherwise beside the bodies.
+    def _block(self, number: int, joint: Joint, exaggeration: float) -> Block:
+        """Return the block of a joint: below the upper body if it is next above the lower, otherwise beside the bodies.
 
         A gap that exceeds the space below a body is drawn smaller.
         """

@@ -86,6 +86,7 @@ class Truth:
             contact = topic(point, "contact", "", integer_schema, values=contact_values)
             self.chunks.append([(0, len(MOTION_QUANTITIES) * points + damper, gap), (1, damper, contact)])
         has_friction = any(damper.friction is not None for damper in scene.dampers)
+        has_friction |= any(joint.slip_force is not None for joint in scene.joints)
         self._event_fields = ["time", "damper", "kind", "speed", *(["joint"] if scene.joints else [])]
         schema = event_schema(has_friction, bool(scene.joints))
         self._topic = register(EVENTS, schema, {}) if dampers or scene.joints else 0

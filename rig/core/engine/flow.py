@@ -64,7 +64,8 @@ class Model(NamedTuple):
 
     step: step length, s. mass: of each element. position_index, velocity_index: of the position and velocity of each
     element's body in the state. gap_coordinate: index of the gap in the state; -1 for a detached mass. base_coordinate:
-    index of the coordinate that is subtracted from it; -1 without one. first_velocity: index of the first velocity,
+    index of the coordinate that is subtracted from it; -1 without one. memory_coordinate: index of the memory; -1
+    without one. first_velocity: index of the first velocity,
     which equals the number of coordinates. first_acceleration: index of the accelerations that are stored after the
     state. inverse_mass: inverse of the mass matrix. force, force_constant: forces on the coordinates. coupled: whether
     simultaneous contacts affect each other. laws: tables of the laws.
@@ -75,6 +76,7 @@ class Model(NamedTuple):
     mass: np.ndarray
     gap_coordinate: np.ndarray
     base_coordinate: np.ndarray
+    memory_coordinate: np.ndarray
     position_index: np.ndarray
     velocity_index: np.ndarray
     first_velocity: int

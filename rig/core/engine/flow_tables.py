@@ -189,6 +189,7 @@ class FlowTables:
             mass=system.element_mass.astype(np.float64),
             gap_coordinate=system.gap_coordinate.astype(np.int64),
             base_coordinate=system.base_coordinate.astype(np.int64),
+            memory_coordinate=np.array([element.memory for element in system.elements], dtype=np.int64),
             position_index=system.body_coordinate.astype(np.int64),
             velocity_index=system.body_coordinate.astype(np.int64) + nq,
             first_velocity=nq,

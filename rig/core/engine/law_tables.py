@@ -44,7 +44,7 @@ class LawTables(NamedTuple):
     wall[m]: contact in results. push[m]: direction in which this wall pushes, 1 or -1. wall_gap[m]: gap of a held mass,
     m. is_held[m]. transmits[m]: whether the holding force can be an impulse. can_hit[m]: whether the mode can end in an
     impact. flies[m]: 1 for a detached mass that is not held, else 0. force[m]: factors of gap and speed, relaxed gap,
-    and constant part.
+    constant part, and factor of the memory.
 
     numbers, indices [m, lane of the element]: see `Signals`. exit[m, lane, end]. rounding[m, lane]: largest value per
     speed that is a rounding error of the gap. is_speed[m, lane]: whether the signal is the speed. factors[m, lane]:
@@ -109,6 +109,7 @@ def signal_terms(system: HybridSystem, element: Element, mode: Mode, signal: Sig
     terms = [(i, factor * row.gap) for i, factor in direction] + [
         (n + i, factor * row.speed) for i, factor in direction
     ]
+    terms += [(element.memory, row.memory)]
     entries, factors = zip(*(term for term in terms if term[1]), strict=True)
     return SignalTerms(entries, factors, 0, -row.gap * row.rest, row.rest)
 
@@ -222,7 +223,7 @@ def law_tables(system: HybridSystem, size: int) -> LawTables:
         transmits=np.array([mode.transmits_impulses for _, _, mode in modes], dtype=bool),
         can_hit=np.array([mode.ends_by_impact for _, _, mode in modes], dtype=bool),
         flies=np.array([float(element.gap < 0 and mode.force is not None) for _, element, mode in modes]),
-        force=np.array([[row.gap, row.speed, row.rest, row.constant] for row in forces]).reshape(-1, 4),
+        force=np.array([[row.gap, row.speed, row.rest, row.constant, row.memory] for row in forces]).reshape(-1, 5),
         numbers=number,
         indices=index,
         exit=exit_number,

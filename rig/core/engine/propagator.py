@@ -168,6 +168,7 @@ class Propagator:
 
         `state`: shape (states,), SI units; `drive`: drive states. Returns the dampers (from 0) that have separated.
         """
+        state = state.copy()
         modes = self.system.joint_modes(state)
         if modes:
             laws, self.state.mode[self.system.dampers :] = self.tables.model.laws, modes

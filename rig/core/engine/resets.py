@@ -129,6 +129,8 @@ def _sum_forces(model: Model, state: State, force: Array) -> None:
         if gap >= 0:
             row = model.laws.force[mode_number(model, state, j)]
             spring_force = row[0] * (_gap(model, state, j) - row[2]) + row[1] * _speed(model, state, j)
+            if model.memory_coordinate[j] >= 0:
+                spring_force += row[4] * state.z[model.memory_coordinate[j]]
             force[gap] += spring_force
             force[gap] += row[3]
             if base >= 0:
@@ -300,7 +302,8 @@ def _slip_by_impact(flow: Flow, model: Model, state: State, log: Log) -> None:
     laws = model.laws
     for i in range(model.mass.shape[0]):
         gap, m, first = model.gap_coordinate[i], mode_number(model, state, i), laws.first_lane[i]
-        if gap < 0:
+        # A joint with memory has no mass: the kernel finds that its speed is outside its interval.
+        if gap < 0 or model.memory_coordinate[i] >= 0:
             continue
         speed = state.z[model.first_velocity + gap]
         for lane in range(laws.first_lane[i + 1] - first):
@@ -493,6 +496,8 @@ def _side_of_limit(model: Model, state: State, j: int, m: int, lane: int, end: i
         return 1
     speed = _speed(model, state, j)
     quantity, factor = _gap(model, state, j), laws.factors[m, lane, 0]
+    if model.memory_coordinate[j] >= 0:
+        quantity -= state.z[model.memory_coordinate[j]]  # the memory has the opposite factor
     if laws.is_speed[m, lane]:
         quantity, factor = speed, laws.factors[m, lane, 1]
     distance = factor * (quantity - number[REST]) - limit
@@ -528,7 +533,7 @@ def _stop_simultaneously(flow: Flow, model: Model, state: State, log: Log, j: in
     laws = model.laws
     for i in range(model.mass.shape[0]):
         m, first = mode_number(model, state, i), laws.first_lane[i]
-        if i == j or model.gap_coordinate[i] < 0:
+        if i == j or model.gap_coordinate[i] < 0 or model.memory_coordinate[i] >= 0:
             continue
         for lane in range(laws.first_lane[i + 1] - first):
             if not laws.is_speed[m, lane] or state.multiplicity[first + lane] != 0:
@@ -541,6 +546,19 @@ def _stop_simultaneously(flow: Flow, model: Model, state: State, log: Log, j: in
                 change_mode(flow, model, state, i, laws.target[x, 0])
                 log_event(log, i, laws.event[x], 0.0)
                 break
+
+
+@inlined_kernel
+def _remember(model: Model, state: State, j: int, m: int, m_before: int) -> None:
+    """Set the memory of element j so that its force does not jump at the change to mode m; its force is at a limit."""
+    laws, lane = model.laws, model.laws.first_lane[j]
+    force = laws.force[m_before, 3]
+    state.z[model.memory_coordinate[j]] = _gap(model, state, j) - force / laws.force[m, 0]
+    # The rate of the force is proportional to the speed, which is zero unless an impact has changed it.
+    displacement, velocity = state.z[model.position_index[j]], state.z[model.velocity_index[j]]
+    rounding = ROUNDING * (abs(velocity) + abs(displacement) / model.step)
+    zeros = 2 if abs(_speed(model, state, j)) <= rounding else 1
+    state.multiplicity[lane] = zeros if force < 0.0 else -zeros
 
 
 @kernel
@@ -559,6 +577,8 @@ def change_force(flow: Flow, model: Model, state: State, log: Log, j: int, x: in
         at_low = not laws.is_held[m] and _side_of_limit(model, state, j, m, lane, LOW) == 0
         at_high = not laws.is_held[m] and _side_of_limit(model, state, j, m, lane, HIGH) == 0
         state.multiplicity[laws.first_lane[j] + lane] = 1 if at_low else -1 if at_high else 0
+    if laws.force[m, 4] != 0.0:
+        _remember(model, state, j, m, mode_number(model, state, j))
     if laws.is_held[m]:
         state.z[model.first_velocity + model.gap_coordinate[j]] = 0.0
         _stop_simultaneously(flow, model, state, log, j)

@@ -23,10 +23,11 @@ from rig.core.laws.events import FLIGHT, NO_EVENT
 
 
 class Row(NamedTuple):
-    """The function gap (g - rest) + speed s + hold h + constant of gap g [m], speed s [m/s] and holding force h.
+    """The function gap (g - rest) + speed s + hold h + memory u + constant of gap, speed and holding force, in SI.
 
     As a force, `gap` and `speed` are minus the stiffness and the damping of a spring with dashpot, relaxed at `rest`;
-    `constant` is a force that does not depend on the motion, such as friction in one direction.
+    `constant` is a force that does not depend on the motion, such as friction in one direction. The memory u [m] is
+    constant; a mode whose force depends on it begins with the force of the mode before, which determines u.
     """
 
     gap: float = 0.0
@@ -34,9 +35,10 @@ class Row(NamedTuple):
     hold: float = 0.0
     rest: float = 0.0
     constant: float = 0.0
+    memory: float = 0.0
 
     def at(self, gap: float, speed: float) -> float:
-        """Return the value for a gap and a speed, without a holding force."""
+        """Return the value for a gap and a speed, without holding force and memory."""
         return self.gap * (gap - self.rest) + self.speed * speed + self.constant
 
 
@@ -137,6 +139,11 @@ class Law(NamedTuple):
             if all(signal.low <= gap <= signal.high for signal in self.modes[name].signals if signal.row == GAP)
         ]
         return (containing or at_wall)[0]
+
+    @property
+    def has_memory(self) -> bool:
+        """Whether a force depends on a memory."""
+        return any(force is not None and force.memory for force in self.forces)
 
     def mode_for(self, gap: float, speed: float) -> str:
         """Return the first mode that contains a gap, m, and a speed, m/s; the start if there is none."""

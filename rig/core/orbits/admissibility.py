@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rig.core.base.arrays import Array
 from rig.core.numerics.jit import cached_njit
 from rig.core.orbits import event_kinds as kinds
-from rig.core.orbits.orbit_equations import GAP, HIGH, HOLD, LOW, SPEED, Equations, Sequence
+from rig.core.orbits.orbit_equations import GAP, HIGH, HOLD, LOW, MEMORY, SPEED, Equations, Sequence
 from rig.core.orbits.shooting import ShootingResult, signal_of
 from rig.core.orbits.track import Track, track_orbit, turning_value
 
@@ -151,9 +151,13 @@ def _finite_contact_margins(
 def _signal_along(equations: Equations, track: Track, s: int, configuration: int, signal: Array, j: int) -> Array:
     """Return a signal of an sliding mass with two derivatives along a segment, shape (steps + 1, 3)."""
     a, nq, n = equations.generator[configuration], equations.inverse_mass.shape[1], track.motion.shape[2]
-    gap = equations.gap_coordinate[j]
+    gap, base, memory = equations.gap_coordinate[j], equations.base_coordinate[j], equations.memory_coordinate[j]
     weights = np.zeros((3, n + 3))
     weights[0, gap], weights[0, nq + gap] = signal[GAP], signal[SPEED]
+    if base >= 0:
+        weights[0, base], weights[0, nq + base] = -signal[GAP], -signal[SPEED]
+    if memory >= 0:
+        weights[0, memory] = signal[MEMORY]
     if signal[HOLD] != 0.0:
         # The other forces on the mass act across the gap: the holding force is that of its inertia.
         weights[0] = a[nq + equations.body_coordinate[j]]
@@ -185,13 +189,15 @@ def _sliding_margins(
             is_force, is_speed = signal[HOLD] != 0.0, signal[SPEED] != 0.0
             if not is_force and not is_speed and signal[GAP] == 0.0:
                 continue
+            has_memory = signal[MEMORY] != 0.0
             unit = length_unit * (omega**2 if is_force else omega if is_speed else 1.0)
             values = _signal_along(equations, track, s, sequence.configuration[k], signal, j)
             for end, sign in ((LOW, 1.0), (HIGH, -1.0)):
                 if not np.isfinite(signal[end]):
                     continue
                 # A speed that starts from rest has no minimum in the first step, except by rounding.
-                first = 1 if is_speed and starts_with_own_event else 0
+                # So does a force with memory that starts at its limit.
+                first = 1 if (is_speed or has_memory) and starts_with_own_event else 0
                 lowest = _lowest_between(values, step, -sign * signal[end], sign, first)
                 if is_force or not starts_with_own_event:
                     lowest = min(lowest, sign * (values[0, 0] - signal[end]))
@@ -200,6 +206,8 @@ def _sliding_margins(
                 border = HITS_FLOOR if end == LOW else HITS_CEILING
                 if is_speed:
                     border = STOPS
+                elif has_memory:
+                    border = SLIPS
                 elif is_force:
                     is_at_wall = not (np.isfinite(signal[LOW]) and np.isfinite(signal[HIGH]))
                     border = LEAVES_WALL if is_at_wall else SLIPS
@@ -223,13 +231,15 @@ def _sliding_event_margin(
     speed_after = np.zeros(HIGH + 1)
     speed_after[SPEED] = 1.0
     acceleration = _signal_along(equations, track, event, sequence.configuration[event + 1], speed_after, j)[0, 1]
-    if signals[lane, GAP] != 0.0:
+    if signals[lane, GAP] != 0.0 and signals[lane, MEMORY] == 0.0:
         distances[MISSES_WALL, event] = min(1.0, closing_speed * omega / acceleration_unit)
         if kind in (kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE) and equations.restitution[j] == 0.0:
             _reduce_margin(distances, STAYS_AT_WALL, j, inwards * acceleration / acceleration_unit)
         return
     before = _signal_along(equations, track, event - 1, sequence.configuration[event], signals[lane], j)[-1, 1]
     unit = acceleration_unit * omega if signals[lane, HOLD] != 0.0 else acceleration_unit
+    if signals[lane, MEMORY] != 0.0:
+        unit = length_unit * omega
     distances[NOT_RELEASED, event] = min(1.0, -inwards * before / unit)
     if kind == kinds.REVERSE:
         _reduce_margin(distances, STICKS, j, -inwards * acceleration / acceleration_unit)

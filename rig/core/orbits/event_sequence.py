@@ -216,9 +216,10 @@ def walls_from_modes(modes: NDArray[np.int64], system: HybridSystem) -> NDArray[
 
 
 def slides(system: HybridSystem) -> NDArray[np.bool_]:
-    """Return whether each damper can stick away from its walls, because it slides with friction; shape (dampers,)."""
-    modes = [element.law.modes.values() for element in system.elements]
-    return np.array([any(m.force is None and m.wall == FLIGHT for m in of_law) for of_law in modes], dtype=bool)
+    """Return whether each element can stick away from its walls, because it slides with friction; shape (elements,)."""
+    laws = [element.law for element in system.elements]
+    sticks = [any(mode.force is None and mode.wall == FLIGHT for mode in law.modes.values()) for law in laws]
+    return np.array([each or law.has_memory for each, law in zip(sticks, laws, strict=True)], dtype=bool)
 
 
 def _mode(element: Element, wall: int, gap: float) -> str:
@@ -265,7 +266,8 @@ def _mode_after(law: Law, mode: int, kind: int) -> int:
             moves_up = any(signal.row.speed and signal.low == 0.0 for signal in signals)
             name = targets(law.modes[name].signals, "hold", int(moves_up))[0]
     else:
-        name = targets(signals, "hold", {kinds.SLIP_LOW: 0, kinds.SLIP_HIGH: 1}.get(kind))[0]
+        row = "memory" if law.has_memory else "hold"
+        name = targets(signals, row, {kinds.SLIP_LOW: 0, kinds.SLIP_HIGH: 1}.get(kind))[0]
     return names.index(name)
 
 

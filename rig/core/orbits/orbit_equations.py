@@ -15,9 +15,9 @@ from rig.core.base.arrays import Array
 from rig.core.numerics.jit import cached_njit
 
 IndexArray = NDArray[np.int64]
-#: Columns of `Equations.signals`: factors of the gap [m], of the speed [m/s] and of the holding force per mass [m/s^2],
-#: and the limits. A row without factors is unused.
-GAP, SPEED, HOLD, LOW, HIGH = range(5)
+#: Columns of `Equations.signals`: factors of the gap [m], of the speed [m/s], of the holding force per mass [m/s^2] and
+#: of the memory [m], and the limits. A row without factors is unused. A force with memory is divided by its stiffness.
+GAP, SPEED, HOLD, MEMORY, LOW, HIGH = range(6)
 
 
 class Equations(NamedTuple):
@@ -33,15 +33,16 @@ class Equations(NamedTuple):
     """Coordinate of the gap of an element, -1 for a detached mass; int64, shape (elements,)."""
     base_coordinate: IndexArray
     """Coordinate that is subtracted from that of the gap, -1 without one; int64, shape (elements,)."""
+    memory_coordinate: IndexArray  # Coordinate of the memory, -1 without one; int64, shape (elements,)
     wall_gap: Array  # Gap at floor and ceiling [m]; shape (elements, 2)
     hold_offset: Array
     """Holding force per mass on floor and ceiling, minus the acceleration of the body [m/s^2]; shape (elements, 2)."""
     stiffness: Array
     damping: Array  # stiffness, damping: of floor and ceiling for finite-duration contact; shape (elements, 2)
     first_mode: IndexArray
-    """Row in `signals` of the first mode of a mass that slides with friction, otherwise -1; shape (elements,)."""
+    """Row in `signals` of the first mode of an element that slides with friction, otherwise -1; shape (elements,)."""
     signals: Array
-    """Signals of the modes of these masses; the columns are the constants above; shape (modes, signals, 5)."""
+    """Signals of the modes of these elements; the columns are the constants above; shape (modes, signals, 6)."""
     moves_freely: NDArray[np.bool_]  # Whether the gap is a coordinate without a spring; shape (elements,)
     gravity: float
     omega: float  # Angular frequency of the drive [rad/s]

@@ -20,7 +20,7 @@ from rig.core.base.arrays import Array
 from rig.core.base.errors import SceneError
 from rig.core.laws.law import Mode
 from rig.core.orbits.event_sequence import Plan, slides
-from rig.core.orbits.orbit_equations import GAP, HIGH, HOLD, LOW, SPEED, EquationDerivatives, Equations
+from rig.core.orbits.orbit_equations import GAP, HIGH, HOLD, LOW, MEMORY, SPEED, EquationDerivatives, Equations
 from rig.core.scene.scene import Scene
 from rig.core.settings.quantities import FREQUENCY, LENGTH, RATIO, Kind, positive_value, positive_values
 from rig.core.system.assembly import assemble
@@ -122,6 +122,7 @@ class OrbitProblem:
         self._body_coordinate = self.system.body_coordinate.astype(np.int64)
         self._gap_coordinate = self.system.gap_coordinate.astype(np.int64)
         self._base_coordinate = self.system.base_coordinate.astype(np.int64)
+        self._memory_coordinate = np.array([element.memory for element in self.system.elements], dtype=np.int64)
         self._finite_contact = self.system.finite_contact
         self._driven_input = self.system.inputs.index(self.scene.at_driven("shaker"))
         self.reference = reference_of(self.scene, self.system)
@@ -247,6 +248,7 @@ class OrbitProblem:
             restitution=system.element_restitution,
             gap_coordinate=self._gap_coordinate,
             base_coordinate=self._base_coordinate,
+            memory_coordinate=self._memory_coordinate,
             wall_gap=system.wall_gap,
             hold_offset=system.hold_offset,
             stiffness=system.wall_stiffness,
@@ -425,8 +427,10 @@ def _sliding_signals(system: HybridSystem) -> tuple[NDArray[np.int64], Array]:
     signals = np.zeros((len(modes), max((len(mode.signals) for _, mode in modes), default=0), HIGH + 1))
     for (element, mode), rows in zip(modes, signals, strict=True):
         for signal, row in zip(mode.signals, rows, strict=False):
-            unit = element.mass if signal.row.hold else 1.0
+            unit = element.mass if signal.row.hold else signal.row.memory or 1.0
             row[[GAP, SPEED, HOLD]] = signal.row.gap, signal.row.speed, signal.row.hold
+            if signal.row.memory:
+                row[[GAP, MEMORY]] = signal.row.gap / unit, 1.0
             row[[LOW, HIGH]] = signal.low / unit, signal.high / unit
     return first_mode, signals
 
@@ -434,7 +438,8 @@ def _sliding_signals(system: HybridSystem) -> tuple[NDArray[np.int64], Array]:
 def _moves_freely(system: HybridSystem) -> NDArray[np.bool_]:
     """Return whether the gap of each element is a coordinate without a spring, shape (elements,)."""
     gaps = system.gap_coordinate
-    return np.asarray((gaps >= 0) & ~system.finite_contact & (system.force_state[gaps, gaps] == 0.0))
+    is_joint = np.array([element.is_joint for element in system.elements], dtype=bool)
+    return np.asarray((gaps >= 0) & ~is_joint & ~system.finite_contact & (system.force_state[gaps, gaps] == 0.0))
 
 
 def _finite_contact_forces(system: HybridSystem, configuration: int) -> tuple[Array, Array, Array]:

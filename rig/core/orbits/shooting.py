@@ -26,6 +26,7 @@ from rig.core.orbits.orbit_equations import (
     HIGH,
     HOLD,
     LOW,
+    MEMORY,
     SPEED,
     EquationDerivatives,
     Equations,
@@ -285,7 +286,7 @@ def signal_of(signals: Array, kind: int) -> tuple[int, int]:
     elif kind in (kinds.FLOOR, kinds.CEILING, kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE):
         column = GAP
     lane = 0
-    while signals[lane, column] == 0.0:
+    while signals[lane, column] == 0.0 and (column != HOLD or signals[lane, MEMORY] == 0.0):
         lane += 1
     if kind in (kinds.CEILING, kinds.CEILING_BOUNCE, kinds.SLIP_HIGH):
         return lane, HIGH
@@ -299,21 +300,38 @@ def _sliding_event(
     equations: Equations, derivatives: EquationDerivatives, configuration: int, kind: int, modes: IndexArray, j: int,
     motion: MotionState, time: float, row: int, jacobian: Array,
 ) -> tuple[float, float]:  # fmt: skip
-    """Apply an event of a mass that slides with friction; return its condition, and the closing speed [m/s].
+    """Apply an event of an element that slides with friction; return its condition, and the closing speed [m/s].
 
     The condition is that a signal is at its limit. `modes`: rows of the modes before and after in `Equations.signals`.
     """
     x, dx, nq, n_unknowns = motion.x, motion.dx, equations.inverse_mass.shape[1], motion.dx.shape[1] - 1
     speed, closing_speed = nq + equations.gap_coordinate[j], 0.0
+    base, memory = equations.base_coordinate[j], equations.memory_coordinate[j]
     lane, end = signal_of(equations.signals[modes[0]], kind)
     signal = equations.signals[modes[0], lane]
-    if signal[GAP] != 0.0:
+    if signal[MEMORY] != 0.0:
+        residual = signal[GAP] * along_gap(equations, j, x) + signal[MEMORY] * x[memory] - signal[end]
+        jacobian[row] = signal[GAP] * dx[equations.gap_coordinate[j]] + signal[MEMORY] * dx[memory]
+        if base >= 0:
+            jacobian[row] -= signal[GAP] * dx[base]
+        jacobian[row, n_unknowns] -= derivatives.signals[modes[0], lane, end]
+    elif signal[GAP] != 0.0:
         residual, closing_speed = _apply_impact_of_coordinate(
             equations, derivatives, configuration, kind, j, motion, row, jacobian
         )
     elif signal[SPEED] != 0.0:
-        residual = x[speed]
+        residual = along_gap(equations, j, x[nq:])
         jacobian[row] = dx[speed]
+        if base >= 0:
+            jacobian[row] -= dx[nq + base]
+        if memory >= 0:
+            # The force does not jump, so that the memory follows from the slip force and the gap.
+            sticking = equations.signals[modes[1], 0]
+            x[memory] = (sticking[end] - sticking[GAP] * along_gap(equations, j, x)) / sticking[MEMORY]
+            dx[memory] = -sticking[GAP] / sticking[MEMORY] * dx[equations.gap_coordinate[j]]
+            if base >= 0:
+                dx[memory] += sticking[GAP] / sticking[MEMORY] * dx[base]
+            dx[memory, n_unknowns] += derivatives.signals[modes[1], 0, end] / sticking[MEMORY]
     else:
         wall = kinds.RIDES_FLOOR
         residual = -signal[end] + _contact_force_condition(
@@ -329,10 +347,20 @@ def _sliding_event(
 def _write_neutral_rows(equations: Equations, sequence: Sequence, residual: Array, jacobian: Array) -> None:
     """Replace the rows of periodicity of gaps that the motion does not determine: Newton's iteration keeps them.
 
-    The motion of a mass without suspension does not depend on its gap between two impacts on walls.
+    The motion of a mass without suspension does not depend on its gap between two impacts on walls. The memory of a
+    joint that always sticks is free, and the rate of change of a memory is zero.
     """
     nq = equations.inverse_mass.shape[1]
     for j in range(equations.first_mode.shape[0]):
+        memory, stops = equations.memory_coordinate[j], False
+        if memory >= 0:
+            for k in range(sequence.kind.shape[0]):
+                stops = stops or (sequence.damper[k] == j and sequence.kind[k] == kinds.STOP)
+            for is_neutral, i in ((not stops, memory), (True, nq + memory)):
+                if is_neutral:
+                    residual[i] = 0.0
+                    jacobian[i] = 0.0
+                    jacobian[i, i] = -1.0
         if not equations.moves_freely[j]:
             continue
         hits, moves = False, False

@@ -19,7 +19,7 @@ from rig.core.settings.problems import KeyPath, Problem, combined_error
 if TYPE_CHECKING:
     from rig.core.scene.damper import Damper
     from rig.core.scene.excitation import Test
-    from rig.core.scene.joint import Stop
+    from rig.core.scene.joint import Joint
     from rig.core.scene.measurement_chain import RecordingSettings
 
 ValidSections = Mapping[str, Any]
@@ -29,7 +29,7 @@ def _check_damper(damper: Damper, valid: ValidSections) -> Iterable[Problem]:
     yield from body_problems(valid, damper.body, ("body",))
 
 
-def _check_joint(joint: Stop, valid: ValidSections) -> Iterable[Problem]:
+def _check_joint(joint: Joint, valid: ValidSections) -> Iterable[Problem]:
     for k, body in enumerate(joint.between):
         if body != GROUND:
             yield from body_problems(valid, int(body), ("between", k))

@@ -1,13 +1,14 @@
 """Settings of a joint, which acts between two bodies, or between a body and the ground."""
 
 from collections.abc import Callable, Iterable
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pydantic import BeforeValidator, WithJsonSchema
 
 from rig.core.scene.body_names import GROUND
+from rig.core.settings.alternatives import Alternatives, by_key
 from rig.core.settings.problems import Problem
-from rig.core.settings.quantities import DASHPOT, LENGTH, STIFFNESS
+from rig.core.settings.quantities import DASHPOT, FORCE, LENGTH, STIFFNESS
 from rig.core.settings.quantity_field import Quantity, unexpected_value_error
 from rig.core.settings.settings import Settings
 
@@ -38,18 +39,11 @@ _Ends = Annotated[
 ]
 
 
-class Stop(Settings):
-    """A stop: spring and dashpot that act between two bodies, or a body and the ground, while its gap is closed."""
+class _Joint(Settings):
+    """What all joints have in common."""
 
     between: _Ends
-    """The lower and the upper of two bodies, by number from 1 or name; one of them may be ground. The stop closes when
-    the upper has moved towards the lower by `gap`."""
-    gap: Annotated[float, Quantity(LENGTH, at_least=0.0)]
-    """Distance between both while no weight of dampers deforms the structure [m]; 0: they touch without force."""
-    stiffness: Annotated[float, Quantity(STIFFNESS, above=0.0)]
-    """Contact stiffness: force per overlap [N/m]."""
-    damping: Annotated[float, Quantity(DASHPOT, at_least=0.0)] = 0.0
-    """Contact damping: force per speed of approach [N s/m]; the stop never pulls."""
+    """The lower and the upper of two bodies, by number from 1 or name; one of them may be ground."""
 
     @property
     def ends(self) -> tuple[int | None, int | None]:
@@ -57,13 +51,58 @@ class Stop(Settings):
         lower, upper = (None if end == GROUND else int(end) - 1 for end in self.between)
         return lower, upper
 
-    def text(self, label: Callable[[int], str]) -> str:
-        """Describe the joint; `label`: returns the name of a body for its number."""
-        lower, upper = (end if isinstance(end, str) else label(end) for end in self.between)
-        dashpot = f", {self.damping:.4g} N s/m" if self.damping else ""
-        return f"stop between {lower} and {upper}, gap {1e3 * self.gap:.4g} mm, {self.stiffness:.4g} N/m{dashpot}"
-
     def check_consistency(self) -> Iterable[Problem]:
         """Check that the joint connects two places."""
         if self.between[0] == self.between[1]:
             yield Problem(("between",), f"both ends are {self.between[0]}; expected two bodies, or a body and ground")
+
+    def _places(self, label: Callable[[int], str]) -> str:
+        """Name both ends; `label`: returns the name of a body for its number."""
+        lower, upper = (end if isinstance(end, str) else label(end) for end in self.between)
+        return f"between {lower} and {upper}"
+
+
+class Stop(_Joint):
+    """A stop: spring and dashpot that act between two bodies, or a body and the ground, while its gap is closed."""
+
+    slip_force: ClassVar[float | None] = None
+    gap: Annotated[float, Quantity(LENGTH, at_least=0.0)]
+    """Motion of the upper body towards the lower until they touch, while no weight of dampers deforms the structure
+    [m]; 0: they touch without force."""
+    stiffness: Annotated[float, Quantity(STIFFNESS, above=0.0)]
+    """Contact stiffness: force per overlap [N/m]."""
+    damping: Annotated[float, Quantity(DASHPOT, at_least=0.0)] = 0.0
+    """Contact damping: force per speed of approach [N s/m]; the stop never pulls."""
+
+    @property
+    def short_text(self) -> str:
+        """Text next to its drawing."""
+        return f"{1e3 * self.gap:.4g} mm"
+
+    def text(self, label: Callable[[int], str]) -> str:
+        """Describe the joint; `label`: returns the name of a body for its number."""
+        dashpot = f", {self.damping:.4g} N s/m" if self.damping else ""
+        return f"stop {self._places(label)}, gap {self.short_text}, {self.stiffness:.4g} N/m{dashpot}"
+
+
+class FrictionJoint(_Joint):
+    """A joint with friction between two bodies, or a body and the ground: a spring in series with a slider."""
+
+    gap: ClassVar[float] = 0.0
+    damping: ClassVar[float] = 0.0
+    slip_force: Annotated[float, Quantity(FORCE, above=0.0)]
+    """Force at which the slider moves [N]; it is without force at rest."""
+    stiffness: Annotated[float, Quantity(STIFFNESS, above=0.0)]
+    """Stiffness of the spring in series with the slider [N/m]."""
+
+    @property
+    def short_text(self) -> str:
+        """Text next to its drawing."""
+        return f"slips at {self.slip_force:.4g} N"
+
+    def text(self, label: Callable[[int], str]) -> str:
+        """Describe the joint; `label`: returns the name of a body for its number."""
+        return f"friction joint {self._places(label)}, {self.short_text}, {self.stiffness:.4g} N/m"
+
+
+Joint = Annotated[Stop | FrictionJoint, Alternatives(by_key)]

@@ -9,7 +9,7 @@ from rig.core.scene import consistency
 from rig.core.scene.body_names import replace_names
 from rig.core.scene.damper import Damper
 from rig.core.scene.excitation import Test
-from rig.core.scene.joint import Stop
+from rig.core.scene.joint import Joint
 from rig.core.scene.measurement_chain import Channel, Converter, RecordingSettings
 from rig.core.scene.shaker import KINDS, Shaker, Shakers, as_tuple, at_shaker
 from rig.core.scene.structure import Structure
@@ -34,8 +34,8 @@ class Scene(Settings):
     """Downward acceleration [m/s^2]."""
     dampers: tuple[Annotated[Damper, consistency.DAMPER], ...] = ()
     """Particle dampers; a body may have several."""
-    joints: tuple[Annotated[Stop, consistency.JOINT], ...] = ()
-    """Stops between two bodies, or a body and the ground."""
+    joints: tuple[Annotated[Joint, consistency.JOINT], ...] = ()
+    """Stops and joints with friction between two bodies, or a body and the ground."""
     shaker: Annotated[Shakers | None, consistency.SHAKERS] = None
     """One shaker or a list of shakers, each with its own body, spring, amplifier and output."""
     test: Annotated[Test | None, consistency.TEST] = None

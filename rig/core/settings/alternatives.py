@@ -64,7 +64,16 @@ class Alternatives(_DeferredSchema):
 def _selecting_keys(classes: Classes) -> str:
     """Return the keys that select one of the classes, or the values of the key `kind`."""
     kinds = [str(cls.model_fields["kind"].default) for cls in classes if "kind" in cls.model_fields]
-    return f"kind: {', '.join(kinds)}" if kinds else f"one of the keys {', '.join(cls.keys()[0] for cls in classes)}"
+    return f"kind: {', '.join(kinds)}" if kinds else f"one of the keys {', '.join(_own_keys(classes))}"
+
+
+def _own_keys(classes: Classes) -> dict[str, type[Settings]]:
+    """Return the classes by the first key of each that no other class has."""
+    keys = [cls.keys() for cls in classes]
+    return {
+        next(key for key in own if sum(key in others for others in keys) == 1): cls
+        for own, cls in zip(keys, classes, strict=True)
+    }
 
 
 def _name_other_kinds(problem: Problem, chosen: type[Settings], classes: Classes) -> Problem:
@@ -131,8 +140,8 @@ def by_kind(content: Mapping[str, Any], classes: Classes) -> type[Settings]:
 
 
 def by_key(content: Mapping[str, Any], classes: Classes) -> type[Settings]:
-    """Choose the class by its first key, which no other class has."""
-    first_keys = {cls.keys()[0]: cls for cls in classes}
+    """Choose the class by its first key that no other class has."""
+    first_keys = _own_keys(classes)
     given_keys = [key for key in first_keys if key in content]
     if len(given_keys) == 1:
         return first_keys[given_keys[0]]

@@ -289,11 +289,18 @@ def _spring_energy(system: HybridSystem, numbers: NDArray[np.int64], states: Arr
     """Return the energy in the springs of the elements, J; `numbers`, shape (states, elements): of their forces."""
     energy = np.zeros(len(states))
     for element, number in zip(system.elements, numbers.T, strict=True):
-        if element.gap >= 0:
-            forces = [force or Row() for force in element.law.forces]
-            stiffness = np.array([-force.gap for force in forces])[number]
-            rest = np.array([force.rest for force in forces])[number]
+        if element.gap < 0:
+            continue
+        forces = [force or Row() for force in element.law.forces]
+        stiffness = np.array([-force.gap for force in forces])[number]
+        rest = np.array([force.rest for force in forces])[number]
+        if element.memory < 0:
             energy += 0.5 * stiffness * (element.along_gap(states) - rest) ** 2
+            continue
+        # The spring in series with a slider has the same force as the slider.
+        constant = np.array([force.constant for force in forces])[number]
+        force_on_gap = constant - stiffness * (element.along_gap(states) - states[:, element.memory])
+        energy += 0.5 * force_on_gap**2 / max(-force.gap for force in forces)
     return energy
 
 

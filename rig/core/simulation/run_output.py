@@ -78,7 +78,9 @@ def summary(run: Run) -> str:
             events = run.events[run.events[noun] == number]
             counts = Counter(str(kind) for kind in events["kind"])
             event_counts = [f"{kind} {counts[kind]}" for kind in dict.fromkeys(EVENT_NAMES.tolist()) if counts[kind]]
-            lines.append(f"{noun} {number}: {', '.join(event_counts)}; fastest impact {events['speed'].max():.4g} m/s")
+            fastest = events["speed"].max()  # slips and stops are no impacts: their speed is zero
+            impact = f"; fastest impact {fastest:.4g} m/s" if fastest else ""
+            lines.append(f"{noun} {number}: {', '.join(event_counts)}{impact}")
     lines.append(f"events: {len(run.events)}; contacts decided by rounding errors: {run.ambiguous}")
     energy = run.energy
     lines += [

@@ -16,6 +16,7 @@ from rig.core.base.arrays import Array
 from rig.core.base.errors import SceneError
 from rig.core.base.once import once_per_object
 from rig.core.equations import Equations
+from rig.core.laws.friction_joint import friction_joint
 from rig.core.laws.landing import spring_damper
 from rig.core.laws.law import Law
 from rig.core.laws.particle_bed import particle_bed
@@ -24,7 +25,7 @@ from rig.core.laws.spring_mass import spring_mass
 from rig.core.laws.stop import stop
 from rig.core.laws.wall_contact import wall_contact
 from rig.core.scene.damper import Damper, TimedContact, Wall, Walls
-from rig.core.scene.joint import Stop
+from rig.core.scene.joint import FrictionJoint, Stop
 from rig.core.scene.scene import Scene
 from rig.core.scene.shaker import at_shaker
 from rig.core.system.hybrid_system import Element, HybridSystem
@@ -129,7 +130,7 @@ def _element(equations: Equations, scene: Scene, number: int, mass: float, inver
     )
 
 
-def _joint(equations: Equations, joint: Stop, number: int) -> Element:
+def _joint(equations: Equations, joint: Stop | FrictionJoint, number: int) -> Element:
     """Return the element of a joint."""
     lower, upper = joint.ends
     gap, base = (lower, -1) if upper is None else (upper, -1 if lower is None else lower)
@@ -138,9 +139,13 @@ def _joint(equations: Equations, joint: Stop, number: int) -> Element:
     direction[gap] = 1.0
     if base >= 0:
         direction[base] = -1.0
-    declare = partial(stop, joint.stiffness, joint.damping, upper is None)
     accelerated_mass = float(1.0 / (direction @ np.linalg.solve(mass, direction)))
-    return Element(declare, gap, gap, accelerated_mass, joint.gap, 0.0, number, is_joint=True, base=base)
+    declare: Callable[..., Law] = partial(stop, joint.stiffness, joint.damping, upper is None)
+    clearance, memory = joint.gap, -1
+    if joint.slip_force is not None:
+        declare, clearance = partial(friction_joint, joint.stiffness), joint.slip_force / joint.stiffness
+        memory = equations.add_coordinate(1.0)  # no force acts on it, so that its mass is arbitrary
+    return Element(declare, gap, gap, accelerated_mass, clearance, 0.0, number, is_joint=True, base=base, memory=memory)
 
 
 def _with_joints_at_rest(scene: Scene, system: HybridSystem) -> HybridSystem:
@@ -242,19 +247,22 @@ def _initial_state(scene: Scene, system: HybridSystem) -> Array:
 
 
 def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
-    """Return the coordinates at rest under the weight of the dampers, m.
+    """Return the coordinates at rest under the weight of the dampers, m; joints with friction are without force.
 
     Raises `SceneError` if nothing supports the structure.
     """
     n = system.coordinates
-    force, constant = system.contact_forces(system.start)
+    memories = [element.memory for element in system.elements if element.memory >= 0]
+    frictionless = replace(system, elements=tuple(element for element in system.elements if element.memory < 0))
+    force, constant = frictionless.contact_forces(frictionless.start)
     load = system.force_constant + constant
     np.subtract.at(load, system.damper_coordinate, system.detached_mass * system.gravity)
     if not load.any():
         return np.zeros(n)
     stiffness = -(system.force_state + force)[:, :n]
     # Nothing holds a mass that slides freely; it remains in the middle.
-    supported = [i for i in range(n) if stiffness[i].any() or i not in system.gap_coordinate[: system.dampers]]
+    free = {*system.gap_coordinate[: system.dampers].tolist(), *memories}
+    supported = [i for i in range(n) if stiffness[i].any() or i not in free]
     stiffness, load = stiffness[np.ix_(supported, supported)], load[supported]
     if not stiffness.any() or (np.linalg.cond(stiffness) > MAX_CONDITION and _is_singular(stiffness)):
         raise SceneError(
@@ -263,6 +271,9 @@ def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
         )
     position = np.zeros(n)
     position[supported] = np.linalg.solve(stiffness, load)
+    for element in system.elements:
+        if element.memory >= 0:
+            position[element.memory] = element.along_gap(position)
     return position
 
 

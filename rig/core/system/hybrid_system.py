@@ -32,9 +32,10 @@ class Element:
     `declare`: the law as a function of the clearance, m. `body`: coordinate of the body to which the gap is measured.
     `gap`: coordinate that is the gap; -1 for a *detached* mass, whose position is not a coordinate: its force is
     constant while it is not held. `mass`: of the damper, kg; of a joint the mass that its force accelerates along the
-    gap. `clearance`: m, of a joint its gap; `restitution`: coefficient in the scene. `number`: in the scene, from 1.
-    `is_grains`: whether the damper is a bed of grains. `is_joint`: whether it is a joint. `base`: coordinate that is
-    subtracted from `gap`; -1 if `gap` alone is the gap. `start`: mode at the start; empty: that of the law.
+    gap. `clearance`: m, of a joint its gap or the displacement at which it slips; `restitution`: coefficient in the
+    scene. `number`: in the scene, from 1. `is_grains`: whether the damper is a bed of grains. `is_joint`: whether it is
+    a joint. `base`: coordinate that is subtracted from `gap`; -1 if `gap` alone is the gap. `start`: mode at the start;
+    empty: that of the law. `memory`: coordinate that is the memory of the law and remains at rest; -1 without one.
     """
 
     declare: Callable[[float], Law]
@@ -48,6 +49,7 @@ class Element:
     is_joint: bool = False
     base: int = -1
     start: str = ""
+    memory: int = -1
 
     @property
     def name(self) -> str:
@@ -64,6 +66,13 @@ class Element:
         """Return the gap for the coordinates in the last index of an array, or the speed for their velocities."""
         return sum(factor * coordinates[..., coordinate] for coordinate, factor in self.direction)
 
+    @property
+    def distance(self) -> float:
+        """Distance of the gap at rest from the nearest wall, or from the displacement at which it slips, m."""
+        if self.memory >= 0:
+            return self.clearance
+        return min((abs(wall.gap) for wall in self.law.walls), default=np.inf)
+
     @cached_property
     def law(self) -> Law:
         """The law for the clearance."""
@@ -73,7 +82,7 @@ class Element:
     @property
     def key(self) -> tuple[object, ...]:
         """All that determines the motion, which can be hashed."""
-        return self.law.key, self.body, self.gap, self.base, self.mass
+        return self.law.key, self.body, self.gap, self.base, self.memory, self.mass
 
 
 @dataclass(frozen=True)
@@ -331,10 +340,18 @@ class HybridSystem:
         return self.configuration([element.law.start for element in self.elements])
 
     def joint_modes(self, state: np.ndarray) -> list[int]:
-        """Return the number of each joint's mode at a state, shape (states,)."""
-        n, joints = self.coordinates, self.elements[self.dampers :]
-        gaps = [(joint, float(joint.along_gap(state)), float(joint.along_gap(state[n:]))) for joint in joints]
-        return [list(joint.law.modes).index(joint.law.mode_for(gap, speed)) for joint, gap, speed in gaps]
+        """Return the number of each joint's mode at a state, shape (states,).
+
+        A joint with memory sticks. Its memory is changed in the state if the force would exceed the limits.
+        """
+        modes = []
+        for joint in self.elements[self.dampers :]:
+            gap, speed = float(joint.along_gap(state)), float(joint.along_gap(state[self.coordinates :]))
+            mode = joint.law.start if joint.memory >= 0 else joint.law.mode_for(gap, speed)
+            if joint.memory >= 0:
+                state[joint.memory] = np.clip(state[joint.memory], gap - joint.clearance, gap + joint.clearance)
+            modes.append(list(joint.law.modes).index(mode))
+        return modes
 
     @property
     def start_modes(self) -> NDArray[np.int64]:
@@ -369,6 +386,8 @@ class HybridSystem:
                 for column, column_factor in element.direction:
                     force[i, column] += factor * column_factor * row.gap
                     force[i, n + column] += factor * column_factor * row.speed
+                if element.memory >= 0:
+                    force[i, element.memory] += factor * row.memory
                 constant[i] += factor * (row.constant - row.gap * row.rest)
         return force, constant
 

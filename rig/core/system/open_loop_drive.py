@@ -119,13 +119,14 @@ def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float | A
 
 
 def gaps_per_level(scene: Scene, system: HybridSystem, omega: Array) -> tuple[Array, Array]:
-    """Return the amplitude of the gap of each mass that rests between walls, and its distance from the nearer wall.
+    """Return the amplitude of the gap of each element that rests between walls, and its distance from the nearer wall.
 
-    `omega`: rad/s, shape (frequencies,). Shapes: (masses, frequencies), in m per unit of level, and (masses,), m.
+    Instead of a wall, a joint may have a displacement at which it slips. `omega`: rad/s, shape (frequencies,). Shapes:
+    (elements, frequencies), in m per unit of level, and (elements,), m.
     """
     response = riding_response(system, scene.at_driven("shaker"), omega) * drive_per_level(scene, system, omega)
-    elements = [element for element in system.elements if element.law.walls and not element.law.starts_at_rest]
-    distance = [min(abs(wall.gap) for wall in element.law.walls) for element in elements]
+    elements = [element for element in system.elements if element.distance < np.inf and not element.law.starts_at_rest]
+    distance = [element.distance for element in elements]
     gaps = [np.abs(element.along_gap(response.T)) for element in elements]
     return np.array(gaps).reshape(-1, len(omega)), np.array(distance)
 

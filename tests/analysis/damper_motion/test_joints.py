@@ -58,3 +58,15 @@ def test_report_draws_the_stop(recording: Path, tmp_path: Path) -> None:
     analysis.report([recording], page)
     text = page.read_text(encoding="utf-8")
     assert 'class="joint"' in text and "stop between base and arm, gap 0.1 mm" in text
+
+
+def test_slips_of_friction_joint_are_recorded(tmp_path: Path) -> None:
+    joint = {"between": ["base", "arm"], "slip_force": 2.0, "stiffness": 4e4}
+    scene = SCENE.replace(joints=[joint], dampers=[])
+    path = Path(daq.record(scene, tmp_path / "friction.mcap"))
+    with daq.open(path) as rec:
+        assert set(rec.events["kind"]) == {"slip", "stop"} and set(rec.events["joint"]) == {1}
+        results = analysis.dampers(rec)
+    assert results and all("friction joint between base and arm" in result.missing[0] for result in results)
+    analysis.report([path], tmp_path / "report.html")
+    assert "slips at 2 N" in (tmp_path / "report.html").read_text(encoding="utf-8")

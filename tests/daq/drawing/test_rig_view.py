@@ -60,6 +60,15 @@ def test_stop_between_any_places_is_drawn(between):
     assert any(entity.endswith("joint_1") for entity, _ in view.static_parts())
 
 
+def test_friction_joint_touches_both_bodies():
+    scene = SCENE.replace(joints=[{"between": [1, 2], "slip_force": 3.0, "stiffness": 1e5}])
+    view, _ = draw(scene, random_motion(scene, 1e-3))
+    [block] = view.stack.blocks
+    (_, _, middle), (_, _, height) = block.box
+    assert middle + height / 2 == pytest.approx(0.0, abs=1e-12)
+    assert view.stack.bottoms[1] - height == pytest.approx(view.stack.bottoms[0] + view.stack.heights[0])
+
+
 @pytest.mark.parametrize("amplitude_m", [1e-6, 0.3e-3, 1e-3, 7e-3, 0.2])
 def test_springs_end_at_the_parts_they_join(amplitude_m):
     motion = random_motion(SCENE, amplitude_m)

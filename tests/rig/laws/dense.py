@@ -110,6 +110,7 @@ class DenseMotion:
         # Rows whose product with the coordinates is the gap: a joint between two bodies has two entries.
         self.directions = np.zeros((len(self.gaps), n))
         self.directions[np.arange(len(self.gaps)), self.gaps] = 1.0
+        self.memories = [element.memory for element in system.elements]
         for direction, element in zip(self.directions, system.elements, strict=True):
             if element.base >= 0:
                 direction[element.base] = -1.0
@@ -160,6 +161,9 @@ class DenseMotion:
     def _spring_energy(self, j: int, mode: Mode) -> float:
         """Return the energy in the spring of an element in a mode, J."""
         force = mode.force or Row()
+        if self.memories[j] >= 0:
+            stiffness = max(-each.force.gap for each in self.laws[j].modes.values() if each.force is not None)
+            return 0.5 * float(self._plain_row(j, force) @ self.state) ** 2 / stiffness
         return -0.5 * force.gap * float(self.directions[j] @ self.state[: self.n] - force.rest) ** 2
 
     def _present_modes(self) -> list[tuple[int, Mode]]:
@@ -202,6 +206,8 @@ class DenseMotion:
         """Return a row without holding force as a row of the state."""
         values = np.zeros(self.size)
         values[: self.n], values[self.n : 2 * self.n] = row.gap * self.directions[j], row.speed * self.directions[j]
+        if self.memories[j] >= 0:
+            values[self.memories[j]] = row.memory
         values[-1] = row.constant - row.gap * row.rest
         return values
 
@@ -276,8 +282,13 @@ class DenseMotion:
         return ROUNDING * float(magnitude[1] + magnitude[0] / self._equations(self.modes).step)
 
     def _enter(self, j: int, name: str) -> None:
-        """Change the mode of an element; the speed of a held element is exactly zero."""
+        """Change the mode of an element; the speed of a held element is exactly zero, and a memory keeps the force."""
+        before, after = self._mode(j).force, self.laws[j].modes[name].force
         self.modes[j] = name
+        if before is not None and after is not None and after.memory:
+            self.state[self.memories[j]] = 0.0
+            change = self._plain_row(j, before) - self._plain_row(j, after)
+            self.state[self.memories[j]] = float(change @ self.state) / after.memory
         if self._mode(j).force is None:
             self.state[self.n + self.gaps[j]] = 0.0
 
@@ -312,7 +323,8 @@ class DenseMotion:
         velocity = np.abs(self.state[n : 2 * n]).max() + np.abs(list(before.values())).max()
         for i, mode in self._present_modes():
             for guard in guards(mode):
-                if guard.row == SPEED and guard.side * self._speed(i) < 0.0:
+                # A joint with memory has no mass: its speed is outside the interval at the next step.
+                if guard.row == SPEED and self.memories[i] < 0 and guard.side * self._speed(i) < 0.0:
                     # Friction is finite, so that the impact has reversed the motion.
                     departures[i] = Departure(guard, 0, (guard.leave.event, 0.0))
                     self.modes[i] = guard.leave.to[0]

@@ -53,6 +53,14 @@ def random_stop(random: np.random.Generator) -> dict[str, Any]:
     }
 
 
+def random_friction(random: np.random.Generator) -> dict[str, Any]:
+    """Return the settings of a friction joint without its ends."""
+    return {
+        "slip_force": float(10.0 ** random.uniform(-1.0, 1.5)),
+        "stiffness": float(10.0 ** random.uniform(4.0, 6.0)),
+    }
+
+
 def _random_damper(random: np.random.Generator, kind: str) -> dict[str, Any]:
     mass, clearance = float(10.0 ** random.uniform(-2.5, -0.5)), float(random.choice([3e-4, 1e-3, inf]))
     damper: dict[str, Any] = {"mass": mass, "clearance": clearance}

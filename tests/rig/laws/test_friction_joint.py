@@ -1,0 +1,144 @@
+"""Joints with friction: an independent oracle, the loss of a cycle, the start of slip, and every study."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import pi
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rig
+from rig.core.orbits.periodic_orbit import set_to_orbit, start_propagator
+from rig.core.orbits.problem import OrbitProblem
+from rig.core.orbits.shooting import shoot
+from rig.core.simulation.run_output import summary
+from tests.rig.laws.random_scenes import KINDS, random_friction, random_scene
+from tests.rig.laws.test_declarations import assert_motion_as_declared
+
+SLIP_FORCE, STIFFNESS = 2.0, 6e3
+JOINT = {"between": ["ground", 1], "slip_force": SLIP_FORCE, "stiffness": STIFFNESS}
+
+
+def one_body(force: float, damping: float = 0.0, *joints: dict[str, Any]) -> rig.Scene:
+    """Return a body with a joint to ground, at a force, N."""
+    return rig.load(
+        {
+            "structure": {"masses": [1.0], "springs": [4e3], "damping": {"modal": damping}},
+            "gravity": 0.0,
+            "joints": [JOINT, *joints],
+            "shaker": {"kind": "force", "body": 1},
+            "test": {"kind": "sine", "frequency": 9.0, "force": force},
+        }
+    )
+
+
+def two_bodies(**changes: Any) -> rig.Scene:
+    """Return two bodies with a joint between them, and a stop."""
+    content: dict[str, Any] = {
+        "structure": {"masses": [1.0, 0.5], "springs": [3e4, 1.2e4], "damping": {"modal": 0.01}},
+        "joints": [
+            {"between": [1, 2], "slip_force": 3.0, "stiffness": 4e4},
+            {"between": ["ground", 1], "gap": 1e-4, "stiffness": 1e5, "damping": 5.0},
+        ],
+        "shaker": {"kind": "force", "body": 1},
+        "test": {"kind": "sine", "frequency": 22.0, "force": 10.0},
+    }
+    return rig.load(content | changes)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_random_systems_move_as_declared(seed: int) -> None:
+    assert_motion_as_declared(random_scene(seed, *KINDS, joint=random_friction), periods=5, tolerance=1e-10)
+
+
+def test_loss_of_a_cycle_is_that_of_the_jenkins_element() -> None:
+    force = 5.0
+    orbit = rig.periodic_orbit(one_body(force), 9.0)
+    work = pi * force**2 * -orbit.compliance[0].imag
+    assert orbit.plan.label == "1/ 1| 1\\ 1|" or len(orbit.events) == 4
+    assert work == pytest.approx(4.0 * SLIP_FORCE * (orbit.peak[0] - SLIP_FORCE / STIFFNESS), rel=1e-10)
+
+
+def test_joint_slips_at_its_slip_force() -> None:
+    # Below the slip force, the structure with the spring of the joint is linear.
+    level = SLIP_FORCE / STIFFNESS * abs(4e3 + STIFFNESS - (18.0 * pi) ** 2)
+    below, above = (rig.periodic_orbit(one_body(factor * level, 0.01), 9.0) for factor in (0.99, 1.01))
+    assert below.motion_type == "linear" and not len(below.events)
+    assert above.motion_type == "2 slips per 1"
+
+
+def test_energy_is_balanced() -> None:
+    for scene in (one_body(5.0), two_bodies()):
+        energy = rig.simulate(scene, duration=1.0, rate=2000.0).energy
+        assert energy.dissipated > 0.1 * energy.work
+        assert abs(energy.residual) < 1e-12 * energy.work
+
+
+def test_orbit_is_the_steady_motion() -> None:
+    scene = two_bodies()
+    orbit, response = rig.periodic_orbit(scene, 22.0), rig.frequency_response(scene, [22.0])
+    assert orbit.stable and "slips per" in orbit.motion_type and orbit.motion_type == response.motion_type[0]
+    np.testing.assert_allclose(orbit.compliance, response.compliance[:, 0], rtol=1e-6)
+
+
+def test_multipliers_are_those_of_differences() -> None:
+    orbit = rig.periodic_orbit(two_bodies(), 22.0)
+    propagator, steps = start_propagator(OrbitProblem(orbit.problem.scene), orbit.setting)
+    free = [0, 1, 2, 3, 4]  # the rate of the memory is zero
+
+    def state_after_a_period(unknown: int, disturbance: float) -> Any:
+        set_to_orbit(propagator, orbit)
+        propagator.state.z[unknown] += disturbance
+        propagator.propagate_periods(steps, orbit.repetition)
+        return propagator.state.z[free].copy()
+
+    change = 1e-8
+    columns = [(state_after_a_period(i, change) - state_after_a_period(i, -change)) / (2.0 * change) for i in free]
+    expected, computed = (np.sort(np.abs(values))[-2:] for values in (np.linalg.eigvals(columns), orbit.multipliers))
+    np.testing.assert_allclose(computed, expected, rtol=1e-4)
+
+
+@pytest.mark.parametrize("parameter", ["frequency", "level"])
+def test_derivatives_are_those_of_differences(parameter: str) -> None:
+    orbit = rig.periodic_orbit(two_bodies(), 22.0)
+    value, results = getattr(orbit.setting, parameter), []
+    for factor in (1.0, 1.0 + 1e-6, 1.0 - 1e-6):
+        setting = replace(orbit.setting, **{parameter: factor * value})
+        equations, derivatives = orbit.problem.equations(setting, orbit.plan, parameter)
+        results.append(shoot(equations, derivatives, orbit.plan.sequence, orbit.unknowns))
+    expected = (results[1].residual - results[2].residual) / (2e-6 * value)
+    error = np.abs(results[0].jacobian[:, -1] - expected).max()
+    assert error <= 1e-6 * max(np.abs(expected).max(), 1e-9)
+
+
+def test_weight_of_a_bed_does_not_load_the_joint() -> None:
+    bed = {"body": 1, "mass": 0.5, "clearance": 1e-3}
+    run = rig.simulate(two_bodies(dampers=[bed], test=None), duration=0.1)
+    assert not len(run.events) and np.abs(run.velocity).max() < 1e-12
+
+
+def test_displaced_body_slips_before_its_release() -> None:
+    scene = one_body(1.0).replace(test={"kind": "free", "displacement": [5e-3]})
+    run = rig.simulate(scene, duration=0.5, rate=2000.0)
+    # The joint pushes with the slip force at the start.
+    assert run.acceleration[0, 0] == pytest.approx(-(4e3 * 5e-3 + SLIP_FORCE), rel=1e-12)
+    assert set(run.events["kind"]) == {"slip", "stop"}
+
+
+def test_equal_joints_slip_and_stop_together() -> None:
+    events = rig.simulate(one_body(9.0, 0.01, JOINT), duration=1.0).events
+    first, second = (events[events["joint"] == joint] for joint in (1, 2))
+    assert {"slip", "stop"} == set(first["kind"])
+    np.testing.assert_array_equal(first["kind"], second["kind"])
+    np.testing.assert_array_equal(first["time"], second["time"])
+
+
+def test_summary_of_slips_states_no_impact() -> None:
+    text = summary(rig.simulate(one_body(9.0, 0.01), duration=1.0))
+    assert "joint 1: slip" in text and "fastest impact" not in text
+
+
+def test_explanation_describes_the_joint() -> None:
+    assert "friction joint between body 1 and body 2, slips at 3 N, 4e+04 N/m" in str(rig.explain(two_bodies()))

@@ -96,7 +96,8 @@ def write_reference() -> None:
             kind = "class" if isinstance(member, type) else "function"
             lines.append(f".. auto{kind}:: {name}")
             # Common members of all results, settings and errors are not repeated at each of them.
-            lines += ["   :members:", "   :inherited-members: Result, Settings, BaseModel, Exception"] if kind == "class" else []
+            if kind == "class":
+                lines += ["   :members:", "   :inherited-members: Result, Settings, BaseModel, Exception"]
             # A name that two packages export has one entry in the index.
             lines += ["   :no-index:"] if id(member) in indexed else []
             indexed.add(id(member))

@@ -3,7 +3,8 @@
 Near each frequency, a response is a rational function [1]_. The function is fitted to the points before and after an
 instant of the sweep, once with equal gains and once with a ratio of the gains after and before, which is the same at
 all points. A step is reported if the ratio explains nearly all of the residual, and the other curves have no step at
-this frequency. A change of the motion to another branch changes all curves, and their phases.
+this frequency. A change of the motion to another branch changes all curves, and their phases; a single curve of a
+nonlinear structure is not checked, because no other curve tells such a change from a fault.
 
 References
 ----------
@@ -71,7 +72,7 @@ def step_warnings(response: Response, is_linear: bool) -> list[str]:
     valid = (np.isfinite(curves) & (abs(curves) > 0.0)).all(axis=0)
     frequency, curves = frequency[valid], curves[:, valid]
     positions = np.arange(_SIDE + excluded, frequency.size - _SIDE - excluded)
-    if not positions.size:
+    if not positions.size or (len(curves) == 1 and not is_linear):
         return []
     min_change = _MIN_CHANGE if is_linear else _MIN_NONLINEAR_CHANGE
     residuals = np.array([_residuals(frequency, curve, positions, excluded, 0.0) for curve in curves])

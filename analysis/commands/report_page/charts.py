@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from analysis.commands.report_page.tables import typeset
 from rig.core.base.arrays import Array
 from rig.core.base.escaping import escape_html
 from rig.core.base.palette import CurveStyle, body_style
@@ -113,7 +114,7 @@ class ChartWriter:
         return (
             f'<figure><div class="chart" role="img" aria-label="{escape_html(chart.alternative)}" '
             f'data-source="{identifier}"></div>'
-            f"<figcaption>{escape_html(chart.caption)}</figcaption>"
+            f"<figcaption>{typeset(chart.caption)}</figcaption>"
             f'<script type="application/json" id="{identifier}">{text}</script></figure>'
         )
 

@@ -211,7 +211,7 @@ def mode_drawing(shapes: BodyShapes, places: Sequence[str], mode: int, title: st
             f'<text x="30" y="{y + 17}">{escape_html(name)}</text>'
             f'<path class="bound" stroke="currentColor" d="M{_SHAPE_WIDTH + 18} '
             f'{y + _SHAPE_HEIGHT / 2 - bar:.2f}v{2 * bar:.2f}m-3 0h6m0 {-2 * bar:.2f}h-6"/></g>'
-            f'<text x="{_SHAPE_WIDTH + 32}" y="{y + 17}">{element:+.2f}{interval}</text>'
+            f'<text x="{_SHAPE_WIDTH + 32}" y="{y + 17}">{f"{element:+.2f}".replace("-", "−")}{interval}</text>'
         )
     return (
         f'<figure><svg role="img" aria-label="Mode shape at {escape_html(title)}" viewBox="0 0 210 {height}" '

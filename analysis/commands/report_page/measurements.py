@@ -24,6 +24,7 @@ from analysis.core.damper_motion.comparison import (
 from analysis.core.damper_motion.dampers import Dampers, dampers_in
 from analysis.core.decays.free_decay import Decay, decay
 from analysis.core.modal.identification import identify
+from analysis.core.modal.mode_warnings import extrapolates_damping
 from analysis.core.modal.modes import Modes
 from analysis.core.recordings.names import OpenRecordings, is_linear, reference_label, relabel, scene_labels
 from analysis.core.responses.frequency_responses import frequency_responses
@@ -62,6 +63,12 @@ class SweepResults:
     def peaks(self) -> tuple[tuple[Response, Peak] | None, ...]:
         """For each mode, the response with the highest peak near it; None if no response has a peak."""
         return tuple(max(inside, key=lambda pair: pair[1].value, default=None) for inside in self.found)
+
+    def damping_text(self, mode: int) -> str:
+        """Write a damping ratio with its 95 % interval, and that it is extrapolated if no line resolves its peak."""
+        assert self.modes is not None
+        is_extrapolated = extrapolates_damping(self.modes, self.frfs)[mode]
+        return f"{self.modes.damping_text(mode)}{', extrapolated' if is_extrapolated else ''}"
 
     def peaks_of(self, frf: Response) -> list[Peak]:
         """Return the peaks of a response near the modes."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Sequence
 from importlib.metadata import version
@@ -22,7 +23,7 @@ from analysis.commands.report_page.responses import (
     response_charts,
     stabilization_charts,
 )
-from analysis.commands.report_page.summary import summarize
+from analysis.commands.report_page.summary import limitations, summarize
 from analysis.commands.report_page.tables import (
     budget,
     changes_table,
@@ -31,11 +32,15 @@ from analysis.commands.report_page.tables import (
     resonances,
     settings,
     test_sentence,
+    typeset,
 )
 from rig.core.base.errors import SceneError
 from rig.core.base.escaping import escape_html
 from rig.core.base.output_files import atomic_write
 from rig.core.base.progress import CountProgress
+
+# The part of a result that is emphasized: a change of a peak.
+_CHANGE = re.compile(r"(?:reduction|increase)[^(;,]* dB")
 
 
 def write_report(
@@ -85,7 +90,8 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
     results, charts = measurements.results, ChartWriter()
     changes, first = measurements.changes(), measurements.reference
     sentences = summarize(results, changes)
-    warnings = [f"<li>{escape_html(note)}</li>" for note in measurements.warnings]
+    warnings = [f"<li>{typeset(note)}</li>" for note in measurements.warnings]
+    counts = {"Warnings": f" ({len(warnings)})"}
     dampers = [(measurement, result) for measurement in results for result in measurement.dampers]
     # The drawing shows the dampers whose effect is compared.
     drawn = next((each for each in results if each is not first), first)
@@ -95,8 +101,8 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
             charts.write(chart)
             for chart in (*response_charts(results, first.label, changes), *force_charts(results, first.label))
         ],
-        "Results": [changes_table(changes), resonances(results), decays(results)],
         "Warnings": [f'<ul class="warnings">{"".join(warnings)}</ul>'] if warnings else [],
+        "Results": [changes_table(changes), resonances(results, first), decays(results)],
         "Mode shapes": [*_modes(results), *_macs(results, first)],
         "Stabilization diagrams": [charts.write(chart) for chart in stabilization_charts(results)],
         "Dampers": [charts.write(damper_chart(measurement, result)) for measurement, result in dampers],
@@ -108,12 +114,14 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
     }
     filled = {title: "\n".join(filter(None, parts)) for title, parts in sections.items() if any(parts)}
     anchors = {title: f"section-{number}" for number, title in enumerate(filled, 1)}
-    links = "".join(f'<li><a href="#{anchors[title]}">{escape_html(title)}</a></li>' for title in filled)
+    links = "".join(
+        f'<li><a href="#{anchors[title]}">{escape_html(title)}{counts.get(title, "")}</a></li>' for title in filled
+    )
     descriptions: dict[str, list[str]] = {}
     for each in results:
         descriptions.setdefault(_test_description(each), []).append(f"“{each.label}”")
     tests = "".join(
-        f'<p class="test">{escape_html(", ".join(labels))}: {escape_html(text)}</p>'
+        f'<p class="test">{escape_html(", ".join(labels))}: {typeset(text)}</p>'
         for text, labels in descriptions.items()
     )
     caption = f"<figcaption>Rig of “{escape_html(drawn.label)}”</figcaption>" if len(results) > 1 else ""
@@ -121,7 +129,8 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
         tests,
         '<div class="first"><div>',
         '<section class="answer">',
-        *(f"<p>{escape_html(text)}</p>" for text in sentences),
+        *map(_answer, sentences),
+        *(f'<p class="limitation">{typeset(text)}</p>' for text in limitations(results)),
         "</section>",
         f'<p class="test">{escape_html(note)}</p>' if note else "",
         f'</div><figure class="rig">{rig_drawing(drawn.rec.scene)}{caption}</figure></div>',
@@ -129,6 +138,19 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
         *(f'<h2 id="{anchors[title]}">{escape_html(title)}</h2>\n{content}' for title, content in filled.items()),
     ]
     return sentences, "\n".join(body)
+
+
+def _answer(text: str) -> str:
+    """Write a text of the summary as HTML: its lines below the first are rows of a name and a result."""
+    first, *lines = text.split("\n")
+    rows = ""
+    for name, separator, result in (line.partition(": ") for line in lines):
+        change = _CHANGE.match(result)
+        result_html = typeset(result)
+        if change is not None:
+            result_html = f"<strong>{typeset(change[0])}</strong>{typeset(result[change.end() :])}"
+        rows += f"<dt>{typeset(name)}</dt><dd>{result_html}</dd>" if separator else f"<dd>{typeset(name)}</dd>"
+    return f"<p>{typeset(first)}</p>" + (f"<dl>{rows}</dl>" if rows else "")
 
 
 def _recording(measurement: Measurement, charts: ChartWriter, is_drawn: bool) -> list[str]:
@@ -155,13 +177,16 @@ def _modes(results: Sequence[Measurement]) -> list[str]:
     """Draw the mode shapes of the first sweep of each recording that has two bodies or more, as HTML."""
     sections = []
     for measurement in results:
-        for modes in [sweep.modes for sweep in measurement.sweeps[:1] if sweep.modes is not None]:
+        for sweep in measurement.sweeps[:1]:
+            modes = sweep.modes
+            if modes is None:
+                continue
             bodies = modes.of_bodies()
             if len(bodies.names) < 2 or not modes.frequency.size:
                 continue
             drawings = [
                 mode_drawing(
-                    bodies, bodies.places, k, f"{modes.frequency_text(k)}, damping ratio {modes.damping_text(k)}"
+                    bodies, bodies.places, k, f"{modes.frequency_text(k)}, damping ratio {sweep.damping_text(k)}"
                 )
                 for k in range(modes.frequency.size)
             ]
@@ -176,18 +201,19 @@ def _macs(results: Sequence[Measurement], first: Measurement) -> list[str]:
     """Compare the shapes of the first sweep of each recording with those of the reference, as HTML."""
     modes = {each.label: each.sweeps[0].modes for each in (first, *results) if each.sweeps}
     known = [each for each in modes.values() if each is not None and each.frequency.size]
-    return [mac_table(known[0], each) for each in known]
+    return ['<div class="pairs">', *(mac_table(known[0], each) for each in known), "</div>"]
 
 
 def _budgets(results: Sequence[Measurement]) -> list[str]:
     """Write the uncertainty budget at the highest peak in the first sweep of each recording, as HTML."""
     peaks = [measurement.sweeps[0].highest for measurement in results if measurement.sweeps]
-    return [budget(*highest) for highest in peaks if highest is not None]
+    budgets = [budget(*highest) for highest in peaks if highest is not None]
+    return ['<div class="pairs">', *budgets, "</div>"] if budgets else []
 
 
 def _commands(paths: Sequence[Path], results: Sequence[Measurement]) -> list[str]:
     """List the commands that reproduce the recordings and the results, and the version of shotrig, as HTML."""
-    all_paths = " ".join(shlex.quote(str(path)) for path in paths)
+    all_paths = " ".join(shlex.quote(path.name) for path in paths)
     analyzed_by = [
         ("frf", [measurement for measurement in results if measurement.sweeps]),
         (
@@ -201,11 +227,11 @@ def _commands(paths: Sequence[Path], results: Sequence[Measurement]) -> list[str
         measurement for measurement in results if not measurement.rec.source and measurement.rec.scene.test is not None
     ]
     lines = [
-        f"daq record {shlex.quote(measurement.path.stem + '.yaml')} -o {shlex.quote(str(measurement.path))}"
+        f"daq record {shlex.quote(measurement.path.stem + '.yaml')} -o {shlex.quote(measurement.path.name)}"
         for measurement in recorded
     ]
     lines += [
-        f"analysis {command} {' '.join(shlex.quote(str(measurement.path)) for measurement in recordings)}"
+        f"analysis {command} {' '.join(shlex.quote(measurement.path.name) for measurement in recordings)}"
         for command, recordings in analyzed_by
         if recordings
     ]

@@ -217,10 +217,19 @@ def force_charts(measurements: Sequence[Measurement], reference: str) -> list[Ch
             f"Force at each frequency, and the required force with its tolerance of {format_percent(FORCE_TOLERANCE)}. "
             + points,
             f"Force from {frequency.min():.4g} to {frequency.max():.4g} Hz.",
-            [Panel("force", "N", curves, height=150)],
+            [Panel("force", "N", curves, height=170, limits=_with_margin(curves))],
             logarithmic=needs_logarithmic_axis(frequency),
         )
     ]
+
+
+def _with_margin(curves: Sequence[Curve]) -> tuple[float, float]:
+    """Return limits of a linear axis that show all values and bands with a margin for symbols."""
+    columns = [column for curve in curves for column in (curve.y, curve.low, curve.high) if column is not None]
+    values = np.concatenate([np.asarray(column, dtype=float) for column in columns])
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    margin = 0.15 * (high - low or 1.0)
+    return low - margin, high + margin
 
 
 def stabilization_charts(measurements: Sequence[Measurement]) -> list[Chart]:

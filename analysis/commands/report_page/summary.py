@@ -10,8 +10,9 @@ import numpy as np
 
 from analysis.commands.presentation.damper_findings import detection_limits
 from analysis.commands.report_page.measurements import Measurement, SweepChange, SweepResults
-from analysis.commands.report_page.tables import change_heights, change_text
+from analysis.commands.report_page.tables import change_heights, change_text, includes_sensors
 from analysis.core.damper_motion.dampers import Dampers
+from daq.core.recording.markers import describe_faulty_hits
 from daq.core.recording.recorded_test import deviation_unit, shocks_of
 from rig.core.results import format_decimals, format_frequencies, format_interval
 
@@ -25,13 +26,36 @@ def summarize(measurements: Sequence[Measurement], changes: Sequence[SweepChange
     `measurements`: all recordings of the report; `changes`: from `Measurements.changes`.
     """
     texts = [text for each in measurements for text in _control_texts(each)]
-    texts += _decay_texts(measurements) + _change_texts(changes)
+    texts += _change_texts(changes) + _decay_texts(measurements)
     for measurement in measurements:
         if not changes:
             texts += _resonance_texts(measurement)
         texts += [text for result in measurement.dampers for text in _impact_texts(measurement, result)]
     texts = texts or [text for each in measurements for text in _response_texts(each)]
     return texts[:_MAX_TEXTS] or ["No result: see the warnings."]
+
+
+def limitations(measurements: Sequence[Measurement]) -> list[str]:
+    """Return the faults of each recording and what the intervals do not contain, a sentence each."""
+    texts = []
+    for measurement in measurements:
+        rec = measurement.rec
+        faults = [describe_faulty_hits(rec.markers).removeprefix("Faulty impacts: ").removesuffix(".")]
+        if not faults[0] and rec.overloads:
+            faults.append(f"{len(rec.overloads)} overload{'s' * (len(rec.overloads) > 1)}")
+        if rec.gaps:
+            faults.append(f"lost samples at {len(rec.gaps)} place{'s' * (len(rec.gaps) > 1)}")
+        for sweep in measurement.sweeps:
+            frf = sweep.frfs[0].sorted()
+            if frf.unsteady is not None and frf.unsteady.any():
+                where = format_frequencies(frf.frequency.tolist(), frf.unsteady.tolist())
+                faults.append(f"no steady state at {where}")
+        if any(faults):
+            texts.append(f"“{measurement.label}”: {'; '.join(dict.fromkeys(filter(None, faults)))}.")
+    curves = [frf for measurement in measurements for sweep in measurement.sweeps for frf in sweep.frfs]
+    if curves and not all(map(includes_sensors, curves)):
+        texts.append("Intervals do not contain calibration errors: no tolerance of the sensors' sensitivity is stated.")
+    return texts
 
 
 def _control_texts(measurement: Measurement) -> list[str]:
@@ -137,7 +161,7 @@ def _resonance_text(sweep: SweepResults) -> str:
     assert modes is not None
     count = modes.frequency.size
     lines = [
-        f"{modes.frequency_text(k)}, damping ratio {modes.damping_text(k)}"
+        f"{modes.frequency_text(k)}, damping ratio {sweep.damping_text(k)}"
         for k in np.argsort(modes.frequency).tolist()
     ]
     heading = f"“{sweep.label}”: {count} resonance{'s' * (count != 1)} (95 % intervals)"

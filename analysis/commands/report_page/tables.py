@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from math import isfinite, isinf
 from typing import TYPE_CHECKING
@@ -15,15 +16,36 @@ from analysis.core.responses.errors.systematic import tolerance
 from rig.core.base.escaping import escape_html
 from rig.core.results import format_decimals, format_interval, format_number, format_percent, round_to_bound
 from rig.core.results.response import Response
-from rig.core.results.uncertainty import expand
+from rig.core.results.uncertainty import SENSITIVITY, SYSTEMATIC, expand
 
 if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
     from rig.core.scene.damper import Damper
     from rig.core.scene.scene import Scene
 
+# A hyphen that is a minus sign, and a space that belongs to a quantity.
+_HYPHEN = re.compile(r"(?<![\w.-])-(?=\d)")
+_BREAK = re.compile(
+    r"(?<=[\d)]) (?=(?:%|[kM]?Hz|[kmµ]?N|dB|g|kg|m?s|[mµ]?m|m?V|µm/N|m/s²|k?N/m|mm/s)(?![\w/]))| (?=±)|(?<=±) "
+    r"|(?<=\d) (?=→)|(?<=→) (?=\d)"
+)
+# Largest number of decimals of a change in dB.
+_MAX_DECIBEL_DECIMALS = 2
+# Heights that are compared are not written finer than this fraction.
+_HEIGHT_RESOLUTION = 0.005
+# A mode of another recording is that of the reference if its frequency is lower by less than this fraction.
+_MODE_SHIFT = 0.15
 # Maximum number of overloads or gaps that are listed individually.
 _MAX_LISTED = 5
+
+
+def typeset(text: str) -> str:
+    """Return text as HTML, with minus signs and without line breaks between numbers and their units.
+
+    >>> typeset("-0.5 Hz (<1 ± 2 %), a-1").replace(chr(160), "_")
+    '−0.5_Hz (&lt;1_±_2_%), a-1'
+    """
+    return escape_html(_BREAK.sub("\u00a0", _HYPHEN.sub("\u2212", text)))
 
 
 def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], numbers: int = 0) -> str:
@@ -32,24 +54,32 @@ def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], n
     A row with one cell is a subheading. The last `numbers` columns are aligned to the right.
     """
     align = ["" if k < len(heading) - numbers else ' class="number"' for k in range(len(heading))]
-    head = "".join(f"<th{a}>{escape_html(text)}</th>" for a, text in zip(align, heading, strict=True))
+    head = "".join(f"<th{a}>{typeset(text)}</th>" for a, text in zip(align, heading, strict=True))
+    # A narrow screen shows a row as a block with a line for each cell, which its heading begins.
+    align = [f'{a} data-label="{typeset(text)}"' for a, text in zip(align, heading, strict=True)]
     body = ""
     for row in rows:
         if len(row) == 1:
-            body += f'<tr><th class="group" colspan="{len(heading)}">{escape_html(row[0])}</th></tr>'
+            body += f'<tr><th class="group" colspan="{len(heading)}">{typeset(row[0])}</th></tr>'
             continue
-        cells = "".join(f"<td{a}>{escape_html(cell)}</td>" for a, cell in zip(align, row, strict=True))
+        cells = "".join(f"<td{a}>{typeset(cell)}</td>" for a, cell in zip(align, row, strict=True))
         body += f"<tr>{cells}</tr>"
+    kind = "" if heading[0] else ' class="matrix"'
     return (
-        f'<div class="wide"><table><caption>{escape_html(caption)}</caption>'
+        f'<div class="wide"><table{kind}><caption>{typeset(caption)}</caption>'
         f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
     )
 
 
-def resonances(measurements: Sequence[Measurement]) -> str:
-    """Return a table of natural frequencies and damping ratios, each with the highest peak near it, as HTML."""
+def resonances(measurements: Sequence[Measurement], reference: Measurement) -> str:
+    """Return a table of natural frequencies and damping ratios, each with the highest peak near it, as HTML.
+
+    `reference`: its modes are named in each sweep, also where they are not identified.
+    """
     rows: list[tuple[str, ...]] = []
-    for modes, peaks in ((sweep.modes, sweep.peaks) for measurement in measurements for sweep in measurement.sweeps):
+    known = [each.modes.frequency for each in reference.sweeps[:1] if each.modes is not None]
+    for sweep in (sweep for measurement in measurements for sweep in measurement.sweeps):
+        modes, peaks = sweep.modes, sweep.peaks
         if modes is None:
             continue
         rows.append((modes.label,))
@@ -58,7 +88,12 @@ def resonances(measurements: Sequence[Measurement]) -> str:
             location, height = (
                 ("", "") if highest is None else (highest[0].ratio, highest[1].height_text(highest[0].shown_in[1]))
             )
-            rows.append((frequency, modes.damping_text(k), location, height))
+            rows.append((frequency, sweep.damping_text(k), location, height))
+        rows += [
+            (f"mode of {format_decimals(frequency, 2)} Hz", "not determined", "", "")
+            for frequency in np.concatenate([*known, []]).tolist()
+            if not (abs(modes.frequency / frequency - 1.0) < _MODE_SHIFT).any()
+        ]
     found = (peak for measurement in measurements for sweep in measurement.sweeps for peak in sweep.peaks)
     units = " or ".join(dict.fromkeys(peak[0].shown_in[0] for peak in found if peak is not None)) or "µm/N"
     heading = ["natural frequency / Hz", "damping ratio", "highest at", f"peak / ({units})"]
@@ -79,14 +114,14 @@ def changes_table(changes: Sequence[SweepChange]) -> str:
         shift_text = f"{shift:+.{decimals}f} ({shift_low:+.{decimals}f} to {shift_high:+.{decimals}f})"
         location = ", ".join(filter(None, (change.response, f"{format_decimals(change.mode, 2)} Hz", sweep.level)))
         rows.append((location, change_text(change), change_heights(sweep), shift_text, exceeds))
-    heading = ["response, mode", "peak (95 % interval)", "from and to", "shift / Hz", "change beyond interval"]
+    heading = ["response, mode", "peak (95 % interval)", "before → after", "shift / Hz", "height differs"]
     return table("Changes of the resonance peaks", heading, rows) if rows else ""
 
 
 def change_text(change: PeakChange) -> str:
     """Write the change of a peak as a reduction or an increase with its interval, dB; a limit on one side in words."""
     best, low, high = change.decibel
-    decimals = change.decibel_decimals
+    decimals = min(change.decibel_decimals, _MAX_DECIBEL_DECIMALS)
     if not isfinite(low) and not isfinite(high):
         return "not determined"
     if isfinite(low) and isfinite(high):
@@ -103,15 +138,18 @@ def change_text(change: PeakChange) -> str:
 
 
 def change_heights(sweep: SweepChange) -> str:
-    """Write the heights of a peak before and after a change, with the digits of their uncertainty."""
+    """Write the heights of a peak before and after a change, with the digits of the larger uncertainty."""
     unit, factor = sweep.shown_in
+    peaks = sweep.change.bare, sweep.change.damped
+    bounds = [peak.bound for peak in peaks if isfinite(peak.bound)]
+    bound = factor * max([*bounds, _HEIGHT_RESOLUTION * max(peak.value for peak in peaks)])
     before, after = (
-        f"at least {factor * peak.low:.4g}"
+        f"at least {round_to_bound(factor * peak.low, bound)}"
         if isinf(peak.bound)
-        else round_to_bound(factor * peak.value, factor * peak.bound)
-        for peak in (sweep.change.bare, sweep.change.damped)
+        else round_to_bound(factor * peak.value, bound)
+        for peak in peaks
     )
-    return f"{before} to {after} {unit}"
+    return f"{before} → {after} {unit}"
 
 
 def mac_table(before: Modes, after: Modes) -> str:
@@ -163,6 +201,7 @@ def budget(curve: Response, highest: Peak) -> str:
     if curve.expanded()[point] > abs(curve.value[point]):
         point = curve.peak_line()
     result = curve.budget(curve.response, float(curve.frequency[point]))
+    factor = result.expanded / result.combined if result.combined else 2.0
     rows = [
         (name, evaluation, format_number(float(f"{standard:.2g}")), f"{100 * share:.0f} %" if isfinite(share) else "–")
         for name, evaluation, standard, share in result.rows
@@ -171,9 +210,19 @@ def budget(curve: Response, highest: Peak) -> str:
         f"Uncertainty budget of {curve.label}, {result.title}: {format_interval(result.value, result.expanded)} "
         f"{result.unit} (95 %)",
         ["contribution", "type (GUM)", f"standard uncertainty / ({result.unit})", "share of the variance"],
-        [*rows, ("combined", "", format_number(float(f"{result.combined:.2g}")), "")],
+        [
+            *rows,
+            *([] if includes_sensors(curve) else [("sensors' sensitivity", "B", "not included", "–")]),
+            ("combined, u", "", format_number(float(f"{result.combined:.2g}")), ""),
+            (f"expanded, U = k u, k = {factor:.2f}", "", format_number(float(f"{result.expanded:.2g}")), ""),
+        ],
         numbers=2,
     )
+
+
+def includes_sensors(curve: Response) -> bool:
+    """Return whether the uncertainty of a response contains tolerances of its sensors."""
+    return any(name in curve.limits for name in (SENSITIVITY, SYSTEMATIC))
 
 
 def test_sentence(scene: Scene) -> str:
@@ -191,7 +240,7 @@ def settings(measurement: Measurement) -> str:
     rec, scene = measurement.rec, measurement.rec.scene
     dampers = "; ".join(_damper_text(damper, scene.structure.label(damper.body)) for damper in scene.dampers)
     facts = [
-        ("recording", str(measurement.path)),
+        ("recording", measurement.path.name),
         ("scene", scene.name),
         ("test", test_sentence(scene)),
         ("shaker", ", ".join(shaker.kind for shaker in scene.shakers) or "none"),
@@ -204,7 +253,7 @@ def settings(measurement: Measurement) -> str:
         ("seed", str(scene.seed)),
     ]
     facts_html = "".join(
-        f"<tr><th>{escape_html(key)}</th><td class='text'>{escape_html(value)}</td></tr>" for key, value in facts
+        f"<tr><th>{escape_html(key)}</th><td class='text'>{typeset(value)}</td></tr>" for key, value in facts
     )
     middle = _middle_frequency(measurement)
     channels = [
@@ -222,8 +271,8 @@ def settings(measurement: Measurement) -> str:
     ]
     heading = ["channel", "at", "quantity", "sensitivity", "tolerance", "range", f"gain at {middle:.3g} Hz"]
     return (
-        f"<details><summary>Settings and channels</summary><table>{facts_html}</table>"
-        f"{table('Channels', heading, channels)}</details>"
+        f'<details><summary>Settings and channels</summary><div class="settings"><table>{facts_html}</table>'
+        f"{table('Channels', heading, channels)}</div></details>"
         f"<details><summary>Scene file</summary><pre>{escape_html(scene.to_yaml())}</pre></details>"
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.core.modal.modes import MAX_RELATIVE_UNCERTAINTY, Modes
 from analysis.core.modal.pole_errors import LEAKAGE_FACTOR
@@ -83,7 +84,7 @@ def mode_warnings(
     f, zeta, zeta_error = modes.frequency, modes.damping, modes.damping_error
     if count is not None and f.size < count:
         yield f"Identified only {f.size} of {count} requested modes: no other mode is significant in these curves."
-    half_widths, line_frequency = zeta * f, curves[0].frequency
+    half_widths = zeta * f
     resolution = max(curve.resolution for curve in curves)
     widened = resolution > _WIDENING_RATIO * half_widths
     narrow = (zeta_error > MAX_RELATIVE_UNCERTAINTY * zeta) & (resolution > 2.0 * half_widths)
@@ -108,12 +109,7 @@ def mode_warnings(
             f"{format_percent(_MAX_DAMPING_UNCERTAINTY)}. Use blocks of at least "
             f"{1.5 / (_WIDENING_RATIO * half_widths[leaking].min()):.3g} s, burst random, multisine or stepped sine."
         )
-    # Lines within the half-power bandwidth on either side of the resonance.
-    n_points = np.sum(abs(line_frequency - f[:, None]) < 2.0 * half_widths[:, None], axis=1)
-    undersampled = (n_points < 2) & ~widened
-    estimator = estimator_of(curves[0].test)
-    if estimator.resolves_between_lines:
-        undersampled &= zeta_error > _MAX_DAMPING_UNCERTAINTY * zeta
+    undersampled, estimator = extrapolates_damping(modes, curves), estimator_of(curves[0].test)
     if undersampled.any():
         narrowest = half_widths[undersampled].min()
         remedy = estimator.line_remedy(narrowest / 2.0)
@@ -129,6 +125,19 @@ def mode_warnings(
             for ratio, frequency in zip(zeta_error[uncertain] / zeta[uncertain], f[uncertain], strict=True)
         )
         yield f"Damping is poorly determined: {parts} (standard uncertainty)."
+
+
+def extrapolates_damping(modes: Modes, curves: Sequence[Response]) -> NDArray[np.bool_]:
+    """Return whether each damping ratio is extrapolated from the flanks: the lines do not resolve the peak."""
+    half_widths = modes.damping * modes.frequency
+    # Lines within the half-power bandwidth on either side of the resonance.
+    distance = abs(curves[0].frequency - modes.frequency[:, None])
+    n_points = np.sum(distance < 2.0 * half_widths[:, None], axis=1)
+    resolution = max(curve.resolution for curve in curves)
+    undersampled = np.asarray((n_points < 2) & (resolution <= _WIDENING_RATIO * half_widths), dtype=bool)
+    if estimator_of(curves[0].test).resolves_between_lines:
+        undersampled &= modes.damping_error > _MAX_DAMPING_UNCERTAINTY * modes.damping
+    return undersampled
 
 
 def mains_multiple(frequency: float, tolerance: float) -> str:

@@ -34,11 +34,13 @@ from analysis.commands.report_page.responses import (
     response_charts,
     stabilization_charts,
 )
-from analysis.commands.report_page.summary import summarize
-from analysis.commands.report_page.tables import changes_table
+from analysis.commands.report_page.summary import limitations, summarize
+from analysis.commands.report_page.tables import change_heights, changes_table, resonances
 from analysis.commands.report_page.tables import test_sentence as sentence_of
 from analysis.core.damper_motion.comparison import Peak, PeakChange, local_model, resonance_peak
+from analysis.core.modal.mode_warnings import extrapolates_damping
 from analysis.core.modal.modes import BodyShapes
+from daq.core.recording.markers import Marker
 from rig.core.base.palette import HAMMER, TABLE
 from rig.core.results import format_interval
 from rig.core.results.response import Response
@@ -64,6 +66,11 @@ def page(recordings: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Pa
     return page
 
 
+def text_of(page: Path) -> str:
+    """Return the text of a page with ordinary spaces."""
+    return page.read_text("utf-8").replace("\u00a0", " ")
+
+
 def browse(page: Path, tmp_path: Path, *options: str) -> str:
     """Open a page in a headless browser and return its standard output; fail if the page logs an error."""
     assert BROWSER is not None
@@ -84,7 +91,7 @@ def test_page_needs_no_network(page: Path) -> None:
 
 
 def test_page_contains_answer_settings_and_commands(recordings: list[Path], tmp_path: Path) -> None:
-    text = write_report(recordings[:1], tmp_path).files[0].read_text("utf-8")
+    text = text_of(write_report(recordings[:1], tmp_path).files[0])
     answer = text[text.index("<main>") : text.index("<nav>")]
     assert "first scene" in answer and "13.04" in answer and "µm/N" in answer
     for part in (
@@ -188,7 +195,7 @@ def level_recordings(tmp_path):
 
 def test_every_level_of_force_is_named(level_recordings, tmp_path):
     output = write_report(level_recordings, tmp_path / "a.html")
-    page = output.files[0].read_text(encoding="utf-8")
+    page = text_of(output.files[0])
     for level in ("1 N up", "2 N up", "3 N up", "4 N up"):
         assert f"bare, 1 N up → damped, {level}" in page
         assert f"body3, 13.04 Hz, {level}" in page
@@ -257,7 +264,7 @@ def test_responses_of_other_channels_are_not_compared(recordings: list[Path], tm
 
 def test_modes_of_equal_scenes_are_named_once(tmp_path: Path) -> None:
     paths = [synthetic.stepped_sine(tmp_path / f"{name}.mcap", FREQUENCIES, noise=1e-6) for name in ("one", "other")]
-    text = write_report(paths, tmp_path).files[0].read_text("utf-8")
+    text = text_of(write_report(paths, tmp_path).files[0])
     table = text[text.index("Resonances, with 95 % intervals") :]
     assert re.findall(r'class="group"[^>]*>([^<]*)<', table)[:2] == ["one", "other"]
 
@@ -289,13 +296,14 @@ def test_headline_has_the_changes_of_the_table() -> None:
         for number, (mode, damped) in enumerate([(13.0, unbounded), (35.0, after), (50.0, after)], 1)
     ]
     [text] = summarize([], changes)
-    rows = re.findall(r"<tr><td>body\d, (.*?)</td><td>(.*?)</td>", changes_table(changes))
+    html = re.sub(r' data-label="[^"]*"', "", changes_table(changes)).replace("\u00a0", " ")
+    rows = re.findall(r"<tr><td>body\d, (.*?)</td><td>(.*?)</td>", html)
     lines = dict(re.findall(r"^([\d.]+ Hz)[^:]*: (.*)$", text, re.MULTILINE))
     assert all(lines[mode].startswith(change) for mode, change in rows)
     # The best determined first, the unbounded last.
     assert [*lines] == ["35.00 Hz", "50.00 Hz", "13.00 Hz", "70.00 Hz"]
     assert lines["13.00 Hz"].startswith("reduction at most") and "not compared, because" in lines["70.00 Hz"]
-    assert lines["35.00 Hz"].startswith("reduction 13.979 dB (13.891 to 14.068)")
+    assert lines["35.00 Hz"].startswith("reduction 13.98 dB (13.89 to 14.07)")
 
 
 def test_page_has_force_and_mac_and_note(recordings: list[Path], tmp_path: Path) -> None:
@@ -304,7 +312,7 @@ def test_page_has_force_and_mac_and_note(recordings: list[Path], tmp_path: Path)
 
 
 def test_peak_labels_have_the_frequencies_of_the_table(page: Path) -> None:
-    text = page.read_text("utf-8")
+    text = text_of(page)
     labels = {
         label for marks in re.findall(r'"marks":(\[\[.*?\]\])', text) for label in re.findall(r'"(.*?) Hz"', marks)
     }
@@ -527,3 +535,52 @@ def test_mode_shape_rests_at_its_positive_maximum() -> None:
     style = (files("analysis.commands.report_page") / "browser" / "page.css").read_text("utf-8")
     assert "\n.moving { transform: translateY(calc(-1 * var(--swing))); }" in style
     assert re.findall(r"([^\n{]*)\{ animation: swing", style) == [" .shapes figure:hover .moving "]
+
+
+def test_mode_that_is_not_identified_is_named(recordings: list[Path]) -> None:
+    with Measurements(recordings[:1]) as measurements:
+        [reference] = measurements.results
+        [sweep] = reference.sweeps
+        assert sweep.modes is not None
+        names = ("frequency", "frequency_error", "damping", "damping_error")
+        modes = replace(sweep.modes, **{name: getattr(sweep.modes, name)[1:] for name in names})
+        other = replace(reference, sweeps=(replace(sweep, modes=modes, found=sweep.found[1:]),))
+    missing = f"mode of {sweep.modes.frequency[0]:.2f}\u00a0Hz</td>"
+    assert missing not in resonances([reference], reference) and missing in resonances([reference, other], reference)
+
+
+def test_intervals_without_calibration_are_stated(recordings: list[Path], tmp_path: Path) -> None:
+    text = write_report(recordings[:1], tmp_path).files[0].read_text("utf-8")
+    answer = text[text.index("<main>") : text.index("<nav>")]
+    assert "Intervals do not contain calibration errors" in answer
+    assert ">not included<" in text and "U = k u, k = 2.00" in text
+
+
+def test_first_box_states_faulty_impacts_and_steady_state(recordings: list[Path]) -> None:
+    with Measurements(recordings) as measurements:
+        sweep, hits = measurements.results
+        unsteady = np.arange(FREQUENCIES.size) == 4
+        frfs = [replace(frf, unsteady=unsteady) for frf in sweep.sweeps[0].frfs]
+        sweep = replace(sweep, sweeps=(replace(sweep.sweeps[0], frfs=frfs),))
+        [first, *_] = [marker for marker in hits.rec.markers if marker.kind == "hit"]
+        overload = Marker("overload", first.first_sample + 5, first.first_sample + 9, {"channel": "body1"})
+        rec = SimpleNamespace(markers=[*hits.rec.markers, overload], overloads=[overload], gaps=[])
+        texts = limitations([sweep, replace(hits, rec=rec)])  # type: ignore[arg-type]
+    assert "no steady state at 12 Hz" in texts[0] and "impact 1 clipped (body1)" in texts[1]
+
+
+def test_damping_between_lines_is_called_extrapolated() -> None:
+    modes, f = SimpleNamespace(), np.array([10.0, 19.5, 20.0, 30.0])
+    modes.frequency, modes.damping, modes.damping_error = np.array([20.05, 25.0]), np.array([0.05, 0.005]), np.zeros(2)
+    curve = Response.curve(f, np.ones(4, dtype=complex), "body1")
+    assert extrapolates_damping(modes, [curve]).tolist() == [False, True]  # type: ignore[arg-type]
+
+
+def test_heights_before_and_after_have_equal_digits() -> None:
+    peaks = Peak(1451.553e-6, 0.93e-6, 34.8, 34.7, 34.9), Peak(331.8e-6, 10e-6, 34.5, 34.4, 34.6)
+    change = SweepChange("a", "b", "b", PeakChange("body1", 34.78, 0.01, *peaks))
+    assert change_heights(change) == "1452 → 332 µm/N"
+
+
+def test_page_has_no_folder(page: Path, recordings: list[Path]) -> None:
+    assert str(recordings[0].parent) not in page.read_text("utf-8")

@@ -505,7 +505,6 @@
       const width = printing ? PRINT_WIDTH : holder.clientWidth;
       if (width && (width !== plot.width || height() !== plot.height)) plot.setSize({ width, height: height() });
     }
-    document.querySelectorAll(".wide").forEach((table) => table.classList.toggle("cut", table.scrollWidth > table.clientWidth + 1));
   }
 
   document.querySelectorAll(".chart").forEach((holder, number) => {

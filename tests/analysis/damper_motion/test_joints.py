@@ -57,7 +57,7 @@ def test_report_draws_the_stop(recording: Path, tmp_path: Path) -> None:
     page = tmp_path / "report.html"
     analysis.report([recording], page)
     text = page.read_text(encoding="utf-8")
-    assert 'class="joint"' in text and "stop between base and arm, gap 0.1 mm" in text
+    assert 'class="joint"' in text and "stop between base and arm, gap 0.1\N{NO-BREAK SPACE}mm" in text
 
 
 def test_slips_of_friction_joint_are_recorded(tmp_path: Path) -> None:

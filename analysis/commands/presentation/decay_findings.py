@@ -20,7 +20,6 @@ from analysis.core.decays.free_decay import INITIAL_DECAY_DB, Decay, decay
 from analysis.core.recordings.names import (
     OpenRecordings,
     excitation_text,
-    is_linear,
     reference_label,
     relabel,
     scene_labels,
@@ -75,7 +74,7 @@ def present_decay(
         check_recording(rec, path, "decay")
         decays.append(relabel(decay(rec, channel, hit), rec.scene.name, label))
         has_hits = rec.test.drives
-        moving[label] = not is_linear(rec)
+        moving[label] = not rec.scene.is_linear
         excitations.append(excitation_text(rec))
         places.append(rec.channels[decays[-1].channel].at)
         warnings += with_recording_name(path, decays[-1].warnings)

@@ -24,7 +24,6 @@ from analysis.core.recordings.names import (
     OpenRecordings,
     belongs_to,
     excitation_text,
-    is_linear,
     reference_label,
     relabel,
     with_recordings,
@@ -96,7 +95,7 @@ def present_frf(
         options = vars(blocks.for_kind(rec.test.kind))
         groups = frequency_responses(rec, channels, reference, motion, progress=progress, **options)
         curves += [relabel(frf, rec.scene.name, label) for group in groups for frf in group]
-        moving[label], excitations[label] = not is_linear(rec), excitation_text(rec)
+        moving[label], excitations[label] = not rec.scene.is_linear, excitation_text(rec)
         warnings += with_recording_name(path, [warning for group in groups for warning in group[0].warnings])
         tolerance_remarks += stated_tolerances(rec, [frf for group in groups for frf in group])
         if theory:

@@ -26,7 +26,7 @@ from analysis.core.decays.free_decay import Decay, decay
 from analysis.core.modal.identification import identify
 from analysis.core.modal.mode_warnings import extrapolates_damping
 from analysis.core.modal.modes import Modes
-from analysis.core.recordings.names import OpenRecordings, is_linear, reference_label, relabel, scene_labels
+from analysis.core.recordings.names import OpenRecordings, reference_label, relabel, scene_labels
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.signals.profile_check import ProfileCheck, profile
 from daq.core.recording.recording import Recording
@@ -140,7 +140,7 @@ class Measurements:
     @property
     def reference(self) -> Measurement:
         """The recording with which the others are compared: the first without moving dampers, or the first."""
-        label = reference_label({result.label: not is_linear(result.rec) for result in self.results})
+        label = reference_label({result.label: not result.rec.scene.is_linear for result in self.results})
         return next((result for result in self.results if result.label == label), self.results[0])
 
     def changes(self) -> list[SweepChange]:

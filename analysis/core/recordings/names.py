@@ -144,11 +144,6 @@ def belongs_to(label: str, recording: str) -> bool:
     return bool(recording) and (label == recording or label.startswith(f"{recording}, "))
 
 
-def is_linear(rec: Recording) -> bool:
-    """Return whether a recording is of a linear structure: without dampers that can move, and without joints."""
-    return rec.scene.is_linear
-
-
 def excitation_text(rec: Recording) -> str:
     """Describe the test and its level, on which the response of a nonlinear structure depends: stepped sine, 2.6 N."""
     test = rec.scene.test

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import pi
 from typing import Any
 
@@ -10,10 +9,11 @@ import numpy as np
 import pytest
 
 import rig
-from rig.core.orbits.periodic_orbit import set_to_orbit, start_propagator
-from rig.core.orbits.problem import OrbitProblem
-from rig.core.orbits.shooting import shoot
 from rig.core.simulation.run_output import summary
+from tests.rig.laws.orbit_differences import (
+    assert_derivatives_are_those_of_differences,
+    assert_multipliers_are_those_of_differences,
+)
 from tests.rig.laws.random_scenes import KINDS, random_friction, random_scene
 from tests.rig.laws.test_declarations import assert_motion_as_declared
 
@@ -85,32 +85,14 @@ def test_orbit_is_the_steady_motion() -> None:
 
 def test_multipliers_are_those_of_differences() -> None:
     orbit = rig.periodic_orbit(two_bodies(), 22.0)
-    propagator, steps = start_propagator(OrbitProblem(orbit.problem.scene), orbit.setting)
-    free = [0, 1, 2, 3, 4]  # the rate of the memory is zero
-
-    def state_after_a_period(unknown: int, disturbance: float) -> Any:
-        set_to_orbit(propagator, orbit)
-        propagator.state.z[unknown] += disturbance
-        propagator.propagate_periods(steps, orbit.repetition)
-        return propagator.state.z[free].copy()
-
-    change = 1e-8
-    columns = [(state_after_a_period(i, change) - state_after_a_period(i, -change)) / (2.0 * change) for i in free]
-    expected, computed = (np.sort(np.abs(values))[-2:] for values in (np.linalg.eigvals(columns), orbit.multipliers))
-    np.testing.assert_allclose(computed, expected, rtol=1e-4)
+    # The rate of the memory is zero.
+    assert_multipliers_are_those_of_differences(orbit, range(5), change=1e-8)
 
 
 @pytest.mark.parametrize("parameter", ["frequency", "level"])
 def test_derivatives_are_those_of_differences(parameter: str) -> None:
     orbit = rig.periodic_orbit(two_bodies(), 22.0)
-    value, results = getattr(orbit.setting, parameter), []
-    for factor in (1.0, 1.0 + 1e-6, 1.0 - 1e-6):
-        setting = replace(orbit.setting, **{parameter: factor * value})
-        equations, derivatives = orbit.problem.equations(setting, orbit.plan, parameter)
-        results.append(shoot(equations, derivatives, orbit.plan.sequence, orbit.unknowns))
-    expected = (results[1].residual - results[2].residual) / (2e-6 * value)
-    error = np.abs(results[0].jacobian[:, -1] - expected).max()
-    assert error <= 1e-6 * max(np.abs(expected).max(), 1e-9)
+    assert_derivatives_are_those_of_differences(orbit, orbit.setting, parameter)
 
 
 def test_weight_of_a_bed_does_not_load_the_joint() -> None:

@@ -11,11 +11,13 @@ import pytest
 
 import rig
 from rig.core.orbits.event_kinds import RIDES_CEILING, RIDES_FLOOR
-from rig.core.orbits.periodic_orbit import set_to_orbit, start_propagator
-from rig.core.orbits.problem import OrbitProblem
-from rig.core.orbits.shooting import shoot
+from rig.core.system.assembly import assemble
 from rig.core.system.structural_model import receptance
 from rig.studies.motion_map.grid import take_off_levels
+from tests.rig.laws.orbit_differences import (
+    assert_derivatives_are_those_of_differences,
+    assert_multipliers_are_those_of_differences,
+)
 from tests.rig.laws.random_scenes import random_scene
 from tests.rig.laws.test_declarations import assert_motion_as_declared
 
@@ -82,25 +84,14 @@ def test_orbit_is_the_steady_motion(damper: dict[str, Any]) -> None:
 @pytest.mark.parametrize("damper", CASES)
 def test_multipliers_are_those_of_differences(damper: dict[str, Any]) -> None:
     orbit = rig.periodic_orbit(driven(6.0, **damper), 10.0)
-    propagator, steps = start_propagator(OrbitProblem(orbit.problem.scene), orbit.setting)
+    system = assemble(orbit.problem.scene)
     held = [
         element.gap
-        for element, wall in zip(propagator.system.elements, orbit.plan.sequence.wall[0], strict=True)
+        for element, wall in zip(system.elements, orbit.plan.sequence.wall[0], strict=True)
         if wall in (RIDES_FLOOR, RIDES_CEILING)
     ]
-    n = propagator.system.states
-    free = [i for i in range(n) if i % propagator.system.coordinates not in held]
-
-    def state_after_a_period(unknown: int, disturbance: float) -> Any:
-        set_to_orbit(propagator, orbit)
-        propagator.state.z[unknown] += disturbance
-        propagator.propagate_periods(steps, 1)
-        return propagator.state.z[free].copy()
-
-    change = 1e-7
-    columns = [(state_after_a_period(i, change) - state_after_a_period(i, -change)) / (2.0 * change) for i in free]
-    largest, computed = (np.sort(np.abs(values))[-2:] for values in (np.linalg.eigvals(columns), orbit.multipliers))
-    np.testing.assert_allclose(computed, largest, rtol=1e-4)
+    free = [i for i in range(system.states) if i % system.coordinates not in held]
+    assert_multipliers_are_those_of_differences(orbit, free, change=1e-7)
 
 
 @pytest.mark.parametrize("damper", CASES)
@@ -109,13 +100,7 @@ def test_derivatives_are_those_of_differences(damper: dict[str, Any], parameter:
     orbit = rig.periodic_orbit(driven(6.0, **damper), 10.0)
     field = "level" if parameter == "force" else parameter
     setting = replace(orbit.setting, clearance=1e-3) if field == "clearance" else orbit.setting
-    value, results = getattr(setting, field), []
-    for factor in (1.0, 1.0 + 1e-6, 1.0 - 1e-6):
-        equations, derivatives = orbit.problem.equations(replace(setting, **{field: factor * value}), orbit.plan, field)
-        results.append(shoot(equations, derivatives, orbit.plan.sequence, orbit.unknowns))
-    expected = (results[1].residual - results[2].residual) / (2e-6 * value)
-    error = np.abs(results[0].jacobian[:, -1] - expected).max()
-    assert error <= 1e-6 * max(np.abs(expected).max(), 1e-9)
+    assert_derivatives_are_those_of_differences(orbit, setting, field)
 
 
 def test_map_starts_at_the_level_of_first_contact() -> None:

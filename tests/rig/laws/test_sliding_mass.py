@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import rig
 from rig.core.laws.law import faults
@@ -16,6 +15,7 @@ from rig.core.orbits.periodic_orbit import set_to_orbit, start_propagator
 from rig.core.orbits.problem import OrbitProblem
 from rig.core.system.assembly import assemble
 from rig.core.system.structural_model import receptance
+from tests.rig.laws.orbit_differences import assert_multipliers_are_those_of_differences
 from tests.rig.laws.random_scenes import random_scene
 from tests.rig.laws.test_declarations import assert_motion_as_declared
 
@@ -150,24 +150,14 @@ def test_orbit_is_the_steady_motion(case: str) -> None:
 def test_multipliers_are_those_of_differences(case: str) -> None:
     scene = scene_with(30.0, 14.0, ORBITS[case][0])
     orbit = rig.periodic_orbit(scene, 14.0)
-    propagator, steps = start_propagator(OrbitProblem(scene), orbit.setting)
-    state, n, change = propagator.state, assemble(scene).states, 1e-7
-    is_held = propagator.tables.model.laws.is_held
-
-    def state_after_a_period(unknown: int, disturbance: float) -> NDArray[np.float64]:
-        set_to_orbit(propagator, orbit)
-        state.z[unknown] += disturbance
-        propagator.propagate_periods(steps, 1)
-        return state.z[:n].copy()
-
+    propagator, _ = start_propagator(OrbitProblem(scene), orbit.setting)
     set_to_orbit(propagator, orbit)
+    is_held = propagator.tables.model.laws.is_held[propagator.state.mode[0]]
     # The gap of a mass that does not reach its walls has no effect, and the speed of a mass at rest is not free.
     gap, speed = 2, 5
-    fixed = [*([gap] if case == "slips" else []), *([gap, speed] if is_held[state.mode[0]] else [])]
-    free = [i for i in range(n) if i not in fixed]
-    columns = [(state_after_a_period(i, change) - state_after_a_period(i, -change))[free] / (2 * change) for i in free]
-    expected, computed = (np.sort(np.abs(values))[-3:] for values in (np.linalg.eigvals(columns), orbit.multipliers))
-    np.testing.assert_allclose(computed, expected, rtol=1e-5)
+    fixed = [*([gap] if case == "slips" else []), *([gap, speed] if is_held else [])]
+    free = [i for i in range(propagator.system.states) if i not in fixed]
+    assert_multipliers_are_those_of_differences(orbit, free, change=1e-7, count=3, rtol=1e-5)
 
 
 @pytest.mark.parametrize(("parameter", "end"), [("force", 31.0), ("mass_ratio", 1.03), ("clearance", 2.05e-3)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import pi, sqrt
 from typing import Any
 
@@ -11,12 +10,13 @@ import pytest
 
 import rig
 from rig.core.base.errors import SceneError
-from rig.core.orbits.periodic_orbit import set_to_orbit, start_propagator
-from rig.core.orbits.problem import OrbitProblem
-from rig.core.orbits.shooting import shoot
 from rig.core.system.assembly import assemble
 from rig.core.system.structural_model import receptance
 from rig.studies.motion_map.grid import take_off_levels
+from tests.rig.laws.orbit_differences import (
+    assert_derivatives_are_those_of_differences,
+    assert_multipliers_are_those_of_differences,
+)
 from tests.rig.laws.random_scenes import KINDS, random_scene, random_stop
 from tests.rig.laws.test_declarations import assert_motion_as_declared
 
@@ -87,33 +87,15 @@ def test_orbit_is_the_steady_motion(joints: list[dict[str, Any]]) -> None:
 @pytest.mark.parametrize("joints", STOPS)
 def test_multipliers_are_those_of_differences(joints: list[dict[str, Any]]) -> None:
     orbit = rig.periodic_orbit(two_bodies(*joints), 22.0)
-    propagator, steps = start_propagator(OrbitProblem(orbit.problem.scene), orbit.setting)
-    n = propagator.system.states
-
-    def state_after_a_period(unknown: int, disturbance: float) -> Any:
-        set_to_orbit(propagator, orbit)
-        propagator.state.z[unknown] += disturbance
-        propagator.propagate_periods(steps, orbit.repetition)
-        return propagator.state.z[:n].copy()
-
-    change = 1e-8
-    columns = [(state_after_a_period(i, change) - state_after_a_period(i, -change)) / (2.0 * change) for i in range(n)]
-    expected, computed = (np.sort(np.abs(values))[-2:] for values in (np.linalg.eigvals(columns), orbit.multipliers))
-    np.testing.assert_allclose(computed, expected, rtol=1e-4)
+    states = assemble(orbit.problem.scene).states
+    assert_multipliers_are_those_of_differences(orbit, range(states), change=1e-8)
 
 
 @pytest.mark.parametrize("joints", STOPS)
 @pytest.mark.parametrize("parameter", ["frequency", "level"])
 def test_derivatives_are_those_of_differences(joints: list[dict[str, Any]], parameter: str) -> None:
     orbit = rig.periodic_orbit(two_bodies(*joints), 22.0)
-    value, results = getattr(orbit.setting, parameter), []
-    for factor in (1.0, 1.0 + 1e-6, 1.0 - 1e-6):
-        setting = replace(orbit.setting, **{parameter: factor * value})
-        equations, derivatives = orbit.problem.equations(setting, orbit.plan, parameter)
-        results.append(shoot(equations, derivatives, orbit.plan.sequence, orbit.unknowns))
-    expected = (results[1].residual - results[2].residual) / (2e-6 * value)
-    error = np.abs(results[0].jacobian[:, -1] - expected).max()
-    assert error <= 1e-6 * max(np.abs(expected).max(), 1e-9)
+    assert_derivatives_are_those_of_differences(orbit, orbit.setting, parameter)
 
 
 def test_curve_of_orbits_ends_where_a_stop_opens() -> None:

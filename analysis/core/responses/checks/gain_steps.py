@@ -4,7 +4,7 @@ Near each frequency, a response is a rational function [1]_. The function is fit
 instant of the sweep, once with equal gains and once with a ratio of the gains after and before, which is the same at
 all points. A step is reported if the ratio explains nearly all of the residual, and the other curves have no step at
 this frequency. A change of the motion to another branch changes all curves, and their phases; a single curve of a
-nonlinear structure is not checked, because no other curve tells such a change from a fault.
+nonlinear structure is not checked, because a fault is distinguished from such a change by the other curves.
 
 References
 ----------

@@ -223,16 +223,12 @@ def run_a_script(
     scene: Annotated[str | None, typer.Option(metavar="SCENE", help=BENCH_SCENE_HELP)] = None,
     changes: Changes = None,
     clock: Clock = None,
-    seconds: Annotated[
-        float | None,
-        _option("S", "Bench time after which the script receives Ctrl-C, or Enter at a prompt. Default: no limit."),
-    ] = None,
 ) -> None:
     """Run a nidaqmx script on the virtual rig, without changes to it."""
     from daq.extras.ni_server.script import run_script
 
     with user_terminal():
-        code = run_script(script, arguments or [], _load_bench_scene(scene, changes), clock, seconds)
+        code = run_script(script, arguments or [], _load_bench_scene(scene, changes), clock)
     if code == 1:
         from rig.core.base.shadowing import shadowing_files
 
@@ -264,9 +260,6 @@ def serve_a_rig(
     ] = 30.0,
     output: Annotated[Path | None, _output("Recording of all channels to write. Default: none.")] = None,
     overwrite: Replace = False,
-    proto_folder: Annotated[
-        Path | None, _option("FOLDER", "Write the .proto files for clients in other languages.", "--proto")
-    ] = None,
 ) -> None:
     """Serve the virtual instrument to clients of NI's gRPC protocol.
 
@@ -293,7 +286,7 @@ def serve_a_rig(
         with allow_overwriting(overwrite):
             _prepare_recordings(output)
     with pause_reports():
-        serve(bench, clock, address, port, certificates, limits, output, output is not None, proto_folder)
+        serve(bench, clock, address, port, certificates, limits, output, output is not None)
 
 
 @app.command("bench", example="daq bench fig9 --port 0")

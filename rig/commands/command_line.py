@@ -38,7 +38,6 @@ _OPTIONS_OF_PARAMETERS = {
     "from_s": "--from",
     "to_s": "--to",
     "host": "--address",
-    "protocol": "--proto",
     "certificates": "--certificate",
     "uncertain": "--damping-off",
     "path": "--output",

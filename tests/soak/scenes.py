@@ -297,8 +297,7 @@ def rare_command(path: str, rng: random.Random) -> list[str]:
         f"analysis cost {path} --frequency {unusual}",
         f"analysis fit r.mcap {path} --overwrite",
         f"analysis fit r.mcap {path} --free structure.masses[{unusual}]",
-        f"daq run --scene {path} --clock fast --seconds 1 c.py",
-        f"daq run --scene {path} --clock fast --seconds {unusual} c.py",
+        f"daq run --scene {path} --clock fast c.py",
         f"daq import x.csv --scene {path} --from {unusual} -o i.mcap",
         f"daq serve {path} --port {unusual}",
     )

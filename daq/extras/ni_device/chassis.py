@@ -98,7 +98,6 @@ class Chassis:
         self._tasks_drive_outputs = False  # tasks drive the outputs, no longer the test of the scene
         self._has_acquired = False  # an acquisition has been started
         # Bench time in s, and the action that is due then.
-        self._scheduled: list[tuple[float, Callable[[], None]]] = []
         # Resources of each task, and their names for messages; see `reserve`.
         self._reserved: dict[Runner, Mapping[Hashable, str]] = {}
         # Tasks that have been started and not closed; bench time runs while there are any.
@@ -129,10 +128,6 @@ class Chassis:
     def elapsed(self) -> float:
         """Time that has passed on the bench since power-on, s."""
         return self.position / self.rate
-
-    def schedule(self, seconds: float, action: Callable[[], None]) -> None:
-        """Schedule an action for a time since power-on, s."""
-        self._scheduled.append((seconds, action))
 
     def pass_time(self, seconds: float) -> None:
         """Wait for a duration, s, in bench time; while bench time is stopped, wait only on the real clock."""
@@ -306,9 +301,6 @@ class Chassis:
         notified = [task for task in (*self.inputs, *self.outputs) if task.notify_samples()]
         if notified and not self.clock.is_free_running:
             self._await_callbacks(notified)
-        for seconds, action in [entry for entry in self._scheduled if entry[0] <= self.elapsed]:
-            self._scheduled.remove((seconds, action))
-            action()
 
     def _await_callbacks(self, notified: Sequence[Runner]) -> None:
         """Wait for the callbacks of tasks, except of tasks whose callbacks were late at several events in a row."""

@@ -13,15 +13,16 @@ from __future__ import annotations
 import builtins
 import functools
 import os
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, SupportsFloat, SupportsIndex
 
 # Environment variables of the script's process.
 SERVER = "SHOTRIG_SERVER"  # address of the server
-FAST, LIMITED = "SHOTRIG_FAST", "SHOTRIG_LIMITED"  # set for the fast clock, and for a run with a time limit
+FAST = "SHOTRIG_FAST"  # set for the fast clock
+# Bench time for which a prompt waits.
+_PROMPT_TIMEOUT_S = 10.0
 # API key that disables session sharing: a duplicate task name is then an error, as in NI's driver.
 STRICT = "shotrig: no sessions"
 # Folder with the startup code of a script's process.
@@ -42,17 +43,12 @@ def environment(address: str, follows_wall_clock: bool) -> dict[str, str]:
 
 
 def prepare() -> None:
-    """Connect the client to the rig; let bench time advance while the script sleeps (fast clock) or waits for Enter."""
+    """Connect the client to the rig; with the fast clock, pauses and prompts of the script let bench time advance."""
     for owner, name, value in replacements():
         setattr(owner, name, value)
     if os.environ.get(FAST):
-        time.sleep = functools.partial(_pass_bench_time, "Pass")
-    if os.environ.get(FAST) or os.environ.get(LIMITED):
+        time.sleep = _pass_bench_time
         builtins.input = _wait_for_enter
-    if os.environ.get(LIMITED):
-        print_traceback = sys.excepthook
-        # Ctrl-C at the time limit is not an error, so no traceback is printed.
-        sys.excepthook = lambda kind, *rest: None if kind is KeyboardInterrupt else print_traceback(kind, *rest)
 
 
 def replacements() -> Iterator[tuple[Any, str, Any]]:
@@ -119,13 +115,13 @@ def open_channel(address: str) -> Any:
     )
 
 
-def _pass_bench_time(call: str, seconds: float = 0.0) -> None:
-    """Send "Pass" (a pause) or "Prompt" (wait for Enter), which end in bench time; see `bench_time`."""
-    _connection().unary_unary(f"/shotrig.Bench/{call}")(repr(float(seconds)).encode())
+def _pass_bench_time(seconds: SupportsFloat | SupportsIndex) -> None:
+    """Let bench time advance; see `bench_time`."""
+    _connection().unary_unary("/shotrig.Bench/Pass")(repr(float(seconds)).encode())
 
 
 def _wait_for_enter(text: object = "", /) -> str:
     """Replace `input`: print the prompt, let bench time advance, and return an empty line."""
     print(text, end="", flush=True)
-    _pass_bench_time("Prompt")
+    _pass_bench_time(_PROMPT_TIMEOUT_S)
     return ""

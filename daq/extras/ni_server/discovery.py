@@ -1,9 +1,8 @@
-"""Describes the server to clients in other languages: reflection service, health service, and .proto files."""
+"""Describes the server to clients in other languages: reflection service and health service."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import grpc
@@ -12,9 +11,7 @@ from google.protobuf.message import DecodeError
 from grpc_health.v1 import health, health_pb2
 from grpc_reflection.v1alpha import reflection, reflection_pb2
 
-from daq.extras.ni_server.proto_text import proto_text
 from daq.extras.ni_server.protocol import SERVICE, SESSION_SERVICE
-from rig.core.base.errors import SceneError
 
 _HEALTH = health_pb2.DESCRIPTOR.services_by_name["Health"]
 _REFLECTION = reflection_pb2.DESCRIPTOR.services_by_name["ServerReflection"]
@@ -67,31 +64,3 @@ def _method_handler(method: Any, servicer_method: Callable[..., Any]) -> Any:
         if method.client_streaming:
             make_handler = grpc.stream_stream_rpc_method_handler
     return make_handler(respond, None, lambda message: bytes(message.SerializeToString()))
-
-
-def write_proto_files(folder: Path) -> list[Path]:
-    """Write the .proto files of the protocol, including their imports.
-
-    Raises `SceneError` if a file of that name has different text, or cannot be written.
-    """
-    files: dict[str, Any] = {}  # descriptors by path
-
-    def collect(file: Any) -> None:
-        for dependency in file.dependencies:
-            collect(dependency)
-        files[file.name] = file
-
-    for service in SERVICES:
-        collect(service.file)
-    paths = []
-    for name, file in files.items():
-        path, text = folder / name, proto_text(file)
-        try:
-            if path.exists() and path.read_bytes() != text.encode():
-                raise SceneError(f"{path}: a different file of this name exists. Give `protocol` another folder.")
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(text.encode())
-        except OSError as error:
-            raise SceneError(f"{path}: {error.strerror}. Give `protocol` a folder that can be written.") from None
-        paths.append(path)
-    return paths

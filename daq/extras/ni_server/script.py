@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import signal
 import subprocess
@@ -11,8 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from daq.extras.ni_device.connecting import connect_scene
-from daq.extras.ni_server.bench_time import BenchTime, TimeLimit
-from daq.extras.ni_server.client_defaults import LIMITED, environment
+from daq.extras.ni_server.bench_time import BenchTime
+from daq.extras.ni_server.client_defaults import environment
 from daq.extras.ni_server.service import Server
 from daq.extras.ni_server.signal_forwarding import forward_signals
 from daq.extras.ni_server.starter_script import report_missing_excitation
@@ -28,7 +27,6 @@ def run_script(
     arguments: Sequence[str] = (),
     scene: Scene | str | None = None,
     clock: str | None = None,
-    seconds: float | None = None,
 ) -> int:
     """Run a Python script in a separate process, with the rig as its hardware.
 
@@ -43,33 +41,26 @@ def run_script(
     clock : str, optional
         Clock, see `daq.connect`. With the fast clock `time.sleep` lets bench time pass, and so does `input`,
         which then returns an empty line.
-    seconds : float, optional
-        Bench time after which the script receives Ctrl-C, or Enter if it is waiting for it.
 
     Returns
     -------
     int
-        Exit code of the script; 1 if it raised an exception, whose traceback is then on stderr; 0 if the time limit
-        ended it; 128 + n if signal n ended it, even if this process forwarded the signal.
+        Exit code of the script; 1 if it raised an exception, whose traceback is then on stderr; 128 + n
+        if signal n ended it, even if this process forwarded the signal.
 
     Raises
     ------
     SceneError
-        If the script does not exist, the scene cannot be used, or `seconds` is not a valid time.
+        If the script does not exist, or the scene cannot be used.
     """
     path = Path(path)
-    if seconds is not None and not 0 < seconds < math.inf:
-        raise SceneError(
-            f"seconds: got {seconds:g}; expected a time above 0 s. Correct the time, or omit it for no limit."
-        )
     if not path.is_file():
         raise SceneError(f"{path}: the script does not exist. Give the path of a Python file.")
     chassis = connect_scene(scene, clock)
     report_missing_excitation(chassis)
-    limit = TimeLimit(chassis, seconds)
-    server = Server(chassis, other_handlers=(BenchTime(chassis, limit),))
+    server = Server(chassis, other_handlers=(BenchTime(chassis),))
     try:
-        code = _run([str(path), *arguments], server.port, chassis.clock.is_free_running, limit)
+        code = _run([str(path), *arguments], server.port, chassis.clock.is_free_running)
     finally:
         server.close()
     if chassis.was_read_without_drive:
@@ -85,17 +76,15 @@ def run_script(
 run = run_script
 
 
-def _run(command: list[str], port: int, follows_wall_clock: bool, limit: TimeLimit) -> int:
+def _run(command: list[str], port: int, follows_wall_clock: bool) -> int:
     """Run a Python command as a client of the server at a port; return the exit code of `run_script`.
 
     `follows_wall_clock`: whether bench time does.
     """
     variables = os.environ | environment(f"127.0.0.1:{port}", follows_wall_clock)
-    variables |= {} if limit.is_unlimited else {LIMITED: "1"}
     process = subprocess.Popen([sys.executable, *command], env=variables)
-    limit.process = process.pid
     with forward_signals(process):
         code = process.wait()
     if code in (-signal.SIGINT, CTRL_C_EXIT):
-        return 0 if limit.reached else 130
+        return 130
     return code if code >= 0 else 128 - code

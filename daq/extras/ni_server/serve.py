@@ -19,7 +19,6 @@ from daq.core.signal_chain.converter import describe_output
 from daq.extras.ni_device.chassis import Chassis
 from daq.extras.ni_device.connecting import connect_scene
 from daq.extras.ni_server.bench_time import BenchTime
-from daq.extras.ni_server.discovery import write_proto_files
 from daq.extras.ni_server.live import LiveRecording
 from daq.extras.ni_server.served_instrument import Limits
 from daq.extras.ni_server.service import Server
@@ -64,7 +63,6 @@ def serve(
     limits: Limits | None = None,
     record: Path | None = None,
     overwrite: bool = False,
-    protocol: Path | None = None,
 ) -> None:
     """Serve a rig until Ctrl-C, SIGTERM or the end of its terminal.
 
@@ -82,8 +80,6 @@ def serve(
         Recording of all channels during the session.
     overwrite : bool
         Whether an existing file may be replaced.
-    protocol : Path, optional
-        Folder for the .proto files of the protocol.
 
     Raises
     ------
@@ -99,9 +95,6 @@ def serve(
             "(with a CA of the clients, only clients with a certificate are admitted), or omit the address."
         )
     credentials = None if certificates is None else certificates.credentials()
-    if protocol is not None:
-        proto_paths = write_proto_files(protocol)
-        print(f"{protocol}: contains the {len(proto_paths)} .proto files of the protocol", flush=True)
     chassis = connect_scene(scene, clock)
     report_missing_excitation(chassis)
     with contextlib.ExitStack() as stack:

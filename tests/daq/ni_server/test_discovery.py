@@ -3,14 +3,12 @@
 import grpc
 import nidaqmx
 import pytest
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf import descriptor_pool, message_factory
 from nidaqmx.error_codes import DAQmxErrors
 
 import daq
 from daq.extras.ni_server.client_defaults import open_channel
-from daq.extras.ni_server.discovery import SERVICES, write_proto_files
-from daq.extras.ni_server.proto_text import proto_text
-from rig.core.base.errors import SceneError
+from daq.extras.ni_server.discovery import SERVICES
 
 RATE = 5120.0  # Hz
 
@@ -132,33 +130,3 @@ def test_unreadable_request_is_not_logged(rig, method, caplog):
     with pytest.raises(grpc.RpcError):
         open_channel(rig.address).unary_unary(f"/{method}")(b"\xff\xff\xff")
     assert not caplog.records
-
-
-def test_proto_files_do_not_replace_other_files(tmp_path):
-    paths = write_proto_files(tmp_path)
-    assert {f"{path.relative_to(tmp_path)}" for path in paths} >= {"nidaqmx.proto", "session.proto"}
-    assert write_proto_files(tmp_path) == paths
-    paths[0].write_text("something else")
-    with pytest.raises(SceneError, match="a different file of this name exists"):
-        write_proto_files(tmp_path)
-
-
-def test_proto_text_has_oneofs_maps_and_aliases():
-    file = descriptor_pb2.FileDescriptorProto(name="a.proto", package="a", syntax="proto3")
-    enum = file.enum_type.add(name="E")
-    enum.options.allow_alias = True
-    enum.value.add(name="X", number=0)
-    enum.value.add(name="Y", number=0)
-    message = file.message_type.add(name="M")
-    message.oneof_decl.add(name="choice")
-    entry = message.nested_type.add(name="MapEntry")
-    entry.options.map_entry = True
-    entry.field.add(name="key", number=1, type="TYPE_STRING", label="LABEL_OPTIONAL")
-    entry.field.add(name="value", number=2, type="TYPE_INT32", label="LABEL_OPTIONAL")
-    message.field.add(name="m", number=1, type="TYPE_MESSAGE", label="LABEL_REPEATED", type_name=".a.M.MapEntry")
-    message.field.add(name="e", number=2, type="TYPE_ENUM", label="LABEL_OPTIONAL", type_name=".a.E", oneof_index=0)
-    pool = descriptor_pool.DescriptorPool()
-    pool.Add(file)
-    text = " ".join(proto_text(pool.FindFileByName("a.proto")).split())
-    assert "enum E { option allow_alias = true; X = 0; Y = 0; }" in text
-    assert "message M { map<string, int32> m = 1; oneof choice { .a.E e = 2; } }" in text

@@ -56,7 +56,7 @@ Cluster = Annotated[
     typer.Option(
         metavar="ADDRESS",
         help="Distribute the computation over the workers of a Dask scheduler at this address, such as "
-        "tcp://host:8786; 'local' starts a scheduler and workers on this computer.",
+        "tcp://host:8786. Default: use the cores of this computer.",
     ),
 ]
 

@@ -13,8 +13,10 @@ import tempfile
 import time
 from pathlib import Path
 
+from distributed import LocalCluster
+
 import rig
-from rig.core.base.workers import Workers
+from rig.core.base.workers import Workers, cores
 from rig.studies.design.choice import Choice
 from rig.studies.design.figure import write
 from rig.studies.design.request import parse_request
@@ -30,8 +32,6 @@ def empty_task(task_input: object) -> int:
 
 def design_on_cluster(scene: str, workers: int, folder: Path) -> tuple[float, dict[str, bytes]]:
     """Design on a number of workers; return the elapsed time [s], and the written files by name."""
-    from distributed import LocalCluster
-
     folder.mkdir()
     with LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster:
         start = time.perf_counter()
@@ -56,7 +56,10 @@ def main() -> int:
         objective.worst(Choice(location, (space.max_mass,), space.clearance[1:]))
     task_time = (time.process_time() - start) / len(space.locations) / len(objective.subproblems)
     print(f"CPU time of a task: {task_time:.2f} s")
-    with Workers("local") as workers:
+    with (
+        LocalCluster(n_workers=cores(), threads_per_worker=1, dashboard_address=None) as cluster,
+        Workers(cluster.scheduler_address) as workers,
+    ):
         list(workers.compute(empty_task, [task_input]))
         # The scheduler runs in this process, so that its time is included.
         start = time.process_time()

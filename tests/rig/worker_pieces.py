@@ -17,14 +17,6 @@ def square(number: int) -> int:
     return number * number
 
 
-def exit_at_first_call(marker: Path) -> str:
-    """End the process if the marker file does not exist yet."""
-    if marker.exists():
-        return marker.name
-    marker.touch()
-    os._exit(1)
-
-
 def exit_process(_: int) -> None:
     os._exit(1)
 
@@ -42,5 +34,13 @@ def log_compilation(folder: Path) -> None:
     logging.getLogger("shotrig.compiling").warning("compiling")
 
 
-def sigint_is_blocked(_: int) -> bool:
-    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+def sigint_is_ignored(_: int) -> bool:
+    return signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
+def write_id_and_wait(file: Path) -> None:
+    """Write the id of this process, in one step, then wait forever."""
+    temporary = file.with_name("temporary")
+    temporary.write_text(str(os.getpid()))
+    temporary.rename(file)
+    threading.Event().wait()

@@ -49,7 +49,6 @@ READING_COMMANDS = (
 # Commands that compute many motions in several processes.
 STUDY_COMMANDS = (
     "rig map s.yaml --rows 2 --points 3",
-    "rig map s.yaml --rows 2 --points 3 --cluster local",
     "rig design s.yaml --budget 50g",
     "analysis paper",
     "analysis demo",

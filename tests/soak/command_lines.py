@@ -59,7 +59,7 @@ VALID_VALUES: dict[str, tuple[str, ...]] = {
     "key": ("c.py",),
     "copy": ("fig9", "new.yaml"),
     "show": ("fig9",),
-    "cluster": ("local",),
+    "cluster": ("tcp://127.0.0.1:9",),
 }
 # Unusual paths, including those of `create_unusual_files`.
 PATHS = (

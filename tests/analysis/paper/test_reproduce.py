@@ -3,7 +3,6 @@
 The reproduction can be resumed, its parts agree with each other, and its page contains the results.
 """
 
-import multiprocessing
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +22,7 @@ from analysis.studies.paper.simulation import approximate_branches, exact_orbits
 from analysis.studies.paper.store import Arrays, PaperPart, partial_name, remove_partial
 from rig.core.base.errors import SceneError
 from rig.core.system.open_loop_drive import with_ideal_force
+from tests.rig.worker_processes import worker_processes
 
 computed_values: list[float] = []
 
@@ -257,7 +257,7 @@ def test_failing_part_raises_and_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="two ascending values"):
         list(compute([invalid], tmp_path))
 
-    assert not multiprocessing.active_children()
+    assert not worker_processes()
     assert not list(tmp_path.rglob("*.npz"))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import multiprocessing
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +20,7 @@ from rig.studies.motion_map.grid import select_frequencies, select_row_values, t
 from rig.studies.motion_map.motion_map import KINDS, summarize_map, write_map
 from tests.rig.grains.scenes import with_grains
 from tests.rig.this_process import pieces_in_this_process
+from tests.rig.worker_processes import worker_processes
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -142,7 +142,7 @@ def test_interrupted_map_stops_its_workers(monkeypatch: pytest.MonkeyPatch) -> N
 
     with pytest.raises(KeyboardInterrupt):
         rig.map_motion("fig9", frequencies=np.linspace(46.0, 54.0, 20), progress=interrupt)
-    assert not multiprocessing.active_children()
+    assert not worker_processes()
 
 
 def test_interrupted_map_continues_from_stored_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

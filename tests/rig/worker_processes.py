@@ -1,0 +1,10 @@
+"""The processes that compute pieces of a study for this process."""
+
+from __future__ import annotations
+
+import psutil
+
+
+def worker_processes() -> list[psutil.Process]:
+    """Return the running worker processes."""
+    return [child for child in psutil.Process().children() if "popen_loky" in " ".join(child.cmdline())]

@@ -40,6 +40,7 @@ CASES = {
     "words": 100,
     "recordings": 150,
     "imports": 150,
+    "servers": 40,
     "attacks": 60,
 }
 

@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import logging
 import random
-import re
-import signal
 import socket
-import subprocess
-import sys
-import threading
 import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -25,12 +20,11 @@ from websockets.sync.client import ClientConnection, connect
 
 from daq.extras.ni_server.served_instrument import Limits
 from tests.soak.command import CommandResult
+from tests.soak.servers import PATIENCE_S, Server
 
 # Broken connections are intended.
 logging.getLogger("websockets").setLevel(logging.CRITICAL)
 
-# Longest time in which the bench starts, answers its user or ends on a busy machine.
-_PATIENCE_S = 60.0
 # Largest part of an attack, and number of connections of a flood; the servers admit fewer.
 _FLOOD_BYTES = 200 << 20
 _FLOOD_CONNECTIONS = 300
@@ -73,7 +67,7 @@ class Target:
         """Return the status of a request to the page."""
         request = urllib.request.Request(f"http://{self.host}{path}", headers=headers)
         try:
-            with urllib.request.urlopen(request, timeout=_PATIENCE_S) as answer:
+            with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:
                 return int(answer.status)
         except urllib.error.HTTPError as error:
             return error.code
@@ -81,7 +75,7 @@ class Target:
     def live(self, query: str | None = None, **options: object) -> ClientConnection:
         """Open the web socket of the page, with its token unless `query` is given."""
         query = urlsplit(self.page).query if query is None else query
-        return connect(f"ws://{self.host}/live?{query}", open_timeout=_PATIENCE_S, **options)  # type: ignore[arg-type]
+        return connect(f"ws://{self.host}/live?{query}", open_timeout=PATIENCE_S, **options)  # type: ignore[arg-type]
 
 
 def _rejected(status: int) -> list[str]:
@@ -167,7 +161,7 @@ def _socket_of_other_site(target: Target) -> list[str]:
 def _oversize_frame(target: Target) -> list[str]:
     with suppress(WebSocketException, OSError), target.live(max_size=None) as live:
         live.send("[" + "1," * (40 << 20) + "1]")
-        while live.recv(timeout=_PATIENCE_S):
+        while live.recv(timeout=PATIENCE_S):
             pass
     return []
 
@@ -216,7 +210,7 @@ def _malformed_protobuf(target: Target) -> list[str]:
         call = channel.unary_unary(_TASK_METHOD)
         for _ in range(200):
             with suppress(grpc.RpcError):
-                call(target.rng.randbytes(target.rng.randrange(1, 3000)), timeout=_PATIENCE_S)
+                call(target.rng.randbytes(target.rng.randrange(1, 3000)), timeout=PATIENCE_S)
     return []
 
 
@@ -225,9 +219,9 @@ def _oversize_message(target: Target) -> list[str]:
         call, largest = channel.unary_unary(_TASK_METHOD), Limits().max_request_bytes
         for _ in range(10):
             with suppress(grpc.RpcError):
-                call(bytes(largest - 100), timeout=_PATIENCE_S)
+                call(bytes(largest - 100), timeout=PATIENCE_S)
         try:
-            call(bytes(largest + 1), timeout=_PATIENCE_S)
+            call(bytes(largest + 1), timeout=PATIENCE_S)
         except grpc.RpcError as error:
             return [] if error.code() is grpc.StatusCode.RESOURCE_EXHAUSTED else [f"message ended in {error.code()}"]
     return ["message accepted"]
@@ -244,40 +238,15 @@ ATTACKS: tuple[Callable[[Target], list[str]], ...] = (
 def attack(scene: Path, folder: Path, rng: random.Random) -> tuple[CommandResult, list[str]]:
     """Attack a bench once; its page and its device must answer, and it must end as usual with little memory."""
     chosen = ATTACKS[rng.randrange(len(ATTACKS))]
-    words = ["daq", "bench", str(scene), "--no-browser", "--port", "0", "--device-port", "0"]
-    start, faults = time.monotonic(), []
-    with subprocess.Popen(
-        [sys.executable, "-m", *words], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    ) as process:
-        watchdog = threading.Timer(5.0 * _PATIENCE_S, process.kill)
-        watchdog.start()
-        assert process.stdout is not None
-        page, device = process.stdout.readline().strip(), process.stdout.readline()
-        match, memory = re.search(r"127\.0\.0\.1:\d+", device), 0
-        if match is not None:
-            target = Target(page, match[0], rng)
-            before = _peak_memory(process.pid)
-            faults = chosen(target)
-            faults += _unusable(target)
-            memory = _peak_memory(process.pid)
-            faults += ["memory grows"] if memory - before > _MAX_GROWTH_BYTES else []
-        process.send_signal(signal.SIGINT)
-        try:
-            output, _ = process.communicate(timeout=_PATIENCE_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            output, _ = process.communicate()
-            faults.append("does not end")
-        watchdog.cancel()
-    faults = [f"{chosen.__name__[1:]}: {fault}" for fault in faults]
-    words.append(f"({chosen.__name__[1:]})")
-    return CommandResult(tuple(words), process.returncode, page + output, 0.0, time.monotonic() - start, memory), faults
-
-
-def _peak_memory(process: int) -> int:
-    """Return the largest resident memory of a process until now, bytes; 0 if it has ended."""
-    match = re.search(r"VmHWM:\s*(\d+) kB", Path(f"/proc/{process}/status").read_text(encoding="ascii"))
-    return 0 if match is None else 1024 * int(match[1])
+    bench = Server(["daq", "bench", str(scene), "--no-browser", "--port", "0", "--device-port", "0"], folder)
+    faults, before = [], bench.peak_memory()
+    if bench.device:
+        target = Target(bench.page, bench.device, rng)
+        faults = chosen(target) + _unusable(target)
+    faults += ["memory grows"] if bench.peak_memory() - before > _MAX_GROWTH_BYTES else []
+    result, end_faults = bench.end()
+    command = (*result.command, f"({chosen.__name__[1:]})")
+    return replace(result, command=command), [f"{chosen.__name__[1:]}: {fault}" for fault in faults + end_faults]
 
 
 def _unusable(target: Target) -> list[str]:
@@ -288,12 +257,12 @@ def _unusable(target: Target) -> list[str]:
             faults.append("page rejected")
         with target.live(max_size=None) as live:
             for _ in range(3):
-                live.recv(timeout=_PATIENCE_S)
+                live.recv(timeout=PATIENCE_S)
     except (OSError, WebSocketException) as error:
         faults.append(f"page lost ({type(error).__name__})")
     with grpc.insecure_channel(target.device) as channel:
         try:
-            channel.unary_unary(_TASK_METHOD)(b"", timeout=_PATIENCE_S)
+            channel.unary_unary(_TASK_METHOD)(b"", timeout=PATIENCE_S)
         except grpc.RpcError as error:
             faults.append(f"device lost ({error.code().name})")  # type: ignore[attr-defined]
     return faults

@@ -23,7 +23,7 @@ from daq.core.measurement.bench_loop import RAMP_S
 from rig.core.base.ending_signals import TERMINATION_SIGNALS
 from rig.core.base.errors import ShotrigError
 from tests.daq.importing import files
-from tests.soak import attacks, command_lines, recordings, scenes
+from tests.soak import attacks, command_lines, recordings, scenes, servers
 from tests.soak.command import CommandResult, is_own_traceback, processes_remain, run, run_new_process
 
 # Commands that read a recording r.mcap; {unusual}: an invalid number.
@@ -37,6 +37,11 @@ READING_COMMANDS = (
     "analysis modes r.mcap",
     "analysis dampers r.mcap",
     "analysis compare r.mcap r.mcap",
+    "analysis srs r.mcap",
+    "analysis profile r.mcap",
+    "analysis backbone r.mcap",
+    "analysis continuation r.mcap",
+    "analysis surface r.mcap",
     "analysis report r.mcap",
     "analysis export r.mcap -o o.csv",
     "analysis export r.mcap -o o.npz",
@@ -61,7 +66,20 @@ WRITING_COMMANDS = {
     "analysis export r.mcap -o out.npz": "out.npz",
     "analysis export r.mcap -o out.uff": "out.uff",
     "analysis report r.mcap -o out.html": "out.html",
+    "analysis dampers r.mcap": "r-dampers.csv",
+    "analysis srs r.mcap": "r-srs.svg",
+    "rig simulate damper.yaml --duration 0.5s -o out.npz": "out.npz",
+    "rig response damper.yaml --points 2 -o out.csv": "out.csv",
 }
+# The same for commands that compute for several seconds, and continue the work of an interrupted run.
+WRITING_STUDIES = {
+    "rig map damper.yaml --rows 2 --points 2 --from 49Hz --to 50Hz": "map-damper.csv",
+    "rig design damper.yaml --budget 50g --bodies 1 --levels 1N --clearance 1mm,1.1mm": "design-damper.csv",
+}
+# Share of the cases of interrupted writing that interrupt a study.
+_STUDY_SHARE = 0.05
+# Number of the scene with a damper that these commands use.
+_DAMPER_SCENE = 10
 # A client script for `daq run`.
 CLIENT_SCRIPT = """
 import nidaqmx
@@ -92,7 +110,7 @@ class Workspace:
         self.scenes: dict[int, Path] = {}
         self.undamaged: dict[int, Path] = {}
         self.recording_seconds: dict[int, float] = {}
-        for number in (0, 1, 3):
+        for number in scenes.RECORDED_SCENES:
             self.scenes[number] = folder / f"scene{number}.yaml"
             self.scenes[number].write_text(yaml.safe_dump(scenes.VALID_SCENES[number]))
             self.undamaged[number] = folder / f"undamaged{number}.mcap"
@@ -100,6 +118,8 @@ class Workspace:
             self.recording_seconds[number] = run(words, folder).seconds
         # Time from the start of a short command in a new process to its end, s.
         self.startup_seconds = run_new_process(["daq", "info", str(self.undamaged[0])], folder).seconds
+        # Duration of a complete writing command [s], size of its file and names of all files, by command.
+        self.completed: dict[str, tuple[float, int, set[str]]] = {}
         self.foreign_files = {}
         for name, (ending, write, _) in files.WRITERS.items():
             path = folder / f"foreign-{name.replace(' ', '-')}{ending}"
@@ -135,7 +155,7 @@ class Workspace:
 
 def interrupt_recording(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
     """Kill or interrupt `daq record` at a random time; the old or the new file must be intact."""
-    number, folder = rng.choice((0, 1, 3)), workspace.clear()
+    number, folder = rng.choice(scenes.RECORDED_SCENES), workspace.clear()
     overwrite = rng.random() < 0.5
     if overwrite:
         shutil.copy(workspace.undamaged[number], folder / "r.mcap")
@@ -166,20 +186,25 @@ def interrupt_recording(workspace: Workspace, rng: random.Random) -> tuple[Comma
 
 def interrupt_writing(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
     """Kill or interrupt a command while it replaces a file: the old or the new file must be complete."""
-    command, folder = rng.choice(list(WRITING_COMMANDS)), workspace.clear()
-    output = folder / WRITING_COMMANDS[command]
+    commands = WRITING_STUDIES if rng.random() < _STUDY_SHARE else WRITING_COMMANDS
+    command, folder = rng.choice(list(commands)), workspace.clear()
+    output = folder / commands[command]
     shutil.copy(workspace.undamaged[0], folder / "r.mcap")
+    shutil.copy(workspace.scenes[_DAMPER_SCENE], folder / "damper.yaml")
     (folder / "s.yaml").write_text(files.make_scene().to_yaml())
     (folder / "x.csv").write_bytes(workspace.foreign_files[".csv", "csv"])
     output.write_bytes(old := b"old")
     words = [*command.split(), "--overwrite"]
-    completed = run(words, folder)
-    if completed.code:
-        return completed, ["not written"]
-    size, before = output.stat().st_size, {path.name for path in folder.iterdir()}
-    output.write_bytes(old)
+    if command not in workspace.completed:
+        completed = run(words, folder)
+        if completed.code:
+            return completed, ["not written"]
+        names = {path.name for path in folder.iterdir()}
+        workspace.completed[command] = completed.seconds, output.stat().st_size, names
+        output.write_bytes(old)
+    seconds, size, before = workspace.completed[command]
     signal_number = rng.choice((signal.SIGKILL, signal.SIGKILL, *TERMINATION_SIGNALS))
-    result = run(words, folder, on_poll=signal_sender(signal_number, rng.uniform(0.0, 1.1) * completed.seconds))
+    result = run(words, folder, on_poll=signal_sender(signal_number, rng.uniform(0.0, 1.1) * seconds))
     faults = workspace.recording_faults(folder / "r.mcap", 0)
     if output.read_bytes() != old and not (0.99 * size <= output.stat().st_size <= 1.01 * size):
         faults.append("incomplete file")
@@ -249,7 +274,7 @@ def _without_signal_effects(result: CommandResult, signal_number: signal.Signals
 
 def damage_recording(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
     """Read a damaged recording, mostly to recover it over another file; no sample may be wrong, no file lost."""
-    number, folder = rng.choice((0, 1, 3)), workspace.clear()
+    number, folder = rng.choice(scenes.RECORDED_SCENES), workspace.clear()
     (folder / "r.mcap").write_bytes(recordings.damage(workspace.undamaged[number].read_bytes(), rng))
     shutil.copy(workspace.undamaged[number], folder / "f.mcap")
     words = _reading_command(
@@ -265,7 +290,7 @@ def damage_recording(workspace: Workspace, rng: random.Random) -> tuple[CommandR
 
 def fill_disk(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
     """Limit the size of files, as a full disk does; the existing recording must stay intact."""
-    number, folder = rng.choice((0, 1, 3)), workspace.clear()
+    number, folder = rng.choice(scenes.RECORDED_SCENES), workspace.clear()
     shutil.copy(workspace.undamaged[number], folder / "r.mcap")
     max_bytes = int(10 ** rng.uniform(1, 6))
     record = ["daq", "record", str(workspace.scenes[number]), "-o", "r.mcap", "--overwrite"]
@@ -306,7 +331,7 @@ def use_invalid_recording(workspace: Workspace, rng: random.Random) -> tuple[Com
     """Run a command on a recording with invalid contents but correct checksums."""
     folder = workspace.clear()
     name = rng.choice(RECORDING_NAMES)
-    recordings.write_invalid_recording(workspace.undamaged[rng.choice((0, 1, 3))], folder / name, rng)
+    recordings.write_invalid_recording(workspace.undamaged[rng.choice(scenes.RECORDED_SCENES)], folder / name, rng)
     return run([name if word == "r.mcap" else word for word in _reading_command(rng)], folder), []
 
 
@@ -348,6 +373,11 @@ def import_damaged_file(workspace: Workspace, rng: random.Random) -> tuple[Comma
     return result, []
 
 
+def interrupt_server(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
+    """Kill or interrupt a bench or a server while it records."""
+    return servers.interrupt_server(workspace.clear(), rng)
+
+
 def attack_bench(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
     """Attack the page or the server of a bench."""
     return attacks.attack(workspace.scenes[0], workspace.clear(), rng)
@@ -365,5 +395,6 @@ KINDS: dict[str, Callable[[Workspace, random.Random], tuple[CommandResult, list[
     "words": use_random_command_line,
     "recordings": use_invalid_recording,
     "imports": import_damaged_file,
+    "servers": interrupt_server,
     "attacks": attack_bench,
 }

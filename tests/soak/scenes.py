@@ -49,8 +49,33 @@ UNUSUAL_NUMBERS = (
 UNUSUAL_VALUES: tuple[Any, ...] = (None, True, [], {}, [[]], [None], {"a": {"b": []}}, [1, "x"], ["1 kg"] * 1000)
 UNITS = ("Hz", "s", "kg", "N", "V", "m", "mm", "%", "kN/m", "rad/s", "mV/g", "bit", "", "parsec", "ug/sqrt(Hz)")
 
+# A body on a shaker table, and a body with a damper that a force drives: for tests that control or follow the motion.
+_TABLE: dict[str, Any] = {
+    "structure": {"masses": ["12 kg"], "springs": ["240 kN/m"], "damping": {"modal": "2 %"}},
+    "shaker": {"kind": "base", "output": {"range": "10 V", "bits": 16}},
+    "channels": [
+        {"name": "table", "at": "table", "accelerometer": {"sensitivity": "100 mV/g"}},
+        {"name": "body1", "at": "body 1", "accelerometer": {"sensitivity": "100 mV/g"}},
+    ],
+    "converter": {"rate": "1024 Hz", "bits": 24, "range": "5 V"},
+}
+_FORCED: dict[str, Any] = {
+    "structure": {"masses": ["1 kg"], "springs": ["100 kN/m"], "damping": {"modal": "2 %"}},
+    "dampers": [{"body": 1, "mass_ratio": "5 %", "clearance": "1 mm"}],
+    "shaker": {"kind": "force", "body": 1},
+    "channels": [
+        {
+            "name": "body1",
+            "at": "body 1",
+            "accelerometer": {"sensitivity": "100 mV/g", "noise": "20 ug/sqrt(Hz)"},
+            "integrator": {"order": 2, "corner": "1 Hz", "gain": 1000},
+        },
+        {"name": "force", "at": "shaker"},
+    ],
+    "converter": {"rate": "1024 Hz", "bits": 24, "range": "5 V"},
+}
 # Valid scenes, from which the invalid ones are made.
-VALID_SCENES = (
+VALID_SCENES: tuple[dict[str, Any], ...] = (
     {
         "structure": {
             "masses": ["0.74 kg", "0.71 kg"],
@@ -131,7 +156,65 @@ VALID_SCENES = (
             "force": "1 N",
         },
     },
+    {
+        **_TABLE,
+        "test": {
+            "kind": "sine_control",
+            "from": "10 Hz",
+            "to": "15 Hz",
+            "duration": "10 s",
+            "profile": {"frequencies": ["10 Hz", "15 Hz"], "acceleration": ["0.1 g", "0.3 g"]},
+            "control": {"channels": ["table"]},
+        },
+    },
+    {
+        **_TABLE,
+        "test": {
+            "kind": "random_control",
+            "profile": {"frequencies": ["20 Hz", "100 Hz"], "density": ["0.001 g^2/Hz", "0.001 g^2/Hz"]},
+            "control": {"channels": ["table"]},
+            "lines": 60,
+            "duration": "5 s",
+        },
+    },
+    {
+        **_TABLE,
+        "test": {
+            "kind": "shock",
+            "half_sine": {"peak": "5 g", "width": "11 ms"},
+            "control": "table",
+            "interval": "1 s",
+        },
+    },
+    {
+        **_FORCED,
+        "test": {
+            "kind": "constant_response",
+            "from": "49 Hz",
+            "to": "50 Hz",
+            "points": 2,
+            "at": "body 1",
+            "displacement": ["0.2 mm"],
+        },
+    },
+    {
+        **_FORCED,
+        "test": {
+            "kind": "phase_resonance",
+            "frequency": "49 Hz",
+            "from": "45 Hz",
+            "to": "53 Hz",
+            "at": "body 1",
+            "force": ["1 N"],
+        },
+    },
+    {
+        **_FORCED,
+        "test": {"kind": "continuation", "from": "51 Hz", "to": "49.5 Hz", "at": "body 1", "force": ["1 N"]},
+    },
 )
+# Scenes with recordings that are damaged, or whose recording is interrupted: all kinds of procedures.
+RECORDED_SCENES = (0, 1, 3, *range(6, len(VALID_SCENES)))
 
 
 def valid_scene(rng: random.Random) -> str:

@@ -19,7 +19,8 @@ from rig.core.system.structural_model import receptance
 # Part of a scene file.
 Settings = dict[str, Any]
 
-# Kinds of tests. Those with dampers are compared with periodic orbits or simulation, the others with closed form.
+# Kinds of tests. Those with dampers or joints are compared with periodic orbits or simulation, the others with closed
+# form.
 KINDS = (
     "random",
     "burst_random",
@@ -34,6 +35,7 @@ KINDS = (
     "tone_dampers",
     "steps_dampers",
     "decay_dampers",
+    "stepped_sine_joints",
     "tone_finite_contact",
     "steps_finite_contact",
     "curves_close_modes",
@@ -91,12 +93,14 @@ def draw(seed: int, number: int, kind: str) -> rig.Scene:
     chain, natural_frequencies = draw_chain(random)
     settings: Settings = {"name": f"gauntlet {seed}/{number} {kind}", "structure": chain}
     bodies = len(chain["masses"])
-    test = kind.removesuffix("_dampers").removeprefix("imported_")
+    test = kind.removesuffix("_dampers").removesuffix("_joints").removeprefix("imported_")
     if kind.endswith("_dampers"):
         settings["dampers"] = _dampers(random, bodies)
     if test != "impulse":
         settings["shaker"] = _shaker(random, chain, bodies, kind)
     settings["test"] = _test(random, test, natural_frequencies, bodies, settings)
+    if kind.endswith("_joints"):
+        settings["joints"] = _joints(random, settings, bodies)
     settings["channels"] = _channels(random, settings, bodies)
     settings["converter"] = _converter(random, settings, natural_frequencies)
     if not any("preset" in channel.get("accelerometer", {}) for channel in settings["channels"]):
@@ -155,6 +159,29 @@ def _dampers(random: Draw, bodies: int) -> list[Settings]:
         clearance = random.choice([".inf", f"{random.log_uniform(0.3, 3.0):.3g} mm"])
         dampers.append({"body": body, "mass_ratio": random.uniform(0.03, 0.12), "clearance": clearance})
     return dampers
+
+
+def _joints(random: Draw, settings: Settings, bodies: int) -> list[Settings]:
+    """Draw one or two joints of any kind that act near the resonance of the linear structure, but not far from it."""
+    test, structure = settings["test"], {"name": "linear", "structure": settings["structure"]}
+    body = settings["shaker"]["body"]
+    scene = rig.load(structure | {"shaker": {"kind": "force", "body": body}})
+    motion = test["force"] * receptance(scene, np.linspace(test["from"], test["to"], 500))
+    places = ["ground", *range(1, bodies + 1)]
+    joints = []
+    for _ in range(random.integer(1, 2)):
+        lower = random.integer(0, bodies - 1)
+        upper = random.integer(lower + 1, bodies)
+        amplitude = float(abs(motion[upper - 1] - (motion[lower - 1] if lower else 0.0)).max())
+        stiffness = float(f"{settings['structure']['springs'][0] * random.log_uniform(0.1, 2.0):.4g}")
+        displacement = float(f"{amplitude * random.uniform(0.2, 1.2):.4g}")
+        joint: Settings = {"gap": displacement, "damping": random.log_uniform(1e-4, 1e-2) * stiffness}
+        if random.chance(0.3):
+            joint = {"gap": displacement, "restitution": random.uniform(0.2, 0.9)}
+        if random.chance(0.5):
+            joint = {"slip_force": float(f"{stiffness * displacement:.4g}")}
+        joints.append({"between": [places[lower], places[upper]], "stiffness": stiffness, **joint})
+    return joints
 
 
 def _shaker(random: Draw, chain: Settings, bodies: int, kind: str) -> Settings:

@@ -133,8 +133,9 @@ def dampers_in(rec: Recording, label: str | None = None, progress: CountProgress
     for sweep in sweeps(rec, progress=progress):
         bodies, warnings = [], list(sweep.lines.warnings)
         missing = [
-            f"joint {number}, {joint.text(rec.scene.structure.label)}: channels cannot tell when it acts, nor the "
-            "impacts of dampers in its bodies. The energy into the dampers includes its loss."
+            f"joint {number}, {joint.text(rec.scene.structure.label)}: the channels do not determine when it acts, "
+            "because its force is not measured. It changes the motion of its bodies as impacts of dampers do, so that "
+            "these are not detected. The energy into the dampers includes its loss."
             for number, joint in enumerate(rec.scene.joints, 1)
         ]
         missing += [

@@ -55,6 +55,17 @@ def damping_ratio(duration: float, restitution: float) -> float:
     return float(brentq(lambda z: 2.0 * z * _half_phase(z) - target, 0.0, 1.0 + math.exp(0.5 * target), xtol=1e-15))
 
 
+def dashpot(stiffness: float, restitution: float, mass: float) -> float:
+    """Return the damping [N s/m] of a wall with a stiffness [N/m], for a restitution above 0 and a reduced mass [kg].
+
+    >>> damping = dashpot(stiffness=1e5, restitution=0.3, mass=0.04)
+    >>> round(duration_and_restitution(1e5, damping, mass=0.04)[1], 12)
+    0.3
+    """
+    zeta = damping_ratio(math.inf, restitution)  # the duration matters only without rebound
+    return 2.0 * zeta * math.sqrt(stiffness * mass)
+
+
 def spring_damper(duration: float, restitution: float, mass: float) -> tuple[float, float]:
     """Return stiffness [N/m] and damping [N s/m] of the contact with a duration and a restitution.
 

@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, WithJsonSchema
 from rig.core.scene.body_names import GROUND
 from rig.core.settings.alternatives import Alternatives, by_key
 from rig.core.settings.problems import Problem
-from rig.core.settings.quantities import DASHPOT, FORCE, LENGTH, STIFFNESS
+from rig.core.settings.quantities import DASHPOT, FORCE, LENGTH, RATIO, STIFFNESS
 from rig.core.settings.quantity_field import Quantity, unexpected_value_error
 from rig.core.settings.settings import Settings
 
@@ -73,6 +73,14 @@ class Stop(_Joint):
     """Contact stiffness: force per overlap [N/m]."""
     damping: Annotated[float, Quantity(DASHPOT, at_least=0.0)] = 0.0
     """Contact damping: force per speed of approach [N s/m]; the stop never pulls."""
+    restitution: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] | None = None
+    """Instead of damping: ratio of separation to approach speed, if no other force acts on the two bodies."""
+
+    def check_consistency(self) -> Iterable[Problem]:
+        """Check the ends, and that the dashpot is given once."""
+        yield from super().check_consistency()
+        if self.restitution is not None and self.damping:
+            yield Problem(("restitution",), "restitution and damping are given together. Remove one of them.")
 
     @property
     def short_text(self) -> str:
@@ -82,6 +90,8 @@ class Stop(_Joint):
     def text(self, label: Callable[[int], str]) -> str:
         """Describe the joint; `label`: returns the name of a body for its number."""
         dashpot = f", {self.damping:.4g} N s/m" if self.damping else ""
+        if self.restitution is not None:
+            dashpot = f", restitution {self.restitution:.4g}"
         return f"stop {self._places(label)}, gap {self.short_text}, {self.stiffness:.4g} N/m{dashpot}"
 
 
@@ -90,6 +100,7 @@ class FrictionJoint(_Joint):
 
     gap: ClassVar[float] = 0.0
     damping: ClassVar[float] = 0.0
+    restitution: ClassVar[float | None] = None
     slip_force: Annotated[float, Quantity(FORCE, above=0.0)]
     """Force at which the slider moves [N]; it is without force at rest."""
     stiffness: Annotated[float, Quantity(STIFFNESS, above=0.0)]

@@ -17,7 +17,7 @@ from rig.core.base.errors import SceneError
 from rig.core.base.once import once_per_object
 from rig.core.equations import Equations
 from rig.core.laws.friction_joint import friction_joint
-from rig.core.laws.landing import spring_damper
+from rig.core.laws.landing import dashpot, spring_damper
 from rig.core.laws.law import Law
 from rig.core.laws.particle_bed import particle_bed
 from rig.core.laws.sliding_mass import sliding_mass
@@ -140,7 +140,10 @@ def _joint(equations: Equations, joint: Stop | FrictionJoint, number: int) -> El
     if base >= 0:
         direction[base] = -1.0
     accelerated_mass = float(1.0 / (direction @ np.linalg.solve(mass, direction)))
-    declare: Callable[..., Law] = partial(stop, joint.stiffness, joint.damping, upper is None)
+    damping = joint.damping
+    if joint.restitution is not None:
+        damping = dashpot(joint.stiffness, joint.restitution, accelerated_mass)
+    declare: Callable[..., Law] = partial(stop, joint.stiffness, damping, upper is None)
     clearance, memory = joint.gap, -1
     if joint.slip_force is not None:
         declare, clearance = partial(friction_joint, joint.stiffness), joint.slip_force / joint.stiffness

@@ -32,17 +32,20 @@ def vertical_axis(scene: Scene, over: str | None) -> tuple[str, Kind]:
     """Return the name of the vertical axis, and its kind of quantity.
 
     `over`: "force", "drive" or "clearance". None: the level of the scene's test. Raises `SceneError` if it is
-    neither that level nor the clearance, or the scene has no level or no moving damper.
+    neither that level nor the clearance of a damper, or the scene has no level or is linear.
     """
     level_of(scene)
-    if not any(element.law.walls for element in assemble(scene).elements):
+    if scene.is_linear:
         raise SceneError(
-            f"scene {scene.name!r} has no damper that can hit a wall, so that its response is linear. Use rig response."
+            f"scene {scene.name!r} has no joint, and no damper that can hit a wall or slide, so that its response is "
+            "linear. Use rig response."
         )
     level_quantity = scene.level_key
     over = over if over is not None else level_quantity
     if over not in (level_quantity, "clearance"):
         raise SceneError(f"over: got {over!r}; expected {level_quantity} (the level of the scene's test) or clearance")
+    if over == "clearance" and not any(damper.has_walls and damper.moves for damper in scene.dampers):
+        raise SceneError(f"over: scene {scene.name!r} has no damper with a wall. Use {level_quantity}.")
     if over == "drive":
         assert scene.driven_shaker is not None
         return over, scene.driven_shaker.drive_quantity
@@ -96,10 +99,10 @@ def _test_range(scene: Scene) -> tuple[float, float]:
 
 
 def take_off_levels(scene: Scene, frequency: Array) -> Array:
-    """Compute the level at which a bed reaches 1 g, or a mass on a spring its wall, in the linear structure.
+    """Compute the level at which the linear motion with all dampers at rest ends.
 
-    All beds are on their floors. `frequency`, shape (frequencies,): Hz. Returns shape (frequencies,), N, or the unit of
-    the drive.
+    There a bed reaches 1 g, a mass on a spring its wall, friction its limit, or the first joint closes or slips.
+    `frequency`, shape (frequencies,): Hz. Returns shape (frequencies,), N, or the unit of the drive.
     """
     system = assemble(scene)
     take_off = system.take_off_acceleration[np.isfinite(system.take_off_acceleration)]

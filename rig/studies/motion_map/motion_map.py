@@ -68,11 +68,11 @@ class MotionMap(Result):
     frequency : ndarray, shape (frequencies,)
         Hz, ascending; each motion is continued from the previous frequency of its row.
     kind : ndarray of int, shape (rows, frequencies)
-        Index in `KINDS` of the most complex motion type of the dampers.
+        Index in `KINDS` of the most complex motion type of the dampers and joints.
     motion : ndarray of str, shape (rows, frequencies)
-        Motion type of each damper, in order, joined by "/".
+        Motion type of each damper, in order, then of each joint, joined by "/".
     impacts : ndarray, shape (rows, frequencies)
-        Impacts of all dampers per period.
+        Impacts of all dampers and joints per period.
     repetition : ndarray of int, shape (rows, frequencies)
         Periods of the drive after which the motion repeats; 0 if no repetition was detected.
     periods : ndarray of int, shape (rows, frequencies)
@@ -80,7 +80,8 @@ class MotionMap(Result):
     cpu : ndarray, shape (rows, frequencies)
         CPU time, s; excluded from tables and figures, so that these do not depend on the machine.
     take_off : ndarray, shape (frequencies,)
-        Level at which a damper's body reaches 1 g, computed for the linear structure with all dampers on their floors.
+        Level below which the motion is linear, with all dampers at rest: where the first damper starts to move in its
+        body (1 g for a bed) or hits a wall, or the first joint closes or slips.
     """
 
     scene: Scene
@@ -107,12 +108,14 @@ class MotionMap(Result):
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return all points of the grid: location, motion type, impacts, repetition and computed periods."""
-        dampers = np.array([each.split("/") for each in self.motion.ravel()]).T
+        motions = np.array([each.split("/") for each in self.motion.ravel()]).T
+        names = [f"damper{k}" for k in range(1, len(motions) - len(self.scene.joints) + 1)]
+        names += [f"joint{k}" for k in range(1, len(self.scene.joints) + 1)]
         return {
             f"{self.over}_{self.unit}": np.repeat(self.value, self.frequency.size),
             "frequency_Hz": np.tile(self.frequency, self.value.size),
             "kind": np.array(KINDS)[self.kind.ravel()],
-            **{f"damper{k}_motion": row for k, row in enumerate(dampers, 1)},
+            **{f"{name}_motion": row for name, row in zip(names, motions, strict=True)},
             "impacts_per_period": self.impacts.ravel(),
             "repetition_periods": self.repetition.ravel(),
             "periods_followed": self.periods.ravel(),
@@ -219,7 +222,7 @@ def map_motion(
     RunError
         If that file cannot be read or written.
     SceneError
-        If the scene has no moving damper, no shaker or no level, a bed of grains, or a value that is not positive.
+        If the scene is linear, has no shaker or no level, a bed of grains, or a value that is not positive.
     """
     scene = scene_of(scene)
     over, kind = vertical_axis(scene, over)
@@ -279,7 +282,7 @@ class _Row(NamedTuple):
 class _Point(NamedTuple):
     """A point of the map: properties of a steady-state motion."""
 
-    types: list[str]  # motion type of each damper
+    types: list[str]  # motion type of each damper, then of each joint
     impacts: float
     repetition: int
     periods: int
@@ -310,17 +313,17 @@ _STUDY: Study[_Row, list[_Point]] = Study(
 )
 
 
-def _kind_index(damper_motion: str) -> int:
-    """Return the position in `KINDS` of a damper's motion type.
+def _kind_index(motion: str) -> int:
+    """Return the position in `KINDS` of the motion type of a damper or joint.
 
     >>> [KINDS[_kind_index(name)] for name in ("riding", "III", "3 per 1", "2 slips per 1", "3 per 2")]
     ['riding', 'III', 'other, every period', 'other, every period', 'longer period']
     """
-    if damper_motion == "linear":
-        return 0  # a damper without walls does not change the kind of the motion
-    if damper_motion in KINDS:
-        return KINDS.index(damper_motion)
-    return KINDS.index("other, every period" if damper_motion.endswith(" per 1") else "longer period")
+    if motion == "linear":
+        return 0  # nothing hits a wall, slides or closes
+    if motion in KINDS:
+        return KINDS.index(motion)
+    return KINDS.index("other, every period" if motion.endswith(" per 1") else "longer period")
 
 
 def summarize_map(map_: MotionMap) -> str:
@@ -372,6 +375,7 @@ def _draw(map_: MotionMap) -> Figure:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
+    nouns = " and ".join(["dampers"] * bool(map_.scene.dampers) + ["joints"] * bool(map_.scene.joints))
     with new_figure(4.6, 10.0) as figure:
         left, right = figure.subplots(1, 2, sharey=True)
         map_.draw(left)
@@ -383,12 +387,12 @@ def _draw(map_: MotionMap) -> Figure:
         set_log_scale(bar.ax.yaxis)
         map_.draw_axes(right)
         right.set_ylabel("")
-        left.set_title("Most complex motion type of the dampers")
+        left.set_title(f"Most complex motion type of the {nouns}")
         right.set_title(f"Settling within {STEADY_TOLERANCE:.0e} after a frequency step".replace("1e-06", "10⁻⁶"))
         present = sorted(set(map_.kind.ravel()))
         handles: list[Patch | Line2D] = [Patch(color=MOTIONS[k], label=LEGEND[k]) for k in present]
         if map_.over != "clearance":
-            handles.append(Line2D([], [], color="black", lw=1.2, label="1 g; dampers fly above this line"))
+            handles.append(Line2D([], [], color="black", lw=1.2, label="linear below this line (beds: 1 g)"))
         if map_.own_value is not None:
             handles.append(Line2D([], [], color="black", lw=1.0, ls="--", label=f"{map_.over} of the scene"))
         if not np.isfinite(settling).all():

@@ -51,9 +51,9 @@ MAX_MISLEADING_FRACTION = 0.02
 MAX_UNRESOLVED_FRACTION = 0.3
 # Warnings that the complete curve is not a response to steady tones. No other warning excuses a wrong line.
 _NOT_TONES = (LIFTED, NONLINEAR, ONE_REALIZATION, "was measured before steady state", "too fast to reach steady state")
-# Relative error of the truth with moving dampers, relative to that of the images of the drive, (frequency / rate)²: the
-# drive is interpolated between its samples, while the exact orbits have a sinusoidal force. A rate four times as high
-# reduces this error by a factor of 16.
+# Relative error of the truth of a nonlinear structure, relative to that of the images of the drive,
+# (frequency / rate)²: the drive is interpolated between its samples, while the exact orbits have a sinusoidal force. A
+# rate four times as high reduces this error by a factor of 16.
 _IMAGE_SENSITIVITY = 5.0
 # Relative rounding error of curves without noise.
 _ROUNDING = 1e-9
@@ -172,7 +172,7 @@ def check(case: Case, kind: str) -> list[CheckResult]:
     regular_truth = _exclude_irregular(case, _truth(case.scene))
     truth = _truth_at_actual_forces(case, regular_truth, np.inf)
     truth_near_nominal_force = _truth_at_actual_forces(case, regular_truth, _MAX_FORCE_DEVIATION)
-    sensitivity = _IMAGE_SENSITIVITY if any(damper.moves for damper in case.scene.dampers) else 0.0
+    sensitivity = 0.0 if case.scene.is_linear else _IMAGE_SENSITIVITY
     magnitudes: dict[str, list[tuple[Response, NDArray[np.complex128]]]] = {
         "magnitudes": [],
         "magnitudes, as built": [],
@@ -181,7 +181,7 @@ def check(case: Case, kind: str) -> list[CheckResult]:
         for frf in group:
             warnings += frf.warnings
             body = case.recording.channels[frf.response].body - 1
-            if not case.scene.dampers:
+            if case.scene.is_linear:
                 for selected in (frf, *_between_lines(frf)):
                     magnitudes["magnitudes"].append((selected, truth(selected.frequency)[body]))
                     exact = _curve_of_actual_sensors(case, selected, truth_near_nominal_force)
@@ -260,13 +260,13 @@ def _truth(scene: rig.Scene) -> ReceptanceFunction:
                 # If dampers fly, the analysis warns and the curve is not compared. Otherwise the dampers are at rest.
                 dampers = [damper.replace(locked=True) for damper in scene.dampers]
                 cache[key] = receptance(scene.replace(dampers=dampers), frequency)
-            elif scene.dampers and isinstance(scene.driven_shaker, ForceShaker):
+            elif not scene.is_linear and isinstance(scene.driven_shaker, ForceShaker):
                 response = rig.orbit_response(scene, frequency)
                 settled = _steady_receptance(scene, frequency)
                 differs = np.any(abs(settled / response.compliance - 1.0) > _MAX_DIFFERENCE_OF_METHODS, axis=0)
                 cache[key] = np.where(response.simulated | differs, np.nan, response.compliance)
-            elif scene.dampers:
-                # Through the coil spring, the harmonics of the dampers affect the force.
+            elif not scene.is_linear:
+                # Through the coil spring, the harmonics of dampers and joints affect the force.
                 cache[key] = _steady_receptance(scene, frequency)
             else:
                 cache[key] = receptance(scene, frequency)
@@ -278,7 +278,7 @@ def _truth(scene: rig.Scene) -> ReceptanceFunction:
 def _exclude_irregular(case: Case, exact: ReceptanceFunction) -> ReceptanceFunction:
     """Return ``exact``, with NaN where the recorded true motion is irregular or another steady-state motion."""
     recording, excluded = case.recording, []
-    if not case.scene.dampers or recording.truth_points == ():
+    if case.scene.is_linear or recording.truth_points == ():
         return exact
     for marker in recording.markers:
         if marker.kind == "measure" and "frequency" in marker.fields and marker.last_sample is not None:
@@ -336,7 +336,7 @@ def _truth_at_actual_forces(case: Case, truth: ReceptanceFunction, max_deviation
         for marker in case.recording.markers
         if marker.kind == "measure" and "frequency" in marker.fields and "force" in marker.fields
     }
-    if not scene.dampers or not readings or scene.test.force is None:
+    if scene.is_linear or not readings or scene.test.force is None:
         return truth
     truth_at_higher_force = _truth(scene.replace(test=scene.test.replace(force=scene.test.force * (1.0 + _FORCE_STEP))))
     frequencies, forces = np.array(list(readings)), np.array(list(readings.values()))

@@ -114,6 +114,23 @@ def test_map_starts_at_the_level_of_first_contact() -> None:
 SINE = {"kind": "sine", "frequency": 15.0}
 
 
+def test_rebound_has_the_given_restitution() -> None:
+    # Springs change the speeds during the short contact by less than the tolerance.
+    bodies = {"masses": [1.0, 0.5], "springs": [10.0, 10.0]}
+    joint = {"between": [1, 2], "gap": 1e-6, "stiffness": 1e10, "restitution": 0.3}
+    test = {"kind": "free", "velocity": [0.0, -1.0]}
+    scene = rig.load({"structure": bodies, "gravity": 0.0, "joints": [joint], "test": test})
+    run = rig.simulate(scene, duration=1e-4, rate=1e5)
+    assert list(run.events["kind"]) == ["touch", "release"]
+    assert run.velocity[1, -1] - run.velocity[0, -1] == pytest.approx(0.3, rel=1e-5)
+
+
+def test_restitution_excludes_damping() -> None:
+    joint = {"between": [1, 2], "gap": 1e-3, "stiffness": 1e5, "damping": 5.0, "restitution": 0.3}
+    with pytest.raises(SceneError, match="restitution and damping are given together"):
+        two_bodies(joint)
+
+
 def test_weight_of_a_bed_closes_a_stop_at_rest() -> None:
     bed = {"body": 1, "mass": 0.5, "clearance": 1e-3}
     scene = two_bodies({"between": ["ground", 1], "gap": 0.0, "stiffness": 7e4}, dampers=[bed])

@@ -103,6 +103,14 @@ def test_table_drive_becomes_the_axis() -> None:
         rig.map_motion(scene, over="force")
 
 
+def test_slips_of_a_joint_are_mapped() -> None:
+    result = rig.map_motion("friction-joint", values=[0.1, 1.0], frequencies=[12.0, 13.1])
+    assert result.columns()["joint1_motion"].tolist() == ["linear", "linear", "linear", "2 slips per 1"]
+    np.testing.assert_array_equal(result.value[:, None] > result.take_off, result.kind > 0)
+    with pytest.raises(SceneError, match="no damper with a wall"):
+        rig.map_motion("friction-joint", over="clearance")
+
+
 def test_locked_dampers_keep_their_clearance() -> None:
     scene = rig.load("fig5-three-dampers")
     first, *rest = scene.dampers

@@ -22,9 +22,9 @@ def main() -> None:
         sys.argv[:2] = [program]
         import_module(f"{program}.__main__").main()
     elif program == "--version":
-        from rig.core.base.unexpected import version
+        from importlib.metadata import version
 
-        print(f"shotrig {version()}")
+        print(f"shotrig {version('shotrig')}")
     elif program == "--help":
         print("Usage: shotrig PROGRAM COMMAND [OPTIONS]\n\nPrograms:")
         print("\n".join(f"  {name:10}{text[0].upper()}{text[1:]}." for name, text in PROGRAMS.items()))

@@ -16,8 +16,8 @@ settings.register_profile(
 )
 settings.load_profile("project")
 
-# No messages that a command is still running: on a busy machine they would appear between the lines that tests check.
-console.MAX_SILENCE_S = float("inf")
+# No lines of progress: on a busy machine they would appear between the lines that tests check.
+console.REPORT_INTERVAL_S = float("inf")
 
 # The commands of a program are built once, not for each call: building them takes longer than many tests.
 typer.testing._get_command = functools.cache(typer.main.get_command)

@@ -12,7 +12,7 @@ import typer
 
 from rig.commands.arguments import Changes, Overwrite, SceneNames, load_scene
 from rig.commands.command_line import create_application, run_command
-from rig.core.base.console import pause_reports, progress, user_terminal
+from rig.core.base.console import progress, user_terminal
 from rig.core.base.errors import RecordingError
 from rig.core.base.output_files import allow_overwriting, prepare_outputs
 
@@ -229,11 +229,6 @@ def run_a_script(
 
     with user_terminal():
         code = run_script(script, arguments or [], _load_bench_scene(scene, changes), clock)
-    if code == 1:
-        from rig.core.base.shadowing import shadowing_files
-
-        for note in shadowing_files(script.absolute().parent):
-            typer.echo(f"note: {note}", err=True)
     raise typer.Exit(code)
 
 
@@ -285,8 +280,7 @@ def serve_a_rig(
     if output is not None:
         with allow_overwriting(overwrite):
             _prepare_recordings(output)
-    with pause_reports():
-        serve(bench, clock, address, port, certificates, limits, output, output is not None)
+    serve(bench, clock, address, port, certificates, limits, output, output is not None)
 
 
 @app.command("bench", example="daq bench fig9 --port 0")
@@ -322,8 +316,7 @@ def bench_in_the_browser(
         path = output
         with allow_overwriting(overwrite):
             _prepare_recordings(path)
-    with pause_reports():
-        bench(settings, address, port, device_port, path, output is not None, browser)
+    bench(settings, address, port, device_port, path, output is not None, browser)
 
 
 def _check_port(option: str, port: int) -> None:

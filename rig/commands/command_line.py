@@ -1,7 +1,6 @@
 """Entry point and error handling shared by the command lines of the three packages.
 
-No command ends in a traceback or is without output for long. An error that a user can correct has its own message
-(`rig.core.base.errors`). An unexpected error produces a short message and a file with the details.
+An error that a user can correct has its own message (`rig.core.base.errors`). An unexpected error shows its traceback.
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ import os
 import re
 import signal
 import sys
-import threading
 import warnings
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
@@ -22,10 +20,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from rig.core.base import console
 from rig.core.base.ending_signals import TERMINATION_SIGNALS, received_signals
-from rig.core.base.errors import RunError, ShotrigError
+from rig.core.base.errors import RunError, ShotrigError, unexpected_text
 from rig.core.base.output_files import ask_before_replacing
-from rig.core.base.shadowing import shadowing_files
-from rig.core.base.unexpected import describe_unexpected, version
 from rig.extras.grains.ranks import join
 
 if TYPE_CHECKING:
@@ -51,8 +47,6 @@ _options: dict[str, str] = {}
 _GC_THRESHOLD = 500_000
 # Exit code after Ctrl-C: 128 plus the signal number.
 _INTERRUPTED_CODE = 128 + signal.SIGINT
-# Whether a command is running, which an interrupt may end.
-_is_running = threading.Event()
 
 
 def create_application(help_text: str) -> Application:
@@ -62,7 +56,7 @@ def create_application(help_text: str) -> Application:
     from rig.commands.command_help import Application
 
     app = Application(
-        help=f"{help_text} With --debug before the command, an unexpected error shows its traceback.",
+        help=help_text,
         no_args_is_help=True,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
@@ -70,7 +64,9 @@ def create_application(help_text: str) -> Application:
 
     def print_version(requested: bool) -> None:
         if requested:
-            print(f"shotrig {version()}")
+            from importlib.metadata import version
+
+            print(f"shotrig {version('shotrig')}")
             raise typer.Exit
 
     option = typer.Option(False, "--version", callback=print_version, is_eager=True, help="Print the version.")
@@ -93,26 +89,20 @@ def run_command(module: str) -> NoReturn:
     # Imported objects are permanent: scanning them for garbage takes a tenth of the start-up time.
     gc.set_threshold(_GC_THRESHOLD)
     received_signals.clear()
-    _is_running.set()
-    arguments = sys.argv[1:]
-    debug = arguments[:1] == ["--debug"]
     with ExitStack() as cleanup:
         try:
             _handle_signals(cleanup)
             console.replace_streams(cleanup)
-            _replace_hooks(cleanup)
+            _report_warnings(cleanup)
             join()
-            console.report_activity(cleanup)
             ask_before_replacing(console.ask_to_replace)
-            code = _execute(module, arguments[debug:])
+            code = _execute(module, sys.argv[1:])
             sys.stdout.flush()
             # From here on, also after an error, a signal ends the process immediately.
-            _is_running.clear()
             _set_termination_handler(signal.SIG_DFL)
         except BaseException as error:
-            _is_running.clear()
             _set_termination_handler(signal.SIG_DFL)
-            code = _report(error, debug)
+            code = _report(error)
     gc.freeze()
     sys.exit(128 + received_signals[0] if code == _INTERRUPTED_CODE and received_signals else code)
 
@@ -174,14 +164,10 @@ def _check_option(context: Any, option: Any, value: Any) -> Any:
     return value
 
 
-def _report(error: BaseException, debug: bool) -> int:
+def _report(error: BaseException) -> int:
     """Report why a command ended, and return its exit code."""
     code, text = _describe(error)
     with suppress(OSError):
-        if debug and not isinstance(error, SystemExit):
-            import traceback
-
-            traceback.print_exception(error)
         if text:
             print(_with_options(text), file=sys.stderr, flush=True)
     try:
@@ -222,18 +208,9 @@ def _describe(error: BaseException) -> tuple[int, str]:
         usage = "" if context is None else f"{context.get_usage()}\n"
         return 2, f"{usage}error: {error.format_message()}"
     # Extension modules may report an interrupt during loading as an unrelated failure.
-    if received_signals or _is_caused_by_interrupt(error):
+    if received_signals:
         return _INTERRUPTED_CODE, "interrupted"
-    if isinstance(error, ImportError | AttributeError) and (messages := shadowing_files(Path(sys.path[0]))):
-        return 1, "\n".join(f"error: {text}" for text in messages)
-    return 1, describe_unexpected(error)
-
-
-def _is_caused_by_interrupt(error: BaseException | None) -> bool:
-    """Return whether an exception was caused by Ctrl-C, for example while an extension module was loaded."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    return error is not None
+    return 1, f"error: {unexpected_text(error)}"
 
 
 # -- signals ---------------------------------------------------------------------------------------------
@@ -263,15 +240,10 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 # -- messages --------------------------------------------------------------------------------------------
 
 
-def _replace_hooks(cleanup: ExitStack) -> None:
-    """Report warnings, errors of threads and log messages in one line each on stderr."""
-    for module, name, hook in (
-        (warnings, "showwarning", _warn),
-        (sys, "unraisablehook", _report_unraisable),
-        (threading, "excepthook", _report_thread_error),
-    ):
-        cleanup.callback(setattr, module, name, getattr(module, name))
-        setattr(module, name, hook)
+def _report_warnings(cleanup: ExitStack) -> None:
+    """Report warnings and log messages in one line each on stderr."""
+    cleanup.callback(setattr, warnings, "showwarning", warnings.showwarning)
+    warnings.showwarning = _warn
     import logging
 
     # Without a handler, Python prints warnings that other packages log.
@@ -289,29 +261,3 @@ def _replace_hooks(cleanup: ExitStack) -> None:
 
 def _warn(message: Warning | str, *_: Any, **__: Any) -> None:
     print(f"warning: {_with_options(str(message))}", file=sys.stderr)
-
-
-def _report_unraisable(unraisable: sys.UnraisableHookArgs) -> None:
-    """Report an error that Python cannot raise, because it occurred in a destructor or another cleanup."""
-    if isinstance(unraisable.exc_value, KeyboardInterrupt):
-        # Ctrl-C arrived at that moment; forward it to the command.
-        timer = threading.Timer(0.01, _interrupt_again)
-        timer.daemon = True
-        timer.start()
-    else:
-        print(
-            f"warning: an unexpected error while resources were released was ignored ({unraisable.exc_value!r}). "
-            "Please report it as a bug.",
-            file=sys.stderr,
-        )
-
-
-def _interrupt_again() -> None:
-    """Interrupt the command, unless it has ended in the meantime: its exit code and message are then complete."""
-    if _is_running.is_set():
-        signal.raise_signal(signal.SIGINT)
-
-
-def _report_thread_error(failure: threading.ExceptHookArgs) -> None:
-    if failure.exc_value is not None:
-        print(describe_unexpected(failure.exc_value), file=sys.stderr)

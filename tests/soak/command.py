@@ -15,19 +15,15 @@ from importlib import import_module
 from pathlib import Path
 from typing import NoReturn
 
-import psutil
-
 from rig.core.base.ending_signals import TERMINATION_SIGNALS
 
-# Longest time without output before a command counts as hanging.
-SILENCE_LIMIT_S = 20.0
 # A command is killed after this time.
 TIME_LIMIT_S = 60.0
 # Largest resident memory of a command.
 MEMORY_LIMIT_BYTES = 1 << 30
 # Address space of a command, so that a fault cannot exhaust the memory of the machine. Libraries reserve much of it.
 ADDRESS_SPACE_BYTES = 12 << 30
-# Interval between measurements of the CPU time of a command.
+# Interval between looks at a command.
 OBSERVATION_INTERVAL_S = 0.2
 PACKAGES = ("rig", "daq", "analysis")
 
@@ -42,8 +38,6 @@ class CommandResult:
     """Exit code; negative: the signal that ended the command."""
     output: str
     """Standard output and standard error."""
-    silence: float
-    """Longest time without output, s; waiting for a processor does not count."""
     seconds: float
     """Elapsed time."""
     memory: int
@@ -57,8 +51,6 @@ class CommandResult:
             names.append("traceback")
         if "this is a fault of shotrig" in self.output:
             names.append("unexpected")
-        if self.silence > SILENCE_LIMIT_S:
-            names.append("silence")
         if self.memory > MEMORY_LIMIT_BYTES:
             names.append("memory")
         # Exit codes of the packages: 0 done, 1 failed, 2 bad input, 128 + number of SIGHUP, SIGINT or SIGTERM. `_watch`
@@ -139,30 +131,6 @@ def processes_remain(group: int, seconds: float = 5.0) -> bool:
     return True
 
 
-class RunningTime:
-    """Time of a command without the time in which it waited for a processor."""
-
-    def __init__(self, process_id: int) -> None:
-        self.process = psutil.Process(process_id)
-        self.last_time, self.last_cpu_time = time.monotonic(), 0.0
-
-    def since_last_call(self) -> float:
-        """Return the CPU time of a computing command since the previous call, s, otherwise the elapsed time."""
-        now = time.monotonic()
-        elapsed, self.last_time = now - self.last_time, now
-        total_cpu_time, is_ready = 0.0, False
-        try:
-            for process in (self.process, *self.process.children(recursive=True)):
-                total_cpu_time += sum(process.cpu_times()[:4])
-                is_ready |= process.status() in (psutil.STATUS_RUNNING, psutil.STATUS_DISK_SLEEP)
-        except psutil.Error:
-            # A process ended after the list of processes was read.
-            return 0.0
-        cpu_time, self.last_cpu_time = max(total_cpu_time - self.last_cpu_time, 0.0), total_cpu_time
-        # Background threads use up to 2 % of a processor even in a command that hangs.
-        return min(cpu_time, elapsed) if is_ready or cpu_time > 0.02 * elapsed else elapsed
-
-
 def _watch(
     words: Sequence[str],
     process_id: int,
@@ -171,20 +139,16 @@ def _watch(
     time_limit: float,
 ) -> CommandResult:
     """Collect the output of a child process from a pipe until it ends."""
-    start = last_measurement = time.monotonic()
-    running_time, received, is_open = RunningTime(process_id), bytearray(), True
-    current_silence = longest_silence = 0.0
+    start = time.monotonic()
+    received, is_open = bytearray(), True
     try:
         while is_open:
             ready, _, _ = select.select([output], [], [], 0.005 if on_poll is not None else OBSERVATION_INTERVAL_S)
             now = time.monotonic()
-            if now - last_measurement >= OBSERVATION_INTERVAL_S:
-                current_silence, last_measurement = current_silence + running_time.since_last_call(), now
-                longest_silence = max(longest_silence, current_silence)
             if ready:
                 data = os.read(output, 1 << 16)
                 received += data
-                is_open, current_silence = bool(data), 0.0
+                is_open = bool(data)
             if on_poll is not None:
                 on_poll(process_id, now - start)
             if now - start > time_limit:
@@ -198,7 +162,6 @@ def _watch(
         tuple(words),
         os.waitstatus_to_exitcode(status),
         received.decode(errors="replace"),
-        longest_silence,
         time.monotonic() - start,
         usage.ru_maxrss * 1024,
     )

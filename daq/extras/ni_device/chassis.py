@@ -29,8 +29,7 @@ from daq.extras.ni_device.engines.acquisition import Acquisition, InputPlan
 from daq.extras.ni_device.engines.generation import Generation, OutputBuffer, OutputPlan
 from daq.extras.ni_device.engines.triggers import AnalogSource, OtherTask
 from daq.extras.ni_device.errors import Code, DaqError
-from rig.core.base.errors import RunError, ShotrigError
-from rig.core.base.unexpected import describe_unexpected
+from rig.core.base.errors import RunError, ShotrigError, unexpected_text
 
 if TYPE_CHECKING:
     from daq.core.virtual_bench.bench import Bench, Block
@@ -363,7 +362,7 @@ class Chassis:
 
     def report_problem(self, part: str, error: BaseException) -> str:
         """Report on stderr that a part of the instrument has ended early, and add this to `problems`; return it."""
-        reason = describe_unexpected(error) if not isinstance(error, ShotrigError | OSError) else str(error)
+        reason = str(error) if isinstance(error, ShotrigError | OSError) else unexpected_text(error)
         self.problems.append(f"{part} has ended: {reason}")
         # The terminal may be closed already.
         with suppress(OSError):

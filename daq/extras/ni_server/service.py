@@ -25,7 +25,7 @@ from daq.extras.ni_server.discovery import Discovery
 from daq.extras.ni_server.protocol import SERVICE, SESSION_SERVICE, Method, decode, encode, methods
 from daq.extras.ni_server.served_instrument import Limits, ServedInstrument, format_error, truncate
 from daq.extras.ni_server.sessions import SessionExists
-from rig.core.base.unexpected import describe_unexpected
+from rig.core.base.errors import unexpected_text
 
 if TYPE_CHECKING:
     from daq.extras.ni_device.chassis import Chassis
@@ -165,8 +165,8 @@ class Server:
             # An unexpected error is printed only once for each call and type of error.
             error_type = name, type(error)
             if error_type not in self._unexpected:
-                self._unexpected[error_type] = describe_unexpected(error)
-                print(self._unexpected[error_type], file=sys.stderr, flush=True)
+                self._unexpected[error_type] = f"{type(error).__name__}: {error}"
+                print(unexpected_text(error), file=sys.stderr, flush=True)
             context.set_trailing_metadata((("ni-error", str(int(Code.INVALID_ATTRIBUTE_VALUE))),))
             context.abort(grpc.StatusCode.INVALID_ARGUMENT, truncate(f"{name}: {self._unexpected[error_type]}"))
 

@@ -28,7 +28,6 @@ from daq.extras.viewer.rerun_viewer import (
     require_display,
     viewer,
 )
-from rig.core.base.console import pause_reports
 from rig.core.base.errors import RunError, SceneError
 from rig.core.base.output_files import atomic_write, prepare_outputs
 from rig.core.base.progress import FractionProgress
@@ -173,8 +172,7 @@ def show(
                         f"the rerun viewer stopped receiving data ({error}). Show the recording again, or a part of it "
                         "with `from_s` and `to_s`."
                     ) from error
-        with pause_reports():
-            running.process.wait()
+        running.process.wait()
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Console output of the commands: escaped text, progress, and status messages during long work."""
+"""Console output of the commands: escaped text and progress."""
 
 from __future__ import annotations
 
@@ -6,13 +6,12 @@ import io
 import logging
 import os
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from functools import cache
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, ClassVar
+from typing import IO, TYPE_CHECKING
 
 from rig.core.base.escaping import escape_terminal
 from rig.core.base.progress import CountProgress, FractionProgress
@@ -21,10 +20,10 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
 _LOG = logging.getLogger("shotrig.compiling")
-# A command reports that it is still running after this time without output.
-MAX_SILENCE_S = 12.0
-# Delays separated by less than this count as one delay.
-_MAX_DELAY_GAP_S = 5.0
+# Without a terminal, progress is reported in lines at this interval.
+REPORT_INTERVAL_S = 12.0
+# Progress bars on the terminal, which a question interrupts.
+_bars: list[Progress] = []
 
 
 @cache
@@ -40,8 +39,6 @@ class Unwritable(OSError):
 class _EscapingStream(io.TextIOBase):
     """A stream that escapes control characters of text; a progress bar writes to `unescaped` directly."""
 
-    last_output_s = time.monotonic()
-
     def __init__(self, unescaped: IO[str]) -> None:
         self.unescaped = unescaped
 
@@ -50,7 +47,6 @@ class _EscapingStream(io.TextIOBase):
         if not isinstance(text, str):
             # click writes bytes to test whether a stream accepts them.
             raise TypeError(f"this stream accepts text, not {type(text).__name__}")
-        _EscapingStream.last_output_s = time.monotonic()
         encoding = self.encoding
         self._forward(self.unescaped.write, escape_terminal(text).encode(encoding, "backslashreplace").decode(encoding))
         return len(text)
@@ -99,86 +95,22 @@ def replace_streams(cleanup: ExitStack) -> None:
             setattr(sys, name, _EscapingStream(stream or open(os.devnull, "w", encoding="utf-8")))  # noqa: PTH123, SIM115
 
 
-class _Activity:
-    """Current activity and delays of a command.
-
-    `description`: None while the command waits for input. `delays`: causes of the current delay. `delay_start_s`,
-    `delay_end_s`: end of the last delay on the monotonic clock. `bar`: progress bar on the terminal.
-    """
-
-    description: str | None = ""
-    bar: ClassVar[Progress | None] = None
-    delays: ClassVar[list[str]] = []
-    delay_start_s = delay_end_s = float("-inf")
-
-
-def report_activity(cleanup: ExitStack) -> None:
-    """Report at intervals that a command is running, until the exit stack is closed."""
-    ended = threading.Event()
-    cleanup.callback(ended.set)
-    _Activity.description = ""
-    threading.Thread(target=_report_periodically, args=(ended, sys.stderr), name="activity", daemon=True).start()
-
-
-def _report_periodically(ended: threading.Event, stream: Any) -> None:
-    """Report the activity or the delay whenever there was no output for `MAX_SILENCE_S`."""
-    command_start_s = time.monotonic()
-    _EscapingStream.last_output_s = command_start_s
-    while not ended.wait(1.0):
-        delay = next(iter(_Activity.delays), None)
-        if delay is None:
-            start_s, description = command_start_s, _Activity.description
-        else:
-            start_s, description = _Activity.delay_start_s, delay
-        silence_s = time.monotonic() - _EscapingStream.last_output_s
-        if description is not None and silence_s > MAX_SILENCE_S:
-            with suppress(OSError, ValueError):
-                detail = description and f": {description}"
-                print(f"running for {time.monotonic() - start_s:.0f} s{detail}", file=stream, flush=True)
-
-
 def report_written(*files: Path) -> None:
     """Print the names of the files that a command wrote, one a line."""
     for file in files:
         print(f"wrote {file}")
 
 
-def begin_delay(cause: str) -> None:
-    """Report the cause of a delay at intervals until `end_delay`, also while a user's program has the terminal."""
-    now_s = time.monotonic()
-    if not _Activity.delays and now_s - _Activity.delay_end_s > _MAX_DELAY_GAP_S:
-        _Activity.delay_start_s = now_s
-    _Activity.delays.append(cause)
-
-
-def end_delay() -> None:
-    """End the delay that `begin_delay` began."""
-    _Activity.delays.pop()
-    _Activity.delay_end_s = time.monotonic()
-
-
-@contextmanager
-def pause_reports() -> Iterator[None]:
-    """Suppress reports while the body waits for user input."""
-    description, _Activity.description = _Activity.description, None
-    try:
-        yield
-    finally:
-        _Activity.description = description
-
-
 def ask_to_replace(files: Sequence[Path]) -> bool:
     """Ask on the terminal whether existing files may be replaced; without a terminal, they may not."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return False
-    bar = _Activity.bar
-    if bar is not None:
+    for bar in _bars:
         bar.stop()
     verb, pronoun = ("exists", "it") if len(files) == 1 else ("exist", "them")
-    with pause_reports():
-        print(f"{', '.join(map(str, files))} {verb}. Replace {pronoun}? [y/N]", end=" ", file=sys.stderr, flush=True)
-        answer = sys.stdin.readline().strip().lower()
-    if bar is not None:
+    print(f"{', '.join(map(str, files))} {verb}. Replace {pronoun}? [y/N]", end=" ", file=sys.stderr, flush=True)
+    answer = sys.stdin.readline().strip().lower()
+    for bar in _bars:
         bar.start()
     return answer in {"y", "yes"}
 
@@ -189,8 +121,7 @@ def user_terminal() -> Iterator[None]:
     escaping_streams = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = (getattr(stream, "unescaped", stream) for stream in escaping_streams)
     try:
-        with pause_reports():
-            yield
+        yield
     finally:
         sys.stdout, sys.stderr = escaping_streams
 
@@ -202,14 +133,16 @@ def progress(title: str) -> Iterator[FractionProgress]:
     A terminal shows a bar with the remaining time; if standard error is not a terminal, a line is printed at intervals.
     """
     if not sys.stderr.isatty():
+        reported_s = time.monotonic()
 
         def report(fraction: float, message: str = "") -> None:
-            parts = (title, title and f"{100 * fraction:.0f} %", message)
-            _Activity.description = ", ".join(filter(None, parts))
+            nonlocal reported_s
+            if time.monotonic() - reported_s >= REPORT_INTERVAL_S:
+                reported_s = time.monotonic()
+                parts = (title, title and f"{100 * fraction:.0f} %", message)
+                print(", ".join(filter(None, parts)), file=sys.stderr, flush=True)
 
-        _Activity.description = title
         yield report
-        _Activity.description = ""
         return
     from rich.console import Console
     from rich.markup import escape
@@ -223,8 +156,8 @@ def progress(title: str) -> Iterator[FractionProgress]:
         TextColumn("{task.fields[message]}"),
     )
     terminal = getattr(sys.stderr, "unescaped", sys.stderr)
-    with pause_reports(), Progress(*columns, console=Console(file=terminal), transient=True) as bar:
-        _Activity.bar = bar
+    with Progress(*columns, console=Console(file=terminal), transient=True) as bar:
+        _bars.append(bar)
         task = bar.add_task(escape(escape_terminal(title)), total=1.0, message="")
 
         def update_bar(fraction: float, message: str = "") -> None:
@@ -233,7 +166,7 @@ def progress(title: str) -> Iterator[FractionProgress]:
         try:
             yield update_bar
         finally:
-            _Activity.bar = None
+            _bars.remove(bar)
 
 
 @contextmanager

@@ -57,6 +57,14 @@ def add_path(path: Path | str) -> Iterator[None]:
         raise RecordingError(f"{path}: {error}") from error
 
 
+def unexpected_text(error: BaseException) -> str:
+    """Describe an error that only the developers can correct, with its traceback."""
+    from traceback import format_exception
+
+    lines = "".join(format_exception(error)).rstrip()
+    return f"unexpected error; this is a fault of shotrig. Report it with these lines:\n{lines}"
+
+
 def suggestion(name: str, names: Iterable[str], otherwise: str = "", n: int = 1, cutoff: float = 0.6) -> str:
     """Return a question with the names that resemble `name`; without a similar name, return `otherwise`.
 

@@ -28,13 +28,11 @@ import numba
 import platformdirs
 from numba.core.event import Event, Listener, register
 
-from rig.core.base import console
 from rig.core.base.console import warn_of_compilation
 
 F = TypeVar("F", bound=Callable[..., object])
 
 _CONFIG: Any = numba.config
-_COMPILING = "compiling machine code"
 _ROOT = Path(__file__).parents[3]
 _IMPORTS = re.compile(rb"^from ((?:rig|daq)(?:\.\w+)+) import", re.MULTILINE)
 # Number of allocations between runs of the cyclic garbage collector while numba compiles (Python default 700). The
@@ -137,7 +135,7 @@ def _source_folder(function: Callable[..., object]) -> Path:
 
 
 class _Compiling(Listener):
-    """Report compilation in the log, and at intervals while a command waits for it."""
+    """Report compilation in the log, and collect garbage seldom during it."""
 
     def __init__(self) -> None:
         self._gc_thresholds: list[tuple[int, ...]] = []
@@ -149,15 +147,13 @@ class _Compiling(Listener):
         gc.set_threshold(young and max(young, _GC_THRESHOLD), *older)
         if event.data is None or event.data["dispatcher"].py_func.__module__.startswith(("rig.", "daq.")):
             warn_of_compilation(
-                f"{_COMPILING} for this processor, once: about 20 s, or up to a minute if several parts of the program "
-                "are needed"
+                "compiling machine code for this processor, once: about 20 s, or up to a minute if several parts of "
+                "the program are needed"
             )
-        console.begin_delay(_COMPILING)
 
     def on_end(self, event: Event) -> None:
-        """End the notice of a compilation, and collect garbage as before."""
+        """Collect garbage as before."""
         gc.set_threshold(*self._gc_thresholds.pop())
-        console.end_delay()
 
 
 register("numba:compile", _Compiling())

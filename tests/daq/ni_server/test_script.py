@@ -9,11 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from nidaqmx.constants import AcquisitionType
-from typer.testing import CliRunner
 
 import daq.examples
 import rig
-from daq.commands.cli import app
 from daq.core.virtual_bench.bench import Bench
 from daq.extras.ni_server.script import run_script
 from rig.core.base.errors import SceneError
@@ -112,15 +110,6 @@ def test_syntax_error_shows_only_the_script(script, capfd):
     assert str(path) in stderr
     assert "Error: " in stderr
     assert "daq/extras/ni_server" not in stderr
-
-
-def test_file_that_hides_a_module_is_named(script):
-    path = script("1 / 0")
-    path.with_name("colorsys.py").write_text("")
-    result = CliRunner().invoke(app, ["run", "--scene", "bare-structure", "--clock", "fast", str(path)])
-    assert result.exit_code == 1
-    assert result.output.startswith(f"note: {path.with_name('colorsys.py')} is imported instead of")
-    assert result.output.endswith("Rename the file.\n")
 
 
 def test_unclosed_rig_does_not_block_exit():

@@ -1,10 +1,15 @@
-"""Random scenes of dampers in flight, with tests that control motion or phase: constant response, backbone, curves."""
+"""Random scenes with tests that control motion or phase: constant response, backbone, curves.
+
+The structure has dampers in flight, which orbits describe, or none, so that its modes are known.
+"""
 
 from __future__ import annotations
 
+import numpy as np
 import yaml
 
 import rig
+from rig.core.system.structural_model import structural_model
 from tests.gauntlet.instant_contact import draw_force_for_flight
 from tests.gauntlet.scenes import INSTRUMENT_SEED_OFFSET, Draw, Settings, draw_chain
 
@@ -12,6 +17,10 @@ from tests.gauntlet.scenes import INSTRUMENT_SEED_OFFSET, Draw, Settings, draw_c
 _SPRING_RATIO = 0.2
 # Kinds of tests.
 HELD, BACKBONE, CURVE = "constant_response_dampers", "phase_resonance_dampers", "continuation_dampers"
+LINEAR_HELD, LINEAR_BACKBONE, LINEAR_CURVE = "constant_response", "phase_resonance", "continuation"
+KINDS = HELD, BACKBONE, CURVE, LINEAR_HELD, LINEAR_BACKBONE, LINEAR_CURVE
+# The band of a linear resonance, relative to its half-power bandwidth.
+_BANDWIDTHS = 1.5
 
 
 def draw_controlled_tone(seed: int, number: int, kind: str) -> rig.Scene:
@@ -59,6 +68,11 @@ def draw_controlled_tone(seed: int, number: int, kind: str) -> rig.Scene:
     }
     scene = rig.loads(yaml.safe_dump(settings, sort_keys=False), where=settings["name"])
     force = 0.5 * draw_force_for_flight(random, scene, damped[0])
+    if not kind.endswith("_dampers"):
+        scene = scene.replace(dampers=[])
+    modes = structural_model(scene).modes
+    nearest = int(np.argmin(abs(modes.frequency - mode)))
+    half_band = 2.0 * _BANDWIDTHS * float(modes.decay_rate[nearest]) / (2.0 * np.pi)
     at, low, high = f"body {damped[0]}", 0.95 * mode, 1.05 * mode
     tests: dict[str, Settings] = {
         HELD: {
@@ -70,5 +84,11 @@ def draw_controlled_tone(seed: int, number: int, kind: str) -> rig.Scene:
             "force": sorted(random.uniform(0.3, 1.0) * force for _ in range(3)),
         },
         CURVE: {"kind": "continuation", "at": at, "from": high, "to": low, "force": force, "step": 0.4},
+        LINEAR_HELD: {
+            "kind": "constant_response", "at": at, "from": mode - half_band, "to": mode + half_band, "points": 11,
+            "acceleration": random.uniform(8.0, 12.0),
+        },
     }  # fmt: skip
+    tests[LINEAR_BACKBONE] = tests[BACKBONE]
+    tests[LINEAR_CURVE] = {**tests[CURVE], "from": max(high, mode + half_band), "to": min(low, mode - half_band)}
     return scene.replace(test=tests[kind])

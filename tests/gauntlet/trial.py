@@ -13,9 +13,9 @@ import rig
 from analysis.core.recordings.slices import Slice
 from analysis.extras.formats.export import export
 from rig.core.base.errors import ShotrigError
+from tests.gauntlet import controlled_tones
 from tests.gauntlet.checks import CHECKS, Check, modes
 from tests.gauntlet.close_modes import CURVES, MULTISINE, STEPPED, TWO_SHAKERS, draw_close_modes, exact_curves
-from tests.gauntlet.controlled_tones import BACKBONE, CURVE, HELD, draw_controlled_tone
 from tests.gauntlet.finite_contact import STEPS_FINITE_CONTACT, TONE_FINITE_CONTACT, draw_finite_contact
 from tests.gauntlet.instant_contact import DECAY, STEPS, TONE, draw_decay, draw_instant_contact
 from tests.gauntlet.profile_control import NOISE, SINE, draw_profile_control
@@ -29,7 +29,7 @@ _FILE_ENDINGS = (".npz", ".csv")
 _DRAW_FUNCTIONS = {TONE: draw_instant_contact, STEPS: draw_instant_contact, DECAY: draw_decay}
 _DRAW_FUNCTIONS |= dict.fromkeys((TONE_FINITE_CONTACT, STEPS_FINITE_CONTACT), draw_finite_contact)
 _DRAW_FUNCTIONS |= dict.fromkeys((CURVES, MULTISINE, STEPPED, TWO_SHAKERS), draw_close_modes)
-_DRAW_FUNCTIONS |= dict.fromkeys((HELD, BACKBONE, CURVE), draw_controlled_tone)
+_DRAW_FUNCTIONS |= dict.fromkeys(controlled_tones.KINDS, controlled_tones.draw_controlled_tone)
 _DRAW_FUNCTIONS |= dict.fromkeys((SINE, NOISE), draw_profile_control)
 _DRAW_FUNCTIONS |= dict.fromkeys((RANDOM, MULTISINE_TWO_SHAKERS), draw_two_shakers)
 

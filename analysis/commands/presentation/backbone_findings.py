@@ -35,13 +35,16 @@ def _draw(result: Backbone, figure: Figure, axes: Axes) -> None:
 
 def level_lines(result: Backbone) -> list[str]:
     """Return a table of the levels."""
-    rows: list[tuple[str, ...]] = [("level", "frequency / Hz", f"{result.body} / mm", "damping ratio / %", "")]
+    rows: list[tuple[str, ...]] = [
+        ("level", "frequency / Hz", "natural frequency / Hz", f"{result.body} / mm", "damping ratio / %", "")
+    ]
     for k, level in enumerate(result.level.tolist()):
         values = (
             (result.frequency[k], result.frequency_bound[k], 1.0),
+            (result.natural_frequency[k], result.natural_frequency_bound[k], 1.0),
             (result.amplitude[k], result.amplitude_bound[k], 1e3),
             (result.damping[k], result.damping_bound[k], 100.0),
         )
         cells = [format_interval(factor * value, factor * bound) for value, bound, factor in values]
         rows.append((f"{level:g}", *cells, "" if result.settled[k] else "not locked"))
-    return [f"  {line}" for line in table_lines(rows, ">>>><")]
+    return [f"  {line}" for line in table_lines(rows, ">>>>><")]

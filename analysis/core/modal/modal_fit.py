@@ -117,7 +117,7 @@ def measured_curves(curves: Sequence[Response]) -> tuple[Curves, Array]:
     if valid.sum() < 8:
         raise RecordingError(
             f"{curves[0].label}: {valid.sum()} frequencies are too few for modes. Measure at least 8, with several in "
-            "each resonance."
+            "each resonance. For a test of phase resonance, run `analysis backbone`."
         )
     for curve, row in zip(curves, value[:, valid], strict=True):
         if not np.any(abs(row) > 0):

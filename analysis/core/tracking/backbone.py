@@ -1,15 +1,19 @@
 """Backbone of a resonance: natural frequency and damping ratio against amplitude, from a test of phase resonance.
 
-At phase resonance the force supplies the dissipated power P, so that the damping ratio is D = P / (w^3 a^2) with the
+At phase resonance the force supplies the dissipated power P, so that the damping ratio is D = P / (w0 w^2 a^2) with the
 modal amplitude a of mass-normalized modes. P is the power of the tone; that of the harmonics is zero for a force
 shaker, and neglected for a coil spring. (M. Scheel, S. Peter, R. I. Leine, M. Krack, J. Sound Vib. 435 (2018) 56.)
+
+The phase of one body is also that of other modes. The mode alone has the shape of the quadrature parts of the bodies'
+motions, because other modes respond nearly in phase with the force. The motion projected on this shape with the mass
+matrix is the modal coordinate q, and its phase gives the natural frequency: w0^2 = w^2 + 2 D w0 w Re q / -Im q.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +23,7 @@ from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import reference_of
 from analysis.core.tracking.body_motion import body_motion
 from daq.core.recording.recorded_test import HELD_PHASE
-from rig.core.base.arrays import Array
+from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import place_styles
 from rig.core.results import Result, complete_style, format_number
@@ -34,6 +38,8 @@ if TYPE_CHECKING:
 # Factor on the deviation of the frequency from that of one mode: other modes contribute to the phase, so that the
 # amplitude changes with it. The largest factor with the scene `backbone` was 1.8.
 _SLOPE = 2.0
+# Largest ratio of the quadrature to the in-phase part of other modes, relative to the damping ratio.
+_OTHER_QUADRATURE = 10.0
 
 
 @dataclass(frozen=True, repr=False)
@@ -50,6 +56,9 @@ class Backbone(Result):
         Level, in the unit of the test.
     frequency, frequency_bound : ndarray, shape (n,)
         Frequency of phase resonance and half of its 95 % interval, which includes the deviation of the phase, Hz.
+    natural_frequency, natural_frequency_bound : ndarray, shape (n,)
+        Natural frequency of the mode without the contributions of other modes to the phase of the body, and half of its
+        95 % interval, Hz.
     amplitude, amplitude_bound : ndarray, shape (n,)
         Displacement of the body and half of its 95 % interval, m.
     damping, damping_bound : ndarray, shape (n,)
@@ -63,6 +72,8 @@ class Backbone(Result):
     level: Array
     frequency: Array
     frequency_bound: Array
+    natural_frequency: Array
+    natural_frequency_bound: Array
     amplitude: Array
     amplitude_bound: Array
     damping: Array
@@ -86,6 +97,8 @@ class Backbone(Result):
             "level": self.level,
             "frequency_Hz": self.frequency,
             "frequency_bound_Hz": self.frequency_bound,
+            "natural_frequency_Hz": self.natural_frequency,
+            "natural_frequency_bound_Hz": self.natural_frequency_bound,
             "amplitude_m": self.amplitude,
             "amplitude_bound_m": self.amplitude_bound,
             "damping_ratio": self.damping,
@@ -115,7 +128,7 @@ class Backbone(Result):
 def backbone(rec: Recording) -> Backbone:
     """Estimate natural frequency and damping ratio against amplitude from a test of phase resonance.
 
-    The damping ratio needs a motion channel at each body. The mass matrix of the scene gives the modal amplitude.
+    Natural frequency and damping ratio need a motion channel at each body, and use the mass matrix of the scene.
 
     Parameters
     ----------
@@ -151,11 +164,6 @@ def backbone(rec: Recording) -> Backbone:
         force, amplitude, relative = (
             float(column[line]) for column in (at_body.force, at_body.amplitude, at_body.relative)
         )
-        damping = np.nan
-        if all(f"body {number}" in outputs for number in range(1, len(mass) + 1)):
-            motion = force * np.array([values[outputs[f"body {number}"]] for number in range(1, len(mass) + 1)])
-            power = sum(-0.5 * force * omega * motion[number - 1].imag for number in driven)
-            damping = float(power / (omega**3 * np.real(motion.conj() @ mass @ motion)))
         error = float(np.remainder(np.angle(values[k]) - wanted + np.pi, 2.0 * np.pi) - np.pi)
         # The sensitivity of a force sensor does not change the phase; those of the sensors of a spring force do, and
         # the other contributions.
@@ -163,25 +171,77 @@ def backbone(rec: Recording) -> Backbone:
         rotation = (float(response.random_bound()[line, k, 0]) + float(np.sum(systematic))) / abs(values[k])
         angle = _SLOPE * (abs(error) + rotation)
         tangent = float(np.tan(angle)) if angle < np.pi / 2.0 else np.inf
-        bound = abs(damping) * omega / (2.0 * np.pi) * tangent
+        mode = _NO_MODE
+        if all(f"body {number}" in outputs for number in range(1, len(mass) + 1)):
+            motion = force * np.array([values[outputs[f"body {number}"]] for number in range(1, len(mass) + 1)])
+            mode = _mode(motion, mass, [number - 1 for number in driven], force, omega, relative, rotation)
+        bound = abs(mode.damping) * omega / (2.0 * np.pi) * tangent
         rows.append(
             (
-                marker.fields["level"], response.frequency[line], bound, amplitude, relative * amplitude, damping,
-                2.0 * relative * damping, marker.fields.get("settled") is not False,
+                marker.fields["level"], response.frequency[line], bound, *mode, amplitude, relative * amplitude,
+                marker.fields.get("settled") is not False,
             )
         )  # fmt: skip
-    level, frequency, frequency_bound, displacement, displacement_bound, ratio, ratio_bound, settled = (
-        np.array(column, dtype=float) for column in zip(*rows, strict=True)
-    )
+    (
+        level, frequency, frequency_bound, natural, natural_bound, ratio, ratio_bound, displacement, displacement_bound,
+        settled,
+    ) = (np.array(column, dtype=float) for column in zip(*rows, strict=True))  # fmt: skip
     return Backbone(
         label=rec.scene.name,
         body=rec.scene.structure.label(body),
         level=level,
         frequency=frequency,
         frequency_bound=frequency_bound,
+        natural_frequency=natural,
+        natural_frequency_bound=natural_bound,
         amplitude=displacement,
         amplitude_bound=displacement_bound,
         damping=ratio,
         damping_bound=ratio_bound,
         settled=settled.astype(bool),
     )
+
+
+class _Mode(NamedTuple):
+    """A mode near phase resonance; the bounds are halves of 95 % intervals."""
+
+    frequency: float  # Hz
+    frequency_bound: float
+    damping: float
+    damping_bound: float
+
+
+_NO_MODE = _Mode(np.nan, np.nan, np.nan, np.nan)
+
+
+def _mode(
+    motion: ComplexArray,
+    mass: Array,
+    driven: Sequence[int],
+    force: float,
+    omega: float,
+    relative: float,
+    rotation: float,
+) -> _Mode:
+    """Return natural frequency and damping ratio from the motion of all bodies, m, relative to the force, N.
+
+    `relative`, `rotation`: relative uncertainty of the motion, and that of its phase (rad).
+    """
+    shape = -motion.imag / np.sqrt(motion.imag @ mass @ motion.imag)
+    coordinate = complex(shape @ mass @ motion)
+    others = motion.real - shape * coordinate.real
+    tangent = coordinate.real / -coordinate.imag
+    # The equation of the mode: (w0^2 - w^2 + 2i D w0 w) q = force
+    quadrature = float(np.sum(shape[driven])) * force * -coordinate.imag / (abs(coordinate) ** 2 * omega**2)
+    squared = 1.0 + quadrature * tangent
+    if squared <= 0.0:
+        # Far from resonance, other modes dominate.
+        return _NO_MODE
+    natural = omega * float(np.sqrt(squared))
+    damping = quadrature * omega / (2.0 * natural)
+    share = float(np.sqrt(others @ mass @ others)) / -coordinate.imag
+    drive_share = max(share, abs(float(np.sum(others[driven])) / float(np.sum(motion.imag[driven]))))
+    damping_error = 2.0 * relative + min(_OTHER_QUADRATURE * abs(damping), 1.0) * drive_share
+    angle_error = rotation + share * (share + relative)
+    error = abs(damping) * ((1.0 + tangent**2) * angle_error + abs(tangent) * damping_error)
+    return _Mode(natural / (2.0 * np.pi), natural * error / (2.0 * np.pi), damping, abs(damping) * damping_error)

@@ -52,7 +52,8 @@ class ForceSurface(Result):
     stiffness : ndarray, shape (n,), complex
         Dynamic stiffness, force per displacement, N/m.
     force, force_bound : ndarray, shape (n,)
-        Force amplitude and half of its 95 % interval, N.
+        Force amplitude and half of its 95 % interval at the stated displacement amplitude, N. The interval includes
+        the uncertainty of the displacement, which changes the force by the slope between the measured amplitudes.
     """
 
     label: str
@@ -157,8 +158,7 @@ class ForceSurface(Result):
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the force over the frequency; points near one amplitude are one curve."""
-        order = np.argsort(self.amplitude)
-        levels = np.split(order, np.flatnonzero(np.diff(np.log(self.amplitude[order])) > _LEVEL_STEP) + 1)
+        levels = _levels(self.amplitude)
         for chosen, (color, _, marker) in zip(levels, recording_styles([False] * len(levels)), strict=True):
             along = chosen[np.argsort(self.frequency[chosen])]
             label = f"{1e3 * float(np.median(self.amplitude[along])):.3g} mm"
@@ -194,10 +194,39 @@ def force_surface(rec: Recording) -> ForceSurface:
     for response in frequency_responses(rec):
         motion = body_motion(response, location)
         value = response.value[:, motion.output, 0]
-        columns = (response.frequency, motion.amplitude, 1.0 / value, motion.force, motion.relative * motion.force)
+        columns = (response.frequency, motion.amplitude, 1.0 / value, motion.force, motion.relative)
         parts.append([column[motion.settled] for column in columns])
-    frequency, amplitude, stiffness, force, bound = map(np.concatenate, zip(*parts, strict=True))
+    frequency, amplitude, stiffness, force, relative = map(np.concatenate, zip(*parts, strict=True))
     if not frequency.size:
         raise RecordingError(f"{rec.path}: no point reached steady state. Raise test.settle.longest, and record again.")
+    slope = largest_slopes(frequency, amplitude, force)
+    shaker = rec.scene.driven_shaker
+    if shaker is None or not shaker.drive_is_force:
+        # The error of the response can also be that of the force.
+        slope = np.maximum(slope, 1.0)
     body = rec.scene.structure.label(location)
-    return ForceSurface(rec.scene.name, body, frequency, amplitude, stiffness, force, bound)
+    return ForceSurface(rec.scene.name, body, frequency, amplitude, stiffness, force, slope * relative * force)
+
+
+def largest_slopes(frequency: Array, amplitude: Array, force: Array) -> Array:
+    """Return the largest magnitude of the slope d ln(force) / d ln(amplitude) that each point can have.
+
+    It is that of the chords to the next lower and higher amplitude at the same frequency. Below the lowest amplitude
+    the structure is taken as linear, with the slope 1; above the highest, the slope changes as much again as before.
+    """
+    largest = np.ones(frequency.size)
+    for value in np.unique(frequency):
+        chosen = np.flatnonzero(frequency == value)
+        levels = [chosen[part] for part in _levels(amplitude[chosen])]
+        heights, forces = (np.log([np.mean(values[part]) for part in levels]) for values in (amplitude, force))
+        chords = np.append(1.0, np.diff(forces) / np.diff(heights))
+        above = np.append(chords[1:], 2.0 * chords[-1] - chords[-2:][0])
+        for part, slope in zip(levels, np.maximum(abs(chords), abs(above)), strict=True):
+            largest[part] = slope
+    return largest
+
+
+def _levels(amplitude: Array) -> list[NDArray[np.intp]]:
+    """Return the indices of the points of each held level, from the lowest to the highest."""
+    order = np.argsort(amplitude)
+    return np.split(order, np.flatnonzero(np.diff(np.log(amplitude[order])) > _LEVEL_STEP) + 1)

@@ -14,7 +14,7 @@ import daq
 import rig
 from analysis.commands.cli import app
 from analysis.commands.presentation.surface_findings import fold_lines
-from analysis.core.tracking.force_surface import ForceSurface
+from analysis.core.tracking.force_surface import ForceSurface, largest_slopes
 from rig.core.base.errors import RecordingError
 from rig.core.base.figure_style import new_figure
 from rig.core.base.palette import RECORDINGS
@@ -67,6 +67,16 @@ def test_linear_surface_gives_the_compliance(tmp_path: Path) -> None:
     assert "6 points, 20 to 52 Hz" in measured.summary()
     result = CliRunner().invoke(app, ["surface", str(tmp_path / "held.mcap"), "--force", "1", "-o", str(tmp_path)])
     assert result.exit_code == 0 and len([*tmp_path.iterdir()]) == 4
+
+
+def test_slope_includes_the_curvature() -> None:
+    # The force of a hardening spring, with the slope (1 + 3 a^2) / (1 + a^2); 1.001 and 2.001 repeat levels.
+    amplitude = np.array([1.0, 2.0, 1.001, 2.001, 0.5])
+    frequency = np.array([1.0, 1.0, 1.0, 1.0, 2.0])
+    largest = largest_slopes(frequency, amplitude, amplitude + amplitude**3)
+    exact = (1.0 + 3.0 * amplitude**2) / (1.0 + amplitude**2)
+    assert (largest[:4] >= exact[:4]).all() and (largest[:4] < 1.5 * exact[:4]).all()
+    assert largest[4] == 1.0  # one level
 
 
 def test_other_test_has_no_surface(tmp_path: Path) -> None:

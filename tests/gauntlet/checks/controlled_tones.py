@@ -1,4 +1,4 @@
-"""Check of tests that control motion or phase: points lie within their 95 % intervals of exact orbits."""
+"""Check of tests that control motion or phase: points lie within their 95 % intervals of exact orbits or modes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ import rig
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import ShotrigError
 from rig.core.results.response import Response
-from tests.gauntlet.controlled_tones import BACKBONE, CURVE, HELD
+from tests.gauntlet.checks.modes import true_modes
+from tests.gauntlet.controlled_tones import BACKBONE, CURVE, HELD, LINEAR_BACKBONE
 from tests.gauntlet.result import Case, CheckResult
 
 # Name of the check for sensors without tolerances.
@@ -35,17 +36,13 @@ _Offset = Callable[[Array, ComplexArray, Array], Array]
 
 
 def check(case: Case, kind: str) -> list[CheckResult]:
-    """Compare forces of held motion, or frequencies and amplitudes of phase resonance, with exact orbits."""
-    if kind not in (HELD, BACKBONE, CURVE):
+    """Compare forces of held motion, or frequencies and amplitudes of phase resonance, with orbits or modes."""
+    if kind not in _POINTS:
         return []
-    if kind == BACKBONE:
-        found = list(_phase_points(case))
-    else:
-        found = list(_force_points(case))
-        found += list(_folds(case)) if kind == CURVE else []
+    found = [point for points_of in _POINTS[kind] for point in points_of(case)]
     points = [point for point in found if point is not None and np.isfinite(point[1])]
     tolerances = [getattr(channel.accelerometer, "sensitivity_tolerance", None) for channel in case.scene.channels]
-    name = "orbits" if any(tolerances) else EXACT_SENSORS
+    name = "modes" if kind == LINEAR_BACKBONE else "orbits" if any(tolerances) else EXACT_SENSORS
     if not points:
         return [CheckResult(name, kind, "refused", note="; ".join(case.warnings) or "no point settled")]
     measured, bound, exact, scale = np.array(points).T
@@ -126,28 +123,46 @@ def _measured(case: Case) -> Iterator[tuple[Response, int, Mapping[str, Any]]]:
                     yield response, int(np.argmin(abs(response.frequency - fields["frequency"]))), fields
 
 
-def _force_points(case: Case) -> Iterator[_Point | None]:
-    """Yield the force of each settled point, relative to that of the orbit with its frequency and amplitude."""
-    location = next(iter(case.scene.controlled_terms)) if case.scene.test.held_motion is None else case.scene.test.at
+def _surface_points(case: Case) -> Iterator[_Point | None]:
+    """Yield the force of each settled point, and that of the orbit with its frequency and amplitude."""
+    surface = analysis.force_surface(case.recording)
+    body = case.scene.structure.labels.index(surface.body)
+    for response, line, fields in _measured(case):
+        [k] = np.flatnonzero(
+            (surface.frequency == response.frequency[line]) & (surface.force == response.amplitude[line])
+        )
+        force, drive = float(surface.force[k]), float(fields["drive"])
+        curve = _orbits(case, drive, float(surface.frequency[k]), over_drive=True)
+        found = [] if curve is None else _at_amplitude(curve, body, float(surface.amplitude[k]))
+        if not found:
+            yield None
+            continue
+        exact = min(found, key=lambda each: abs(each.value - drive)).force
+        yield force, float(surface.force_bound[k]) + _EXACT_ERROR * force, exact, force
+
+
+def _curve_points(case: Case) -> Iterator[_Point | None]:
+    """Yield the force of each settled point, and that of the orbit with its frequency and amplitude."""
+    [location] = case.scene.controlled_terms
     body, shaker = int(location.removeprefix("body ")) - 1, case.scene.driven_shaker
-    known = shaker is not None and shaker.drive_is_force
     for response, line, fields in _measured(case):
         k = [output.at for output in response.outputs].index(location)
         force, drive = float(response.amplitude[line]), float(fields["drive"])
         value, frequency = abs(response.value[line, k, 0]), float(response.frequency[line])
         curve = _orbits(case, drive, frequency, over_drive=True)
         relative = float(response.expanded()[line, k, 0] / value)
-        # The error of a known force is that of the amplitude: within its interval the exact force changes, by more
-        # where the response is nonlinear.
-        errors = (-relative, 0.0, relative) if known else (0.0,)
-        amplitudes = [value * force * (1.0 + error) for error in errors]
+        # Within the interval of the amplitude the exact force changes, by more where the response is nonlinear.
+        amplitudes = [value * force * (1.0 + error) for error in (-relative, 0.0, relative)]
         found = [[] if curve is None else _at_amplitude(curve, body, amplitude) for amplitude in amplitudes]
         if not all(found):
             yield None
             continue
         exact = [min(some, key=lambda each: abs(each.value - drive)).force for some in found]
-        bound = float(np.ptp(exact)) / 2.0 + (_EXACT_ERROR if known else relative) * force
-        yield force, bound, (max(exact) + min(exact)) / 2.0, force
+        bound = float(np.ptp(exact)) / 2.0
+        if shaker is None or not shaker.drive_is_force:
+            # The error of the response can also be that of the force.
+            bound = max(bound, relative * force)
+        yield force, bound + _EXACT_ERROR * force, (max(exact) + min(exact)) / 2.0, force
 
 
 def _phase_points(case: Case) -> Iterator[_Point | None]:
@@ -184,3 +199,25 @@ def _folds(case: Case) -> Iterator[_Point | None]:
             continue
         nearest = min(exact, key=lambda value: abs(value - fold.frequency))
         yield fold.frequency, fold.bound, nearest, 0.01 * fold.frequency
+
+
+def _linear_points(case: Case) -> Iterator[_Point | None]:
+    """Yield natural frequency and damping ratio of each locked level, of a structure without dampers."""
+    result = analysis.backbone(case.recording)
+    frequencies, ratios = true_modes(case.scene)
+    for k in np.flatnonzero(result.settled):
+        nearest = int(np.argmin(abs(frequencies - result.frequency[k])))
+        frequency, ratio = float(frequencies[nearest]), float(ratios[nearest])
+        yield (
+            float(result.natural_frequency[k]), float(result.natural_frequency_bound[k]), frequency, ratio * frequency
+        )  # fmt: skip
+        yield float(result.damping[k]), float(result.damping_bound[k]), ratio, ratio
+
+
+# Functions that yield the compared points of each kind of test.
+_POINTS: dict[str, tuple[Callable[[Case], Iterator[_Point | None]], ...]] = {
+    HELD: (_surface_points,),
+    BACKBONE: (_phase_points,),
+    CURVE: (_curve_points, _folds),
+    LINEAR_BACKBONE: (_linear_points,),
+}

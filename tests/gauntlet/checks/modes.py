@@ -42,7 +42,7 @@ def check(case: Case, kind: str) -> list[CheckResult]:
 def compare_modes(scene: rig.Scene, curves: list[Response], kind: str) -> CheckResult:
     """Compare the modes identified from curves with the structure; points are frequencies and damping ratios."""
     modes = analysis.identify(curves)
-    true_frequency, true_ratio = _true_modes(scene)
+    true_frequency, true_ratio = true_modes(scene)
     matched, spurious = _match(modes, true_frequency, true_ratio)
     # Errors of frequency and damping ratio, in standard uncertainties.
     error = np.array(
@@ -73,7 +73,7 @@ def compare_modes(scene: rig.Scene, curves: list[Response], kind: str) -> CheckR
     )  # fmt: skip
 
 
-def _true_modes(scene: rig.Scene) -> tuple[Array, Array]:
+def true_modes(scene: rig.Scene) -> tuple[Array, Array]:
     """Return natural frequencies [Hz] and damping ratios; the frequencies are read with the error of the clock."""
     mass, damping, stiffness = structure_matrices(scene.structure)
     bodies = len(mass)

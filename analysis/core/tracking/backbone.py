@@ -173,7 +173,8 @@ def backbone(rec: Recording) -> Backbone:
         tangent = float(np.tan(angle)) if angle < np.pi / 2.0 else np.inf
         mode = _NO_MODE
         if all(f"body {number}" in outputs for number in range(1, len(mass) + 1)):
-            motion = force * np.array([values[outputs[f"body {number}"]] for number in range(1, len(mass) + 1)])
+            bodies = [values[outputs[f"body {number}"]] for number in range(1, len(mass) + 1)]
+            motion = force * np.array(bodies, dtype=complex)
             mode = _mode(motion, mass, [number - 1 for number in driven], force, omega, relative, rotation)
         bound = abs(mode.damping) * omega / (2.0 * np.pi) * tangent
         rows.append(

@@ -15,6 +15,7 @@ from daq.core.excitation.station import Excitation, GivenUp, Station
 from daq.core.excitation.stepped_sine import SteadyTonesProcedure
 from daq.core.excitation.tones.lock_in import lock_in, whole_periods
 from daq.core.excitation.tones.phase_loop import PhaseLoop
+from daq.core.excitation.tones.phase_plant import loop_settings
 from daq.core.excitation.tones.settling import Settling
 from daq.core.excitation.tones.steady_tone import TRANSITION_S, WINDOW_S, SteadyTone
 from rig.core.base.arrays import Array
@@ -51,13 +52,9 @@ class _PhaseTone(SteadyTone):
     """A tone whose frequency follows the phase."""
 
     def __init__(self, station: Station, test: PhaseResonance) -> None:
-        from rig.core.system.structural_model import structural_model
-
         super().__init__(station, test.frequency, controlled(station))
         self._test, self._quantities = test, (displacement(station, test.at), measured_force(station))
-        self._slowness = 1.0  # of the loop
-        modes = structural_model(station.scene).modes
-        self._decay_rate = float(modes.decay_rate[np.argmin(abs(modes.frequency - test.frequency))])
+        self._settings = loop_settings(station.scene, station.latency / station.rate)
 
     def window_of(self, samples: int) -> Generator[Array, Array, _Window]:
         """Hold the tone for a window."""
@@ -77,12 +74,10 @@ class _PhaseTone(SteadyTone):
         """
         detector, test = Settling(self._test.settle.tolerance), self._test
         windows, frequencies = deque[_Window](maxlen=_LOCKED_WINDOWS), deque[float](maxlen=_LOCKED_WINDOWS)
-        loop = self.loop = PhaseLoop(
-            self.frequency, test.from_, test.to, test.phase, test.tolerance, self._decay_rate, self._slowness
-        )
+        loop = self.loop = PhaseLoop(self.frequency, test.from_, test.to, test.phase, test.tolerance, self._settings)
         end = self.station.now + self.station.samples(test.settle.longest)
         while self.station.now < end:
-            samples = whole_periods(self.frequency, self.rate, WINDOW_S * loop.slowness)
+            samples = whole_periods(self.frequency, self.rate, WINDOW_S * loop.settings.slowness)
             window = yield from self.window_of(samples)
             windows.append(window)
             frequencies.append(self.frequency)
@@ -97,7 +92,7 @@ class _PhaseTone(SteadyTone):
             ):
                 self.frequency = float(np.mean(frequencies))
                 return True, complex(np.mean([abs(each.force) for each in windows]))
-            self._slowness = loop.slowness
+            self._settings = loop.settings
             dead_time = (1.5 * samples + self.station.latency) / self.rate
             self.frequency = loop.next_frequency(window.phase, samples / self.rate, dead_time)
         return False, windows[-1].force if windows else 0j

@@ -15,6 +15,7 @@ import daq
 import rig
 from analysis.commands.cli import app
 from daq.core.excitation.tones.phase_loop import PhaseLoop
+from daq.core.excitation.tones.phase_plant import LoopSettings, loop_settings
 from rig.core.base.errors import RecordingError, RunError, SceneError
 from rig.core.system.structural_model import structural_model
 from tests.daq.excitation.test_constant_response import device_marks
@@ -31,7 +32,11 @@ TEST = {
 def test_law_locks_shifted_resonance(damping: float, latency: float, expected: float) -> None:
     omega0, window = 2.0 * math.pi * 13.0, 0.15
     decay, late = damping * omega0, round(latency / window)
-    loop, frequency, error = PhaseLoop(13.0, 10.0, 16.0, -math.pi / 2, 0.02, expected * decay), 13.0, 0.0
+    loop, frequency, error = (
+        PhaseLoop(13.0, 10.0, 16.0, -math.pi / 2, 0.02, LoopSettings(expected * decay, 1.0, 1.0)),
+        13.0,
+        0.0,
+    )
     omega0 += 3.0 * decay  # the level has changed
     errors = [0.0] * (late + 1)
     for _ in range(600):
@@ -47,7 +52,7 @@ def test_law_locks_shifted_resonance(damping: float, latency: float, expected: f
 
 def test_damped_resonance_is_locked_quickly() -> None:
     omega0, decay, window = 2.0 * math.pi * 79.0, 10.0, 0.1
-    loop, frequency, error = PhaseLoop(78.0, 70.0, 90.0, -math.pi / 2, 0.02, decay), 78.0, 0.0
+    loop, frequency, error = PhaseLoop(78.0, 70.0, 90.0, -math.pi / 2, 0.02, LoopSettings(decay, 1.0, 1.0)), 78.0, 0.0
     for _ in range(40):
         for _ in range(50):
             error += window / 50 * (-decay * math.sin(error) - (2.0 * math.pi * frequency - omega0))
@@ -56,7 +61,7 @@ def test_damped_resonance_is_locked_quickly() -> None:
 
 
 def test_law_stays_within_limits() -> None:
-    loop = PhaseLoop(13.0, 12.0, 14.0, -math.pi / 2, 0.02, 0.4)
+    loop = PhaseLoop(13.0, 12.0, 14.0, -math.pi / 2, 0.02, LoopSettings(0.4, 1.0, 1.0))
     assert max(loop.next_frequency(0.0, 0.1, 0.15) for _ in range(90)) == 14.0
 
 
@@ -109,6 +114,25 @@ def test_coil_shaker_is_locked() -> None:
     [(*_, fields)] = bench_run.marks_of("measure")
     assert fields["settled"] and math.degrees(fields["phase"]) == pytest.approx(-90.0, abs=1.0)
     assert fields["force"] == pytest.approx(1.5, rel=0.006)
+
+
+def test_law_knows_the_decay_rate_of_a_mode() -> None:
+    scene = rig.load("held-response").replace(test=TEST, dampers=[])
+    settings = loop_settings(scene, 0.0)
+    assert settings.slope_rate == pytest.approx(structural_model(scene).modes.decay_rate[2], rel=0.01)
+    assert settings[1:] == (1.0, 1.0)
+
+
+def test_first_mode_is_locked_through_a_coil() -> None:
+    # The structure resonates on the spring 1 Hz above the mode, with a decay of seconds.
+    scene = rig.load("held-response").replace(
+        shaker={"kind": "electrodynamic", "body": 1, "spring": "5 kN/m"},
+        test={**TEST, "frequency": "13.2 Hz", "from": "12.4 Hz", "to": "13.7 Hz", "force": [0.2]},
+        dampers=[],
+    )
+    assert loop_settings(scene, 0.0).proportional == 0.0
+    [(*_, fields)] = run(scene).marks_of("measure")
+    assert fields["settled"] and math.degrees(fields["phase"]) == pytest.approx(-90.0, abs=1.0)
 
 
 NATURAL_FREQUENCY = math.sqrt(26778.0 / 1.4278) / (2.0 * math.pi)

@@ -1,7 +1,8 @@
 """Control of the phase between a displacement and a force by the frequency of the tone: a phase-locked loop.
 
 At constant force the phase obeys e' = -d sin e - (w - w0(|X|)) with the decay rate d: a plant of first order at every
-amplitude, also where the resonance curve overhangs. (S. Peter, R. I. Leine, Mech. Syst. Signal Process. 96 (2017) 139;
+amplitude, also where the resonance curve overhangs. Without a proportional part, the loop suits a coil spring, with
+which the phase follows the frequency at once. (S. Peter, R. I. Leine, Mech. Syst. Signal Process. 96 (2017) 139;
 tuning by the SIMC rules for a plant of first order with dead time: S. Skogestad, J. Process Control 13 (2003) 291.)
 """
 
@@ -10,6 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
+
+from daq.core.excitation.tones.phase_plant import LoopSettings
 
 # The loop is slowed down if the scatter of the deviation does not decay by this ratio from one to the next group of so
 # many windows: a coil spring or another mode adds dynamics to the force.
@@ -25,10 +28,11 @@ class PhaseLoop:
     """PI control of the angular frequency by the deviation of the phase.
 
     `frequency`: first frequency, Hz; `lowest`, `highest`: its limits, Hz; `phase`: required phase of the displacement
-    relative to the force, rad; `tolerance`: its permitted deviation, rad; `decay_rate`: the smallest expected one, 1/s;
-    `slowness`: factor on the length of the windows, which the loop raises.
+    relative to the force, rad; `tolerance`: its permitted deviation, rad; `settings`: of the loop, which raises the
+    slowness where the phase scatters.
 
-    >>> loop, omega, error = PhaseLoop(10.3, 5.0, 20.0, -math.pi / 2, 0.02, 0.4), 2 * math.pi * 10.3, 0.0
+    >>> loop = PhaseLoop(10.3, 5.0, 20.0, -math.pi / 2, 0.02, LoopSettings(0.4, 1.0, 1.0))
+    >>> omega, error = 2 * math.pi * 10.3, 0.0
     >>> for _ in range(200):
     ...     error += 0.2 * (-0.4 * math.sin(error) - (omega - 2 * math.pi * 10.0))
     ...     omega = 2 * math.pi * loop.next_frequency(error - math.pi / 2, 0.2, 0.3)
@@ -43,12 +47,10 @@ class PhaseLoop:
         highest: float,
         phase: float,
         tolerance: float,
-        decay_rate: float,
-        slowness: float = 1.0,
+        settings: LoopSettings,
     ) -> None:
-        self.phase, self._tolerance, self._decay_rate = phase, tolerance, decay_rate
+        self.phase, self._tolerance, self.settings = phase, tolerance, settings
         self._errors: list[float] = []
-        self.slowness = slowness
         self._omega, self._integral = 2.0 * math.pi * frequency, 2.0 * math.pi * frequency
         self._lowest, self._highest = 2.0 * math.pi * lowest, 2.0 * math.pi * highest
 
@@ -63,11 +65,13 @@ class PhaseLoop:
         if len(self._errors) == 2 * _COMPARED_ERRORS:
             before, latest = (_scatter(self._errors[part]) for part in (_BEFORE, _LATEST))
             if latest > max(_MIN_DECAY * before, self._tolerance):
-                self.slowness = min(2.0 * self.slowness, _MAX_SLOWNESS)
+                slowness = min(2.0 * self.settings.slowness, _MAX_SLOWNESS)
+                self.settings = self.settings._replace(slowness=slowness)
             self._errors.clear()
+        slope_rate, proportional, _ = self.settings
         correction = error / (2.0 * dead_time)
-        self._integral += window * max(self._decay_rate, 1.0 / (8.0 * dead_time)) * correction
-        requested = self._integral + correction
+        self._integral += window * max(slope_rate, proportional / (8.0 * dead_time)) * correction
+        requested = self._integral + proportional * correction
         change = max(-_MAX_CHANGE_RATIO, min(_MAX_CHANGE_RATIO, requested / self._omega - 1.0))
         self._omega = max(self._lowest, min(self._highest, self._omega * (1.0 + change)))
         # Without the part beyond a limit, the integral does not wind up.

@@ -9,18 +9,91 @@ import numpy as np
 import yaml
 
 import rig
-from rig.core.system.structural_model import structural_model
-from tests.gauntlet.instant_contact import draw_force_for_flight
+from rig.core.system.structural_model import receptance, structural_model
+from tests.gauntlet.instant_contact import GRAVITY, draw_force_for_flight
 from tests.gauntlet.scenes import INSTRUMENT_SEED_OFFSET, Draw, Settings, draw_chain
 
 # Stiffness of the coil spring of an electrodynamic shaker, relative to that of the first spring.
 _SPRING_RATIO = 0.2
 # Kinds of tests.
 HELD, BACKBONE, CURVE = "constant_response_dampers", "phase_resonance_dampers", "continuation_dampers"
+FOLDS = "continuation_folds_dampers"
 LINEAR_HELD, LINEAR_BACKBONE, LINEAR_CURVE = "constant_response", "phase_resonance", "continuation"
-KINDS = HELD, BACKBONE, CURVE, LINEAR_HELD, LINEAR_BACKBONE, LINEAR_CURVE
+KINDS = HELD, BACKBONE, CURVE, FOLDS, LINEAR_HELD, LINEAR_BACKBONE, LINEAR_CURVE
 # The band of a linear resonance, relative to its half-power bandwidth.
 _BANDWIDTHS = 1.5
+# At most so many structures are drawn until the response at constant force has folds.
+_MAX_FOLD_DRAWS = 40
+# Smallest distance of two folds, relative to the half-power bandwidth.
+_MIN_FOLD_WIDTH = 0.2
+
+
+def bands_between_folds(curve: rig.OrbitCurve) -> list[tuple[float, float]]:
+    """Return the bands of frequency, Hz, in which three or more motions repeat each period: folds are their ends."""
+    ends: list[tuple[float, int]] = []
+    for branch in curve.branches:
+        if branch.orbits[0].repetition > 1:
+            continue
+        turns = np.flatnonzero(np.diff(np.sign(np.diff(branch.value)))) + 1
+        for part in np.split(branch.value, turns):
+            ends += [(float(part.min()), 1), (float(part.max()), -1)]
+    bands, count, low = [], 0, 0.0
+    for value, change in sorted(ends):
+        if (count, change) == (2, 1):
+            low = value
+        elif (count, change) == (3, -1):
+            bands.append((low, value))
+        count += change
+    return bands
+
+
+def draw_folds(seed: int, number: int, kind: str) -> rig.Scene:
+    """Draw one or two bodies on springs, one with a damper between floor and ceiling, and a force shaker.
+
+    The response at the force of the test turns back in its band.
+    """
+    random = Draw(seed, number)
+    name = f"gauntlet {seed}/{number} {kind}"
+    for _ in range(_MAX_FOLD_DRAWS):
+        masses = [random.log_uniform(0.5, 2.0) for _ in range(random.integer(1, 2))]
+        stiffness = (2.0 * np.pi * random.log_uniform(15.0, 50.0)) ** 2
+        body = random.integer(1, len(masses))
+        sensor = {"sensitivity": "10 mV/g", "noise": "20 ug/sqrt(Hz)"}
+        settings: Settings = {
+            "name": name,
+            "structure": {
+                "masses": masses,
+                "springs": [mass * stiffness for mass in masses],
+                "damping": {"modal": random.log_uniform(0.002, 0.005)},
+            },
+            "shaker": {"kind": "force", "body": body},
+            "channels": [
+                {"name": f"a{body}", "at": f"body {body}", "accelerometer": sensor},
+                {"name": "force", "at": "shaker", "hammer": {"sensitivity": "100 mV/N"}},
+            ],
+            "converter": {"rate": 5120.0, "bits": 24, "range": 10.0},
+            "recording": {"display": False},
+            "seed": random.integer(1, 10**6),
+        }
+        scene = rig.loads(yaml.safe_dump(settings, sort_keys=False), where=name)
+        mode = float(random.choice(structural_model(scene).modes.frequency))
+        # The amplitude at resonance without damper, m.
+        amplitude = random.log_uniform(8.0, 40.0) * GRAVITY / (2.0 * np.pi * mode) ** 2
+        force = float(amplitude / abs(receptance(scene, np.array([mode]))[body - 1, 0]))
+        damper = {
+            "body": body,
+            "mass_ratio": random.uniform(0.03, 0.08),
+            "clearance": random.log_uniform(0.2, 1.0) * amplitude,
+        }
+        low, high = 0.94 * mode, 1.03 * mode
+        tone = {"kind": "sine", "frequency": mode, "force": force}
+        scene = scene.replace(dampers=[damper], test=tone)
+        bands = bands_between_folds(rig.follow_orbits(scene.replace(channels=None), "frequency", (low, high)))
+        width = 2.0 * scene.structure.damping.modal * mode
+        if any(last - first > _MIN_FOLD_WIDTH * width for first, last in bands):
+            test = {"kind": "continuation", "at": f"body {body}", "from": high, "to": low, "force": force}
+            return scene.replace(test=test)
+    raise AssertionError(f"{name}: no response with folds")
 
 
 def draw_controlled_tone(seed: int, number: int, kind: str) -> rig.Scene:

@@ -50,6 +50,7 @@ KINDS = (
     "constant_response_dampers",
     "phase_resonance_dampers",
     "continuation_dampers",
+    "continuation_folds_dampers",
     "sine_control",
     "random_control",
 )

@@ -38,6 +38,7 @@ SCENE_NUMBERS = {
     "constant_response_dampers": 1,
     "phase_resonance_dampers": 0,
     "continuation_dampers": 1,
+    "continuation_folds_dampers": 1,
     "sine_control": 1,
     "random_control": 1,
 }

@@ -30,6 +30,7 @@ _DRAW_FUNCTIONS = {TONE: draw_instant_contact, STEPS: draw_instant_contact, DECA
 _DRAW_FUNCTIONS |= dict.fromkeys((TONE_FINITE_CONTACT, STEPS_FINITE_CONTACT), draw_finite_contact)
 _DRAW_FUNCTIONS |= dict.fromkeys((CURVES, MULTISINE, STEPPED, TWO_SHAKERS), draw_close_modes)
 _DRAW_FUNCTIONS |= dict.fromkeys(controlled_tones.KINDS, controlled_tones.draw_controlled_tone)
+_DRAW_FUNCTIONS[controlled_tones.FOLDS] = controlled_tones.draw_folds
 _DRAW_FUNCTIONS |= dict.fromkeys((SINE, NOISE), draw_profile_control)
 _DRAW_FUNCTIONS |= dict.fromkeys((RANDOM, MULTISINE_TWO_SHAKERS), draw_two_shakers)
 

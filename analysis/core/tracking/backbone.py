@@ -153,7 +153,7 @@ def backbone(rec: Recording) -> Backbone:
     mass = structural_model(rec.scene).mass
     driven = rec.scene.force_on
     rotates = len(reference_of(rec, "force").channels) > 1
-    rows = []
+    levels = []
     for marker in markers:
         [response] = frequency_responses(rec, level=float(marker.fields["level"]))
         line = int(np.argmin(abs(response.frequency - float(marker.fields["frequency"]))))
@@ -173,11 +173,11 @@ def backbone(rec: Recording) -> Backbone:
         tangent = float(np.tan(angle)) if angle < np.pi / 2.0 else np.inf
         mode = _NO_MODE
         if all(f"body {number}" in outputs for number in range(1, len(mass) + 1)):
-            bodies = [values[outputs[f"body {number}"]] for number in range(1, len(mass) + 1)]
-            motion = force * np.array(bodies, dtype=complex)
+            rows = [outputs[f"body {number}"] for number in range(1, len(mass) + 1)]
+            motion = np.asarray(force * values[rows], dtype=np.complex128)
             mode = _mode(motion, mass, [number - 1 for number in driven], force, omega, relative, rotation)
         bound = abs(mode.damping) * omega / (2.0 * np.pi) * tangent
-        rows.append(
+        levels.append(
             (
                 marker.fields["level"], response.frequency[line], bound, *mode, amplitude, relative * amplitude,
                 marker.fields.get("settled") is not False,
@@ -186,7 +186,7 @@ def backbone(rec: Recording) -> Backbone:
     (
         level, frequency, frequency_bound, natural, natural_bound, ratio, ratio_bound, displacement, displacement_bound,
         settled,
-    ) = (np.array(column, dtype=float) for column in zip(*rows, strict=True))  # fmt: skip
+    ) = (np.array(column, dtype=float) for column in zip(*levels, strict=True))  # fmt: skip
     return Backbone(
         label=rec.scene.name,
         body=rec.scene.structure.label(body),

@@ -295,7 +295,11 @@ def _locate_border(
         crossed = np.flatnonzero(end_margin < 0)
         fractions = inside[1][crossed] / (inside[1][crossed] - end_margin[crossed])
         index = int(crossed[fractions.argmin()])
-        distance = brentq(margin_at, 0.0, end, args=(index,), xtol=BORDER_TOLERANCE * end)
+        try:
+            distance = brentq(margin_at, 0.0, end, args=(index,), xtol=BORDER_TOLERANCE * end)
+        except ValueError as failure:
+            # From the chord, the correction leads to another point beyond the border than from the tangent.
+            raise NoConvergence("the curve does not cross the border on its chord") from failure
         # The point must be on the inner side of the border.
         distance = max(0.0, distance - 2 * BORDER_TOLERANCE * end)
         border_point = correct(distance)

@@ -14,7 +14,7 @@ from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import ShotrigError
 from rig.core.results.response import Response
 from tests.gauntlet.checks.modes import true_modes
-from tests.gauntlet.controlled_tones import BACKBONE, CURVE, HELD, LINEAR_BACKBONE
+from tests.gauntlet.controlled_tones import BACKBONE, CURVE, FOLDS, HELD, LINEAR_BACKBONE
 from tests.gauntlet.result import Case, CheckResult
 
 # Name of the check for sensors without tolerances.
@@ -219,5 +219,6 @@ _POINTS: dict[str, tuple[Callable[[Case], Iterator[_Point | None]], ...]] = {
     HELD: (_surface_points,),
     BACKBONE: (_phase_points,),
     CURVE: (_curve_points, _folds),
+    FOLDS: (_curve_points, _folds),
     LINEAR_BACKBONE: (_linear_points,),
 }

@@ -37,6 +37,15 @@ def test_curve_ends_at_a_border() -> None:
     assert 0.3 - 1e-9 < curve.points[-1, 1] <= 0.3
 
 
+def test_border_off_the_chord_is_approached_again() -> None:
+    calls = iter([1.0, 1.0, -1.0])
+    curve = trace(
+        circle, np.array([1.0, 0.0]), (-2, 2), np.ones(2), margins=lambda x: (np.array([next(calls, 1.0)]), ["once"])
+    )
+
+    assert curve.ends == ("closed", "closed")
+
+
 def test_failed_convergence_reports_the_last_point() -> None:
     # The curve x = 1 + p^1.5 ends at p = 0.
     def semicubical_parabola(x: Vector) -> tuple[Vector, Vector]:

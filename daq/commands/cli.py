@@ -19,6 +19,8 @@ from rig.core.base.output_files import allow_overwriting, prepare_outputs
 if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
+# Tests of at most this CPU time, s, are simulated completely in a dry run.
+_DRY_RUN_CPU_S = 20.0
 app = create_application("The instrument: record, inspect, repair and replay tests.")
 
 # Suffixes of other formats.
@@ -66,7 +68,7 @@ def record(
         ),
     ] = None,
     dry_run: Annotated[
-        bool, _option(None, "Record nothing; print the expected maxima, limits and duration.", "--dry-run")
+        bool, _option(None, "Record nothing; print the maxima, limits and duration of a simulation.", "--dry-run")
     ] = False,
     anyway: Annotated[bool, _option(None, "Start a test even if it is expected to abort.", "--anyway")] = False,
 ) -> None:
@@ -78,7 +80,7 @@ def record(
 
     if dry_run:
         for scene in scenes:
-            print(f"{scene}: {foresee(load_scene(scene, changes))}")
+            print(f"{scene}: {foresee(load_scene(scene, changes), cpu_seconds=_DRY_RUN_CPU_S)}")
         return
     tests = [
         (scene, load_scene(scene, changes), path)

@@ -60,8 +60,6 @@ _SMALL_TURN = 0.05
 _JUMP_RATIO = 2.0
 # The motion does not repeat if the control changes the drive by more than this fraction.
 _MAX_INVASIVE = 0.01
-# A step of a rehearsal.
-_LONG_STEP = 0.5
 
 
 class Point(NamedTuple):
@@ -361,13 +359,12 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
         return len(test.levels) * min(count, test.points) * seconds
 
     def part(self, test: Continuation, seconds: float, scene: Scene) -> Continuation:
-        """Return the curve of the highest level with long steps."""
-        return test.at_level(max(test.levels)).replace(step=_LONG_STEP)
+        """Return the curve of the highest level."""
+        return test.at_level(max(test.levels))
 
     def seconds(self, test: Continuation, part: Continuation, part_seconds: float) -> float:
-        """Return the expected duration of all levels and points, s."""
-        # Long steps settle as slowly as many short ones.
-        return part_seconds * len(test.levels)
+        """Return the expected duration of all levels, s."""
+        return part_seconds * len(test.levels) / len(part.levels)
 
     def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
         """Return curves at the given force, of body 1 or of the body of the scene's test."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.core.prediction.linear import test_frequencies
 from daq.core.prediction.rehearsal import Rehearsal
@@ -48,6 +49,14 @@ def _acceleration_per_level(scene: Scene, system: HybridSystem, frequencies: Arr
         return accelerations_per_level(scene, system, 2.0 * np.pi * frequencies)[system.damper_coordinate]
     except SceneError:
         return np.zeros((0, 0))
+
+
+def flying_tones(scene: Scene, system: HybridSystem, level: float, tones: Array) -> NDArray[np.bool_]:
+    """Return whether the linear response to each tone, Hz, makes a damper fly; `level` is that of the tone."""
+    accelerations = level * _acceleration_per_level(scene, system, tones)
+    if not accelerations.size:
+        return np.zeros(tones.size, dtype=bool)
+    return np.asarray((accelerations > system.take_off_acceleration[:, None]).any(axis=0))
 
 
 def flight_lines(scene: Scene, system: HybridSystem, level: float, rehearsals: Sequence[Rehearsal]) -> tuple[str, ...]:

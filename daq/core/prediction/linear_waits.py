@@ -1,190 +1,226 @@
-"""Predict the waits for the steady state of a series of tones, from the linear response with all dampers riding.
+"""Predict the waits of a stepped sine by its own procedure, on the linear response with all dampers riding.
 
-A change of the tone leaves a transient in each mode, which decays freely. The steady state is reached when the sum of
-the transients in the amplitude of every controlled or measured quantity is below the tolerance. Where the noise of a
-quantity is larger than that, the detector has to average, after a correction of the force.
+The procedure, its detector of the steady state and its control of the force are those of the test. Only the tone is
+replaced: between changes of the drive, the transient of each mode decays freely, so that the amplitudes in a window are
+computed in closed form instead of from samples. Their noise is drawn from the noise densities of the channels.
 """
 
 from __future__ import annotations
 
+import cmath
 import math
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from daq.core.excitation.stepped_sine import expected_wait, extrapolate_drive
-from daq.core.excitation.tones.lock_in import lock_in, whole_periods
-from daq.core.excitation.tones.settling import MIN_OBSERVATIONS
-from daq.core.excitation.tones.steady_tone import TRANSITION_S, WINDOW_S, Tone
-from daq.core.prediction.linear import noise_density, states_per_level
+from daq.core.excitation.controlled import controlled
+from daq.core.excitation.station import Station
+from daq.core.excitation.stepped_sine import excite, expected_wait
+from daq.core.excitation.tones.lock_in import lock_in_weights
+from daq.core.excitation.tones.steady_tone import SteadyTone
+from daq.core.prediction.linear import noise_density
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
+from rig.core.scene.excitation.stepped_sine import SteppedTest
 from rig.core.scene.scene import Scene
-from rig.core.system.assembly import force_row
 from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.open_loop_drive import riding_equations, riding_response
 
-# The tones are represented by this number of samples per period of the highest frequency.
+# The tones are represented by at most this number of samples per period of the highest frequency.
 _SAMPLES_PER_PERIOD = 32
-# Number of samples of transients that are in memory at a time.
-_MAX_TRANSIENT_SAMPLES = 1 << 16
-# Number of windows after the end of the transient until the detector has confirmed the steady state.
-_CONFIRMING_WINDOWS = 2
-# Shortest wait, s: beats of several modes have to be distinguished from noise.
-_SHORTEST_WAIT_S = 2.0
-# As in `daq.core.excitation.tones.settling`: incoherent changes are noise after this number of windows.
-_NOISE_WINDOWS, _MIN_COHERENCE = 24, 0.8
-# Noise above this fraction of the tolerance prevents that a few windows agree; the scatter of half of `_NOISE_WINDOWS`
-# is averaged up to the second multiple of the tolerance, of all above it.
-_FEW_WINDOWS_RATIO, _HALF_OF_WINDOWS_RATIO = 0.12, 3.0
-# Number of windows until the force is predictable, with the change of the drive.
-_CORRECTION_WINDOWS = MIN_OBSERVATIONS + 3
 # Without modes that are this independent, the waits follow from the slowest mode.
 _MAX_CONDITION = 1e13
+# A prediction ends after this number of windows, about 1 s of CPU time.
+_MAX_WINDOWS = 20000
+# It is repeated with other noise up to this number of windows in all, but once at least up to the third number.
+_MAX_REPETITIONS = 4
+_REPEATED_WINDOWS = 4000
+_MIN_REPEATED_WINDOWS = 500
+# Number of windows whose noise is drawn at once.
+_DRAWN_AT_ONCE = 256
+# Weights of Durand's rule at both ends of an interval, for an integral over equally spaced values.
+_DURAND = np.array([5.0, 13.0]) / 12.0
 
 
-def linear_waits(scene: Scene, system: HybridSystem, channels: Sequence[ChannelInfo]) -> Array:
-    """Return the wait before each tone of a test at its highest level, in their order, shape (tones,), s.
+class LinearWaits(NamedTuple):
+    """Waits before all tones of a test."""
 
-    The wait before the first tone, which starts from rest, is assumed to be the mean of the others.
-    """
+    expected: Array  # s, (levels, tones)
+    scatter: float  # standard deviation of a wait due to noise, relative to its expected value
+
+
+def linear_waits(scene: Scene, system: HybridSystem, channels: Sequence[ChannelInfo]) -> LinearWaits:
+    """Return the waits before the tones of a stepped sine, in their order."""
     test = scene.test
     assert test is not None
-    tones, steady_state = np.array(test.dwells), test.steady_state
-    omega, name = 2.0 * np.pi * tones, scene.at_driven("shaker")
-    descriptor, state_matrix, input_vector = riding_equations(system, name)
-    poles, shapes = np.linalg.eig(np.linalg.solve(descriptor, state_matrix))
-    usual = np.full(tones.size, expected_wait(scene, steady_state.longest))
+    tones = np.array(test.dwells)
+    shape = len(test.levels), tones.size
     try:
-        per_drive, (_, gain) = riding_response(system, name, omega), states_per_level(scene, system, tones)
+        modes = _RidingModes.of(scene, system, tones)
     except SceneError:
-        return usual
-    if tones.size < 2 or np.linalg.cond(shapes) > _MAX_CONDITION:
-        return usual
-    to_modes = np.linalg.inv(shapes)
-    modal_input = to_modes @ np.linalg.solve(descriptor, input_vector)
-    quantities, noise = _quantities(scene, system, channels, tones)
-    drive, rate = abs(gain) * max(test.levels), _SAMPLES_PER_PERIOD * float(tones.max())
-
-    in_phase, in_quadrature = (to_modes @ part for part in (per_drive.imag, per_drive.real))
-
-    def modes_at(index: int, amplitude: float, phase: float) -> ComplexArray:
-        """Return the modal coordinates in the steady state of a tone at a phase of its drive."""
-        parts = in_phase[:, index] * math.cos(phase), in_quadrature[:, index] * math.sin(phase)
-        return np.asarray(amplitude * (parts[0] + parts[1]))
-
-    windows = np.array([whole_periods(tone, rate, WINDOW_S) for tone in tones])
-    changes = 2 * (np.maximum(round(TRANSITION_S * rate), windows) // 2)
-    decay = np.exp(np.outer(poles, np.arange(changes.max() + 1) / rate))
-    transients, points = np.zeros((tones.size, poles.size)), list(zip(tones.tolist(), drive.tolist(), strict=True))
-    for index in range(1, tones.size):
-        samples = changes[index]
-        known = points[max(0, index - 3) : index]
-        start = extrapolate_drive(known, tones[index]) if scene.controlled_terms else float(drive[index])
-        tone = Tone(rate, tones[index - 1])
-        tone.amplitude = float(drive[index - 1])
-        wave = tone.transition(samples, tones[index], start)
-        integrand = np.append(wave, start * np.sin(tone.phase)) * _simpson_weights(samples) / rate
-        forced = modal_input * (decay[:, : samples + 1] @ integrand[::-1])
-        end = decay[:, samples] * modes_at(index - 1, drive[index - 1], 0.0) + forced
-        transients[index] = abs(end - modes_at(index, start, tone.phase))
-    transients *= _amplitudes_in_window(poles, tones, np.round(tones * windows / rate).astype(int))
-    amplitudes = abs(quantities @ per_drive).T * drive[:, None]
-    limits = steady_state.tolerance * amplitudes
-    counts = _windows_until(
-        abs(quantities @ shapes) * transients[:, None], limits, poles, omega, windows / rate, steady_state.longest
-    )
-    averaged = _averaged_windows(noise * np.sqrt(2.0 * rate / windows), limits.T)
-    # With noise, the force is corrected: its drive is extrapolated from the tones before.
-    counts = np.maximum(counts, averaged) + (_CORRECTION_WINDOWS * (averaged > 0) if scene.controlled_terms else 0)
-    waits = (changes + (counts + _CONFIRMING_WINDOWS) * windows) / rate
-    waits[0] = waits[1:].mean()
-    return np.clip(waits, min(_SHORTEST_WAIT_S, steady_state.longest), steady_state.longest)
+        modes = None
+    if modes is None:
+        return LinearWaits(np.full(shape, expected_wait(scene, test.steady_state.longest)), 0.0)
+    runs, windows = np.full((_MAX_REPETITIONS, shape[0] * shape[1]), np.nan), 0
+    for number, run in enumerate(runs):
+        limit = max(_REPEATED_WINDOWS - windows, 0 if number > 1 else _MIN_REPEATED_WINDOWS)
+        waits, used = _run(scene, system, channels, modes, number, limit if number else _MAX_WINDOWS)
+        run[: waits.size] = waits
+        windows += used
+    first, second = runs[:2, ~np.isnan(runs[1])]
+    scatter = np.sqrt(np.sum((first - second) ** 2) / max(np.sum(first**2 + second**2), 1e-300))
+    predicted = ~np.isnan(runs[0])
+    expected = np.nanmean(runs[:, predicted], axis=0)
+    # Tones that were not predicted wait as long as those at about their frequency.
+    frequency, order = np.tile(tones, shape[0]), np.argsort(np.tile(tones, shape[0])[predicted], kind="stable")
+    rest = np.interp(frequency[~predicted], frequency[predicted][order], expected[order])
+    return LinearWaits(np.concatenate([expected, rest]).reshape(shape), float(scatter))
 
 
-def _quantities(
-    scene: Scene, system: HybridSystem, channels: Sequence[ChannelInfo], tones: Array
-) -> tuple[Array, Array]:
-    """Return the quantities of the detector as products with the states, and their noise density at the tones.
+def _run(
+    scene: Scene, system: HybridSystem, channels: Sequence[ChannelInfo], modes: _RidingModes, number: int, limit: int
+) -> tuple[Array, int]:
+    """Run the test up to a limit of windows, with the noise of a number; return the waits, s, and the windows used."""
+    test = scene.test
+    assert isinstance(test, SteppedTest)
+    rate = min(scene.converter.true_rate, _SAMPLES_PER_PERIOD * max(test.order))
+    waits: list[float] = []
 
-    Shapes (quantities, states) and (quantities, tones). The first quantity is the controlled force, if any; the others
-    are the displacements that channels measure.
-    """
-    settings = {channel.name: channel for channel in scene.channels or ()}
-    rows, noises = [], []
-    noise_at: dict[str, Array] = {}
-    for info in channels:
-        gain = abs(info.response(tones)) * (2.0 * np.pi * tones) ** (info.derivative or 0)
-        noise = noise_density(scene, settings.get(info.name), info, tones) / np.maximum(gain, np.finfo(float).tiny)
-        noise_at.setdefault(info.at, noise)
-        if info.at in system.points and info.derivative is not None:
-            rows.append(np.eye(system.states)[system.points.index(info.at)])
-            noises.append(noise)
-    if scene.controlled_terms:
-        rows.insert(0, force_row(scene, system))
-        terms = [factor * noise_at.get(at, np.zeros(tones.size)) for at, factor in scene.controlled_terms.items()]
-        noises.insert(0, np.sqrt(np.sum(np.square(terms), axis=0)))
-    return np.array(rows).reshape(-1, system.states), np.array(noises).reshape(-1, tones.size)
+    def mark(kind: str, first: int, stop: int, **fields: Any) -> None:
+        if kind == "settle":
+            waits.append((stop - first) / rate)
 
-
-def _averaged_windows(scatter: Array, limits: Array) -> NDArray[np.intp]:
-    """Return the number of windows over which the detector averages the noise of any quantity, (tones,).
-
-    `scatter`: standard deviation of the amplitude in a window; `limits`: tolerance; both (quantities, tones).
-    """
-    ratio = (scatter / np.maximum(limits, np.finfo(float).tiny)).max(axis=0, initial=0.0)
-    parts = np.where(ratio > _HALF_OF_WINDOWS_RATIO, _NOISE_WINDOWS, _NOISE_WINDOWS // 2)
-    return np.where(ratio > _FEW_WINDOWS_RATIO, parts, 0)
+    station = Station(scene, channels, system.inputs, rate, mark)
+    tone = _PredictedTone(station, system, modes, number)
+    drives = excite(station, test, tone)
+    try:
+        drive = next(drives)
+        while tone.windows < limit:
+            station.now += drive.shape[1]
+            drive = drives.send(drive)
+    except StopIteration:
+        pass
+    return np.array(waits), tone.windows
 
 
-@lru_cache(maxsize=4)
-def _simpson_weights(samples: int) -> Array:
-    """Return the weights of Simpson's rule over an even number of samples, shape (samples + 1,), in samples."""
-    weights = np.where(np.arange(samples + 1) % 2, 4.0, 2.0) / 3.0
-    weights[[0, -1]] = 1.0 / 3.0
-    return weights
+@dataclass(frozen=True)
+class _RidingModes:
+    """Modes of the linear system with all dampers riding, and the steady states of the tones of a test."""
+
+    poles: ComplexArray  # 1/s, (modes,)
+    shapes: ComplexArray  # (states, modes)
+    participation: ComplexArray  # derivative of each modal coordinate per unit of drive
+    # Per unit of drive: complex amplitudes of the states; modal coordinates of real and imaginary part.
+    steady: dict[float, tuple[ComplexArray, ComplexArray, ComplexArray]]
+
+    @classmethod
+    def of(cls, scene: Scene, system: HybridSystem, tones: Array) -> _RidingModes | None:
+        """Return the modes; None if they are not independent. `tones`: frequencies of the test, Hz."""
+        name = scene.at_driven("shaker")
+        descriptor, state_matrix, input_vector = riding_equations(system, name)
+        poles, shapes = np.linalg.eig(np.linalg.solve(descriptor, state_matrix))
+        if np.linalg.cond(shapes) > _MAX_CONDITION:
+            return None
+        to_modes = np.linalg.inv(shapes)
+        states = riding_response(system, name, 2.0 * np.pi * tones)
+        steady = {
+            tone: (state, to_modes @ state.real, to_modes @ state.imag)
+            for tone, state in zip(tones.tolist(), states.T, strict=True)
+        }
+        return cls(poles, shapes, to_modes @ np.linalg.solve(descriptor, input_vector), steady)
 
 
-def _amplitudes_in_window(poles: ComplexArray, tones: Array, periods: NDArray[np.intp]) -> Array:
-    """Return the amplitude that the lock-in of each tone estimates for each transient of amplitude 1, (tones, poles).
+class _PredictedTone(SteadyTone):
+    """A tone whose amplitudes are those of the linear response."""
 
-    `periods`: those of each window. Windows of equally many periods have equal weights, whatever their frequency.
-    """
-    result = np.empty((tones.size, poles.size))
-    for count in np.unique(periods):
-        equal, samples = np.flatnonzero(periods == count), int(count) * _SAMPLES_PER_PERIOD
-        tones_at_once = max(1, _MAX_TRANSIENT_SAMPLES // (samples * poles.size))
-        for first in range(0, equal.size, tones_at_once):
-            indices = equal[first : first + tones_at_once]
-            steps = np.exp(poles / (_SAMPLES_PER_PERIOD * tones[indices, None])).reshape(-1, 1)
-            transients = np.cumprod(np.repeat(steps, samples, axis=1), axis=1) / steps
-            real, imaginary = lock_in(
-                np.concatenate([transients.real, transients.imag]), 1.0, float(_SAMPLES_PER_PERIOD)
-            ).reshape(2, -1, poles.size)
-            result[indices] = abs(real + 1j * imaginary)
-    return result
+    def __init__(self, station: Station, system: HybridSystem, modes: _RidingModes, number: int) -> None:
+        super().__init__(station, next(iter(modes.steady)), controlled(station))
+        scene, self.windows = station.scene, 0
+        self._modes, self._random = modes, station.generator(f"predicted noise {number}")
+        # Modal coordinates of the transient, relative to the steady state of the present tone.
+        self._transient = np.zeros(modes.poles.size, dtype=complex)
+        self._decay = np.zeros((0, modes.poles.size), dtype=complex)
+        self._drawn: list[ComplexArray] = []
+        self._observed: tuple[float, int] | None = None
+        motions = [info for info in station.channels if info.quantity not in ("force", "voltage")]
+        # Displacements of the motion channels, as products with the states.
+        self._motions = np.array([np.eye(system.states)[system.points.index(info.at)] for info in motions])
+        # The observed quantities, as products with these displacements: the controlled force, and each of them.
+        places, force = [info.at for info in motions], np.zeros((0 if self._controlled is None else 1, len(motions)))
+        for place, factor in scene.controlled_terms.items():
+            force[0, places.index(place)] = factor
+        self._quantities = np.concatenate([force, np.eye(len(motions))])
+        settings, tones = {channel.name: channel for channel in scene.channels or ()}, np.array(list(modes.steady))
+        densities = np.empty((tones.size, len(motions)))
+        for row, info in zip(densities.T, motions, strict=True):
+            gain = abs(info.response(tones)) * (2.0 * np.pi * tones) ** (info.derivative or 0)
+            row[:] = noise_density(scene, settings.get(info.name), info, tones) / gain
+        self._densities = dict(zip(tones.tolist(), densities, strict=True))
 
+    def transition(self, samples: int, frequency: float, amplitude: float) -> Array:
+        """Generate a transition, and compute the transient that it leaves."""
+        poles, start = self._modes.poles, self._transient + self._steady_coordinates()
+        wave = super().transition(samples, frequency, amplitude)
+        values = np.append(wave, amplitude * np.sin(self.phase)) / self.rate
+        values[[0, -1]] *= _DURAND[0]
+        values[[1, -2]] *= _DURAND[1]
+        if self._decay.shape[0] <= samples:
+            self._decay = np.exp(np.outer(np.arange(samples + 1) / self.rate, poles))
+        end = self._decay[samples] * start + self._modes.participation * (values[::-1] @ self._decay[: samples + 1])
+        self._transient = end - self._steady_coordinates()
+        return wave
 
-def _windows_until(
-    transients: Array, limits: Array, poles: ComplexArray, omega: Array, window: Array, longest: float
-) -> NDArray[np.intp]:
-    """Return the number of windows of each tone until the transients are below the limits, by bisection, (tones,).
+    def _steady_coordinates(self) -> ComplexArray:
+        """Return the modal coordinates of the steady state at the present phase."""
+        if self.amplitude == 0.0:
+            return np.zeros(self._modes.poles.size, dtype=complex)
+        _, real, imaginary = self._modes.steady[self.frequency]
+        return self.amplitude * (real * np.sin(self.phase) + imaginary * np.cos(self.phase))
 
-    `transients`: amplitudes in the first window, (tones, quantities, poles); `limits`: (tones, quantities); `window`:
-    duration, s, (tones,); `longest`: limit of the wait, s.
-    """
-    # Beats of several modes are taken for noise after a number of windows.
-    factors = np.exp((poles - 1j * omega[:, None]) * window[:, None])
-    powers = (transients * abs(factors**_NOISE_WINDOWS * (factors - 1.0))[:, None]) ** 2
-    in_phase = np.einsum("kqp,kp->kq", powers, np.exp(1j * np.angle(factors)))
-    is_noise = abs(in_phase) ** 2 / np.maximum(powers.sum(axis=2) ** 2, 1e-280) < _MIN_COHERENCE
-    low, high = np.zeros(window.size, dtype=int), (longest / window).astype(int) + 2
-    while (low < high).any():
-        middle = (low + high) // 2
-        change = np.einsum("kqp,kp->kq", transients, np.exp(poles.real * (middle * window)[:, None]))
-        is_steady = ((change < limits) | (is_noise & (middle >= _NOISE_WINDOWS)[:, None])).all(axis=1)
-        low, high = np.where(is_steady, low, middle + 1), np.where(is_steady, middle, high)
-    return low
+    def observe(self, samples: int) -> Generator[Array, Array, ComplexArray]:
+        """Return the amplitudes in a window that is not output."""
+        self.windows += 1
+        if self._observed != (self.frequency, samples):
+            self._set_window(samples)
+        relative = self._transient * cmath.exp(-1j * self.phase)
+        amplitudes = self.amplitude * self._steady + self._transient_gain @ relative + self._scatter @ self._noise()
+        self._transient = self._transient * self._decay_in_window
+        self._advance_phase(samples)
+        return amplitudes
+        yield
+
+    def _set_window(self, samples: int) -> None:
+        """Prepare windows of a length at the present frequency."""
+        self._observed = self.frequency, samples
+        decay = np.exp(np.outer(np.arange(samples + 1) / self.rate, self._modes.poles))
+        self._decay_in_window = decay[-1]
+        weights = lock_in_weights(self.frequency, self.rate, samples)
+        lock_in_gain = (weights[0] + 1j * weights[1]) @ decay[:-1]
+        state, *_ = self._modes.steady[self.frequency]
+        self._steady = -1j * (self._quantities @ self._motions @ state)
+        gains = self._quantities @ self._motions @ self._modes.shapes
+        self._transient_gain = gains * lock_in_gain
+        # Of both parts, whose weights have about the same norm, in white noise up to half the sample rate.
+        noise_gain = np.linalg.norm(weights) * math.sqrt(self.rate) / 2.0
+        self._scatter = self._quantities * self._densities[self.frequency] * noise_gain
+
+    def _noise(self) -> ComplexArray:
+        """Return the next complex random numbers with a variance of 1 in both parts, one for each motion channel."""
+        if not self._drawn:
+            self._drawn = list(self._random.standard_normal((_DRAWN_AT_ONCE, 2 * len(self._motions))).view(complex))
+        return self._drawn.pop()
+
+    def measure(self, samples: int, settled: bool, fields: dict[str, Any]) -> Generator[Array, Array, None]:
+        """Let the transient decay during a measurement."""
+        self._transient = self._transient * np.exp(self._modes.poles * (samples / self.rate))
+        self._advance_phase(samples)
+        return
+        yield
+
+    def _advance_phase(self, samples: int) -> None:
+        """Hold the tone for a number of samples."""
+        self.phase = (self.phase + 2.0 * math.pi * self.frequency * samples / self.rate) % (2.0 * math.pi)
+        self.station.now += samples

@@ -61,29 +61,34 @@ class RehearsalPlan:
     is_complete: bool = False  # whether the only part is the complete test
 
 
-def affordable_seconds(scene: Scene) -> float:
-    """Return the longest duration of a test, s, that can be rehearsed in the CPU time `_CPU_BUDGET_S`."""
+def affordable_seconds(scene: Scene, cpu_seconds: float = 0.0) -> float:
+    """Return the longest duration of a test, s, that can be rehearsed in a CPU time, but at least `_CPU_BUDGET_S`."""
     system, has_filter = assemble(scene), complete_from_preset(scene.converter).filter is not None
     channels = system.coordinates if scene.channels is None else len(scene.channels)
     states = system.states + system.dampers
     channel_cpu_s = _CHANNEL_CPU_S * (_FILTER_TIME_RATIO if has_filter else 1.0)
     sample_cpu_s = _SAMPLE_CPU_S + _STATE_CPU_S * states + _ELEMENT_CPU_S * states**2 + channel_cpu_s * channels
-    return _CPU_BUDGET_S / (scene.converter.true_rate * choose_oversampling(scene) * sample_cpu_s)
+    return max(_CPU_BUDGET_S, cpu_seconds) / (scene.converter.true_rate * choose_oversampling(scene) * sample_cpu_s)
 
 
-def plan_rehearsal(scene: Scene, channels: tuple[ChannelInfo, ...]) -> RehearsalPlan:
-    """Choose the parts of a scene's test to rehearse; `channels` are those of the bench."""
+def plan_rehearsal(scene: Scene, channels: tuple[ChannelInfo, ...], cpu_seconds: float = 0.0) -> RehearsalPlan:
+    """Choose the parts of a scene's test to rehearse.
+
+    `channels`: those of the bench; `cpu_seconds`: a test of at most this CPU time is rehearsed completely.
+    """
     # Affordable duration of the rehearsed parts, s.
     test, seconds = scene.test, affordable_seconds(scene)
     assert test is not None
     procedure = procedure_of(test)
     seconds *= procedure.budget
     control_cpu_s = procedure.control_seconds(test) if scene.controlled_terms else 0.0
-    if expected_seconds(scene, channels) / seconds + control_cpu_s / _CPU_BUDGET_S <= 1.0:
+    cpu_ratio = max(1.0, cpu_seconds / _CPU_BUDGET_S)
+    if expected_seconds(scene, channels) / seconds + control_cpu_s / _CPU_BUDGET_S <= cpu_ratio:
         return RehearsalPlan(((scene, 0),), is_complete=True)
     if procedure.rehearsal == "peaks":
         return plan_about_peaks(scene, channels, seconds)
-    return RehearsalPlan(((scene.replace(test=procedure.part(test, seconds, scene)), 0),))
+    part = procedure.part(test, seconds, scene)
+    return RehearsalPlan(((scene.replace(test=part), 0),), is_complete=part == test)
 
 
 def expected_seconds(scene: Scene, channels: Sequence[ChannelInfo]) -> float:

@@ -59,7 +59,7 @@ def whole_periods(frequency: float, rate: float, shortest_s: float) -> int:
 
 # A test uses only a few window lengths per frequency.
 @lru_cache(maxsize=8)
-def _weights(frequency: float, rate: float, samples: int) -> Array:
+def lock_in_weights(frequency: float, rate: float, samples: int) -> Array:
     """Return the least-squares weights of the samples for real and imaginary part of the amplitude, (2, samples)."""
     model = _model(frequency, rate, samples, 0, samples)
     # Over two periods or more the terms are nearly orthogonal, so that the normal equations are accurate. Sums use
@@ -113,7 +113,7 @@ def lock_in(samples: Array, frequency: float, rate: float, phase: float = 0.0) -
     """
     n_samples = samples.shape[1]
     if n_samples <= _PIECE_SAMPLES:
-        parts = np.einsum("cn,kn->ck", samples, _weights(frequency, rate, n_samples))
+        parts = np.einsum("cn,kn->ck", samples, lock_in_weights(frequency, rate, n_samples))
     else:
         parts = _amplitude_parts(samples, frequency, rate)
     return (parts[:, 0] + 1j * parts[:, 1]) * np.exp(-1j * phase)

@@ -164,9 +164,10 @@ class Propagator:
     def set_state(self, state: Array, drive: Array) -> NDArray[np.int64]:
         """Set the state, with dampers on their floors and joints in the modes that contain their gaps and speeds.
 
-        Dampers whose contact force would be tensile separate.
+        Elements whose holding force would exceed its limits change their mode at once.
 
-        `state`: shape (states,), SI units; `drive`: drive states. Returns the dampers (from 0) that have separated.
+        `state`: shape (states,), SI units; `drive`: drive states. Returns the numbers (from 0) of these elements and
+        the kinds of their events, shape (2, events).
         """
         state = state.copy()
         modes = self.system.joint_modes(state)
@@ -183,10 +184,11 @@ class Propagator:
             self._no_motion,
             CONTACTS_UNCHECKED,
         )
-        separated = self.log.event_damper[: self.log.counts[N_EVENTS]].copy()
+        n_events = self.log.counts[N_EVENTS]
+        started = np.array([self.log.event_damper[:n_events], self.log.event_kind[:n_events]], dtype=np.int64)
         self.log.counts[:] = 0
         self._look_up_tables()
-        return separated
+        return started
 
     def snapshot(self) -> State:
         """Return a copy of the complete state, for `resume`."""

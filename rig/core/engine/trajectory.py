@@ -87,6 +87,15 @@ def event_table(
     return table
 
 
+def events_at_start(started: NDArray[np.int64], system: HybridSystem) -> NDArray[Any]:
+    """Return the events at t = 0 for users, with dtype as `event_table`.
+
+    `started`: numbers of the elements from 0 and kinds, shape (2, events).
+    """
+    zeros = np.zeros(started.shape[1])
+    return event_table(zeros, started[0], started[1], zeros, system)
+
+
 def gaps_and_contacts(trajectory: Trajectory, system: HybridSystem) -> tuple[Array, NDArray[np.int8]]:
     """Return the gap above each floor, m, and FLIGHT, FLOOR or CEILING; both of shape (dampers, samples)."""
     positions = trajectory.state[:, system.damper_coordinate].T

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from rig.core.base.arrays import Array
 from rig.core.engine.propagator import Propagator, sampled_propagator
 from rig.core.engine.samples import MotionSamples
-from rig.core.engine.trajectory import Trajectory, event_table
+from rig.core.engine.trajectory import Trajectory, event_table, events_at_start
 from rig.core.laws.events import FLOOR
 from rig.core.scene.loading import SceneLike, scene_of
 from rig.core.scene.scene import Scene
@@ -91,12 +91,12 @@ class Plant:
             block = np.minimum(np.maximum(block, -self._drive_limit), self._drive_limit)
         first, samples = self._next_sample, block.shape[1]
         buffer = self._propagator.motion_samples(samples)
-        separated = np.zeros(0, dtype=np.int64)
+        started = np.zeros((2, 0), dtype=np.int64)
         offset = 0
         if first == 0 and samples:
             offset = 1
             self._last_drive = block[:, :1].copy()
-            separated = self._propagator.set_state(
+            started = self._propagator.set_state(
                 self.system.initial, np.concatenate([block[:, 0], np.zeros(len(self.inputs))])
             )
             self._propagator.store_present_motion(buffer, 0)
@@ -104,10 +104,10 @@ class Plant:
         trajectory = self._propagator.sample_motion(drive_from_last, self._steps, buffer, offset)
         self._last_drive = drive_from_last[:, -1:].copy()
         self._next_sample += samples
-        return self._motion(buffer, trajectory, first + offset, first, separated)
+        return self._motion(buffer, trajectory, first + offset, first, started)
 
     def _motion(
-        self, buffer: MotionSamples, trajectory: Trajectory, first_end: int, first: int, separated: NDArray[np.int64]
+        self, buffer: MotionSamples, trajectory: Trajectory, first_end: int, first: int, started: NDArray[np.int64]
     ) -> Motion:
         """Return the motion of a block; segment s of the trajectory ends at sample `first_end` + s."""
         system, interval = self.system, 1.0 / self.rate
@@ -119,10 +119,8 @@ class Plant:
         if len(trajectory.event_segment):
             times = (first_end + trajectory.event_segment - 1) * interval + trajectory.event_offset
             events = event_table(times, trajectory.event_damper, trajectory.event_kind, trajectory.event_speed, system)
-        if len(separated):
-            zeros = np.zeros(len(separated))
-            initial_events = event_table(zeros, separated, zeros.astype(np.int64), zeros, system)
-            events = np.concatenate([initial_events, events])
+        if started.size:
+            events = np.concatenate([events_at_start(started, system), events])
         return Motion(
             first=first,
             displacement=displacement,

@@ -16,7 +16,7 @@ from rig.core.base.errors import RunError, SceneError
 from rig.core.base.progress import CountProgress
 from rig.core.engine.propagator import Propagator, sampled_propagator, tone_propagator
 from rig.core.engine.state import State
-from rig.core.engine.trajectory import Trajectory, event_table, gaps_and_contacts
+from rig.core.engine.trajectory import Trajectory, event_table, events_at_start, gaps_and_contacts
 from rig.core.numerics.memory import require_memory
 from rig.core.results import Result, complete_style
 from rig.core.scene.loading import SceneLike, scene_of
@@ -209,7 +209,7 @@ def _simulate_tone(
     is_dense = rate > MIN_DENSE_SAMPLES * tone.frequency  # many samples in a period
     propagator, steps = tone_propagator(system, tone.amplitudes, tone.omega, 1.0 / rate if is_dense else None)
     # Cosine and sine of the drive at t = 0.
-    separated = propagator.set_state(tone.state, np.array([1.0, 0.0]))
+    started = propagator.set_state(tone.state, np.array([1.0, 0.0]))
     times, is_sample, is_period_start = _segment_times(duration, samples, rate, tone.frequency)
     start = propagator.snapshot()
     initial = propagator.current_state()
@@ -223,7 +223,7 @@ def _simulate_tone(
     sample_rows = np.flatnonzero(is_sample[1:])
     return _assemble_run(
         scene, propagator, rate, start, initial, trajectory, sample_rows, segment_starts, durations, segment_states,
-        separated,
+        started,
     )  # fmt: skip
 
 
@@ -249,7 +249,7 @@ def _segment_times(
 def _simulate_sampled(scene: Scene, system: HybridSystem, drive: Array, rate: float) -> Run:
     """Simulate under a sampled drive (inputs, samples), in segments between samples."""
     propagator, steps = sampled_propagator(system, 1.0 / rate)
-    separated = propagator.set_state(system.initial, np.concatenate([drive[:, 0], np.zeros(len(system.inputs))]))
+    started = propagator.set_state(system.initial, np.concatenate([drive[:, 0], np.zeros(len(system.inputs))]))
     start = propagator.snapshot()
     initial = propagator.current_state()
     trajectory = propagator.propagate_samples(drive, steps)
@@ -262,19 +262,19 @@ def _simulate_sampled(scene: Scene, system: HybridSystem, drive: Array, rate: fl
     segment_starts = np.arange(intervals) / rate
     return _assemble_run(
         scene, propagator, rate, start, initial, trajectory, np.arange(intervals), segment_starts, durations,
-        segment_states, separated,
+        segment_states, started,
     )  # fmt: skip
 
 
 def _assemble_run(
     scene: Scene, propagator: Propagator, rate: float, start: State, initial: Trajectory,
     trajectory: Trajectory, sample_rows: NDArray[np.int64], segment_starts: Array, durations: Array,
-    segment_states: Array, separated: NDArray[np.int64],
+    segment_states: Array, started: NDArray[np.int64],
 ) -> Run:  # fmt: skip
     """Return the run from its initial state and a trajectory; row k of the trajectory is the end of segment k.
 
     `sample_rows`: rows that are samples; `segment_starts`, `durations`: of the segments, s; `segment_states`: at their
-    starts; `separated`: dampers that separate at t = 0.
+    starts; `started`: elements that change their mode at t = 0, and kinds of these events, shape (2, events).
     """
     system, end = propagator.system, propagator.snapshot()
     n, points = system.coordinates, len(system.points)
@@ -282,14 +282,9 @@ def _assemble_run(
     table_indices = np.concatenate([initial.table_index, trajectory.table_index[sample_rows]])
     initial_gap, initial_contact = gaps_and_contacts(initial, system)
     gap, contact = gaps_and_contacts(trajectory, system)
-    zeros = np.zeros(len(separated))
-    events = event_table(
-        np.concatenate([zeros, segment_starts[trajectory.event_segment] + trajectory.event_offset]),
-        np.concatenate([separated, trajectory.event_damper]),
-        np.concatenate([zeros.astype(np.int64), trajectory.event_kind]),
-        np.concatenate([zeros, trajectory.event_speed]),
-        system,
-    )
+    times = segment_starts[trajectory.event_segment] + trajectory.event_offset
+    events = event_table(times, trajectory.event_damper, trajectory.event_kind, trajectory.event_speed, system)
+    events = np.concatenate([events_at_start(started, system), events])
     return Run(
         scene=scene,
         points=system.points,

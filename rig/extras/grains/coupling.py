@@ -100,12 +100,12 @@ class CoupledPropagator:
         return np.array(grains)
 
     def set_state(self, state: Array, drive: Array) -> NDArray[np.int64]:
-        """Set the structure's state with every damper on its floor; return the dampers that separate immediately."""
+        """Set the structure's state with every damper on its floor; return the events, as `Propagator.set_state`."""
         inputs = np.concatenate([drive[: len(self.system.inputs)], -self._force.sum(axis=1)])
         # Drive states: the inputs and their changes over the step, here zero.
-        separated = self.structure.set_state(state, np.concatenate([inputs, np.zeros(len(inputs))]))
+        elements, kinds = self.structure.set_state(state, np.concatenate([inputs, np.zeros(len(inputs))]))
         self._read_beds()
-        return np.asarray(self._elements_without_grains[separated], dtype=np.int64)
+        return np.array([self._elements_without_grains[elements], kinds], dtype=np.int64)
 
     def state(self) -> CoupledState:
         """Return the state from which the motion continues bit-identically; see `Bed.state_bytes`."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.core.base.arrays import Array
-from rig.core.engine.trajectory import event_table, event_type
+from rig.core.engine.trajectory import event_table, event_type, events_at_start
 from rig.core.scene.scene import Scene
 from rig.core.simulation.energy import Energy, energy_balance
 from rig.core.system.open_loop_drive import ToneDrive
@@ -60,11 +60,10 @@ class GrainsRun:
     def start(self) -> GrainsState:
         """Return the state at the start of the run."""
         coupled = self.coupled
-        separated = coupled.set_state(self._initial, self._drive(0, 0)[:, 0])
+        started = coupled.set_state(self._initial, self._drive(0, 0)[:, 0])
         buffer = coupled.motion_samples(1)
         coupled.store_present_motion(buffer, 0)
-        zeros = np.zeros(len(separated))
-        events = event_table(zeros, separated, zeros.astype(np.int64), zeros, coupled.system)
+        events = events_at_start(started, coupled.system)
         return GrainsState(coupled.state(), buffer.rows, buffer.contact, events, (), coupled.ambiguous)
 
     def resume(self, state: GrainsState) -> GrainsState:

@@ -15,10 +15,17 @@ import numpy as np
 
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RunError
-from rig.studies.cost.first_order_form import CEILING, EVENT_KINDS, FLIGHT, FLOOR, ComputedMotion, FirstOrderForm
+from rig.core.laws.events import CEILING_IMPACT, EVENT_NAMES, FLOOR_IMPACT, NO_EVENT
+from rig.core.laws.law import GAP
+from rig.studies.cost.first_order_form import FLIGHT, ComputedMotion, End, FirstOrderForm
 
-#: Event detection at a wall is suspended for this time after a damper leaves it, s: its guard is at rounding level.
+#: Detection of an event is suspended for this time after a change of mode at which its guard is at rounding level, s,
+#: such as that of a wall after a damper has left it.
 GUARD_PAUSE_S = 2e-5
+#: A guard is at rounding level if its value is at most this fraction of its terms.
+AT_LIMIT = 1e-9
+#: Events at which velocities jump.
+IMPACTS = (FLOOR_IMPACT, CEILING_IMPACT)
 #: A solver is stopped after this number of events in a period: a damper leaves its wall and lands endlessly
 #: (chattering).
 MAX_EVENTS_PER_PERIOD = 400
@@ -42,55 +49,59 @@ class SegmentSolver(Protocol):
 
 
 class _Contacts:
-    """Contact state of each damper, and the guards of the contact events that are possible from it."""
+    """Mode of each element, and the guards at which it ends."""
 
     def __init__(self, problem: FirstOrderForm, guard_pause: float) -> None:
         self.problem, self.guard_pause = problem, guard_pause
-        self.contact_states = [FLOOR] * len(problem.damper_coordinate)
+        self.modes = list(problem.start_modes)
         self.events: list[tuple[float, int, str]] = []
         self._disabled_until: dict[tuple[int, int], float] = {}
         self._update()
 
     def _update(self) -> None:
-        problem = self.problem
-        self.matrix: Array = problem.matrix(self.contact_states)
-        self.changes: list[tuple[int, int]] = []  # damper and new contact state at the root of each guard
-        self.guards: list[Guard] = []
-        for j, wall in enumerate(self.contact_states):
-            if wall != FLIGHT:
-                self._add_guard(j, FLIGHT, problem.contact_force_row(j, wall, self.matrix))
-                continue
-            for new_wall in (FLOOR, CEILING) if np.isfinite(problem.clearance[j]) else (FLOOR,):
-                disabled_until = self._disabled_until.get((j, new_wall), -np.inf)
-                self._add_guard(j, new_wall, problem.gap_row(j, new_wall), disabled_until)
+        self.matrix, ends = self.problem.flow(self.modes)
+        self.ends = [(j, end) for j, own_ends in enumerate(ends) for end in own_ends]
+        self.guards: list[Guard] = [
+            self._guard(end.row, self._disabled_until.get((j, k), -np.inf))
+            for j, own_ends in enumerate(ends)
+            for k, end in enumerate(own_ends)
+        ]
 
-    def _add_guard(self, j: int, new_state: int, row: Array, disabled_until: float = -np.inf) -> None:
-        """Add a guard with the value row @ z. While disabled, it has a positive value and therefore no root."""
-        self.changes.append((j, new_state))
-        self.guards.append(lambda t, z: float(row @ z) if t > disabled_until else 1.0)
+    @staticmethod
+    def _guard(row: Array, disabled_until: float) -> Guard:
+        """Return a guard with the value row @ z. While disabled, it has a positive value and therefore no root."""
+        return lambda t, z: float(row @ z) if t > disabled_until else 1.0
 
-    def change(self, z: Array, now: float, j: int, wall: int) -> None:
-        """Separate a damper from its wall if `wall` is `FLIGHT`; otherwise apply an impact on this wall."""
-        problem, wall_before = self.problem, self.contact_states[j]
-        self.events.append((now, j, EVENT_KINDS[wall]))
-        if wall == FLIGHT:
-            problem.separate(z, j, wall_before, z[problem.system.coordinates + problem.damper_coordinate[j]])
-            self._disabled_until[j, wall_before] = now + self.guard_pause
-            self.contact_states[j] = FLIGHT
-        elif problem.impact(z, j, wall, float(problem.system.restitution[j])):
-            self.contact_states[j] = wall
-        else:
-            self._disabled_until[j, wall] = now + self.guard_pause
+    def leave(self, z: Array, now: float, j: int, end: End) -> None:
+        """Change the mode of an element at the end of its mode."""
+        if end.exit.event != NO_EVENT:
+            self.events.append((now, j, str(EVENT_NAMES[end.exit.event])))
+        candidates = self.problem.numbers(j, end.exit.to)
+        target = next((mode for mode in candidates if end.exit.event in IMPACTS or self._is_inside(z, j, mode)), None)
+        self.problem.leave(z, j, self.modes, end, candidates[-1] if target is None else target)
+        own_ends = self.problem.flow(self.modes)[1][j]
+        for k, end in enumerate(own_ends):
+            self._disabled_until[j, k] = now + self.guard_pause if _is_at_limit(end, z) else -np.inf
         self._update()
 
+    def _is_inside(self, z: Array, j: int, mode: int) -> bool:
+        """Return whether no signal is beyond its limit in a mode."""
+        ends = self.problem.flow([*self.modes[:j], mode, *self.modes[j + 1 :]])[1][j]
+        return all(end.row @ z >= 0.0 or _is_at_limit(end, z) for end in ends)
+
     def release(self, z: Array, now: float) -> None:
-        """Separate dampers with a tensile contact force, one after another."""
-        while tensile := [
-            j
-            for (j, wall), guard in zip(self.changes, self.guards, strict=True)
-            if wall == FLIGHT and guard(now, z) < 0.0
+        """Leave modes whose signals an event has moved beyond their limits, one after another."""
+        while beyond := [
+            (j, end)
+            for (j, end), guard in zip(self.ends, self.guards, strict=True)
+            if end.exit.event not in IMPACTS and guard(now, z) < 0.0
         ]:
-            self.change(z, now, tensile[0], FLIGHT)
+            self.leave(z, now, *beyond[0])
+
+
+def _is_at_limit(end: End, z: Array) -> bool:
+    """Return whether a guard is at rounding level."""
+    return bool(abs(end.row @ z) <= AT_LIMIT * (np.abs(end.row) @ np.abs(z)))
 
 
 def integrate(
@@ -98,10 +109,10 @@ def integrate(
 ) -> ComputedMotion:
     """Compute the motion with an adaptive solver.
 
-    `guard_pause`: time for which a guard is disabled after the damper leaves the wall, s; `max_cpu`: CPU time limit, s.
+    `guard_pause`: time for which a guard at rounding level is disabled, s; `max_cpu`: CPU time limit, s.
     Raises `RunError` if events repeat endlessly, or the solver stops or takes too long.
     """
-    n, contacts = problem.system.coordinates, _Contacts(problem, guard_pause)
+    n, contacts = len(problem.system.points), _Contacts(problem, guard_pause)
     state, now, times = np.array(problem.start), 0.0, problem.times
     samples = [state[:n]]
     cpu_start = time.process_time()
@@ -113,7 +124,7 @@ def integrate(
         samples += list(segment_samples[:, :n])
         if guard < 0:
             break
-        contacts.change(state, now, *contacts.changes[guard])
+        contacts.leave(state, now, *contacts.ends[guard])
         contacts.release(state, now)
         if len(contacts.events) > MAX_EVENTS_PER_PERIOD * problem.periods:
             raise RunError(ENDLESS_EVENTS.format(now))
@@ -171,18 +182,18 @@ def penalty(problem: FirstOrderForm, contacts_per_period: int) -> ComputedMotion
 
     `contacts_per_period`: contact durations (half periods on the spring) in a period of the drive.
     """
-    system, dampers = problem.system, len(problem.damper_coordinate)
+    system, dampers = problem.system, problem.system.dampers
     reduced_mass = 1.0 / (problem.inverse_mass + 1.0 / system.damper_mass)
     omega = np.pi * contacts_per_period * problem.tone.frequency  # contact on the spring lasts half a period
     log_restitution = np.log(np.maximum(system.restitution, 1e-300))
     damping_ratio = np.where(system.restitution > 0.0, -log_restitution / np.hypot(np.pi, log_restitution), 1.0)
     stiffness, dashpot = reduced_mass * omega**2, 2.0 * damping_ratio * reduced_mass * omega
-    matrix = problem.matrix([FLIGHT] * dampers)
-    gap_rows = np.array([problem.gap_row(j, FLOOR) for j in range(dampers)]).reshape(dampers, problem.size)
+    matrix, ends_in_flight = problem.flow([FLIGHT] * dampers)
+    gap_rows = np.array([problem.row(j, GAP) for j in range(dampers)]).reshape(dampers, problem.size)
     # One product with z gives z', the gaps and their rates.
     combined_matrix = np.vstack([matrix, gap_rows, gap_rows @ matrix])
     force_response = np.zeros((problem.size, dampers))
-    for j, coordinate in enumerate(problem.damper_coordinate):
+    for j, coordinate in enumerate(problem.body):
         force_response[system.coordinates + coordinate, j] = -problem.inverse_mass[j]
         force_response[problem.first_height + dampers + j, j] = 1.0 / system.damper_mass[j]
 
@@ -196,18 +207,17 @@ def penalty(problem: FirstOrderForm, contacts_per_period: int) -> ComputedMotion
             derivative += force_response.dot(-stiffness * penetration - (penetration != 0.0) * dashpot * gap_rate)
         return derivative
 
-    walls = [(j, FLOOR) for j in range(dampers)]
-    walls += [(j, CEILING) for j in range(dampers) if np.isfinite(system.clearance[j])]
+    walls = [(j, end.row, str(EVENT_NAMES[end.exit.event])) for j, ends in enumerate(ends_in_flight) for end in ends]
     start = np.array(problem.start)
     start[problem.first_height : problem.first_height + dampers] -= system.damper_mass * system.gravity / stiffness
     solution = _solve_ivp(
         derivative_of, (0.0, problem.times[-1]), start, method="LSODA", rtol=PENALTY_TOLERANCE, t_eval=problem.times,
-        events=[_event(partial(_distance, problem.gap_row(*wall))) for wall in walls],
+        events=[_event(partial(_distance, row)) for _, row, _ in walls],
     )  # fmt: skip
     events = [
         # Dampers begin on the floor, so that zeros of the gap to the floor are separation and landing in turn.
-        (float(instant), j, EVENT_KINDS[FLIGHT if (k % 2 == 0) == (wall == FLOOR) else wall])
-        for (j, wall), times in zip(walls, solution.t_events or (), strict=True)
+        (float(instant), j, "separation" if (k % 2 == 0) == (kind == "floor") else kind)
+        for (j, _, kind), times in zip(walls, solution.t_events or (), strict=True)
         for k, instant in enumerate(times)
     ]
     return ComputedMotion(solution.y[: system.coordinates], sorted(events))

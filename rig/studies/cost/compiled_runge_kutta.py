@@ -83,7 +83,7 @@ class DormandPrince:
         `RunError` if events repeat endlessly, or there are too many steps.
         """
         problem = self._problem
-        dampers, max_events = len(problem.damper_coordinate), MAX_EVENTS_PER_PERIOD * problem.periods
+        dampers, max_events = problem.system.dampers, MAX_EVENTS_PER_PERIOD * problem.periods
         contacts = Contacts(
             state=np.full(dampers, FLOOR, dtype=np.int64),
             disabled_until=np.full((dampers, 3), -1.0),
@@ -107,7 +107,7 @@ class DormandPrince:
 
 
 def _tables(problem: FirstOrderForm) -> Tables:
-    system, dampers = problem.system, len(problem.damper_coordinate)
+    system, dampers = problem.system, problem.system.dampers
     if dampers > MAX_DAMPERS:
         raise RunError(
             f"{dampers} dampers have {2**dampers} combinations of contact, each of which needs a matrix; expected at "
@@ -117,7 +117,7 @@ def _tables(problem: FirstOrderForm) -> Tables:
         matrix=np.array(
             [problem.matrix([configuration >> j & 1 for j in range(dampers)]) for configuration in range(2**dampers)]
         ),
-        damper_coordinate=problem.damper_coordinate,
+        damper_coordinate=problem.body,
         inverse_mass=problem.inverse_mass,
         mass=np.asarray(system.damper_mass, dtype=np.float64),
         clearance=np.asarray(system.clearance, dtype=np.float64),

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.core.base.errors import SceneError
 from rig.core.base.figure_style import add_page_title, new_figure, save_with_table
 from rig.core.base.output_files import file_stem
 from rig.core.results import Result
@@ -148,8 +147,6 @@ def cost(scene: Scene, frequency: float | None, periods: int, report: Callable[[
         Called with the name of the next computation.
     """
     report = report or (lambda text: None)
-    if scene.joints:
-        raise SceneError("joints: the compared methods require dampers only. Remove the joints.")
     if spheres_of(scene):
         # Imported here because LAMMPS is optional; scenes with single masses do not need it.
         from rig.studies.cost.bed_models import bed_models

@@ -9,23 +9,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, MutableSequence, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
 from rig.core.base.errors import SceneError
-from rig.core.system.hybrid_system import HybridSystem
+from rig.core.laws.law import Exit, Mode, Row
+from rig.core.system.hybrid_system import Element, HybridSystem
 from rig.core.system.open_loop_drive import ToneDrive
 
-#: Contact state of each damper: `FLIGHT`, `FLOOR` or `CEILING`.
-ContactStates = Sequence[int]
+#: Mode of each element, by its number in the law.
+Modes = Sequence[int]
 
 #: Number of samples per period at which methods are compared.
 SAMPLES_PER_PERIOD = 16
+#: Modes of a bed with instant contact, and the kind of the event that starts each of them.
 FLIGHT, FLOOR, CEILING = 0, 1, 2
-#: Kind of the event that starts each contact state; index: `FLIGHT`, `FLOOR` or `CEILING`.
 EVENT_KINDS = ("separation", "floor", "ceiling")
 
 
@@ -33,12 +34,22 @@ EVENT_KINDS = ("separation", "floor", "ceiling")
 class ComputedMotion:
     """Motion computed by a method."""
 
-    displacement: Array  # m, at `SAMPLES_PER_PERIOD` samples per period; shape (coordinates, samples)
-    events: list[tuple[float, int, str]]  # time [s], damper (from 0), kind
+    displacement: Array  # m, at `SAMPLES_PER_PERIOD` samples per period; shape (points, samples)
+    events: list[tuple[float, int, str]]  # time [s], element (from 0), kind
+
+
+class End(NamedTuple):
+    """A way to leave a mode: the mode lasts while the product of the row with z is positive."""
+
+    row: NDArray[Any]
+    limit: float  # of the signal
+    exit: Exit
 
 
 class FirstOrderForm:
-    """z' = M z with z = (states, damper heights, damper speeds, 1, cos w t, sin w t, integrals) under a tone.
+    """z' = M z with z = (states, heights and speeds of the elements, 1, cos w t, sin w t, integrals) under a tone.
+
+    An element whose gap is a coordinate has no height and speed: its entries are not used.
 
     Parameters
     ----------
@@ -56,59 +67,56 @@ class FirstOrderForm:
     size : int
         Length of z.
     first_height, constant_index : int
-        Positions in z of the first damper's height and of the constant 1; cosine and sine follow the constant.
-    damper_coordinate : ndarray of int, shape (dampers,)
-        Coordinate of the body that carries each damper.
-    inverse_mass : ndarray, shape (dampers,)
+        Positions in z of the first element's height and of the constant 1; cosine and sine follow the constant.
+    body : ndarray of int, shape (elements,)
+        Coordinate of the body to which the gap of each element is measured.
+    inverse_mass : ndarray, shape (elements,)
         Inverse mass of that body, 1/kg.
+    start_modes : list of int
+        Modes at the start.
 
     Raises
     ------
     SceneError
-        If an impact would change the velocity of other coordinates as well.
+        If an impact would change the velocity of other bodies or dampers as well.
     """
 
     def __init__(
         self, system: HybridSystem, tone: ToneDrive, periods: int, number_type: Callable[[float], Any] = float,
         pi: Any = math.pi, integrals: bool = False,
     ) -> None:  # fmt: skip
-        if not (system.detached | system.finite_contact).all() or np.isinf(system.take_off_acceleration).any():
-            raise SceneError(
-                "dampers: the compared methods require dampers with a floor, but one is a mass on a spring or a "
-                "sliding mass. Remove it."
-            )
-        if system.coupled:
+        if system.impacts_interact:
             raise SceneError(
                 "structure: the compared methods require a diagonal mass matrix and at most one damper in a body. "
                 "Choose a scene without these couplings."
             )
         self.system, self.tone, self.periods = system, tone, periods
-        n, ns, nd = system.coordinates, system.states, system.dampers
-        self.first_height, self.constant_index = ns, ns + 2 * nd
+        n, ns, elements = system.coordinates, system.states, len(system.elements)
+        self.first_height, self.constant_index = ns, ns + 2 * elements
         self._integrals = n if integrals else 0
-        self.size = ns + 2 * nd + 3 + 2 * self._integrals
+        self.size = ns + 2 * elements + 3 + 2 * self._integrals
         self.omega = 2 * pi * number_type(tone.frequency)
         self.samples = periods * SAMPLES_PER_PERIOD + 1
-        self.damper_coordinate = np.asarray(system.damper_coordinate, dtype=np.int64)
-        exact = np.vectorize(
+        self.body = np.asarray(system.body_coordinate, dtype=np.int64)
+        self.inverse_mass = 1.0 / np.diag(system.mass)[self.body]
+        self.exact = np.vectorize(
             lambda value: number_type(float(value)), otypes=[float if number_type is float else object]
         )
-        self.mass, self.damper_mass, self.clearance = map(exact, (system.mass, system.damper_mass, system.clearance))
-        self.inverse_mass = 1.0 / np.diag(system.mass)[self.damper_coordinate]
+        self.mass, self.element_mass = self.exact(system.mass), self.exact(system.element_mass)
         self.gravity, self._zero, self._unit = number_type(system.gravity), number_type(0.0), number_type(1.0)
-        self._wall_parameters = exact(system.wall_stiffness), exact(system.wall_damping)
-        drive_columns = exact(np.column_stack([tone.amplitudes.real, -tone.amplitudes.imag]))
+        drive_columns = self.exact(np.column_stack([tone.amplitudes.real, -tone.amplitudes.imag]))
         self._force, self._rate = (
-            np.hstack([exact(state), exact(constant)[:, None], exact(drive) @ drive_columns])
+            np.hstack([self.exact(state), self.exact(constant)[:, None], self.exact(drive) @ drive_columns])
             for state, constant, drive in (
                 (system.force_state, system.force_constant, system.force_drive),
                 (system.rate_state, np.zeros(ns - 2 * n), system.rate_drive),
             )
         )
-        self.start = [number_type(float(value)) for value in tone.state]
-        self.start += [self.start[row] for row in self.damper_coordinate] + [
-            self.start[n + row] for row in self.damper_coordinate
-        ]
+        self._driven_columns = [*range(ns), *range(self.constant_index, self.constant_index + 3)]
+        state = np.array(tone.state, dtype=np.float64)
+        joint_modes = system.joint_modes(state)
+        self.start_modes = [*system.start_modes.tolist()[: system.dampers], *joint_modes]
+        self.start = [*self.exact(state), *self.exact(state[self.body]), *self.exact(state[n + self.body])]
         self.start += [self._unit, self._unit] + [self._zero] * (1 + 2 * self._integrals)
 
     @property
@@ -116,36 +124,58 @@ class FirstOrderForm:
         """Return the sample times, s."""
         return np.arange(self.samples) / (SAMPLES_PER_PERIOD * self.tone.frequency)
 
-    def wall_height(self, j: int, wall: int) -> Any:
-        """Return the height of a wall above the floor, m."""
-        return self.clearance[j] if wall == CEILING else self._zero
+    @property
+    def has_only_beds(self) -> bool:
+        """Whether all elements are beds with instant contact."""
+        return all(list(element.law.modes) == ["flight", "floor", "ceiling"] for element in self.system.elements)
 
-    def matrix(self, contact_states: ContactStates) -> NDArray[Any]:
-        """Compute M (size, size); a damper on a wall moves with it, or loads its spring in finite-duration contact."""
-        n, ns, nd = self.system.coordinates, self.system.states, self.system.dampers
-        mass, force = self.mass.copy(), self._force.copy()
-        matrix = np.full((self.size, self.size), self._zero)
-        constant = self.constant_index
-        for j, wall in enumerate(contact_states):
-            row = self.damper_coordinate[j]
-            if self.system.finite_contact[j]:
-                if wall != FLIGHT:
-                    bed = int(self.system.gap_coordinate[j])
-                    stiffness, damping = (values[j, wall - FLOOR] for values in self._wall_parameters)
-                    force[bed, bed] -= stiffness
-                    force[bed, n + bed] -= damping
-                    force[bed, ns] += stiffness * self.wall_height(j, wall)
-            elif wall == FLIGHT:
-                matrix[ns + j, ns + nd + j] = self._unit
-                matrix[ns + nd + j, constant] = -self.gravity
+    def mode(self, j: int, modes: Modes) -> Mode:
+        """Return the present mode of an element."""
+        return list(self.system.elements[j].law.modes.values())[modes[j]]
+
+    def numbers(self, j: int, names: Sequence[str]) -> list[int]:
+        """Return the numbers of modes of an element."""
+        return [list(self.system.elements[j].law.modes).index(name) for name in names]
+
+    def matrix(self, modes: Modes) -> NDArray[Any]:
+        """Compute M (size, size) in a combination of modes."""
+        return self._solve(modes)[0]
+
+    def _solve(self, modes: Modes) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Compute M (size, size), and rows (elements, size) whose products with z are the holding forces, N."""
+        n, ns, elements = self.system.coordinates, self.system.states, len(self.system.elements)
+        mass, force, columns = self.mass.copy(), self._force.copy(), self._driven_columns
+        matrix, hold = np.full((self.size, self.size), self._zero), np.full((elements, self.size), self._zero)
+        held = []
+        for j, element in enumerate(self.system.elements):
+            row = self.mode(j, modes).force
+            if row is not None and element.gap >= 0:
+                for i, factor in self._direction(element):
+                    force[i] += factor * self.row(j, row)[columns]
+            elif row is not None:
+                # Between contacts only its weight acts on a mass whose position is not a coordinate.
+                assert row == Row(), element.name
+                matrix[self.first_height + j, self.first_height + elements + j] = self._unit
+                matrix[self.first_height + elements + j, self.constant_index] = -self.gravity
             else:
-                mass[row, row] += self.damper_mass[j]
-                force[row, ns] -= self.damper_mass[j] * self.gravity
-        driven_columns = [*range(ns), constant, constant + 1, constant + 2]
+                held.append(j)
+                if element.gap < 0:
+                    mass[element.body, element.body] += self.element_mass[j]
+                    force[element.body, ns] -= self.element_mass[j] * self.gravity
+        gaps = [self.system.elements[j].gap for j in held if self.system.elements[j].gap >= 0]
+        moving = [i for i in range(n) if i not in gaps]
         matrix[range(n), range(n, 2 * n)] = self._unit
-        matrix[n : 2 * n, driven_columns] = solve(mass, force)
-        matrix[2 * n : ns, driven_columns] = self._rate
-        cosine, sine, real_column = constant + 1, constant + 2, constant + 3
+        matrix[np.ix_([n + i for i in moving], columns)] = solve(mass[np.ix_(moving, moving)], force[moving])
+        matrix[2 * n : ns, columns] = self._rate
+        for j in held:
+            i, body = self.system.elements[j].gap, self.body[j]
+            if i >= 0:
+                hold[j] = mass[i] @ matrix[n : 2 * n]
+                hold[j, columns] -= force[i]
+            else:
+                hold[j] = self.element_mass[j] * matrix[n + body]
+                hold[j, self.constant_index] += self.element_mass[j] * self.gravity
+        cosine, sine, real_column = self.constant_index + 1, self.constant_index + 2, self.constant_index + 3
         matrix[cosine, sine], matrix[sine, cosine] = -self.omega, self.omega
         for k in range(self._integrals):
             imaginary_column = real_column + self._integrals + k
@@ -154,50 +184,91 @@ class FirstOrderForm:
                 -self.omega,
                 self.omega,
             )
-        return matrix
+        return matrix, hold
 
-    def gap_row(self, j: int, wall: int) -> NDArray[Any]:
-        """Return the row vector whose product with z is the distance of a damper from a wall, m."""
-        row = np.full(self.size, self._zero)
-        if self.system.finite_contact[j]:
-            row[int(self.system.gap_coordinate[j])] = self._unit
-        else:
-            row[self.first_height + j], row[self.damper_coordinate[j]] = self._unit, -self._unit
-        if wall == CEILING:
-            row = -row
-            row[self.constant_index] = self.clearance[j]
-        return row
+    def _direction(self, element: Element) -> list[tuple[int, Any]]:
+        """Return the coordinates whose sum with these factors is the gap."""
+        return [(i, self._unit if factor > 0.0 else -self._unit) for i, factor in element.direction]
 
-    def contact_force_row(self, j: int, wall: int, matrix: NDArray[Any]) -> NDArray[Any]:
-        """Return the row vector whose product with z is the wall force over the damper mass, m/s^2.
+    def row(self, j: int, row: Row) -> NDArray[Any]:
+        """Return a row of a law without holding force as a row vector, whose product with z is its value."""
+        element, n = self.system.elements[j], self.system.coordinates
+        gap, speed, constant, rest, memory = self.exact([row.gap, row.speed, row.constant, row.rest, row.memory])
+        vector = np.full(self.size, self._zero)
+        for i, factor in self._direction(element):
+            vector[i] += factor * gap
+            vector[n + i] += factor * speed
+        if element.gap < 0:
+            height = self.first_height + j
+            vector[height] += gap
+            vector[element.body] -= gap
+            vector[height + len(self.system.elements)] += speed
+            vector[n + element.body] -= speed
+        if element.memory >= 0:
+            vector[element.memory] += memory
+        vector[self.constant_index] += constant - gap * rest
+        return vector
 
-        In finite-duration contact, the product is the wall force, N.
-        """
-        n = self.system.coordinates
-        if self.system.finite_contact[j]:
-            bed = int(self.system.gap_coordinate[j])
-            stiffness, damping = (values[j, wall - FLOOR] for values in self._wall_parameters)
-            row = stiffness * self.gap_row(j, wall)
-            row[n + bed] = damping if wall == FLOOR else -damping
-            return -row
-        row = matrix[n + self.damper_coordinate[j]].copy()
-        row[self.constant_index] += self.gravity
-        return row if wall == FLOOR else -row
+    def flow(self, modes: Modes) -> tuple[NDArray[Any], list[list[End]]]:
+        """Return M and the ends of the mode of each element, in a combination of modes."""
+        matrix, hold = self._solve(modes)
+        ends = [
+            [
+                End(side * self._distance(j, signal.row, limit, hold[j]), limit, exit_)
+                for signal in self.mode(j, modes).signals
+                for side, (limit, exit_) in zip((1, -1), signal.ends, strict=True)
+                if exit_ is not None
+            ]
+            for j in range(len(self.system.elements))
+        ]
+        return matrix, ends
 
-    def separate(self, z: MutableSequence[Any] | Array, j: int, wall: int, speed: Any) -> None:
-        """Start a damper's flight at a wall, with a given speed, m/s."""
-        z[self.first_height + j] = z[self.damper_coordinate[j]] + self.wall_height(j, wall)
-        z[self.first_height + self.system.dampers + j] = speed
+    def _distance(self, j: int, row: Row, limit: float, hold: NDArray[Any]) -> NDArray[Any]:
+        """Return the row vector of a signal minus its limit."""
+        vector = self.row(j, row)
+        if row.hold:
+            vector = vector + self.exact(row.hold)[()] * hold
+        vector[self.constant_index] -= self.exact(limit)[()]
+        return vector
 
-    def impact(self, z: MutableSequence[Any] | Array, j: int, wall: int, restitution: Any) -> bool:
-        """Apply an impact by Newton's impact law; return whether the damper stays on the wall."""
-        coordinate = self.damper_coordinate[j]
-        body_speed, damper_speed = self.system.coordinates + coordinate, self.first_height + self.system.dampers + j
-        closing_speed = z[damper_speed] - z[body_speed]
-        total_mass = self.mass[coordinate, coordinate] + self.damper_mass[j]
-        z[body_speed] += (1 + restitution) * closing_speed * self.damper_mass[j] / total_mass
-        self.separate(z, j, wall, z[body_speed] - restitution * closing_speed)
-        return not restitution
+    def leave(
+        self, z: MutableSequence[Any] | Array, j: int, modes: MutableSequence[int], end: End, target: int
+    ) -> None:
+        """Leave a mode for another, in place: velocities after an impact, and what the new mode holds or remembers."""
+        element, n, elements = self.system.elements[j], self.system.coordinates, len(self.system.elements)
+        before, height, speed = self.mode(j, modes), self.first_height + j, self.first_height + elements + j
+        rebound = self._zero
+        if end.exit.restitution is not None:
+            rebound = self._collide(z, j, end.exit.restitution)
+        modes[j] = target
+        after = self.mode(j, modes)
+        if element.gap < 0:
+            limit = self.exact(before.wall_gap if before.force is None else end.limit)[()]
+            z[height], z[speed] = z[element.body] + limit, z[n + element.body] + rebound
+        elif after.force is None:
+            z[n + element.gap] = self._zero
+            if after.wall:
+                z[element.gap] = self.exact(after.wall_gap)[()]
+        elif end.exit.restitution is not None:
+            z[element.gap], z[n + element.gap] = self.exact(end.limit)[()], rebound
+        if element.memory >= 0 and before.force is not None and after.force is not None and after.force.memory:
+            # The force does not jump.
+            z[element.memory] = self._zero
+            force = np.dot(self.row(j, before.force) - self.row(j, after.force), z)
+            z[element.memory] = force / self.exact(after.force.memory)[()]
+
+    def _collide(self, z: MutableSequence[Any] | Array, j: int, restitution: float) -> Any:
+        """Apply an impact by Newton's impact law to the bodies; return the speed of the gap after it."""
+        element, n = self.system.elements[j], self.system.coordinates
+        speed = np.dot(self.row(j, Row(speed=1.0)), z)
+        unit = np.full((n, 1), self._zero)
+        unit[element.gap if element.gap >= 0 else element.body, 0] = self._unit
+        response = solve(self.mass, unit)[:, 0]
+        yielding = response[element.gap] if element.gap >= 0 else response[element.body] + 1 / self.element_mass[j]
+        change = (1 + self.exact(restitution)[()]) * speed / yielding
+        for i in range(n):
+            z[n + i] += (-change if element.gap >= 0 else change) * response[i]
+        return -self.exact(restitution)[()] * speed
 
 
 def solve(matrix: NDArray[Any], right_hand_side: NDArray[Any]) -> NDArray[Any]:

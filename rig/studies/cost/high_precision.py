@@ -1,9 +1,9 @@
 """Motions and periodic orbits to forty digits, the reference for the error of every method of `rig cost`.
 
-The engine provides the system matrices and the order of the events. Each event is located again as the root of its
-guard in decimal arithmetic, and the flow between events is a Taylor series. Newton's method refines a periodic orbit
-to all digits, from the initial state computed by shooting. The difference between two precisions indicates the number
-of correct digits.
+The engine provides the system matrices and the order of the events, and the laws of the elements the modes between
+them. Each event is located again as the root of its signal in decimal arithmetic, and the flow between events is a
+Taylor series. Newton's method refines a periodic orbit to all digits, from the initial state computed by shooting. The
+difference between two precisions indicates the number of correct digits.
 """
 
 from __future__ import annotations
@@ -19,17 +19,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.base.errors import RunError
-from rig.core.orbits import event_kinds as kinds
+from rig.core.laws.events import EVENT_NAMES, NO_EVENT
+from rig.core.orbits.event_sequence import modes_from_walls
 from rig.core.orbits.orbit import Orbit
 from rig.core.scene.scene import Scene
 from rig.core.simulation.simulate import Run
 from rig.core.system.assembly import assemble, force_row
 from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.open_loop_drive import ToneDrive, level_of, tone_drive
-from rig.studies.cost.first_order_form import CEILING, EVENT_KINDS, FLIGHT, FLOOR, FirstOrderForm, solve
+from rig.studies.cost.first_order_form import End, FirstOrderForm, solve
 
 Vector = Any  # Decimals, as a list or an array of objects
-#: Time [s], damper (from 0) and kind.
+#: Time [s], element (from 0) and kind.
 Event = tuple[float, int, str]
 
 PI = Decimal("3.14159265358979323846264338327950288419716939937510582097494459")
@@ -39,13 +40,15 @@ DIGITS = 40
 CHECK_DIGITS = 30
 #: The Taylor series loses a negligible number of digits up to this product of rate and step.
 MAX_RATE_STEP = 3.0
-#: A touch is an impact, and not a resumed contact, if the penetration is at most this, m; rounding is 1e-18 m.
-MAX_TOUCH_PENETRATION_M = 1e-13
 #: Newton iterations for an event; they start within the rounding error of the engine, so eight doublings of the digits
 #: suffice.
 EVENT_ITERATIONS = 8
 #: The time of an event may differ from the time in the engine by at most this, s.
 MAX_EVENT_DIFFERENCE_S = Decimal("1e-9")
+#: An event at the instant of another is caused by it, and has no root of its own, unless its root is this close, s.
+MAX_ROOT_DISTANCE_S = Decimal("1e-12")
+#: A state does not determine the motion if no scaled derivative with respect to it exceeds this.
+NEUTRAL = Decimal("1e-10")
 #: Relative step of the difference quotients of an orbit; each Newton iteration gains the same number of digits.
 ORBIT_STEP_RATIO = Decimal("1e-14")
 #: Maximum number of Newton iterations for an orbit; two reach forty digits from the sixteen of shooting.
@@ -88,13 +91,14 @@ def exact_motion(system: HybridSystem, tone: ToneDrive, run: Run, samples_per_pe
     event of the run is not reproduced.
     """
     events = events_of(run.events, system)
-    resting = [bool(wall) for wall in run.contact[:, -1]]
+    moving = [element.number - 1 for element in system.elements if not element.is_joint]
+    walls = [*run.contact[moving, -1].tolist(), *[None] * (len(system.elements) - len(moving))]
 
     def integrate(digits: int) -> tuple[NDArray[np.object_], NDArray[np.object_]]:
         motion = DecimalMotion(system, tone, digits)
         with decimal.localcontext(motion.context):
             step = 1 / (samples_per_period * Decimal(tone.frequency))
-            motion.integrate(events, resting, [k * step for k in range(len(run.time))])
+            motion.integrate(events, walls, [k * step for k in range(len(run.time))])
         samples = np.array([z[: len(system.points)] for z in motion.samples], dtype=object)
         return samples.T, np.array(motion.times, dtype=object)
 
@@ -121,16 +125,20 @@ def exact_orbit(scene: Scene, orbit: Orbit) -> ExactOrbit:
 
 
 def events_of(events: Any, system: HybridSystem) -> list[Event]:
-    """Convert the engine's events to time [s], damper (from 0) and kind."""
-    number = {int(k): j for j, k in enumerate(system.damper_number)}
-    return [(float(e["time"]), number[int(e["damper"])], str(e["kind"])) for e in events]
+    """Convert the engine's events to time [s], element (from 0) and kind."""
+    number = {(element.is_joint, element.number): j for j, element in enumerate(system.elements)}
+    joints = events["joint"] if "joint" in events.dtype.names else np.zeros(len(events), dtype=int)
+    return [
+        (float(e["time"]), number[bool(joint), int(joint or e["damper"])], str(e["kind"]))
+        for e, joint in zip(events, joints, strict=True)
+    ]
 
 
 class DecimalMotion:
     """Motion of a system in decimal arithmetic, given the order and approximate times of its events.
 
-    `z`: current state, as in `FirstOrderForm`; `contact_states`: contact states of each damper; `now`: current time, s;
-    `samples`: states at the sample times; `times`: event times, s.
+    `z`: current state, as in `FirstOrderForm`; `modes`: mode of each element; `now`: current time, s; `samples`: states
+    at the sample times; `times`: event times, s.
     """
 
     def __init__(self, system: HybridSystem, tone: ToneDrive, digits: int, integrals: bool = False) -> None:
@@ -139,29 +147,28 @@ class DecimalMotion:
         self._max_rate = max(system.max_rate, tone.omega)
         with decimal.localcontext(self.context):
             self.form = FirstOrderForm(system, tone, 0, Decimal, PI, integrals)
-        self._flows: dict[tuple[int, ...], tuple[NDArray[Any], list[Any]]] = {}
-        self.begin(self.form.start, [FLOOR] * system.dampers)
+        self._flows: dict[tuple[int, ...], tuple[NDArray[Any], list[list[End]], list[Any]]] = {}
+        self.begin(self.form.start, self.form.start_modes)
 
-    def begin(self, z: Vector, contact_states: Sequence[int]) -> None:
+    def begin(self, z: Vector, modes: Sequence[int]) -> None:
         """Set the state at time 0."""
-        self.z, self.contact_states, self.now = list(z), list(contact_states), Decimal(0)
+        self.z, self.modes, self.now = list(z), list(modes), Decimal(0)
         self.samples: list[Vector] = []
         self.times: list[Decimal] = []
 
-    def integrate(self, events: Sequence[Event], resting: Sequence[bool], samples: Iterable[Decimal] = ()) -> None:
-        """Compute the motion through the events; `resting` marks dampers at rest on a wall after the last event.
+    def integrate(self, events: Sequence[Event], walls: Sequence[int | None], samples: Iterable[Decimal] = ()) -> None:
+        """Compute the motion through the events; `walls`: contact of each element after the last event, if known.
 
         Raises `RunError` if an event is not reproduced.
         """
-        later_samples, previous_time = list(samples)[::-1], -1.0
+        later_samples, previous_time = list(samples)[::-1], 0.0
+        later_kinds: list[list[str]] = [[kind for _, i, kind in events[::-1] if i == j] for j in range(len(walls))]
         with decimal.localcontext(self.context):
-            restitutions = self._restitutions(events, resting)
-            for (guess, j, kind), restitution in zip(events, restitutions, strict=True):
+            for guess, j, kind in events:
                 self._sample_until(guess, later_samples)
-                if self.system.finite_contact[j]:
-                    self._to_contact_change(Decimal(guess), j, kind)
-                else:
-                    self._to_event(guess, j, kind, restitution, previous_time)
+                later_kinds[j].pop()
+                next_kind = later_kinds[j][-1] if later_kinds[j] else None
+                self._to_event(Decimal(guess), j, kind, guess == previous_time, next_kind, walls[j])
                 self.times.append(self.now)
                 previous_time = guess
             self._sample_until(float("inf"), later_samples)
@@ -172,70 +179,73 @@ class DecimalMotion:
             self.advance(later_samples.pop())
             self.samples.append(self.z)
 
-    def _restitutions(self, events: Sequence[Event], resting: Sequence[bool]) -> Vector:
-        """Return the restitution of each event; 0 for an impact after which the damper stays on the wall."""
-        stays_on_wall = dict(enumerate(resting))
-        restitutions: Vector = []
-        for _, j, kind in reversed(events):
-            restitutions.append(Decimal(0) if stays_on_wall[j] else Decimal(float(self.system.restitution[j])))
-            stays_on_wall[j] = kind == "separation"
-        return restitutions[::-1]
-
-    def _to_event(self, guess: float, j: int, kind: str, restitution: Decimal, previous_time: float) -> None:
-        form, wall = self.form, EVENT_KINDS.index(kind)
-        if wall == FLIGHT:
-            # Separations caused by an impact or by the initial state have no root of their own.
-            if guess not in (previous_time, 0.0):
-                matrix, _ = self._flow()
-                self._to_root(Decimal(guess), form.contact_force_row(j, self.contact_states[j], matrix), j, kind)
-            form.separate(
-                self.z, j, self.contact_states[j], self.z[self.system.coordinates + form.damper_coordinate[j]]
-            )
-            self.contact_states[j] = FLIGHT
-            return
-        self._to_root(Decimal(guess), form.gap_row(j, wall), j, kind)
+    def _to_event(
+        self, guess: Decimal, j: int, kind: str, is_simultaneous: bool, next_kind: str | None, wall: int | None
+    ) -> None:
+        """Advance to an event near `guess`, and change the mode; `is_simultaneous`: at the instant of another event."""
+        if not is_simultaneous:
+            self.advance(guess)
+        possible = list(self._possible_ends(j, self.modes[j], kind))
+        if not possible:
+            raise self._not_reproduced(guess, j, kind)
+        self.modes[j], end = min(possible, key=lambda mode_and_end: self._root_distance(mode_and_end[1]))
+        if is_simultaneous and self._root_distance(end) > MAX_ROOT_DISTANCE_S:
+            # The other event has moved a signal beyond its limit.
+            self.modes[j], end = min(possible, key=lambda mode_and_end: np.dot(mode_and_end[1].row, self.z))
+        else:
+            self._to_root(guess, end.row, j, kind)
+        candidates = self.form.numbers(j, end.exit.to)
+        target = next((mode for mode in candidates if self._continues(j, mode, next_kind, wall)), candidates[-1])
         self.z = list(self.z)
-        self.contact_states[j] = wall if form.impact(self.z, j, wall, restitution) else FLIGHT
+        self.form.leave(self.z, j, self.modes, end, target)
 
-    def _to_contact_change(self, guess: Decimal, j: int, kind: str) -> None:
-        """Advance to a touch or release near `guess` in finite-duration contact, and change the contact state."""
-        matrix, _ = self._flow()
-        if kind != "touch":
-            self._to_root(guess, self.form.contact_force_row(j, self.contact_states[j], matrix), j, kind)
-            self.contact_states[j] = FLIGHT
-            return
-        self.advance(guess)
-        gap = float(self.z[int(self.system.gap_coordinate[j])])
-        wall = CEILING if gap > 0.5 * float(self.system.clearance[j]) else FLOOR
-        distance = self.form.gap_row(j, wall)
-        # If the bed has not left the wall, contact resumes where the force, not the gap, is zero.
-        is_separated = float(np.dot(distance, self.z)) > -MAX_TOUCH_PENETRATION_M
-        self._to_root(guess, distance if is_separated else self.form.contact_force_row(j, wall, matrix), j, kind)
-        self.contact_states[j] = wall
+    def _possible_ends(self, j: int, mode: int, kind: str) -> Iterable[tuple[int, End]]:
+        """Yield the ends with an event of this kind of a mode, and of the modes that follow it without an event."""
+        modes = [mode]
+        for each in modes:
+            for end in self._flow([*self.modes[:j], each, *self.modes[j + 1 :]])[1][j]:
+                if end.exit.event == NO_EVENT:
+                    modes += [number for number in self.form.numbers(j, end.exit.to) if number not in modes]
+                elif str(EVENT_NAMES[end.exit.event]) == kind:
+                    yield each, end
 
-    def _to_root(self, guess: Decimal, guard: NDArray[Any], j: int, kind: str) -> None:
-        """Advance to the root of a guard, a row vector over the state, near `guess`."""
-        self.advance(guess)
-        matrix, _ = self._flow()
-        slope = guard @ matrix
+    def _continues(self, j: int, mode: int, next_kind: str | None, wall: int | None) -> bool:
+        """Return whether the element's next event, or without one its contact at the end, can follow from a mode."""
+        if next_kind is not None:
+            return any(True for _ in self._possible_ends(j, mode, next_kind))
+        return wall is None or self.form.mode(j, [*self.modes[:j], mode]).wall == wall
+
+    def _root_distance(self, end: End) -> Decimal:
+        """Return the time to the root of a signal by its rate, s."""
+        value, rate = np.dot(end.row, self.z), np.dot(end.row @ self._flow()[0], self.z)
+        if value == 0:
+            return Decimal(0)
+        return abs(value / rate) if rate else Decimal("Infinity")
+
+    def _to_root(self, guess: Decimal, signal: NDArray[Any], j: int, kind: str) -> None:
+        """Advance to the root of a signal, a row vector over the state, near `guess`."""
+        slope = signal @ self._flow()[0]
         for _ in range(EVENT_ITERATIONS):
             rate = np.dot(slope, self.z)
             if rate == 0:
                 break
-            step = -np.dot(guard, self.z) / rate
+            step = -np.dot(signal, self.z) / rate
             self.advance(self.now + step)
             if abs(step) < self._smallest_term * 10**4:
                 break
         if abs(self.now - guess) > MAX_EVENT_DIFFERENCE_S:
-            raise RunError(
-                f"event {kind} of damper {j + 1} at {guess:.9f} s could not be reproduced. Please report this as a bug "
-                "and attach the scene."
-            )
+            raise self._not_reproduced(guess, j, kind)
+
+    def _not_reproduced(self, guess: Decimal, j: int, kind: str) -> RunError:
+        return RunError(
+            f"event {kind} of {self.system.elements[j].name} at {guess:.9f} s could not be reproduced. Please report "
+            "this as a bug and attach the scene."
+        )
 
     def advance(self, end_time: Decimal) -> None:
         """Advance to an earlier or later time without contact event."""
         duration, z = end_time - self.now, self.z
-        _, flow = self._flow()
+        *_, flow = self._flow()
         steps = max(1, int(np.ceil(abs(float(duration)) * self._max_rate / MAX_RATE_STEP)))
         for _ in range(steps):
             term, order = z, 0
@@ -246,11 +256,16 @@ class DecimalMotion:
                 z = list(map(add, z, term))
         self.z, self.now = list(z), end_time
 
-    def _flow(self) -> tuple[NDArray[Any], list[tuple[Vector, Callable[[Vector], Vector]]]]:
-        """Return the current matrix and its sparse rows: values, and a function that selects the states."""
-        contact_states = tuple(self.contact_states)
-        if contact_states not in self._flows:
-            matrix = self.form.matrix(contact_states)
+    def _flow(
+        self, modes: Sequence[int] | None = None
+    ) -> tuple[NDArray[Any], list[list[End]], list[tuple[Vector, Callable[[Vector], Vector]]]]:
+        """Return matrix, ends of the modes and sparse rows of the matrix: values, and a function that selects states.
+
+        `modes`: of all elements; None: the present modes.
+        """
+        key = tuple(self.modes if modes is None else modes)
+        if key not in self._flows:
+            matrix, ends = self.form.flow(key)
             rows = []
             for row in matrix:
                 # At least two elements, because `itemgetter` returns no tuple for a single element.
@@ -259,8 +274,8 @@ class DecimalMotion:
                 rows.append(([row[k] if row[k] else Decimal(0) for k in columns], itemgetter(*columns)))
                 if columns[-1] == columns[-2]:
                     rows[-1][0][-1] = Decimal(0)
-            self._flows[contact_states] = matrix, rows
-        return self._flows[contact_states]
+            self._flows[key] = matrix, ends, rows
+        return self._flows[key]
 
 
 class _ClosedOrbit:
@@ -273,14 +288,11 @@ class _ClosedOrbit:
         self._motion = DecimalMotion(self._system, tone, digits, integrals=True)
         self._events = events_of(orbit.events, self._system)
         self._flying = orbit.plan.flying.tolist()
-        self._contact_states = [
-            FLIGHT if j in self._flying or wall == kinds.WITHOUT_FORCE
-            else CEILING if wall in (kinds.RIDES_CEILING, kinds.ON_CEILING) else FLOOR
-            for j, wall in enumerate(orbit.plan.sequence.wall[0])
-        ]  # fmt: skip
-        first_height, dampers = self._motion.form.first_height, self._system.dampers
+        self._modes = modes_from_walls(orbit.plan.sequence.wall[0], orbit.unknowns[: self._system.states], self._system)
+        self._walls = [self._motion.form.mode(j, self._modes).wall for j in range(len(self._modes))]
+        first_height, elements = self._motion.form.first_height, len(self._system.elements)
         self._unknown_indices = list(range(self._system.states))
-        self._unknown_indices += [k for j in self._flying for k in (first_height + j, first_height + dampers + j)]
+        self._unknown_indices += [k for j in self._flying for k in (first_height + j, first_height + elements + j)]
         with decimal.localcontext(self._motion.context):
             self._end = Decimal(orbit.repetition) / Decimal(orbit.frequency)
 
@@ -307,7 +319,11 @@ class _ClosedOrbit:
                     steps = ORBIT_STEP_RATIO * scale
                     shifted = [self._residual(values + step) for step in np.diag(steps)]
                     jacobian = ((np.array(shifted) - closure_error) / steps[:, None]).T
-                values = values - solve(jacobian, closure_error[:, None])[:, 0]
+                    scaled = np.abs(jacobian * scale / scale[:, None])
+                    # Without suspension, the motion does not depend on the gap; a mass that sticks keeps its gap.
+                    determined = np.flatnonzero((scaled.max(axis=0) > NEUTRAL) & (scaled.max(axis=1) > NEUTRAL))
+                part = jacobian[np.ix_(determined, determined)]
+                values[determined] -= solve(part, closure_error[determined, None])[:, 0]
             if residual > 10.0 ** (12 - digits):
                 raise RunError(
                     f"the orbit in decimal arithmetic has a residual of {residual:.0e}. Please report this as a bug "
@@ -326,8 +342,8 @@ class _ClosedOrbit:
         z = list(motion.form.start)
         for k, value in zip(self._unknown_indices, start, strict=True):
             z[k] = value
-        motion.begin(z, self._contact_states)
-        motion.integrate(self._events, [j not in self._flying for j in range(self._system.dampers)])
+        motion.begin(z, self._modes)
+        motion.integrate(self._events, self._walls)
         motion.advance(self._end)
         return motion.z
 

@@ -14,15 +14,9 @@ from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RunError
+from rig.core.laws.law import GAP
 from rig.core.numerics.jit import cached_njit
-from rig.studies.cost.first_order_form import (
-    EVENT_KINDS,
-    FLIGHT,
-    FLOOR,
-    SAMPLES_PER_PERIOD,
-    ComputedMotion,
-    FirstOrderForm,
-)
+from rig.studies.cost.first_order_form import EVENT_KINDS, FLIGHT, SAMPLES_PER_PERIOD, ComputedMotion, FirstOrderForm
 
 #: Maximum number of Gauss-Seidel iterations over the contacts in a step.
 MAX_CONTACT_ITERATIONS = 50
@@ -48,14 +42,14 @@ def moreau_jean(problem: FirstOrderForm, steps: int) -> ComputedMotion:
 
     Raises `RunError` if the scheme is unstable.
     """
-    system, size, dampers = problem.system, problem.constant_index + 1, len(problem.damper_coordinate)
+    system, size, dampers = problem.system, problem.constant_index + 1, problem.system.dampers
     length = 1.0 / (problem.tone.frequency * steps)
     flight_matrix = problem.matrix([FLIGHT] * dampers)
     matrix, drive_columns = flight_matrix[:size, :size], flight_matrix[:size, size : size + 2]
     inverse = np.linalg.inv(np.eye(size) - 0.5 * length * matrix)
     gap, unit_impulse = np.zeros((dampers, size)), np.zeros((size, dampers))
-    for j, coordinate in enumerate(problem.damper_coordinate):
-        gap[j] = problem.gap_row(j, FLOOR)[:size]
+    for j, coordinate in enumerate(problem.body):
+        gap[j] = problem.row(j, GAP)[:size]
         unit_impulse[system.coordinates + coordinate, j] = -problem.inverse_mass[j]
         unit_impulse[problem.first_height + dampers + j, j] = 1.0 / system.damper_mass[j]
     cosine, sine = np.ascontiguousarray((inverse @ drive_columns * 0.5 * length).T)

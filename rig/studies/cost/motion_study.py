@@ -64,7 +64,7 @@ class Point:
     """Largest error of any displacement relative to the largest displacement; NaN if the method failed."""
     event_error: float = np.nan  # largest error of an event's time, s; NaN if there are no events to compare
     is_correct: bool = True
-    """Whether the result is valid: events in the correct order for each damper; for the steady state, convergence."""
+    """Whether the result is valid: events in the correct order for each element; for the steady state, convergence."""
     note: str = ""  # remarks, or the reason for a failure
 
 
@@ -161,11 +161,10 @@ def _methods(scene: Scene, system: HybridSystem, tone: ToneDrive, periods: int) 
         for samples in DRIVE_SAMPLES_PER_PERIOD:
             compute = _with_sampled_drive(scene, system, tone, samples, periods)
             yield "engine, sampled drive", f"{samples * frequency:.4g} Hz", compute
-    if system.finite_contact.any():
-        return  # the other methods support instantaneous contact only
     problem = FirstOrderForm(system, tone, periods)
-    yield from _without_events(problem)
-    yield from _compiled(problem, 1.0 / frequency)
+    if problem.has_only_beds:
+        yield from _without_events(problem)
+        yield from _compiled(problem, 1.0 / frequency)
     yield from _adaptive(problem, 1.0 / frequency)
 
 
@@ -250,7 +249,7 @@ class _Comparison:
         self.exact = exact
         self.scale = float(np.abs(exact.displacement).max())
         times = zip(exact.event_time.astype(np.float64), events_of(run.events, system), strict=True)
-        self.events = _by_damper([(float(t), j, kind) for t, (_, j, kind) in times], system.dampers)
+        self.events = _by_element([(float(t), j, kind) for t, (_, j, kind) in times], len(system.elements))
 
     def measure(self, method: str, setting: str, compute: Callable[[], ComputedMotion], periods: int) -> Point:
         """Run a method and evaluate its error."""
@@ -265,7 +264,7 @@ class _Comparison:
         error = float(np.abs(values - exact).max()) / self.scale
         if has_only_last_sample:
             return Point(method, setting, cpu / periods, error, note="propagation and events only")
-        computed_events = _by_damper(motion.events, len(self.events))
+        computed_events = _by_element(motion.events, len(self.events))
         correct_events = _kinds(computed_events) == _kinds(self.events)
         event_error = np.nan
         if correct_events and any(computed_events):
@@ -278,11 +277,11 @@ class _Comparison:
 
 
 def _kinds(events: list[list[tuple[float, str]]]) -> list[list[str]]:
-    return [[kind for _, kind in damper_events] for damper_events in events]
+    return [[kind for _, kind in element_events] for element_events in events]
 
 
-def _by_damper(events: list[tuple[float, int, str]], dampers: int) -> list[list[tuple[float, str]]]:
-    return [[(t, kind) for t, j, kind in events if j == damper] for damper in range(dampers)]
+def _by_element(events: list[tuple[float, int, str]], elements: int) -> list[list[tuple[float, str]]]:
+    return [[(t, kind) for t, j, kind in events if j == element] for element in range(elements)]
 
 
 def timed(compute: Callable[[], T]) -> tuple[float, T]:

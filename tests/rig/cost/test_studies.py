@@ -153,6 +153,47 @@ def test_engine_is_exact_with_mixed_contacts() -> None:
     assert study.points[0].error < 1e-12
 
 
+@pytest.mark.parametrize(
+    ("name", "frequency", "kinds"),
+    [
+        ("stop", 13.2, {"touch", "release"}),
+        ("friction-joint", 13.2, {"slip", "stop"}),
+        ("friction-damper", 13.2, {"slip", "stop"}),
+        ("impact-damper-on-spring", 13.2, {"floor", "ceiling"}),
+    ],
+)
+def test_general_solver_locates_events_of_each_law(name: str, frequency: float, kinds: set[str]) -> None:
+    scene, periods = rig.load(name), 22
+    system = assemble(scene)
+    tone = tone_drive(scene, system, frequency)
+    run = rig.simulate(scene, periods / frequency, SAMPLES_PER_PERIOD * frequency, frequency=frequency)
+    exact = exact_motion(system, tone, run, SAMPLES_PER_PERIOD)
+    assert exact.agreement < 1e-20 and set(run.events["kind"]) == kinds
+    assert error(run, exact.displacement) < 1e-13
+    problem = FirstOrderForm(system, tone, periods)
+    outcome = integrate(problem, scipy_solver("DOP853", 1e-12, np.inf), GUARD_PAUSE_S, 60.0)
+    assert [kind for _, _, kind in outcome.events] == list(run.events["kind"])
+    assert error(outcome, exact.displacement) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("name", "force", "frequency", "motion"),
+    [
+        ("stop", 2.0, 13.5, "1 per 1"),
+        ("friction-joint", 1.0, 13.3, "2 slips per 1"),
+        ("friction-damper", 0.4, 13.0, "2 slips per 1"),
+        ("impact-damper-on-spring", 2.0, 12.6, "II"),
+    ],
+)
+def test_exact_orbit_confirms_each_law(name: str, force: float, frequency: float, motion: str) -> None:
+    scene = rig.load(name)
+    scene = scene.replace(test=scene.test.replace(force=force))
+    orbit = rig.periodic_orbit(scene, frequency)
+    exact = exact_orbit(scene, orbit)
+    assert orbit.motion_type == motion and exact.residual < 1e-33 and exact.agreement < 1e-20
+    assert exact.error(orbit.compliance) < 1e-12
+
+
 def test_exact_orbit_without_damper_is_linear() -> None:
     scene = rig.load("fig8-no-damper")
     exact = exact_orbit(with_ideal_force(scene), rig.periodic_orbit(scene, 34.8))

@@ -191,3 +191,11 @@ def test_explanation_states_the_slip_force() -> None:
 def test_mistakes_are_reported(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(rig.SceneError, match=message):
         scene_with(1.0, 10.0, changes)
+
+
+def test_force_at_the_start_makes_the_mass_slip() -> None:
+    scene = scene_with(1.0, 9.0, {})
+    drive = np.full((1, 20), 60.0)
+    simulated, plant = rig.simulate(scene, 0.01, 1000.0, drive=drive), rig.Plant(scene, 1000.0)
+    for events in (simulated.events, plant.advance(drive).events):
+        assert (events["kind"][0], events["time"][0]) == ("slip", 0.0)

@@ -69,7 +69,7 @@ WRITING_COMMANDS = {
     "analysis dampers r.mcap": "r-dampers.csv",
     "analysis srs r.mcap": "r-srs.svg",
     "rig simulate damper.yaml --duration 0.5s -o out.npz": "out.npz",
-    "rig response damper.yaml --points 2 -o out.csv": "out.csv",
+    "rig response damper.yaml --from 49Hz --to 50Hz --points 2 -o out.csv": "out.csv",
 }
 # The same for commands that compute for several seconds, and continue the work of an interrupted run.
 WRITING_STUDIES = {

@@ -25,6 +25,12 @@ if TYPE_CHECKING:
 _MAX_START_S = 30.0
 # Maximum size of a command of the page; the largest has less than 100 bytes.
 _MAX_COMMAND_BYTES = 1 << 16
+# No page of another origin can show this page, load its files from the browser's cache, or keep a handle of its window.
+_HEADERS = [
+    ("x-frame-options", "DENY"),
+    ("cross-origin-resource-policy", "same-origin"),
+    ("cross-origin-opener-policy", "same-origin"),
+]
 
 
 def bench(
@@ -123,7 +129,7 @@ def _serve_page(live_bench: LiveBench, host: str, port: int) -> Any:
         token_gate,
         http=LimitedConnection,
         backlog=MAX_CONNECTIONS,
-        headers=[("x-frame-options", "DENY")],
+        headers=_HEADERS,
         ws_max_size=_MAX_COMMAND_BYTES,
         log_level="critical",
         timeout_graceful_shutdown=1,

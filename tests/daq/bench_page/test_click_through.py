@@ -251,7 +251,15 @@ const sockets = ['live', ''].map(path => new Promise(resolve => {
     socket.onopen = () => resolve('open');
     socket.onerror = () => resolve('rejected');
 }));
-Promise.all([...answers, ...sockets]).then(done);
+// The browser has stored this script when it opened the page of the bench.
+const script = new Promise(resolve => {
+    const script = document.createElement('script');
+    script.src = page + 'browser/bench.js';
+    script.onload = () => resolve('loaded');
+    script.onerror = () => resolve('rejected');
+    document.body.append(script);
+});
+Promise.all([...answers, ...sockets, script]).then(done);
 """
 
 
@@ -267,7 +275,7 @@ def test_page_of_another_port_cannot_reach_the_bench(bench, browser, tmp_path):
         # The browser has the cookie of the bench, and sends it to all ports of the host.
         browser.get(f"http://127.0.0.1:{other.server_port}/other.html")
         for address in (page.partition("?")[0], page.partition("?")[0].replace("127.0.0.1", "localhost")):
-            assert browser.execute_async_script(ATTACKS, address) == ["rejected"] * 4
+            assert browser.execute_async_script(ATTACKS, address) == ["rejected"] * 5
         browser.switch_to.frame(browser.find_element(By.TAG_NAME, "iframe"))
         assert not browser.find_elements(By.CSS_SELECTOR, "[data-testid=start]")
         browser.switch_to.default_content()

@@ -222,13 +222,30 @@ def modes(
     modes: Count = None,
     block: Block = None,
     unit: Unit = None,
+    exponential_window: Annotated[
+        float | None,
+        typer.Option(
+            metavar="S",
+            help="Remove the damping that an exponential window with this time constant, in s, has added.",
+        ),
+    ] = None,
+    roving: Annotated[
+        bool,
+        typer.Option(
+            "--roving",
+            help="Each FILE contains hits at another point, with the same fixed sensor: identify the modes of all "
+            "points at once, by reciprocity.",
+        ),
+    ] = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Estimate natural frequencies, damping ratios and mode shapes."""
     from analysis.commands.presentation.mode_findings import present_modes
 
     with allow_overwriting(overwrite), count_progress("analyzing") as progress:
-        result = present_modes(files, output, reference, modes, block, progress, unit)
+        result = present_modes(
+            files, output, reference, modes, block, progress, unit, exponential_window=exponential_window, roving=roving
+        )
     _print_output(result)
 
 

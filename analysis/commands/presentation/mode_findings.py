@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from analysis.commands.presentation.outputs import (
 )
 from analysis.core.modal.identification import identify
 from analysis.core.modal.modes import Modes, mac
+from analysis.core.modal.roving_hammer import exchange_points
 from analysis.core.recordings.names import OpenRecordings, excitation_text, relabel, with_recordings
 from analysis.core.responses.estimator import Blocks
 from analysis.core.responses.frequency_responses import frequency_responses
@@ -36,6 +37,7 @@ from rig.core.results.uncertainty import expand
 
 if TYPE_CHECKING:
     from analysis.commands.presentation.theory import TheoreticalModes
+    from daq.core.recording.recording import Recording
 
 #: Two mode shapes with at least this modal assurance criterion (MAC) are usually considered the same.
 MIN_SAME_SHAPE_MAC = 0.9
@@ -49,6 +51,13 @@ _MAX_COMBINATION_ORDER = 5
 _MAX_COMBINATION_ERROR = 0.015
 
 
+class _Sweep(NamedTuple):
+    """Curves of which modes are identified, and their recording."""
+
+    curves: Sequence[Response]
+    recording: Recording | None = None
+
+
 @with_recordings
 def present_modes(
     recordings: OpenRecordings,
@@ -59,6 +68,9 @@ def present_modes(
     block: float | None = None,
     progress: CountProgress | None = None,
     unit: str | None = None,
+    *,
+    exponential_window: float | None = None,
+    roving: bool = False,
 ) -> CommandOutput:
     """Identify, draw and tabulate the modes of recordings or of FRF files of other programs."""
     from analysis.commands.figures.modes_figure import modes_figure
@@ -69,35 +81,55 @@ def present_modes(
     files: list[Path] = []
     lines: list[str] = []
     warnings = check_inputs(recordings, paths, "modes", Blocks(block=block), unit=unit)
-    stems, table = separate_stems(paths, output, "modes"), with_ending(output_stem(paths, output, "modes"), "csv")
+    common = output_stem(paths, output, "modes")
+    stems, table = [common] if roving else separate_stems(paths, output, "modes"), with_ending(common, "csv")
     figures = [with_ending(stem, extension) for stem in stems for extension in ("png", "svg")]
     prepare_outputs(*dict.fromkeys([*figures, table]))
-    for path, first, label in zip(paths, stems, labels(recordings, paths), strict=True):
-        identified: list[tuple[Sequence[Response], Modes, TheoreticalModes | None]] = []
-        excitation = ""
-        if is_frf_file(path):
-            curves = read_curves(path, reference, None, unit)
-            identified = [(curves, replace(identify(curves, count), label=label), None)]
-        else:
-            from analysis.commands.presentation.theory import theoretical_modes
+    names = labels(recordings, paths)
+    tests: Iterator[list[_Sweep]] = (
+        _sweeps(recordings, path, name, reference, block, progress, unit)
+        for path, name in zip(paths, names, strict=True)
+    )
+    if roving:
+        exchanged = exchange_points([curve for test in tests for sweep in test for curve in sweep.curves])
+        tests, names = iter([[_Sweep(exchanged)]]), [exchanged.label]
+    for path, first, label, test in zip(paths, stems, names, tests, strict=False):
+        for number, (frfs, rec) in enumerate(test, 1):
+            modes = identify(frfs, count)
+            if exponential_window is not None:
+                modes = modes.without_exponential_window(exponential_window)
+            theory = None
+            if rec is not None and reference in (None, default_reference(rec)):
+                from analysis.commands.presentation.theory import theoretical_modes
 
-            rec = recordings.of(path)
-            excitation = excitation_text(rec)
-            options = vars(Blocks(block=block).for_kind(rec.test.kind))
-            for sweep in frequency_responses(rec, None, reference, progress=progress, **options):
-                modes = relabel(identify(sweep, count), rec.scene.name, label)
-                theory = theoretical_modes(rec, modes) if reference in (None, default_reference(rec)) else None
-                identified.append((sweep, modes, theory))
-        for number, (frfs, modes, theory) in enumerate(identified, 1):
+                theory = theoretical_modes(rec, modes)
             all_modes.append(modes)
             stem = first if number == 1 else first.with_name(f"{first.name}-{number}")
-            title = f"Modes: {modes.label}{f' ({excitation})' if excitation else ''}"
+            title = f"Modes: {modes.label}{'' if rec is None else f' ({excitation_text(rec)})'}"
             files += save_figure(modes_figure(frfs, modes, title), stem)
             lines += describe_modes(modes, theory)
             notes = [*modes.warnings, *theory_warnings(modes, theory)]
             warnings += with_recording_name(path, with_sweep_name(modes.label, label, notes, frfs[0].warnings))
     files.append(modes_table(table, all_modes))
     return CommandOutput(tuple(files), tuple(lines), tuple(warnings))
+
+
+def _sweeps(
+    recordings: OpenRecordings,
+    path: Path,
+    label: str,
+    reference: str | None,
+    block: float | None,
+    progress: CountProgress | None,
+    unit: str | None,
+) -> list[_Sweep]:
+    """Return the curves of each sweep of a recording, or those of a file of another program."""
+    if is_frf_file(path):
+        return [_Sweep([replace(curve, label=label) for curve in read_curves(path, reference, None, unit)])]
+    rec = recordings.of(path)
+    options = vars(Blocks(block=block).for_kind(rec.test.kind))
+    responses = frequency_responses(rec, None, reference, progress=progress, **options)
+    return [_Sweep(relabel(response, rec.scene.name, label), rec) for response in responses]
 
 
 def describe_modes(modes: Modes, theory: TheoreticalModes | None = None) -> list[str]:

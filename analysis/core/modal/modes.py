@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -198,6 +198,54 @@ class Modes(Result):
         error[largest, modes] = 0.0
         shape, error = shape / shape[largest, modes], error / abs(shape[largest, modes])
         return BodyShapes(tuple(names), shape, error, tuple(ordered))
+
+    def without_exponential_window(self, time_constant: float) -> Modes:
+        """Remove the damping that an exponential window of the analyzer has added.
+
+        The window exp(-t / `time_constant`) on force and response, with the force at its beginning, moves each pole by
+        -1 / `time_constant` along the real axis; damped natural frequencies and shapes stay (D. J. Ewins, Modal
+        Testing, 2nd ed., Research Studies Press 2000, section 3.8).
+
+        Parameters
+        ----------
+        time_constant : float
+            Time in s after which the window is 1/e. A window that falls to the fraction p at the time T has
+            -T / ln(p).
+
+        Returns
+        -------
+        Modes
+            With damping ratios, undamped natural frequencies and the uncertainty of the damping without the window.
+
+        Raises
+        ------
+        SceneError
+            If the window has more damping than a mode.
+        """
+        if not time_constant > 0.0:
+            raise SceneError(f"exponential window: got a time constant of {time_constant} s; expected above 0 s")
+        poles = self.poles + 1.0 / time_constant
+        frequency: Array = np.asarray(abs(poles) / (2 * np.pi), dtype=float)
+        damping, damping_error = -poles.real / abs(poles), self.damping_error * self.frequency / frequency
+        if (excessive := np.flatnonzero(damping + expand(damping_error) <= 0.0)).size:
+            k = int(excessive[0])
+            share = 1.0 / (2 * np.pi * time_constant * self.frequency[k])
+            raise SceneError(
+                f"exponential window: a time constant of {time_constant:.4g} s alone gives a damping ratio of "
+                f"{format_percent(share)} at {self.frequency[k]:.5g} Hz, where the curves have {self.damping_text(k)}. "
+                "Give the time constant of the window in s."
+            )
+        note = (
+            f"The damping of an exponential window (time constant {time_constant:.4g} s) is removed. Other warnings "
+            "apply to the curves with the window."
+        )
+        return replace(
+            self,
+            frequency=frequency,
+            damping=damping,
+            damping_error=damping_error,
+            warnings=(*self.warnings, note),
+        )
 
     @property
     def poles(self) -> ComplexArray:

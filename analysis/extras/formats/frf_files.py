@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.core.modal.roving_hammer import exchange_points
 from analysis.core.responses.checks.curve_checks import reversed_force
 from analysis.extras.formats.frf_arrays import response_arrays
 from daq.extras.importing import uff
@@ -37,6 +38,8 @@ _COLUMN_NAME = re.compile(
     r"[\s_.]*(deg|rad|degrees|°)?",
     re.IGNORECASE,
 )
+# Unit of a phase; the column before it contains the magnitude.
+_ANGLE = re.compile(r"deg(rees?)?|°|rad(ians?)?|grad", re.IGNORECASE)
 # Unit of a magnitude in decibels: a reference value, and its unit.
 _DECIBELS = re.compile(
     r"dB\s*(?:\(?re\.?:?\s*)?(?P<reference>\d[\d.]*(?:e[+-]?\d+)?)?\s*(?P<unit>[^\d\s].*?)?\)?", re.IGNORECASE
@@ -145,7 +148,8 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
         remedy = remedy if has_time else "Export a frequency response to this file."
         raise RecordingError(f"{path}: no frequency response (data set 58, function type 4). {remedy}")
     references = list(dict.fromkeys(uff.point(data_set, "ref") for data_set in frf_sets))
-    if reference is None and len(references) > 1:
+    is_roving = len(references) == len(frf_sets) > 1 == len({uff.point(data_set, "rsp") for data_set in frf_sets})
+    if reference is None and len(references) > 1 and not is_roving:
         raise SceneError(
             f"{path}: the file contains responses to {len(references)} references. Choose one with `reference`: "
             f"{', '.join(references)[:300]}."
@@ -182,6 +186,9 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
         if id_line.startswith(RESOLUTION_LINE):
             places = [f"body {int(data_set[f'{end}_node'])}" for end in ("rsp", "ref")]
         curves.append(curve.placed(places[0], places[1]))
+    if reference is None and is_roving:
+        note = "One response to forces at several points: output and input are exchanged, as for a roving hammer."
+        return [curve.warn(note) for curve in exchange_points(curves).curves()]
     warning = reversed_force(curves)
     return [curve.warn(warning) for curve in curves] if warning else curves
 
@@ -294,7 +301,11 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
         # Without a heading, the rising first column is taken for times; here it contains frequencies.
         warnings.filterwarnings("ignore", message=".* has no heading; its first column rises evenly")
         first, *others = signals_of(path, stack)
-        unnamed = [signal.read(0, signal.samples) for signal in (first, *others) if signal.name.startswith(_NO_NAME)]
+        unnamed = [
+            signal.read(0, signal.samples)
+            for signal in (first, *others)
+            if signal.name.startswith(_NO_NAME) and not signal.unit
+        ]
         if first.name == UNNAMED.format(2) and first.rate is not None:
             unnamed.insert(0, first.start_s + np.arange(first.samples) / first.rate)
         if len(unnamed) == 3 and (np.diff(unnamed[0]) > 0.0).all():
@@ -307,6 +318,12 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
         raise RecordingError(
             f"{path}: the first column is {first.name!r}; expected frequencies in Hz, such as 'f [Hz]'. {_IMPORT}"
         )
+    for k in range(1, len(columns)):
+        (name, column_unit, magnitude), (_, phase_unit, phase) = columns[k - 1 : k + 1]
+        if _ANGLE.fullmatch(phase_unit) and not _COLUMN_NAME.fullmatch(name):
+            name = "" if name.startswith(_NO_NAME) else name
+            columns[k - 1] = f"{name} magnitude", column_unit, magnitude
+            columns[k] = f"{name} phase", phase_unit, phase
     components: dict[str, dict[str, tuple[str, Array]]] = {}
     for name, column_unit, values in columns:
         match = _COLUMN_NAME.fullmatch(name)

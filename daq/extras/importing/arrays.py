@@ -52,7 +52,8 @@ def _numpy_arrays(path: Path) -> dict[str, Any]:
     try:
         with path.open("rb") as file:
             if file.read(6) == b"\x93NUMPY":
-                return {"array": np.load(path, mmap_mode="r", allow_pickle=False)}
+                array = np.load(path, mmap_mode="r", allow_pickle=False)
+                return {name: array[name] for name in array.dtype.names or ()} or {"array": array}
         # Compression can shrink an archive to a thousandth of its content.
         with zipfile.ZipFile(path) as packed:
             require_memory_with_program(sum(entry.file_size for entry in packed.infolist()), f"{path}: importing it")

@@ -30,11 +30,13 @@ TIME_UNITS = ("s", "ms", "us", "sec", "Seconds")
 # The same, or it is the unit of frequencies.
 _ABSCISSA_UNITS = ("", *TIME_UNITS, "Hz")
 # Length of the longest unit, characters.
-_MAX_UNIT_LENGTH = 12
+_MAX_UNIT_LENGTH = 16
 #: Name of a column without a name.
 UNNAMED = "column {}"
 # A complex number, as MATLAB and numpy write it.
 _COMPLEX_CELL = re.compile(r"\(?[-+]?[\d.]+(?:e[-+]?\d+)?[-+][\d.]+(?:e[-+]?\d+)?[ij]\)?", re.IGNORECASE)
+# A number with dots between thousands and a decimal comma.
+_GROUPED_NUMBER = re.compile(r"[-+]?\d{1,3}(?:\.\d{3})+,\d*")
 # Decimal digits of the seconds in a time of day.
 _SECOND_FRACTION = re.compile(r":\d\d[.,](\d+)")
 # A date or time of day is read to microseconds.
@@ -150,9 +152,15 @@ def split_cells(line: str, delimiter: str | None) -> list[str]:
 
 
 def parse_number(cell: str, decimal_comma: bool) -> float | None:
-    """Read a cell: a number, NaN if it is empty, None if it is something else."""
+    """Read a cell: a number, NaN if it is empty, None if it is something else.
+
+    >>> parse_number("-1.234,5", decimal_comma=True), parse_number("1.5,2", decimal_comma=True)
+    (-1234.5, None)
+    """
     if not cell:
         return float("nan")
+    if decimal_comma and _GROUPED_NUMBER.fullmatch(cell):
+        cell = cell.replace(".", "")
     try:
         return float(cell.replace(",", ".") if decimal_comma else cell)
     except ValueError:

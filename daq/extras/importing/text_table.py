@@ -187,7 +187,7 @@ class _Table:
 
     def first_column_can_only_be_times(self) -> bool:
         """Return whether the first column of a table without heading can only be times; warn if so."""
-        if self._layout.names[0] != UNNAMED.format(1) or self.rows < 2:
+        if self._layout.names[0] != UNNAMED.format(1) or self._layout.units[0] or self.rows < 2:
             return False
         first_times = np.array([self._parse_line(0, line)[0] for line in self._examined_lines[:-1]])
         if not looks_like_times(first_times, self._parse_line(0, self._examined_lines[-1])[0], self.rows):

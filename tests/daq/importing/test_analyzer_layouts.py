@@ -55,6 +55,8 @@ def write(path: Path, heading: str, rows: np.ndarray, comma: bool = False) -> Pa
         (MESCOPE, REAL_IMAG, "1Z:3Z"),
         (SIGNALCALC, REAL_IMAG, "H2,1"),
         ("Frequency (Hz)\tAmplitude (m/s²/N)\tPhase (°)\n", POLAR, "response"),
+        ('H1(tip,force) - Mark 1\n"[Hz]"\t"[(m/s²)/N]"\t"[Degree]"\n', POLAR, "response"),
+        ("X-Axis\tH1,2\tH1,2\nHz\tdB re 1 m/s²/N\tdeg\n", DECIBELS, "H1,2"),
         ("Frequency (Hz)\ttip Magnitude (dB re 1 m/s²/N)\ttip Phase (deg)\n", DECIBELS, "tip"),
     ],
 )
@@ -75,6 +77,14 @@ def test_exported_samples_have_names_and_units(heading: str, comma: bool, tmp_pa
             ("tip:+Z", "m/s²", 1024.0),
         ]
         np.testing.assert_allclose(tip.read(0, 300), SAMPLES[:, 2], atol=1e-8)
+
+
+def test_dots_between_thousands_are_read(tmp_path: Path) -> None:
+    rows = "".join(f"{k},0;{1000 * k:,}".replace(",", ".").replace(".0;", ",0;") + ",5\n" for k in range(1, 20))
+    (tmp_path / "a.csv").write_text("Zeit [s];Kraft [N]\n" + rows)
+    with ExitStack() as stack:
+        (force,) = text_signals(tmp_path / "a.csv", stack)
+        np.testing.assert_array_equal(force.read(0, 19), 1000.0 * np.arange(1, 20) + 0.5)
 
 
 def test_numbered_samples_have_their_clock(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ import rig
 from daq.commands.cli import app
 from daq.extras.importing import text_table
 from daq.extras.importing.channel_table import Column
+from daq.extras.importing.files import signals_of
 from daq.extras.importing.text_table import text_signals
 from daq.extras.importing.units import quantity_and_scale
 from rig.core.base.errors import RecordingError, SceneError, ShotrigError
@@ -192,6 +193,15 @@ def test_file_of_several_blocks_is_imported_completely(tmp_path):
     recording, _ = import_recording(tmp_path / "a.tdms", make_scene(), tmp_path / "r.mcap")
     with recording:
         np.testing.assert_allclose(recording.read("force"), rows[2], rtol=1e-15)
+
+
+def test_fields_of_structured_array_are_signals(tmp_path):
+    time, force = np.arange(100) / 1024.0, np.arange(100.0)
+    np.save(tmp_path / "run.npy", np.rec.fromarrays([time, force], names="time,force"))
+    with ExitStack() as stack:
+        (signal,) = signals_of(tmp_path / "run.npy", stack)
+        assert (signal.name, signal.rate) == ("force", 1024.0)
+        np.testing.assert_array_equal(signal.read(0, 100), force)
 
 
 def test_two_files_become_one_recording(tmp_path):

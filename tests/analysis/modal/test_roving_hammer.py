@@ -1,0 +1,75 @@
+"""Hits at several points with fixed sensors give the modes of one hit and sensors at these points."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyuff
+
+import analysis
+from analysis.core.modal.roving_hammer import exchange_points
+from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.errors import RecordingError, SceneError
+from rig.core.results.response import Response
+
+FREQUENCY = np.arange(5.0, 60.0, 0.05)
+NATURAL, DAMPING = np.array([15.0, 40.0]), np.array([0.01, 0.02])
+# Elements of the mass-normalized shapes at three points.
+SHAPES = np.array([[0.4, -0.9], [0.8, -0.2], [1.0, 0.7]])
+
+
+def receptance(point: int, sensor: int, frequency: Array = FREQUENCY) -> ComplexArray:
+    s, omega = 2j * np.pi * frequency[:, None], 2 * np.pi * NATURAL
+    return (SHAPES[point - 1] * SHAPES[sensor - 1] / (s**2 + 2 * DAMPING * omega * s + omega**2)).sum(axis=1)
+
+
+def hit(point: int, sensor: int, frequency: Array = FREQUENCY) -> Response:
+    random = np.random.default_rng(10 * point + sensor)
+    value = receptance(point, sensor, frequency)
+    noise = random.standard_normal(value.size) + 1j * random.standard_normal(value.size)
+    value += 1e-3 * np.median(abs(value)) * noise
+    return Response.curve(
+        frequency, value, f"a{sensor}", output_at=f"body {sensor}", input_at=f"body {point}", label=f"hit {point}"
+    )
+
+
+def test_shapes_have_an_element_for_each_point() -> None:
+    modes = analysis.identify(exchange_points([hit(point, 3) for point in (1, 2, 3)]))
+    np.testing.assert_allclose(modes.frequency, NATURAL, rtol=1e-4)
+    assert modes.places == ("body 1", "body 2", "body 3") and modes.input == "force at body 3"
+    np.testing.assert_allclose(modes.shapes.real, SHAPES / [1.0, -0.9], atol=0.01)
+
+
+def test_two_fixed_sensors_are_two_references() -> None:
+    exchanged = exchange_points([hit(point, sensor) for point in (1, 2, 3) for sensor in (2, 3)])
+    assert exchanged.value.shape == (FREQUENCY.size, 3, 2)
+    np.testing.assert_allclose(analysis.identify(exchanged).shapes.real, SHAPES / [1.0, -0.9], atol=0.01)
+
+
+def test_common_lines_are_used() -> None:
+    exchanged = exchange_points([hit(1, 3), hit(2, 3, FREQUENCY[100:])])
+    np.testing.assert_array_equal(exchanged.frequency, FREQUENCY[100:])
+    with pytest.raises(RecordingError, match="0 frequencies in common"):
+        exchange_points([hit(1, 3), hit(2, 3, FREQUENCY + 0.01)])
+
+
+@pytest.mark.parametrize("pairs", [[(1, 3)], [(1, 3), (1, 3)], [(1, 3), (2, 2)]])
+def test_missing_points_are_refused(pairs: list[tuple[int, int]]) -> None:
+    with pytest.raises(SceneError, match="expected several points, each hit in one file, with the same sensors"):
+        exchange_points([hit(*pair) for pair in pairs])
+
+
+def test_universal_file_of_one_sensor_is_read(tmp_path: Path) -> None:
+    sets = [
+        {
+            "type": 58, "binary": 0, "func_type": 4, "rsp_node": 3, "rsp_dir": 3, "ref_node": point, "ref_dir": 3,
+            "rsp_ent_name": "NONE", "ref_ent_name": "NONE", "id1": "FRF", "x": FREQUENCY, "data": receptance(point, 3),
+            "abscissa_spacing": 1, "abscissa_spec_data_type": 18, "ordinate_spec_data_type": 8,
+            "ordinate_axis_units_lab": "m", "orddenom_spec_data_type": 13, "orddenom_axis_units_lab": "N",
+            "z_axis_spec_data_type": 0,
+        }
+        for point in (1, 2)
+    ]  # fmt: skip
+    pyuff.UFF(str(tmp_path / "a.uff")).write_sets(sets)
+    response = analysis.read_frfs(tmp_path / "a.uff")
+    assert response.keys() == ("node 1 +Z", "node 2 +Z") and response.input == "force at node 3 +Z"

@@ -7,7 +7,7 @@ import numpy as np
 import analysis
 from analysis.core.modal import pole_residue
 from analysis.core.responses.errors import random_errors
-from analysis.core.responses.errors.random_errors import LocalErrors
+from analysis.core.responses.errors.random_errors import LocalErrors, SharedErrors
 from rig.core.results.response import Response, stack
 from tests.peak_memory import peak_memory
 
@@ -60,11 +60,18 @@ def gaussian(*shape):
 def covariance_of_lines(spacing):
     """Return the covariance of local fits to lines with a number of bins from line to line."""
     lines, elements, width = 50, 4, 25
-    errors = LocalErrors(
-        gaussian(lines, elements, 1, width), spacing * np.arange(lines), gaussian(lines, elements, 1, width),
-        gaussian(lines, elements, width), np.ones(lines), 10.0, 1.0, True, np.zeros((lines, elements, 0)),
-    )  # fmt: skip
-    return errors.covariance(np.ones((lines, elements)), 1.0)
+    weights, residual = gaussian(lines, elements, 1, width), gaussian(lines, elements, 1, width)
+    fitted_response = gaussian(lines, elements, width)
+    first, *others = [
+        SharedErrors.of(
+            LocalErrors(
+                weights[:, k], spacing * np.arange(lines), residual[:, k], fitted_response[:, k], np.ones(lines),
+                10.0, 1.0, True, np.zeros((lines, 0)),
+            )
+        )
+        for k in range(elements)
+    ]  # fmt: skip
+    return first.joined(others).covariance(np.ones((lines, elements)), 1.0)
 
 
 def test_covariance_of_long_test_needs_little_memory(monkeypatch):

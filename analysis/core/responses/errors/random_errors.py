@@ -14,7 +14,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,7 +40,7 @@ _ZERO_POWER = 1e-40
 # twice the stated uncertainty.
 _UNCORRELATED = 0.05
 # Maximum number of array elements of the noise covariances that are in memory at a time.
-_MAX_ELEMENTS = 1 << 22
+_MAX_ELEMENTS = 1 << 21
 
 
 @dataclass(frozen=True)
@@ -85,66 +85,20 @@ class MeanErrors:
 
 @dataclass(frozen=True)
 class LocalErrors:
-    """Errors of local fits to spectra: sums over bins, most of which neighboring lines have in common."""
+    """Errors of the local fits to one element: sums over bins, most of which neighboring lines have in common."""
 
-    # change of the response per unit change of the reading at each bin; shape (lines, elements, segments, width)
+    # change of the response per unit change of the reading at each bin; shape (lines, segments, width)
     bin_weights: ComplexArray
     first_bin: NDArray[np.int64]  # first bin of each line's fit; shape (lines,)
-    residual: ComplexArray  # residual of the reading; shape (lines, elements, segments, width)
-    fitted_response: ComplexArray  # reading per unit of the reference, as fitted; shape (lines, elements, width)
+    residual: ComplexArray  # residual of the reading; shape (lines, segments, width)
+    fitted_response: ComplexArray  # reading per unit of the reference, as fitted; shape (lines, width)
     reference_power: Array  # mean square of the reference over the bins of each fit; shape (lines,)
     complex_degrees_of_freedom: float  # of the residual of each fit, counted as complex values
     measured_share: float  # measured share of the samples of the spectra, as in `local_fit`
     has_single_reference: bool  # whether the reference is a single channel that is not part of the response
-    # errors common to all lines, each with a real coefficient of variance 1; shape (lines, elements, parts)
+    # errors common to all lines, each with a real coefficient of variance 1; shape (lines, parts)
     common_error: ComplexArray
     shared: float = 1.0  # number of neighboring lines with a common error although they have no bins in common
-
-    def at(self, lines: Lines) -> LocalErrors:
-        """Select some lines."""
-        names = ("bin_weights", "first_bin", "residual", "fitted_response", "reference_power", "common_error")
-        return replace(self, **{name: getattr(self, name)[lines] for name in names})
-
-    def select(self, elements: Sequence[int]) -> LocalErrors:
-        """Select some elements."""
-        names = ("bin_weights", "residual", "fitted_response", "common_error")
-        return replace(self, **{name: getattr(self, name)[:, elements] for name in names})
-
-    def covariance(self, error: Array, shared: float) -> LocalCovariance:
-        """Estimate the covariance over elements and lines, from the residuals around each line."""
-        n_lines, elements = self.common_error.shape[:2]
-        residual = self.residual.reshape(n_lines, elements, -1)
-        # Zero padding correlates neighboring bins and reduces the degrees of freedom in proportion to `measured_share`.
-        # The result is therefore the noise of a bin, summed over the bins that are correlated with it.
-        power = residual @ residual.conj().swapaxes(1, 2) / self.complex_degrees_of_freedom
-        width = self.fitted_response.shape[2]
-        bins, center = int(self.first_bin.max()) + width, self.first_bin + width // 2
-        nearest = np.clip(np.searchsorted(0.5 * (center[1:] + center[:-1]), np.arange(bins)), 0, n_lines - 1)
-        reference_ratio: Array | None = None
-        bins_noise = BinNoise(power, nearest)
-        if self.has_single_reference:
-            reference, variances, ratio = _separate_noise(power, self.fitted_response, self.reference_power, center)
-            reference_ratio = self.measured_share * ratio
-            within = np.clip(np.arange(bins) - self.first_bin[nearest], 0, width - 1)
-            own_noise = np.einsum("ka,ab->kab", variances, np.eye(elements)).astype(complex)
-            bins_noise = BinNoise(own_noise, nearest, reference, self.fitted_response, within)
-        covariance = np.empty((n_lines, elements, elements), dtype=complex)
-        step = max(1, _MAX_ELEMENTS // (width * elements**2))
-        for begin in range(0, n_lines, step):
-            lines = slice(begin, begin + step)
-            local_noise = bins_noise.covariance(self.first_bin[lines, None] + np.arange(width))
-            bin_weights = self.bin_weights[lines]
-            covariance[lines] = np.einsum(
-                "kasw,kwac,kcsw->kac", bin_weights, local_noise, bin_weights.conj(), optimize=True
-            )
-        covariance = covariance + self.common_error @ self.common_error.conj().swapaxes(1, 2)
-        if reference_ratio is None:
-            # The fit reproduces part of the noise, so that the residuals may underestimate it.
-            stated, variances = 2.0 * error**2, np.einsum("kaa->ka", covariance).real
-            stated_ratio = np.divide(stated, variances, out=np.ones_like(variances), where=variances > 0.0)
-            scale = np.sqrt(np.maximum(1.0, stated_ratio))
-            covariance = covariance * scale[:, :, None] * scale[:, None]
-        return LocalCovariance(_add_uncorrelated(covariance), shared, self, bins_noise, reference_ratio)
 
 
 @dataclass(frozen=True)
@@ -155,7 +109,7 @@ class SharedErrors:
     makes copies.
     """
 
-    elements: tuple[LocalErrors, ...]  # errors of one element each, at all lines of the fits
+    elements: tuple[LocalErrors, ...]  # errors of each element, at all lines of the fits
     lines: NDArray[np.intp]  # selected lines
     factors: tuple[ComplexArray, ...]  # factor of each element at each selected line; shape (lines,)
 
@@ -208,22 +162,58 @@ class SharedErrors:
 
     def covariance(self, error: Array, shared: float) -> LocalCovariance:
         """Estimate the covariance over elements and lines, from the residuals around each line."""
-        factors = np.stack(self.factors, axis=1)
 
         def join(name: str) -> ComplexArray:
-            return np.concatenate([getattr(errors, name)[self.lines] for errors in self.elements], axis=1)
+            return np.stack([getattr(errors, name)[self.lines] for errors in self.elements], axis=1)
 
-        errors = replace(
-            self.elements[0],
-            bin_weights=join("bin_weights") * factors[..., None, None],
-            first_bin=self.elements[0].first_bin[self.lines],
-            residual=join("residual"),
-            fitted_response=join("fitted_response"),
-            reference_power=self.elements[0].reference_power[self.lines],
-            has_single_reference=all(errors.has_single_reference for errors in self.elements),
-            common_error=join("common_error") * factors[..., None],
-        )
-        return errors.covariance(error, shared)
+        first, factors = self.elements[0], np.stack(self.factors, axis=1)
+        first_bin, fitted_response = first.first_bin[self.lines], join("fitted_response")
+        bin_weights = join("bin_weights")
+        bin_weights *= factors[..., None, None]
+        common_error = join("common_error") * factors[..., None]
+        n_lines, elements, _, width = bin_weights.shape
+        # Zero padding correlates neighboring bins and reduces the degrees of freedom in proportion to `measured_share`.
+        # The result is therefore the noise of a bin, summed over the bins that are correlated with it.
+        power = self._residual_power() / first.complex_degrees_of_freedom
+        bins, center = int(first_bin.max()) + width, first_bin + width // 2
+        nearest = np.clip(np.searchsorted(0.5 * (center[1:] + center[:-1]), np.arange(bins)), 0, n_lines - 1)
+        reference_ratio: Array | None = None
+        noise = BinNoise(power, nearest)
+        if all(errors.has_single_reference for errors in self.elements):
+            reference_power = first.reference_power[self.lines]
+            reference, variances, ratio = _separate_noise(power, fitted_response, reference_power, center)
+            reference_ratio = first.measured_share * ratio
+            within = np.clip(np.arange(bins) - first_bin[nearest], 0, width - 1)
+            own_noise = np.einsum("ka,ab->kab", variances, np.eye(elements)).astype(complex)
+            noise = BinNoise(own_noise, nearest, reference, fitted_response, within)
+        covariance = np.empty((n_lines, elements, elements), dtype=complex)
+        for lines in _blocks(n_lines, bin_weights[0].size + width * elements**2):
+            by_bin = bin_weights[lines].transpose(0, 3, 1, 2).astype(complex)
+            pairs = by_bin @ by_bin.conj().swapaxes(2, 3)
+            local_noise = noise.covariance(first_bin[lines, None] + np.arange(width))
+            covariance[lines] = np.einsum("kwac,kwac->kac", pairs, local_noise)
+        covariance = covariance + common_error @ common_error.conj().swapaxes(1, 2)
+        if reference_ratio is None:
+            # The fit reproduces part of the noise, so that the residuals may underestimate it.
+            stated, variances = 2.0 * error**2, np.einsum("kaa->ka", covariance).real
+            stated_ratio = np.divide(stated, variances, out=np.ones_like(variances), where=variances > 0.0)
+            scale = np.sqrt(np.maximum(1.0, stated_ratio))
+            covariance = covariance * scale[:, :, None] * scale[:, None]
+        return LocalCovariance(
+            _add_uncorrelated(covariance), shared, bin_weights, first_bin, common_error, first.shared, noise,
+            reference_ratio,
+        )  # fmt: skip
+
+    def _residual_power(self) -> ComplexArray:
+        """Return the cross-powers of the residuals, shape (lines, elements, elements)."""
+        n_lines, elements = len(self.lines), len(self.elements)
+        power = np.empty((n_lines, elements, elements), dtype=complex)
+        for block in _blocks(n_lines, elements * self.elements[0].residual[0].size):
+            lines = self.lines[block]
+            residual = np.stack([errors.residual[lines].reshape(len(lines), -1) for errors in self.elements], axis=1)
+            residual = residual.astype(complex)
+            power[block] = residual @ residual.conj().swapaxes(1, 2)
+        return power
 
 
 @dataclass(frozen=True)
@@ -258,7 +248,10 @@ class LocalCovariance:
 
     lines: ComplexArray
     shared: float
-    errors: LocalErrors
+    bin_weights: ComplexArray  # as in `LocalErrors`, of all elements; shape (lines, elements, segments, width)
+    first_bin: NDArray[np.int64]  # as in `LocalErrors`
+    common_error: ComplexArray  # as in `LocalErrors`, of all elements; shape (lines, elements, parts)
+    shared_bins: float  # `LocalErrors.shared`
     noise: BinNoise  # noise of the readings at each bin
     # noise power of the reference, relative to its power, shape (lines,); None if it is not estimated
     reference: Array | None
@@ -268,7 +261,9 @@ class LocalCovariance:
         return replace(
             self,
             lines=self.lines[lines],
-            errors=self.errors.at(lines),
+            bin_weights=self.bin_weights[lines],
+            first_bin=self.first_bin[lines],
+            common_error=self.common_error[lines],
             reference=None if self.reference is None else self.reference[lines],
         )
 
@@ -277,7 +272,8 @@ class LocalCovariance:
         return replace(
             self,
             lines=self.lines[:, elements][:, :, elements],
-            errors=self.errors.select(elements),
+            bin_weights=self.bin_weights[:, elements],
+            common_error=self.common_error[:, elements],
             noise=self.noise.select(elements),
         )
 
@@ -285,32 +281,39 @@ class LocalCovariance:
         """Compute the covariance of weighted sums over lines and elements; `weights`: shape (lines, elements, sums)."""
         from scipy.sparse import csr_array
 
-        errors = self.errors
-        width, elements, sums = errors.bin_weights.shape[3], *weights.shape[1:]
+        segments, width = self.bin_weights.shape[2:]
+        elements, sums = weights.shape[1:]
         total = np.zeros((sums, sums))
-        bins = int(errors.first_bin.max()) + width
+        bins = int(self.first_bin.max()) + width
         step = max(width, _MAX_ELEMENTS // (elements * (elements + sums)))
         for begin in range(0, bins, step):
             end = min(begin + step, bins)
             # Lines whose fits use these bins.
-            lines = np.flatnonzero((errors.first_bin < end) & (errors.first_bin > begin - width))
-            columns = errors.first_bin[lines, None] + np.arange(width) - begin
+            lines = np.flatnonzero((self.first_bin < end) & (self.first_bin > begin - width))
+            columns = self.first_bin[lines, None] + np.arange(width) - begin
             is_inside = (columns >= 0) & (columns < end - begin)
             row_pointer = np.append(0, np.cumsum(is_inside.sum(axis=1)))
             noise = self.noise.covariance(np.arange(begin, end))
-            for segment in range(errors.bin_weights.shape[2]):
+            for segment in range(segments):
                 by_element = []
                 for k in range(elements):
-                    bin_weights = errors.bin_weights[lines, k, segment][is_inside]
+                    bin_weights = self.bin_weights[lines, k, segment][is_inside]
                     matrix = csr_array((bin_weights, columns[is_inside], row_pointer), shape=(lines.size, end - begin))
                     by_element.append((matrix.T @ weights[lines, k].conj()).T)
                 by_bin = np.stack(by_element, axis=2)
                 total += np.einsum("pbi,bij,qbj->pq", by_bin, noise, by_bin.conj(), optimize=True).real
-        common = np.einsum("kap,kaj->pj", weights.conj(), errors.common_error, optimize=True).real
-        total *= 0.5 * errors.shared
+        common = np.einsum("kap,kaj->pj", weights.conj(), self.common_error, optimize=True).real
+        total *= 0.5 * self.shared_bins
         variances = np.einsum("kaa->ka", self.lines).real * (0.5 * self.shared * _UNCORRELATED / (1.0 + _UNCORRELATED))
         total += np.einsum("kap,ka,kaq->pq", weights.conj(), variances, weights, optimize=True).real
         return np.asarray(total + common @ common.T)
+
+
+def _blocks(n_lines: int, elements_per_line: int) -> Iterator[slice]:
+    """Yield blocks of lines whose arrays have at most `_MAX_ELEMENTS` elements."""
+    step = max(1, _MAX_ELEMENTS // max(elements_per_line, 1))
+    for begin in range(0, n_lines, step):
+        yield slice(begin, begin + step)
 
 
 def _scale_to_variances(covariance: ComplexArray, error: Array) -> ComplexArray:

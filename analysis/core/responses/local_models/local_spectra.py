@@ -157,15 +157,16 @@ class LocalSpectra:
         output = numerator.channels[0]
         to_motion = response_weights[names.index(output)] * rec.channels[output].response(frequency)
         errors = LocalErrors(
-            bin_weights=(main_fit.bin_weights * to_motion[:, None, None])[:, None],
+            # The largest arrays of an analysis: single precision is enough for errors.
+            bin_weights=(main_fit.bin_weights * to_motion[:, None, None]).astype(np.complex64),
             first_bin=main_fit.first_bin,
-            residual=main_fit.residual[:, None],
-            fitted_response=main_fit.fitted_response,
+            residual=main_fit.residual.astype(np.complex64),
+            fitted_response=main_fit.fitted_response[:, 0],
             reference_power=self.power(force, self.half_width),
             complex_degrees_of_freedom=float(main_fit.degrees_of_freedom[0]) / 2.0,
             measured_share=self.measured_share,
             has_single_reference=denominator.channels[1:] == () and not others and not reference_noise_power.any(),
-            common_error=common_error[:, None],
+            common_error=common_error,
         )
         budget = assemble_budget(
             rec, contributions, np.sqrt(variance), main_fit.degrees_of_freedom, bounds, reference_bounds,

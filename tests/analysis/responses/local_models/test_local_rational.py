@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from analysis.core.responses.errors.random_errors import LocalErrors
+from analysis.core.responses.errors.random_errors import LocalErrors, SharedErrors
 from analysis.core.responses.local_models import local_rational
 from analysis.core.responses.local_models.local_rational import OutputSpectra, local_fit
 
@@ -186,10 +186,10 @@ def test_covariance_of_padded_segments_equals_scatter(measured_share):
         spectra = np.fft.rfft(np.pad([force, noisy], ((0, 0), (size - samples, 0))))[:, None]
         fit = local_fit(ideal_reading(spectra[1]), spectra[0], end_phases, lines, half_width, measured_share)
         errors = LocalErrors(
-            fit.bin_weights[:, None], fit.first_bin, fit.residual[:, None], fit.fitted_response, np.ones(lines.size),
-            float(fit.degrees_of_freedom[0]) / 2.0, measured_share, False, np.zeros((lines.size, 1, 0)),
+            fit.bin_weights, fit.first_bin, fit.residual, fit.fitted_response[:, 0], np.ones(lines.size),
+            float(fit.degrees_of_freedom[0]) / 2.0, measured_share, False, np.zeros((lines.size, 0)),
         )  # fmt: skip
-        covariance = errors.covariance(np.sqrt(fit.variance)[:, None], 1.0)
+        covariance = SharedErrors.of(errors).covariance(np.sqrt(fit.variance)[:, None], 1.0)
         variances.append(covariance.of_sums(np.full((lines.size, 1, 1), 1.0 / lines.size + 0j))[0, 0])
         means.append(np.mean(fit.value - 1.0))
     scatter = np.mean(np.square(np.abs(means))) / 2.0
@@ -205,10 +205,10 @@ def test_single_response_separates_noise_of_reference(reference_noise):
     noisy_force = force + np.sqrt(reference_noise) * gaussian(random, 2, bins.size)
     fit = local_fit(reading, noisy_force, np.zeros((2, bins.size)), lines, HALF_WIDTH)
     errors = LocalErrors(
-        fit.bin_weights[:, None], fit.first_bin, fit.residual[:, None], fit.fitted_response, np.ones(lines.size),
-        float(fit.degrees_of_freedom[0]) / 2.0, 1.0, True, np.zeros((lines.size, 1, 0)),
+        fit.bin_weights, fit.first_bin, fit.residual, fit.fitted_response[:, 0], np.ones(lines.size),
+        float(fit.degrees_of_freedom[0]) / 2.0, 1.0, True, np.zeros((lines.size, 0)),
     )  # fmt: skip
-    estimated = errors.covariance(np.sqrt(fit.variance)[:, None], 1.0).reference
+    estimated = SharedErrors.of(errors).covariance(np.sqrt(fit.variance)[:, None], 1.0).reference
     assert np.mean(estimated) == pytest.approx(reference_noise, rel=0.3, abs=3e-4)
 
 

@@ -11,7 +11,7 @@ import matplotlib
 import numpy as np
 import pytest
 
-from rig.core.base.figure_style import log_axis, new_figure, save_figure
+from rig.core.base.figure_style import log_axis, new_figure, save_figure, save_with_table
 
 
 @pytest.mark.parametrize("value", [0.0, 5e-324, 1e-310, 1e308, np.inf, np.nan])
@@ -61,3 +61,12 @@ def test_unknown_backend_does_not_prevent_figures() -> None:
     environment = {**os.environ, "MPLBACKEND": "nonsense"}
     result = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert result.stdout == "nonsense\n"
+
+
+def test_failed_figure_leaves_no_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with new_figure(2.0) as figure:
+        figure.subplots()
+        monkeypatch.setattr(figure, "savefig", lambda *arguments, **options: 1 // 0)
+        with pytest.raises(ZeroDivisionError):
+            save_with_table(figure, tmp_path / "a", [["x"], ["1"]])
+    assert not list(tmp_path.iterdir())

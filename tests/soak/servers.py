@@ -60,7 +60,7 @@ class Server:
         while match is None and (line := self.process.stdout.readline()):
             self.printed += line
             match = re.search(r"(?<!//)127\.0\.0\.1:\d+", line)
-        self.page = self.printed.partition("\n")[0]
+        self.page = "".join(re.findall(r"^http\S+", self.printed, re.MULTILINE))
         """Address of the page of a bench, with its token."""
         self.device = "" if match is None else match[0]
         """Address of the device; empty if the program has ended."""

@@ -130,17 +130,17 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
             # With a layout engine, matplotlib draws each file twice.
             figure.set_layout_engine(None)
             _align_captions(figure)
-        with atomic_write(png) as temporary:
+        # The files get their names together: an interrupted run, which has none of them, can be repeated.
+        with atomic_write(png) as temporary_png, atomic_write(svg) as temporary_svg:
             compression = {"compress_level": _PNG_COMPRESSION}
-            figure.savefig(temporary, dpi=_DPI, metadata={"Software": None}, pil_kwargs=compression)
-        # Drawing places the axis labels, so that the second file need not measure all tick labels again. The layout
-        # engine also places them, but before its last change of the axes.
-        for axes in figure.axes:
-            for axis in (axes.xaxis, axes.yaxis):
-                to_axes = axis.label.get_transform() - axes.transAxes
-                axis.set_label_coords(*to_axes.transform(axis.label.get_position()))
-        with atomic_write(svg) as temporary:
-            figure.savefig(temporary, metadata={"Date": None, "Creator": None})
+            figure.savefig(temporary_png, dpi=_DPI, metadata={"Software": None}, pil_kwargs=compression)
+            # Drawing places the axis labels, so that the second file need not measure all tick labels again. The layout
+            # engine also places them, but before its last change of the axes.
+            for axes in figure.axes:
+                for axis in (axes.xaxis, axes.yaxis):
+                    to_axes = axis.label.get_transform() - axes.transAxes
+                    axis.set_label_coords(*to_axes.transform(axis.label.get_position()))
+            figure.savefig(temporary_svg, metadata={"Date": None, "Creator": None})
     return [png, svg]
 
 
@@ -332,4 +332,5 @@ def save_with_table(figure: Figure, stem: Path, rows: Iterable[Sequence[object]]
     table = stem.with_name(stem.name + ".csv")
     with atomic_write(table) as temporary:
         temporary.write_text(csv_text(rows), encoding="utf-8", newline="")
-    return [*save_figure(figure, stem), table]
+        figures = save_figure(figure, stem)
+    return [*figures, table]

@@ -136,7 +136,8 @@ def write(design: Design, folder: Path) -> list[Path]:
     scene = name.with_suffix(".yaml")
     with atomic_write(scene) as temporary:
         temporary.write_text(design.scene.to_yaml(), encoding="utf-8")
-    return [scene, *save_figure(_draw(design), name)]
+        figures = save_figure(_draw(design), name)
+    return [scene, *figures]
 
 
 def describe_check(design: Design, scene: Path) -> str:

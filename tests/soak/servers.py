@@ -54,6 +54,7 @@ class Server:
             [sys.executable, "-m", *words], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         )
         self._watchdog = threading.Timer(5.0 * PATIENCE_S, self.process.kill)
+        self._watchdog.daemon = True
         self._watchdog.start()
         assert self.process.stdout is not None
         self.printed, match = "", None

@@ -84,7 +84,7 @@ class Server:
         self._watchdog.cancel()
         seconds = time.monotonic() - self._start
         words, code = tuple(self._words), self.process.returncode
-        return CommandResult(words, code, self.printed + output, 0.0, seconds, memory), faults
+        return CommandResult(words, code, self.printed + output, seconds, memory), faults
 
 
 def interrupt_server(folder: Path, rng: random.Random) -> tuple[CommandResult, list[str]]:

@@ -1,18 +1,26 @@
-"""Control-based continuation: the response at constant force is followed through its folds.
+"""Control-based continuation: measurement of the response at constant force, also where the motion is unstable.
 
-Feedback holds the amplitude of a motion (`envelope_control`), so that the unstable part of the curve can be measured.
-It does not change the motion, because the drive is constant in steady state. The unknowns of a point are frequency and
-amplitude; its equation is the level of the force. A secant predicts the next point, and the secant method corrects it
-along the normal. Coordinates are w / |l| and ln |X|, with the pole l of the mode relative to the tone: a unit of both
-is the relative change of the response. (J. Sieber et al., Phys. Rev. Lett. 100 (2008) 244101; L. Renson, D. A. W.
-Barton, S. A. Neild, Int. J. Bifurc. Chaos 27 (2017) 1730002.)
+A resonance curve of a nonlinear structure can turn back in frequency (fold). Between two folds the motion is unstable at
+constant force, and an open-loop test jumps past it. Here feedback holds the displacement amplitude (`envelope_control`).
+In steady state its drive is constant, so that the held motion is also a motion at constant force.
+
+A point of the curve has two unknowns, frequency and displacement amplitude, and one equation: the measured force equals
+the level. The next point is predicted along the curve from the last two chords. Holds at points on the normal to this
+direction, by the secant method, correct it until the force is right.
+
+Distances along the curve are relative changes of the response: the change of the angular frequency divided by |l|, and
+that of the logarithm of the amplitude. l is the pole of the nearest mode relative to the frequency of the tone, 1/s.
+(J. Sieber et al., Phys. Rev. Lett. 100 (2008) 244101; L. Renson, D. A. W. Barton, S. A. Neild, Int. J. Bifurc. Chaos 27
+(2017) 1730002.)
 """
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections import deque
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -23,6 +31,7 @@ from daq.core.excitation.procedure import Form, FormValues
 from daq.core.excitation.station import Excitation, GivenUp, Station
 from daq.core.excitation.stepped_sine import SteadyTonesProcedure, expected_wait
 from daq.core.excitation.tones.envelope_control import (
+    AVERAGED_WINDOWS,
     MAX_GROWTH_TIMES_DEAD_TIME,
     MAX_POLE_TIMES_DEAD_TIME,
     EnvelopeTone,
@@ -37,28 +46,32 @@ if TYPE_CHECKING:
     from rig.core.scene.excitation.kind import KindOfTest
     from rig.core.scene.scene import Scene
 
-# Feedback begins below this fraction of the largest product of pole and dead time, and ends above the whole.
+# Feedback starts where the product of |l| and dead time is below this fraction of its limit, and stops above the limit.
 _BEGIN_RATIO = 0.8
-# Number of last windows over which the force is averaged.
+# The force of a point is the mean over this number of windows.
 _AVERAGED_WINDOWS = 6
-# Number of last points without feedback from which the input gain is estimated.
+# The input gain is estimated from this number of points measured without feedback.
 _FLANK_POINTS = 3
-# The force is within this fraction of the level: near a fold, the curve depends much on the level.
+# Largest relative deviation of the force from the level.
 _TOLERANCE = 0.002
-# Largest number of settled points from the prediction to the curve, and of drives of a point without feedback.
-_MAX_CORRECTIONS = 6
-# Smallest slope of ln(force) along the normal: a smaller slope would predict a far point.
-_MIN_SLOPE = 0.3
+# Largest number of holds that correct a point with feedback, and of drives of a point without feedback.
+_MAX_CORRECTIONS = 8
+# Smallest assumed slope of ln(force) along the normal: it limits the distance of the next hold.
+_MIN_SLOPE = 0.05
 # A step that fails is repeated with this fraction of its length, down to the smallest fraction.
 _SHORTER = 0.5
 _SHORTEST = 1.0 / 16.0
+# A step with feedback that turns by more than this angle from the last one is repeated with a shorter length, rad, down
+# to this fraction: over shorter steps, the direction is that of the noise.
+_MAX_TURN = 0.5
+_SHORTEST_TURN = 0.25
 # The frequency changes by at most this fraction of the band, and by half of that before the mode is known.
 _MAX_BAND_RATIO = 0.05
-# A frequency that changes by less than this number of periods in a dead time changes within a window.
+# A change of the frequency by less than this number of periods per dead time is made within one window.
 _SMALL_TURN = 0.05
 # Without feedback, a response that changes by more than this factor has jumped to another branch.
 _JUMP_RATIO = 2.0
-# The motion does not repeat if the control changes the drive by more than this fraction.
+# Feedback that changes the drive by more than this fraction (rms) indicates a motion that does not repeat.
 _MAX_INVASIVE = 0.01
 
 
@@ -166,6 +179,8 @@ class _Curve:
         self.points: list[Point] = []
         self._tangent = self._forward, 0.0
         self._holding = False
+        self._length = test.step  # of the last step
+        self._chord, self._bend = test.step, 0.0  # distance of the last two points, and change of direction, rad
         self.folds = 0  # number of points at which the curve turned back
 
     @property
@@ -182,11 +197,18 @@ class _Curve:
             raise Lost(self._limitation() or failure)
         yield from self._measure(point)
         while len(self.points) < test.points and (0.0 <= self._share < 1.0 or len(self.points) == 1):
-            length = test.step
+            length, shortest = min(test.step, self._length / _SHORTER), _SHORTEST * test.step
             point = None
-            while point is None and length >= _SHORTEST * test.step:
+            while point is None and length >= shortest:
                 point = yield from (self._held(length) if self._holding else self._driven(length))
-                length *= _SHORTER
+                if (
+                    point is not None
+                    and self._holding
+                    and abs(self._turn(point)) > _MAX_TURN
+                    and length > _SHORTEST_TURN * test.step
+                ):
+                    point = None
+                self._length, length = length, length * _SHORTER
             if point is None:
                 raise Lost(self._reason((yield from self._growth()) if self._holding and self.unstable else 0.0))
             yield from self._measure(point)
@@ -210,7 +232,9 @@ class _Curve:
             length = math.hypot(*change)
             was_unstable = self.unstable
             if length > 0.0:
-                self._tangent = change[0] / length, change[1] / length
+                bend = 2.0 * self._turn(point) / (length + self._chord)
+                self._bend = max(-_MAX_TURN, min(_MAX_TURN, bend * length)) / length if self._holding else 0.0
+                self._tangent, self._chord = (change[0] / length, change[1] / length), length
             self.folds += self.unstable != was_unstable
         first = station.now
         samples = round(test.measure.periods * station.rate / point.frequency)
@@ -258,14 +282,18 @@ class _Curve:
 
     def _held(self, length: float) -> Generator[Array, Array, Point | None]:
         """Step along the curve with feedback; return None if the corrections do not converge."""
-        last, (along, up) = self.points[-1], self._tangent
+        last, direction = self.points[-1], complex(*self._tangent)
+        # The next chord turns as much as the last one, for the distance of their centers.
+        direction *= cmath.exp(0.5j * self._bend * (self._chord + length))
+        along, up = direction.real, direction.imag
         rate = self._rate(last)
         # Slope of ln(force) along the normal, as of a mode: over w at constant |X|, and over |X| at constant w, which
         # follows from the tangent where it is steep.
         over_frequency = -last.pole.imag / abs(last.pole)
         over_motion = -over_frequency * along / up if abs(up) > 0.5 else 1.0
         slope = over_motion * along - over_frequency * up
-        position, known = 0.0, list[tuple[float, float]]()
+        visited = list[tuple[float, float]]()
+        position = 0.0
         for _ in range(_MAX_CORRECTIONS):
             x, y = length * along - position * up, length * up + position * along
             frequency, motion = last.frequency + x * rate / (2.0 * math.pi), last.motion * math.exp(y)
@@ -273,14 +301,20 @@ class _Curve:
             if point is None:
                 return None
             error = math.log(point.level / self._level)
-            if abs(error) <= _TOLERANCE:
+            if abs(error) <= max(_TOLERANCE, 2.0 * self._tone.scatter / math.sqrt(AVERAGED_WINDOWS)):
                 return point
-            if known and abs(position - known[-1][0]) > 1e-6:
-                slope = (error - known[-1][1]) / (position - known[-1][0])
-            known.append((position, error))
-            slope = math.copysign(max(abs(slope), _MIN_SLOPE), slope)
-            position = max(-length, min(length, position - error / slope))
+            visited.append((position, error))
+            candidate = _next_position(visited, slope, 2.0 * length)
+            if candidate is None:
+                return None
+            position = candidate
         return None
+
+    def _turn(self, point: Point) -> float:
+        """Return the angle between the last two steps if a point is added, rad."""
+        x, y = self._scaled(self.points[-1], point)
+        along, up = self._tangent
+        return math.atan2(along * y - up * x, along * x + up * y)
 
     def _growth(self) -> Generator[Array, Array, float]:
         """Return the rate at which the motion leaves the last point without feedback, 1/s; 0 if it is not reached."""
@@ -311,11 +345,30 @@ class _Curve:
                     f"{name} of {rate:.2g} 1/s at {last.frequency:.4g} Hz requires a dead time below "
                     f"{largest / rate:.2g} s; it is {tone.dead_time:.2g} s. Use a converter filter with a shorter delay"
                 )
+        cause = "does not settle" if tone.scatter >= _MAX_INVASIVE else "has no continuous force"
         return (
             f"{self._test.at} with {1e3 * last.motion:.3g} mm at {last.frequency:.4g} Hz is the last point: the motion "
-            f"next to it does not settle (scatter {tone.scatter:.1%}). Its period may have doubled, or its impacts "
+            f"next to it {cause} (scatter {tone.scatter:.1%}). Its period may have doubled, or its impacts "
             "change; raise test.settle.longest, or give a smaller test.step"
         )
+
+
+def _next_position(visited: Sequence[tuple[float, float]], slope: float, length: float) -> float | None:
+    """Return the next position along a normal by the secant method; None if the curve is farther than the length.
+
+    `visited`: pairs of position and error, in the order of the measurements; `slope`: expected one of the error.
+    """
+    position, error = visited[-1]
+    if len(visited) > 1:
+        slope = (error - visited[-2][1]) / (position - visited[-2][0])
+    slope = math.copysign(max(abs(slope), _MIN_SLOPE), slope)
+    candidate = max(-length, min(length, position - error / slope))
+    ordered = sorted(visited)
+    for (low, before), (high, after) in pairwise(ordered):
+        if before * after < 0.0:
+            # The curve lies between; where it is not smooth, the secant can lead out of the interval.
+            return candidate if low < candidate < high else (low + high) / 2.0
+    return None if any(candidate == other for other, _ in visited) else candidate
 
 
 def excite(station: Station, test: Continuation) -> Excitation:

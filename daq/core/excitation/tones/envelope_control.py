@@ -49,7 +49,9 @@ _COMPARED_ERRORS = 5
 # The gain is then reduced to this fraction of the initial gain, which still holds most unstable orbits.
 _REDUCED_GAIN = 0.5
 # Number of last windows over which the drive is averaged in steady state.
-_AVERAGED_WINDOWS = 6
+AVERAGED_WINDOWS = 12
+# In steady state, these drives have at most this relative standard deviation.
+_MAX_SCATTER = 0.01
 # The motion has left its target if it deviates by more than this multiple of the tolerance of the level.
 _LEFT_RATIO = 2.0
 
@@ -123,7 +125,7 @@ class EnvelopeTone(SteadyTone):
         self.forget_mode()
         self.direction = 1.0 + 0j  # phase of the drive relative to that of the envelopes, as e^{i phase}
         self.motion = 0j  # last envelope of the controlled motion, m
-        self.scatter = 0.0  # standard deviation of the last envelopes of a motion that did not settle, relative
+        self.scatter = 0.0  # relative standard deviation of the last drives
         self._observed = 0.0, 0j, 0j  # frequency and envelopes of motion and drive in the last observation of the mode
 
     def forget_mode(self) -> None:
@@ -217,7 +219,7 @@ class EnvelopeTone(SteadyTone):
             return False
         self.control = None
         control = self._control_to(target * self.motion / abs(self.motion))
-        detector, drives, motions = Settling(tolerance), [self.envelope], deque([self.motion], maxlen=_AVERAGED_WINDOWS)
+        detector, drives = Settling(tolerance), deque([self.envelope], maxlen=AVERAGED_WINDOWS)
         while station.now + self.window <= end:
             envelopes = yield from self.steer(self._next_drive(control))
             self.motion = complex(envelopes[0])
@@ -226,13 +228,13 @@ class EnvelopeTone(SteadyTone):
                 yield from self.steer(self.envelope * target / abs(self.motion))
                 return False
             drives.append(self.envelope)
-            motions.append(self.motion)
+            self.scatter = float(np.std(drives)) / max(float(abs(np.mean(drives))), 1e-300)
             detector.add(np.array([*envelopes, self.envelope]))
             error = abs(detector.predicted_final() / control.target - 1.0)
-            if detector.settled and error < min(max(FORCE_TOLERANCE, 2.0 * detector.standard_error()), MAX_TOLERANCE):
-                yield from self.steer(complex(np.mean(drives[-_AVERAGED_WINDOWS:])))
+            largest = min(max(FORCE_TOLERANCE, 2.0 * detector.standard_error()), MAX_TOLERANCE)
+            if detector.settled and error < largest and self.scatter < _MAX_SCATTER:
+                yield from self.steer(complex(np.mean(drives)))
                 return True
-        self.scatter = float(np.std(motions)) / max(float(abs(np.mean(motions))), 1e-300)
         return False
 
     def _control_to(self, target: complex) -> EnvelopeControl:

@@ -1,8 +1,8 @@
 """Control-based continuation: measurement of the response at constant force, also where the motion is unstable.
 
-A resonance curve of a nonlinear structure can turn back in frequency (fold). Between two folds the motion is unstable at
-constant force, and an open-loop test jumps past it. Here feedback holds the displacement amplitude (`envelope_control`).
-In steady state its drive is constant, so that the held motion is also a motion at constant force.
+A resonance curve of a nonlinear structure can turn back in frequency (fold). Between two folds the motion is unstable
+at constant force, and an open-loop test jumps past it. Here feedback holds the displacement amplitude
+(`envelope_control`). In steady state its drive is constant, so that the held motion is also a motion at constant force.
 
 A point of the curve has two unknowns, frequency and displacement amplitude, and one equation: the measured force equals
 the level. The next point is predicted along the curve from the last two chords. Holds at points on the normal to this

@@ -36,7 +36,7 @@ from rig.core.engine.state import (
 from rig.core.engine.trajectory import Trajectory
 from rig.core.engine.workspace import Workspace, workspace_for
 from rig.core.numerics.bernstein import N_COEFFICIENTS
-from rig.core.numerics.jit import kernel
+from rig.core.numerics.jit import kernel, only_overload
 from rig.core.numerics.simd import LANES, aligned_zeros, padded_length
 from rig.core.settings.quantities import LENGTH
 from rig.core.system.hybrid_system import Drive, HybridSystem, first_order_hold, pure_tone
@@ -148,6 +148,7 @@ class Propagator:
         self._no_drive = np.zeros((len(system.inputs), 2))
         self._elapsed_s = 0.0
         self._empty_log = _copied_log(self.log, 0, 0, self.tables)
+        self._propagate, self._store_accelerations = _propagate, _store_accelerations
         self._look_up_tables()
 
     @property
@@ -291,7 +292,11 @@ class Propagator:
         first = self.tables.size
         rows = np.zeros((len(states), self.state.z.size))
         rows[:, :first] = states[:, :first]
-        _store_accelerations(self.tables.flow, self.tables.model, rows, table_indices, self.workspace.derivative)
+        # A view of the indices may have another memory layout.
+        table_indices = np.ascontiguousarray(table_indices)
+        self._store_accelerations(self.tables.flow, self.tables.model, rows, table_indices, self.workspace.derivative)
+        if self._store_accelerations is _store_accelerations:
+            self._store_accelerations = only_overload(_store_accelerations)
         return np.ascontiguousarray(rows[:, first : first + self.system.coordinates].T)
 
     def state_samples(self, samples: int) -> StateSamples:
@@ -322,11 +327,15 @@ class Propagator:
     ) -> None:
         """Propagate through segments; compute missing tables and enlarge the log whenever the kernel returns for it."""
         segment, remaining = 0, -1.0
+        # A drive of the caller may have another memory layout.
+        segments = segments._replace(drive=np.ascontiguousarray(segments.drive))
         while True:
-            reason, segment, remaining = _propagate(
+            reason, segment, remaining = self._propagate(
                 self.tables.flow, self.tables.model, self.state, self.workspace, self.log, segments, segment, remaining,
                 states, motion, status,
             )  # fmt: skip
+            if self._propagate is _propagate:
+                self._propagate = only_overload(_propagate)
             status = STATE_ONLY
             if reason == TABLES_MISSING:
                 self._look_up_tables()

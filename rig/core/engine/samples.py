@@ -14,7 +14,7 @@ from rig.core.base.arrays import Array
 from rig.core.engine.flow import Flow, Model
 from rig.core.engine.state import TABLE_INDEX, State, mode_number
 from rig.core.numerics.jit import inlined_kernel
-from rig.core.numerics.simd import LANES, transpose
+from rig.core.numerics.simd import LANES, transpose, unsigned
 
 
 class StateSamples(NamedTuple):
@@ -70,9 +70,9 @@ def store_motion(flow: Flow, model: Model, state: State, motion: MotionSamples, 
         if model.gap_coordinate[j] >= 0:
             gap = state.z[model.gap_coordinate[j]]
         elif model.laws.flies[m] > 0.0:
-            gap = max(state.height[j] - state.z[model.position_index[j]], 0.0)
-        motion.contact[j, column] = model.laws.wall[m]
-        motion.buffer[row, 3 * coordinates + j] = gap
+            gap = max(state.height[j] - state.z[unsigned(model.position_index[j])], 0.0)
+        motion.contact[j, unsigned(column)] = model.laws.wall[m]
+        motion.buffer[unsigned(row), unsigned(3 * coordinates + j)] = gap
     first = column - row
     if row == LANES - 1 and first >= motion.first_column[0]:
         transpose(motion.buffer, motion.rows, first)

@@ -154,7 +154,7 @@ def inside_margins(model: Model, state: State, signals: Signals, z: Array, durat
     """
     for lane in range(signals.indices.shape[0]):
         # The first term is outside the loop, because most signals have no other.
-        value = signals.numbers[lane, OFFSET] + signals.numbers[lane, SCALE] * z[signals.indices[lane, ENTRY]]
+        value = signals.numbers[lane, OFFSET] + signals.numbers[lane, SCALE] * z[unsigned(signals.indices[lane, ENTRY])]
         for term in range(1, model.laws.terms):
             value += signals.numbers[lane, SCALE + term] * z[signals.indices[lane, ENTRY + 2 * term]]
         rounding = 0.0

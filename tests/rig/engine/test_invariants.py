@@ -165,6 +165,18 @@ def test_block_size_changes_no_bit(scene: rig.Scene, seed: int) -> None:
         )
 
 
+def test_memory_layout_of_drive_changes_no_bit() -> None:
+    force = {"kind": "force", "body": 1}
+    scene = rig.load({"structure": {"masses": [1, 1], "springs": ["20 kN/m", "20 kN/m"]}, "shaker": [force, force]})
+    drive = np.random.default_rng(1).standard_normal((2, 200))
+    motions = []
+    for order in ("C", "F"):
+        plant = rig.Plant(scene, 2000.0)
+        plant.advance(drive[:, :1])
+        motions.append(plant.advance(np.asarray(drive, order=order)).displacement)
+    np.testing.assert_array_equal(*motions)
+
+
 @settings(max_examples=40)
 @given(scene=scenes(), seed=st.integers(0, 2**32 - 1))
 def test_impact_conserves_momentum(scene: rig.Scene, seed: int) -> None:

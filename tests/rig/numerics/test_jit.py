@@ -301,3 +301,17 @@ def test_digest_covers_imported_kernels(tmp_path: Path, monkeypatch: pytest.Monk
         assert digest(engine) != before
         changed.write_bytes(source)
     assert digest(engine) == before
+
+
+def test_kernel_of_two_signatures_is_called_itself(kernels: Path) -> None:
+    code = """
+from kernels.twice import outer
+from rig.core.numerics.jit import only_overload
+outer(1.0)
+entry = only_overload(outer)
+print(entry is outer, entry(3.0))
+outer(1)
+print(only_overload(outer) is outer)
+"""
+    (kernels / "twice.py").write_text(TWICE)
+    assert run(kernels, code).stdout.split() == ["False", "15.0", "True"]

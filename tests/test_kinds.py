@@ -22,17 +22,13 @@ from rig.core.scene.shaker import KINDS as SHAKERS
 
 ROOT = Path(__file__).parents[1]
 GUIDES = "\n".join(guide.read_text(encoding="utf-8") for guide in ROOT.glob("*/guide/*.md"))
-# Files that may ask for a kind: its owners, and the studies of the paper and of cost, which no scene reaches.
+# Files that may ask for a kind: its owners.
 OWNERS = (
     "rig/core/scene/excitation/",
     "rig/core/scene/shaker/",
     *(f"daq/core/excitation/{kind.kind_name()}.py" for kind in TESTS),
     "daq/core/recording/recorded_test.py",
     "analysis/core/responses/estimator.py",
-    "rig/studies/single_mode/",
-    "rig/studies/cost/",
-    "analysis/studies/paper/",
-    "analysis/studies/cost/",
 )
 CLASSES = {kind.__name__ for kind in (*TESTS, *SHAKERS.values())}
 NAMES = {*(kind.kind_name() for kind in TESTS), *SHAKERS}

@@ -273,7 +273,7 @@ class _Bench:
 
 def _steady_compliance(scene: Scene, frequency: float, drive: float) -> ComplexArray:
     """Compute the compliance of all bodies under a drive of given amplitude."""
-    level_key = "force" if scene.driven_shaker is not None and scene.driven_shaker.kind == "force" else "drive"
+    level_key = "force" if scene.driven_shaker is not None and scene.driven_shaker.drive_is_force else "drive"
     test = SteppedSine(**{level_key: drive}, frequencies=(frequency,))
     scene = scene.replace(test=test)
     # Linear interpolation between samples reduces the amplitude of a sinusoid by this factor. For the engine, the

@@ -54,7 +54,7 @@ def expand_chain(scene: Scene) -> Scene:
     shaker = scene.driven_shaker
     converter = complete_from_preset(scene.converter).replace(preset=None, rate=scene.converter.sample_rate)
     channels = scene.channels
-    if shaker is not None and shaker.kind == "force":
+    if shaker is not None and shaker.drive_is_force:
         if channels is not None and not any(channel.measures_force for channel in channels):
             raise SceneError(
                 "channels: no channel measures the force, so that the compliance has no reference. Add "

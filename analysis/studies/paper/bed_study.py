@@ -24,7 +24,6 @@ from analysis.studies.paper.store import Arrays
 from analysis.studies.paper.stored_table import Row, Table, complete
 from rig.core.base.arrays import Array
 from rig.core.scene.damper import Grains
-from rig.core.scene.excitation import Sine
 from rig.core.scene.scene import STANDARD_GRAVITY, Scene
 from rig.core.system.spheres import rayleigh_time, spheres_of
 from rig.extras.bed_response.steady_bed import SteadyBed, steady_grains, steady_mass
@@ -228,15 +227,14 @@ def summary_row(scene: Scene, motion: SteadyBed) -> list[str]:
     """
     mass, test = scene.dampers[0].mass, scene.test
     assert mass is not None
-    assert isinstance(test, Sine)
-    assert test.force is not None
+    assert test is not None and test.tone is not None
     weight = mass * scene.gravity
-    amplitude = abs(motion.compliance[0]) * test.force
-    vibration_energy = math.pi * mass / DAMPED_MASS_RATIO * (2.0 * math.pi * test.frequency * amplitude) ** 2
+    amplitude = abs(motion.compliance[0]) * test.levels[0]
+    vibration_energy = math.pi * mass / DAMPED_MASS_RATIO * (2.0 * math.pi * test.tone * amplitude) ** 2
     values = (
         1.0 / (2.0 * DAMPING + motion.energy[0] / vibration_energy),
-        motion.floor_impulse[0] * test.frequency / weight,
-        motion.ceiling_impulse[0] * test.frequency / weight,
+        motion.floor_impulse[0] * test.tone / weight,
+        motion.ceiling_impulse[0] * test.tone / weight,
         motion.energy[0] / (weight * 1e-3),
         motion.landing[0],
         motion.flight[0],

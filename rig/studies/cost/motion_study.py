@@ -17,10 +17,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from rig.core.base.arrays import Array
 from rig.core.base.errors import RunError, SceneError, ShotrigError
 from rig.core.engine.propagator import tone_propagator
-from rig.core.scene.excitation import Sine, SteppedSine, SweptSine
 from rig.core.scene.scene import Scene
 from rig.core.settings.quantities import count
 from rig.core.simulation.simulate import Run, simulate
@@ -87,20 +85,15 @@ class MotionStudy:
 
 
 def default_frequency(scene: Scene, system: HybridSystem) -> float:
-    """Return the single frequency of the test, or the frequency of largest linear acceleration in its range, Hz.
+    """Return the frequency of largest linear acceleration among the tones of the test, or in its band, Hz.
 
     Raises `SceneError` if the scene has no shaker, or its test no frequency.
     """
     level_of(scene)
     test = scene.test
-    if isinstance(test, Sine):
-        return test.frequency
-    if isinstance(test, SteppedSine):
-        grid: Array = np.array(sorted(set(test.order)))
-    elif isinstance(test, SweptSine):
-        grid = np.linspace(*test.band, 400)
-    else:
+    if test is None or test.band is None:
         raise SceneError("test: has no frequency. Give `frequency`.")
+    grid = sorted(set(test.dwells)) or np.linspace(*test.band, 400)
     accelerations = [accelerations_per_level(scene, system, 2.0 * np.pi * f).max() for f in grid]
     return float(grid[int(np.argmax(accelerations))])
 

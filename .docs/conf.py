@@ -47,7 +47,7 @@ sphinx_gallery_conf = {
     "ignore_pattern": "__init__",
     "abort_on_example_error": True,
     "download_all_examples": False,
-    # Labels of axes are legible in three columns.
+    # Labels of axes are legible in two columns.
     "thumbnail_size": (640, 480),
     "write_computation_times": False,
     # Only results have a representation that a reader needs.
@@ -116,7 +116,7 @@ def commands(package: str) -> str:
         f"| [`{package} {name}`](#{package}-{name}) | {each.get_short_help_str(99)} |\n" for name, each in known.items()
     )
     for name in known:
-        shown = CliRunner().invoke(app, [name, "--help"], prog_name=package, terminal_width=100).output
+        shown = CliRunner().invoke(app, [name, "--help"], prog_name=package, terminal_width=94).output
         text += f"\n## {package} {name}\n\n```text\n{shown}```\n"
     return text
 

@@ -87,6 +87,7 @@ class Chart:
     logarithmic: bool = False  # horizontal axis
     x_limits: tuple[float, float] | None = None  # least extent of the horizontal axis
     x_view: tuple[float, float] | None = None  # part of the horizontal axis that is shown first
+    names: Sequence[str] = ()  # curves in the order of the legend; default: as they are drawn
 
 
 @dataclass
@@ -108,6 +109,7 @@ class ChartWriter:
                 "view": chart.x_view,
             },
             "panels": [_panel(panel) for panel in chart.panels],
+            "names": chart.names,
         }
         # The text "</script>" inside the data would end the script element.
         text = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")

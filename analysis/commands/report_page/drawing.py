@@ -119,7 +119,9 @@ def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
                 clearance = f", {damper.spring:.4g} N/m{f', {damper.walls_text}' if damper.has_walls else ''}"
             if damper.friction is not None:
                 clearance += f", friction {damper.friction:.3g}"
-            mass = f"{1e3 * damper.mass:.4g} g" if damper.mass is not None else f"ratio {damper.mass_ratio:.3g}"
+            mass = (
+                f"{1e3 * damper.mass:.4g} g" if damper.mass is not None else f"{100 * (damper.mass_ratio or 0):.3g} %"
+            )
             locked = ", locked" if damper.locked else ""
             yield f'<text x="{x + 32:g}" y="{top + 43:g}">{mass}{locked}{clearance}</text>'
 

@@ -59,6 +59,7 @@ def time_histories(rec: Recording) -> Chart:
         panels,
         x_name="time",
         x_unit="s",
+        names=names,
     )
 
 

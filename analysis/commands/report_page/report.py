@@ -59,7 +59,7 @@ def write_report(
     check_outputs(paths, target)
     with Measurements(paths, progress) as measurements:
         sentences, body = _body(measurements, paths, note)
-    title = f"Vibration test: {', '.join(path.stem for path in paths)}"
+    title = f"Vibration test: {' · '.join(dict.fromkeys(each.label for each in measurements.results))}"
     templates = files("analysis.commands.report_page") / "browser"
 
     def template(name: str) -> str:

@@ -43,20 +43,18 @@ def response_charts(
 ) -> list[Chart]:
     """Return charts of all frequency responses.
 
-    The responses of a single recording share a chart. With several recordings each response has its own chart, so
-    that the recordings can be compared. Responses to different inputs never share a chart. `reference`: label of the
+    The responses of a single sweep share a chart. With several recordings or levels each response has its own chart,
+    so that they can be compared. Responses to different inputs never share a chart. `reference`: label of the
     recording with which the others are compared; `changes`: of its peaks, which are marked.
     """
     with_responses = [measurement for measurement in measurements if measurement.sweeps]
     frfs = [frf for measurement in with_responses for sweep in measurement.sweeps for frf in sweep.frfs]
-    several = len({measurement.label for measurement in with_responses}) > 1
+    several = len({frf.label for frf in frfs}) > 1
     charts = []
     for key in dict.fromkeys((frf.ratio if several else frf.input) for frf in frfs):
         group = [frf for frf in frfs if key == (frf.ratio if several else frf.input)]
-        names = [frf.label if several else f"{frf.response} {frf.label}".strip() for frf in group]
-        if not several and len({frf.label for frf in group}) == 1:
-            names = [frf.response for frf in group]
-        styles = recording_styles([belongs_to(frf.label, reference) for frf in group]) if several else None
+        names = _sweep_names(group, reference) if several else [frf.response for frf in group]
+        styles = _sweep_styles(group, reference) if several else None
         sweeps = [sweep for measurement in with_responses for sweep in measurement.sweeps]
         peaks = [
             [peak for sweep in sweeps for peak in sweep.peaks_of(frf)]
@@ -64,16 +62,27 @@ def response_charts(
             for frf in group
         ]
         baseline = next((each for each in with_responses if each.label == reference), with_responses[0]).sweeps[0]
-        chart = response_chart(group, names, styles, peaks, _mode_marks(baseline, group))
-        if baseline.modes is not None:
-            band = np.concatenate([frf.frequency for frf in group])
-            chart = replace(chart, x_view=_first_view(band, baseline.modes.frequency))
+        band = np.concatenate([frf.frequency for frf in group])
+        view = None if baseline.modes is None else _first_view(band, baseline.modes.frequency)
+        chart = response_chart(group, names, styles, peaks, _mode_marks(baseline, group), view)
         tests = {each.label: excitation_text(each.rec) for each in with_responses}
         equal = len(set(tests.values())) == 1
         levels = [text if equal else f"{label}: {text}" for label, text in tests.items() if text]
         test = "; ".join(dict.fromkeys(levels))
         charts.append(replace(chart, caption=f"{chart.caption} Test: {test}." if test else chart.caption))
     return charts
+
+
+def _sweep_names(frfs: Sequence[Response], reference: str) -> list[str]:
+    """Return names of recordings and levels for a legend: the levels alone if all are of one recording."""
+    common = f"{reference}, " if all(belongs_to(frf.label, reference) for frf in frfs) else ""
+    return [frf.label.removeprefix(common) for frf in frfs]
+
+
+def _sweep_styles(frfs: Sequence[Response], reference: str) -> list[CurveStyle]:
+    """Return the styles of recordings that are compared with a reference, or of the levels of a single recording."""
+    of_reference = [belongs_to(frf.label, reference) for frf in frfs]
+    return recording_styles([each and (len(frfs) == 1 or not all(of_reference)) for each in of_reference])
 
 
 def _mode_marks(sweep: SweepResults, frfs: Sequence[Response]) -> list[tuple[float, float, str]]:
@@ -93,10 +102,12 @@ def response_chart(
     styles: Sequence[CurveStyle] | None = None,
     peaks: Sequence[Sequence[Peak]] = (),
     marks: Sequence[tuple[float, float, str]] = (),
+    view: tuple[float, float] | None = None,
 ) -> Chart:
     """Return a chart of magnitude with its expanded uncertainty, phase and coherence, for one input.
 
     `styles`: of the curves; default: those of their bodies. `peaks`: of each curve; `marks`: labels, see `Panel`.
+    `view`: part of the band that is shown first, and determines the vertical axis.
     """
     styles = styles or place_styles([frf.outputs[0].at for frf in frfs])
     thinned = [_thinned(frf.with_gaps()) for frf in frfs]
@@ -108,9 +119,13 @@ def response_chart(
     for original, frf, name, style, found in rows:
         f, modulus, expanded = frf.frequency, factor * abs(frf.value), factor * frf.expanded()
         known = is_determined(frf) & np.isfinite(frf.value)
-        low, high = (np.where(known, modulus + sign * expanded, np.nan) for sign in (-1.0, 1.0))
+        bounds = [np.where(known, modulus + sign * expanded, np.nan) for sign in (-1.0, 1.0)]
         draw = "points" if known.size <= MAX_POINTS else "line"
-        magnitude.append(Curve(name, f, np.where(known, modulus, np.nan), low, high, style, draw))
+        steps = np.diff(original.frequency)
+        if (steps > 0).any() and (steps < 0).any():
+            # Several responses at one frequency are no curve over frequency, and have no band.
+            draw, bounds = "dots", []
+        magnitude.append(Curve(name, f, np.where(known, modulus, np.nan), *bounds, style=style, draw=draw))
         unknown = ~known & np.isfinite(frf.value)
         if unknown.any():
             strips += _ranges(f, unknown)
@@ -139,8 +154,9 @@ def response_chart(
         magnitude += _symbols(name, style, "arrows", [at for peak, at in points.items() if not peak.is_determined])
         angle = np.where(known & is_smooth(frf), phase_degrees(frf.value), np.nan)
         phase.append(Curve(name, *break_at_wraps(f, angle), style=style, draw=draw))
-        coherence.append(Curve(name, f, frf.coherence, style=style))
-        relative.append(Curve(name, f, np.minimum(100.0 * expanded / modulus, _MAX_PERCENT), style=style))
+        draw = "dots" if draw == "dots" else "line"
+        coherence.append(Curve(name, f, frf.coherence, style=style, draw=draw))
+        relative.append(Curve(name, f, np.minimum(100.0 * expanded / modulus, _MAX_PERCENT), style=style, draw=draw))
     quantity = thinned[0].name
     outputs = ", ".join(dict.fromkeys(frf.response for frf in thinned))
     band = np.concatenate([frf.frequency for frf in thinned])
@@ -158,12 +174,14 @@ def response_chart(
         f"{quantity.capitalize()} of {outputs} / {thinned[0].input}. {' '.join(filter(None, notes))}",
         f"{quantity.capitalize()} of {outputs} / {thinned[0].input} from {band.min():.4g} to {band.max():.4g} Hz.",
         [
-            Panel(f"|{quantity}|", unit, magnitude, 240, True, _limits(magnitude), marks=marks, strips=strips),
+            Panel(f"|{quantity}|", unit, magnitude, 240, True, _limits(magnitude, view), marks=marks, strips=strips),
             Panel("phase", "°", phase, height=105, limits=(-285.0, 105.0), ticks=(-270, -180, -90, 0, 90)),
             Panel("coherence", "", coherence, height=75, limits=(0.0, 1.05), ticks=(0.0, 0.5, 1.0)),
             Panel("U", "%", relative, height=90, logarithmic=True, limits=_percent_limits(relative)),
         ],
         logarithmic=needs_logarithmic_axis(band),
+        x_limits=(float(band.min()), float(band.max())),
+        x_view=view,
     )
 
 
@@ -190,21 +208,22 @@ def force_charts(measurements: Sequence[Measurement], reference: str) -> list[Ch
     ]
     if not sweeps:
         return []
-    styles = recording_styles([belongs_to(frf.label, reference) for _, frf in sweeps])
+    frfs = [frf for _, frf in sweeps]
+    names, styles = _sweep_names(frfs, reference), _sweep_styles(frfs, reference)
     curves, outside = list[Curve](), list[str]()
-    for (measurement, measured), style in zip(sweeps, styles, strict=True):
+    for (measurement, measured), name, style in zip(sweeps, names, styles, strict=True):
         frf = measured.sorted()
         assert frf.amplitude is not None and measurement.rec.scene.test is not None
-        curves.append(Curve(frf.label, frf.frequency, frf.amplitude, style=style, draw="points"))
+        curves.append(Curve(name, frf.frequency, frf.amplitude, style=style, draw="points"))
         levels = np.array(measurement.rec.scene.test.levels)
         nearest = abs(frf.amplitude[:, None] / levels - 1.0).min(axis=1)
         is_outside = nearest > FORCE_TOLERANCE
         curves += _symbols(
-            frf.label, style, "circles", zip(frf.frequency[is_outside], frf.amplitude[is_outside], strict=True)
+            name, style, "circles", zip(frf.frequency[is_outside], frf.amplitude[is_outside], strict=True)
         )
         if is_outside.any():
             where = format_frequencies(frf.frequency.tolist(), is_outside.tolist())
-            outside.append(f"{frf.label}: {where}, by up to {format_percent(float(nearest.max()))}")
+            outside.append(f"{name}: {where}, by up to {format_percent(float(nearest.max()))}")
     tests = [measurement.rec.scene.test for measurement, _ in sweeps]
     frequency = np.concatenate([np.asarray(curve.x, dtype=float) for curve in curves])
     for level in sorted({level for test in tests if test is not None for level in test.levels}):
@@ -307,10 +326,11 @@ def _percent_limits(curves: Sequence[Curve]) -> tuple[float, float]:
     return min(_limits(curves)[0], 0.1 * _MAX_PERCENT), _MAX_PERCENT
 
 
-def _limits(curves: Sequence[Curve]) -> tuple[float, float]:
-    """Return the limits of a logarithmic axis that show all values, but not all intervals."""
-    values = np.concatenate([np.asarray(curve.y, dtype=float) for curve in curves])
-    values = values[np.isfinite(values) & (values > 0)]
+def _limits(curves: Sequence[Curve], view: tuple[float, float] | None = None) -> tuple[float, float]:
+    """Return the limits of a logarithmic axis that show all values in a view, but not all intervals."""
+    x, values = np.hstack([np.array([curve.x, curve.y], dtype=float) for curve in curves])
+    low, high = view or (-inf, inf)
+    values = values[np.isfinite(values) & (values > 0) & (x >= low) & (x <= high)]
     return (float(values.min()) / 1.5, 1.5 * float(values.max())) if values.size else (0.1, 10.0)
 
 
@@ -404,7 +424,7 @@ def _damping_chart(
         known = np.concatenate([mode.percent[0][mode.percent[0] > 0] for _, mode in group])
         lowest, highest = (float(known.min()) / 3.0, 3.0 * float(known.max())) if known.size else (0.1, 10.0)
         curves = []
-        for index, mode in group:
+        for index, mode in sorted(group, key=lambda pair: pair[0]):
             order = np.argsort(mode.amplitude)
             percent, expanded = (values[order] for values in mode.percent)
             # A logarithmic axis has no zero: the band ends at the axis.

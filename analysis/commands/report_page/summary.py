@@ -30,7 +30,7 @@ def summarize(measurements: Sequence[Measurement], changes: Sequence[SweepChange
     for measurement in measurements:
         if not changes:
             texts += _resonance_texts(measurement)
-        texts += [text for result in measurement.dampers for text in _impact_texts(measurement, result)]
+        texts += [text for result in measurement.dampers for text in _impact_texts(result)]
     texts = texts or [text for each in measurements for text in _response_texts(each)]
     return texts[:_MAX_TEXTS] or ["No result: see the warnings."]
 
@@ -106,13 +106,10 @@ def _best_determined(changes: Sequence[SweepChange]) -> list[SweepChange]:
 def _change_text(changes: Sequence[SweepChange]) -> str:
     """Describe the changes at one level: a line for each mode of the reference."""
     lines = [f"“{changes[0].after}” compared with “{changes[0].before}”, highest peak of each mode (95 % interval):"]
-    lines += [_change_line(sweep) for sweep in _best_determined(changes)]
-    compared = {sweep.change.mode for sweep in changes}
-    lines += [
-        f"{format_decimals(mode, 2)} Hz: not compared, because its peak is not inside the common band"
-        for mode in changes[0].modes
-        if mode not in compared
-    ]
+    compared = {sweep.change.mode: _change_line(sweep) for sweep in _best_determined(changes)}
+    not_compared = "Hz: not compared, because its peak is not inside the common band"
+    for mode in sorted({*compared, *changes[0].modes}):
+        lines.append(compared.get(mode) or f"{format_decimals(mode, 2)} {not_compared}")
     if not any(isfinite(limit) for sweep in changes for limit in sweep.change.decibel[1:]):
         lines.append("Measure around the peaks with a smaller frequency step, in both directions, without overloads.")
     return "\n".join(lines)
@@ -182,7 +179,7 @@ def _highest_compliance(sweep: SweepResults) -> str:
     return f"the highest {curve.name} is {highest.height_text(curve.shown_in[1])} {curve.shown_in[0]} ({where})"
 
 
-def _impact_texts(measurement: Measurement, result: Dampers) -> list[str]:
+def _impact_texts(result: Dampers) -> list[str]:
     """Report the frequencies with detected impacts, and the largest dissipated fraction of the supplied energy."""
     if not result.bodies:
         return []
@@ -193,9 +190,9 @@ def _impact_texts(measurement: Measurement, result: Dampers) -> list[str]:
     limits = f"damper impacts with a velocity step below {detection_limits(result.bodies)} are not detectable"
     if not has_impacts.any():
         undetected = f"no damper impact was detected at any of {frequency.size} frequencies"
-        return [f"“{measurement.label}”: {undetected}; {limits}."]
+        return [f"“{result.label}”: {undetected}; {limits}."]
     text = (
-        f"“{measurement.label}”: damper impacts were detected at {int(has_impacts.sum())} of {frequency.size} "
+        f"“{result.label}”: damper impacts were detected at {int(has_impacts.sum())} of {frequency.size} "
         f"frequencies ({format_frequencies(frequency.tolist(), has_impacts.tolist())}); {limits}"
     )
     energy = result.energy

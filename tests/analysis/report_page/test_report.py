@@ -26,6 +26,7 @@ from analysis.commands.presentation.mode_findings import describe_modes
 from analysis.commands.presentation.tables import modes_table
 from analysis.commands.report_page.charts import Chart, ChartWriter, Curve, EvenlySpaced, Panel
 from analysis.commands.report_page.drawing import mode_drawing, rig_drawing
+from analysis.commands.report_page.histories import time_histories
 from analysis.commands.report_page.measurements import Measurements, SweepChange, highest_peak
 from analysis.commands.report_page.report import write_report
 from analysis.commands.report_page.responses import (
@@ -209,6 +210,26 @@ def test_headline_of_one_recording_has_all_levels(level_recordings, tmp_path):
         assert f"{level}, the highest compliance is 514" in headline
 
 
+def test_levels_of_one_recording_have_own_colors(level_recordings) -> None:
+    with Measurements(level_recordings[:1]) as measurements:
+        chart, *others = response_charts(measurements.results, "bare")
+    curves = {curve.label: curve.style.color for curve in chart.panels[0].curves}
+    assert [*curves] == ["1 N up", "2 N up", "3 N up", "4 N up"] and len({*curves.values()}) == 4
+    # One chart for each channel.
+    assert len(others) == 2
+
+
+def test_curve_that_folds_back_is_drawn_as_points() -> None:
+    frequency, value = np.array([10.0, 11.0, 12.0, 11.5, 11.2, 12.5]), np.linspace(1.0, 2.0, 6) + 0j
+    chart = response_chart([Response.curve(frequency, value, "body1")], ["body1"])
+    assert {curve.draw for panel in chart.panels for curve in panel.curves} == {"dots"}
+
+
+def test_legend_of_histories_has_the_order_of_channels(recordings: list[Path]) -> None:
+    with daq.open(recordings[0]) as rec:
+        assert list(time_histories(rec).names) == list(rec.channels)
+
+
 def test_report_of_hammer_test_is_a_single_file(recordings: list[Path], tmp_path: Path) -> None:
     page = tmp_path / "figs" / "report.html"
     result = write_report(recordings[1:], page)
@@ -300,8 +321,8 @@ def test_headline_has_the_changes_of_the_table() -> None:
     rows = re.findall(r"<tr><td>body\d, (.*?)</td><td>(.*?)</td>", html)
     lines = dict(re.findall(r"^([\d.]+ Hz)[^:]*: (.*)$", text, re.MULTILINE))
     assert all(lines[mode].startswith(change) for mode, change in rows)
-    # The best determined first, the unbounded last.
-    assert [*lines] == ["35.00 Hz", "50.00 Hz", "13.00 Hz", "70.00 Hz"]
+    # In the order of the table, with the mode that is not compared.
+    assert [*lines] == ["13.00 Hz", "35.00 Hz", "50.00 Hz", "70.00 Hz"]
     assert lines["13.00 Hz"].startswith("reduction at most") and "not compared, because" in lines["70.00 Hz"]
     assert lines["35.00 Hz"].startswith("reduction 13.98 dB (13.89 to 14.07)")
 

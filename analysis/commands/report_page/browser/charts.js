@@ -182,7 +182,7 @@
   // Mantissas that are labeled on a logarithmic axis: decades; over less than two decades also values between.
   function labeledMantissas(low, high) {
     const wide = Math.log10(high / low);
-    return wide > 2 ? [1] : wide > 1.2 ? [1, 2, 5] : [1, 2, 3, 5, 7];
+    return wide > 2 ? [1] : wide > 1.2 ? [1, 2, 5] : wide > 0.9 ? [1, 2, 3, 5, 7] : [1, 2, 3, 4, 5, 6, 8];
   }
 
   // Length of a decade of a logarithmic axis, px.
@@ -294,11 +294,13 @@
 
   // The curves of all panels by name: their values under the cursor are in one row of the readout.
   function curveRows(chart) {
-    const rows = new Map();
+    const row = (curve) => ({ color: curve.color, places: [], draws: new Set(), dash: [] });
+    const rows = new Map(chart.names.map((name) => [name, chart.panels.flatMap(({ curves }) => curves).find(({ label }) => label === name)])
+      .filter(([, curve]) => curve).map(([name, curve]) => [name, row(curve)]));
     chart.panels.forEach((panel, k) => {
       let series = 1;
       for (const curve of panel.curves) {
-        if (!rows.has(curve.label)) rows.set(curve.label, { color: curve.color, places: [], draws: new Set(), dash: [] });
+        if (!rows.has(curve.label)) rows.set(curve.label, row(curve));
         rows.get(curve.label).draws.add(curve.draw);
         if (SYMBOLS.includes(curve.draw)) continue;
         if (curve.draw === "line") rows.get(curve.label).dash = curve.dash;
@@ -483,8 +485,8 @@
       drawn.push(plot);
       plots.push({ plot, holder, height: () => height(panel, last) });
     });
-    if (chart.panels.some((panel) => panel.curves.length)) show = readout(holder, chart, drawn);
     tools(holder, chart, drawn);
+    if (chart.panels.some((panel) => panel.curves.length)) show = readout(holder, chart, drawn);
     holder.dataset.drawn = chart.panels.length;
     if (chart.x.view) for (const plot of drawn) plot.setScale("x", { min: chart.x.view[0], max: chart.x.view[1] });
   }

@@ -41,9 +41,9 @@ const levels = {
 
 // A clipped reading equals the limit: by how much the signal exceeds the limit is not known.
 function cause({ name, unit, limit }, [time, reading]) {
-  const at = `${name}: at ${digits(time, 4)} s`;
-  if (limit == null) return `${at} ${withUnit(reading, unit)}, limit of its sensor`;
-  return reading > 1.01 * limit ? `${at} ${withUnit(reading, unit)}, limit ${withUnit(limit, unit)}` : `${at} clipped at its limit, ${withUnit(limit, unit)}`;
+  const at = `(${digits(time, 4)} s)`;
+  if (limit == null) return `${name}: ${withUnit(reading, unit)}, limit of its sensor ${at}`;
+  return reading > 1.01 * limit ? `${name}: ${withUnit(reading, unit)}, limit ${withUnit(limit, unit)} ${at}` : `${name}: clipped at ${withUnit(limit, unit)} ${at}`;
 }
 
 function part(level, limit) {

@@ -79,7 +79,7 @@ const response = {
       const style = { x: curves.frequency, color: row.color, dots: true };
       const certain = determined(row.phase, row.coherence), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
       magnitude.push({ ...style, y: micro(row.magnitude), width: 0.6, opacity: 0.6 });
-      magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => (isNaN(row.coherence[k]) ? certain[k] : row.coherence[k] >= COHERENT)), width: 1.8 });
+      magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => certain[k]), width: 1.8 });
       // No line crosses the chart where the phase wraps.
       phase.push({ ...style, y: only(row.phase, (k) => certain[k] && !(Math.abs(row.phase[k] - row.phase[k - 1]) > 180)), width: 1.6 });
       coherence.push({ ...style, y: row.coherence });
@@ -112,7 +112,6 @@ const response = {
     }
     fillTable($("cursors"), rows.length ? [["cursor", "frequency", ...curves.rows.map((row) => row.name)], ...rows] : [[curves ? "Click: cursor A. Shift and click: cursor B. Double-click: none." : ""]]);
     const peaks = this.head?.peaks ?? [];
-    $("peaks-title").hidden = !peaks.length;
     if (!peaks.length) return $("peaks").replaceChildren();
     fillTable($("peaks"), [["peak", "frequency", "value", "damping"], ...peaks.map(([name, f, value, damping]) => [
       name, `${digits(f, 5)} Hz`, withUnit(value, "m/N"), damping == null ? "–" : `${digits(100 * damping, 2)} %`])]);
@@ -121,7 +120,7 @@ const response = {
 
 // Color of the last test: its curves lie behind those of the present test.
 const LAST = "#8994a0";
-// Below this coherence, the magnitude is thin and the phase empty.
+// Below this coherence, or where the phase scatters, the magnitude is thin and the phase empty.
 const COHERENT = 0.7;
 // A line is noise where the phase has larger steps, degrees, at a quarter of the lines around.
 const LARGEST_STEP = 17;
@@ -135,8 +134,11 @@ function determined(phase, coherence) {
     const around = steps.subarray(Math.max(k - AROUND, 0), k + AROUND + 1);
     return around.filter((step) => Math.min(step, 360 - step) > LARGEST_STEP).length < around.length / 4;
   };
+  const smooth = Array.from(phase, (_, k) => isSmooth(k)), around = (flags, k) => flags.slice(Math.max(k - AROUND / 2, 0), k + AROUND / 2 + 1);
+  // A few lines among noise have a smooth phase by chance.
+  const inside = smooth.map((_, k) => around(smooth, k).every(Boolean));
   // A single average has no coherence.
-  return Array.from(coherence, (value, k) => !(value < COHERENT) && isSmooth(k));
+  return Array.from(coherence, (value, k) => !(value < COHERENT) && around(inside, k).some(Boolean));
 }
 
 // The phase from -270° to 90°, as in the report: a receptance out of phase stays at -180° whatever the noise.

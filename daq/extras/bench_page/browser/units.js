@@ -48,7 +48,7 @@ function ticks(low, high, pixels, log, space = 44) {
     for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) made.push([Number((k * step).toPrecision(12)), true]);
     return made;
   }
-  const decades = Math.log10(high / low), labeled = decades > 2.5 ? [1] : decades > 1.2 ? [1, 2, 5] : [1, 2, 3, 5, 7];
+  const decades = Math.log10(high / low), labeled = decades > 2.5 ? [1] : decades > 1.2 ? [1, 2, 5] : decades > 0.9 ? [1, 2, 3, 5, 7] : [1, 2, 3, 4, 5, 6, 8];
   const every = Math.max(1, Math.ceil(space / 2.2 / (pixels / decades)));
   for (let exponent = Math.floor(Math.log10(low)); 10 ** exponent <= high; exponent++) {
     for (let mantissa = 1; mantissa < 10; mantissa++) {

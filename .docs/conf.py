@@ -7,6 +7,7 @@ import sys
 from importlib import import_module, metadata
 from pathlib import Path
 
+import matplotlib
 import typer
 from typer.testing import CliRunner
 
@@ -116,12 +117,14 @@ def commands(package: str) -> str:
         f"| [`{package} {name}`](#{package}-{name}) | {each.get_short_help_str(99)} |\n" for name, each in known.items()
     )
     for name in known:
-        shown = CliRunner().invoke(app, [name, "--help"], prog_name=package, terminal_width=94).output
+        shown = CliRunner().invoke(app, [name, "--help"], prog_name=package, terminal_width=98).output
         text += f"\n## {package} {name}\n\n```text\n{shown}```\n"
     return text
 
 
 use_style()
+# Labels are legible in thumbnails.
+matplotlib.rcParams.update({"figure.figsize": (5.6, 3.8), "savefig.dpi": 160})
 copy_pages()
 write_reference()
 write_examples()

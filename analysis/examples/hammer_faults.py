@@ -33,7 +33,7 @@ tests = {
 
 # %%
 # Force and response of each test. The force spectrum of a double impact has deep minima, at which noise dominates.
-figure, (above, below) = plt.subplots(2, layout="constrained", figsize=(6.4, 6.4))
+figure, (above, below) = plt.subplots(2, layout="constrained", figsize=(5.6, 5.2))
 overloads, peaks = {}, {}
 for name, text in tests.items():
     path = daq.record(rig.loads(text), "hits.mcap", overwrite=True)

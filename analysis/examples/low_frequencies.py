@@ -34,7 +34,7 @@ chains = {
 
 # %%
 # Response of each chain to the true quantity, and the error of the compliance relative to the exact compliance.
-figure, (above, below) = plt.subplots(2, sharex=True, layout="constrained", figsize=(6.4, 6.4))
+figure, (above, below) = plt.subplots(2, sharex=True, layout="constrained", figsize=(5.6, 5.2))
 frequency, errors = np.geomspace(0.2, 20, 200), {}
 for name, scene in chains.items():
     with daq.open(daq.record(scene, "low.mcap", overwrite=True)) as recording:

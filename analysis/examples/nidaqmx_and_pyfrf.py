@@ -3,7 +3,7 @@ Drive the rig with nidaqmx, estimate FRFs with pyFRF
 ====================================================
 
 A script for NI hardware writes noise to the shaker, reads force and acceleration, and hands the samples to pyFRF. The
-device is simulated; the package `nidaqmx` is NI's own (`pip install pyFRF`).
+device is simulated; the package `nidaqmx` is NI's own (pip install pyFRF).
 """
 
 # %%

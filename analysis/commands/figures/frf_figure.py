@@ -67,8 +67,7 @@ def frf_figure(
     bars, drawn thin and dotted. `marks`: frequency, Hz, and text of vertical lines.
     `styles`: of the curves; default: those of their bodies.
     """
-    frequencies = np.concatenate([values for frf in frfs for values in (frf.frequency, frf.omitted)])
-    low, high = float(frequencies.min()), float(frequencies.max())
+    low, high = determined_band(frfs)
     if high <= low:
         low, high = low / 1.2, high * 1.2
     several = bool(styles)
@@ -129,6 +128,16 @@ def frf_figure(
         figure.align_ylabels([magnitude_axes, phase_axes, coherence_axes])
         add_legend_below(figure, *_caption(frfs, *(any(map(len, heights)) for heights in zip(*peaks, strict=True))))
         return figure
+
+
+def determined_band(frfs: Sequence[Response]) -> tuple[float, float]:
+    """Return the lowest and highest frequency of curves; of spectra with many lines, where any curve is determined."""
+    columns = [column for frf in frfs for column in (frf.frequency, frf.omitted)]
+    lines = [frf.frequency[is_determined(frf)] for frf in frfs if frf.frequency.size > MAX_POINTS]
+    if len(lines) == len(frfs) and sum(line.size for line in lines):
+        columns = lines
+    frequencies = np.concatenate(columns)
+    return float(frequencies.min()), float(frequencies.max())
 
 
 def _caption(frfs: Sequence[Response], has_peaks: bool, has_arrows: bool) -> list[str]:
@@ -319,8 +328,11 @@ def is_smooth(frf: Response) -> NDArray[np.bool_]:
     with np.errstate(invalid="ignore"):
         step = np.nan_to_num(abs(np.angle(frf.value[1:] * frf.value[:-1].conj())))
     step = np.append(step, step[-1])
-    upper_quartile = scipy.ndimage.percentile_filter(step, 75, 2 * _ROUGHNESS_POINTS, mode="nearest")
-    return np.asarray(upper_quartile < _MAX_PHASE_STEP)
+    smooth = scipy.ndimage.percentile_filter(step, 75, 2 * _ROUGHNESS_POINTS, mode="nearest") < _MAX_PHASE_STEP
+    if smooth.size <= MAX_POINTS:
+        return np.asarray(smooth)
+    # A few lines among noise have a smooth phase by chance.
+    return np.asarray(scipy.ndimage.binary_opening(smooth, np.ones(2 * _ROUGHNESS_POINTS)))
 
 
 def exceeds_noise(frf: Response) -> NDArray[np.bool_]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.commands.figures.frf_figure import is_determined
+from analysis.commands.figures.frf_figure import determined_band, is_determined
 from analysis.core.modal.modes import Modes
 from rig.core.base.arrays import Array
 from rig.core.base.escaping import escape_figure
@@ -43,7 +43,7 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
     """
     several = len({frf.input for frf in frfs}) > 1
     curves = [frf.to("displacement").with_gaps() for frf in frfs if not several or frf.input == modes.input]
-    low, high = float(curves[0].frequency[0]), float(curves[0].frequency[-1])
+    low, high = determined_band(curves)
     count = modes.frequency.size
     shape_rows = max(-(-count // _MAX_COLUMNS), 1)  # rounded up
     columns = max(-(-count // shape_rows), 1)

@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 _SLOPE = 2.0
 # Largest ratio of the quadrature to the in-phase part of other modes, relative to the damping ratio.
 _OTHER_QUADRATURE = 10.0
+# The level of a point is written on its left if the next point is closer than this part of the axis.
+_LABEL_RATIO = 0.08
 
 
 @dataclass(frozen=True, repr=False)
@@ -119,8 +121,15 @@ class Backbone(Result):
             self.frequency_bound[order],
             **bars,
         )
+        span, right = float(np.ptp(self.frequency)), np.sort(self.frequency)
         for level, frequency, amplitude in zip(self.level, self.frequency, 1e3 * self.amplitude, strict=True):
-            ax.annotate(format_number(level), (frequency, amplitude), (7, 5), textcoords="offset points", fontsize=8)
+            # The label is on the side where no other point is near.
+            following = right[right > frequency]
+            is_left = following.size > 0 and following[0] - frequency < _LABEL_RATIO * span
+            ax.annotate(
+                format_number(level), (frequency, amplitude), (-7 if is_left else 7, 5), textcoords="offset points",
+                fontsize=8, ha="right" if is_left else "left",
+            )  # fmt: skip
         ax.set(xlabel="frequency / Hz", ylabel=f"amplitude of {self.body} / mm")
 
 

@@ -261,7 +261,7 @@ def _draw_reductions(axes: Axes, design: Design) -> None:
     chosen = int(np.argmin(np.abs(np.log(design.clearance_factors))))
     plotted_rows = (chosen - 1, chosen, chosen + 1)
     bare_acceleration = design.levels / design.bare.level * design.bare.acceleration
-    for row_number, color, marker in zip(plotted_rows, ("#777777", BLUE, "#B87400"), "v^o", strict=True):
+    for row_number, color, marker in zip(plotted_rows, ("#777777", RED, BLUE), "v^o", strict=True):
         row = design.chart[row_number]
         choice = design.charted
         clearance = 1e3 * design.clearance_factors[row_number] * choice.clearances[choice.heaviest_index]
@@ -288,7 +288,7 @@ def _draw_responses(axes: Axes, design: Design) -> None:
         damped = [mode.damped[number] for mode in design.modes if mode.in_band]
         axes.plot(
             [peak.frequency for peak in damped], [factor * peak.magnitude for peak in damped], "os^DvP"[number % 6],
-            color=BLUE, mfc="none", ms=5, label=f"peaks with dampers, {format_number(level)} {level_unit}",
+            color=RED, mfc="none", ms=5, label=f"peaks with dampers, {format_number(level)} {level_unit}",
         )  # fmt: skip
     axes.set(xlabel="frequency / Hz", ylabel=f"largest {name} / ({unit})", xlim=(low, high))
     set_log_scale(axes.xaxis)

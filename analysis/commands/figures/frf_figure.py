@@ -166,7 +166,8 @@ def _caption(frfs: Sequence[Response], has_peaks: bool, has_arrows: bool) -> lis
 def _draw_curve(frf: Response, style: CurveStyle, magnitude_axes: Axes, phase_axes: Axes, coherence_axes: Axes) -> None:
     """Draw one measured curve into the three panels: tones as points, with a thin curve where they resolve it."""
     # A downward sweep has larger, open markers, so that an upward sweep remains visible where both coincide.
-    is_downward = frf.frequency.size > 1 and frf.frequency[0] > frf.frequency[-1]
+    is_folded = folds_back(frf)
+    is_downward = frf.frequency.size > 1 and frf.frequency[0] > frf.frequency[-1] and not is_folded
     color = style.color
     curve, frf = frf.sorted(), frf.with_gaps()
     is_known = np.insert(is_determined(curve), np.searchsorted(curve.frequency, np.sort(frf.omitted)), False)
@@ -179,13 +180,13 @@ def _draw_curve(frf: Response, style: CurveStyle, magnitude_axes: Axes, phase_ax
         # Short dashes show the scatter of neighboring lines.
         line["ls"] = (0.0, tuple(_DASH_SCALE * length for length in style.dashes)) if style.dashes else "-"
     if points["marker"]:
-        line |= {"ls": "-", "lw": 0.7}
+        line |= {"ls": "" if is_folded else "-", "lw": 0.7}
     factor = frf.shown_in[1]
     magnitude, random = factor * abs(frf.value), factor * np.nan_to_num(frf.magnitude_bound())
     total = factor * np.nan_to_num(frf.expanded(), posinf=np.inf)
     frequency, value = frf.continued(is_known)
     center = factor * abs(value)
-    for half_width, opacity in ((total, 0.13), (random, 0.25)) if is_known.any() else ():
+    for half_width, opacity in ((total, 0.13), (random, 0.25)) if is_known.any() and not is_folded else ():
         # The band follows the curve between the points.
         ratio = np.interp(frequency, frf.frequency[is_known], half_width[is_known] / magnitude[is_known])
         magnitude_axes.fill_between(
@@ -220,7 +221,7 @@ def _draw_curve(frf: Response, style: CurveStyle, magnitude_axes: Axes, phase_ax
     has_phase = is_known & is_smooth(frf)
     angle = np.where(has_phase, phase_degrees(frf.value), np.nan)
     value = np.where(has_phase[np.searchsorted(frf.frequency, frequency).clip(0, has_phase.size - 1)], value, np.nan)
-    for half_width, opacity in ((total, 0.13), (random, 0.25)):
+    for half_width, opacity in () if is_folded else ((total, 0.13), (random, 0.25)):
         phase_width = np.degrees(np.arcsin(np.minimum(half_width / np.maximum(magnitude, 1e-300), 1.0)))
         band_frequency, center = break_at_wraps(frf.frequency, angle)
         width = break_at_wraps(frf.frequency, angle, phase_width)[1]
@@ -235,6 +236,12 @@ def _draw_curve(frf: Response, style: CurveStyle, magnitude_axes: Axes, phase_ax
         )
 
 
+def folds_back(frf: Response) -> bool:
+    """Return whether the frequency of a sweep reverses, so that it has several responses at one frequency."""
+    steps = np.diff(frf.frequency)
+    return bool((steps > 0).any() and (steps < 0).any())
+
+
 def _draw_peaks(frf: Response, color: str, axes: Axes) -> tuple[list[float], list[float]]:
     """Draw a hollow marker at each peak between points, and an arrow at points whose peak may be higher.
 
@@ -242,7 +249,7 @@ def _draw_peaks(frf: Response, color: str, axes: Axes) -> tuple[list[float], lis
     """
     heights: list[float] = []
     arrows: list[float] = []
-    if frf.resolution > 0.0 or frf.reference != "force":
+    if frf.resolution > 0.0 or frf.reference != "force" or folds_back(frf):
         return heights, arrows
     factor, ordered = frf.shown_in[1], np.sort(frf.frequency)
     smooth, is_known = frf.frequency[is_smooth(frf)], is_determined(frf)

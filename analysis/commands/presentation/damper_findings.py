@@ -70,7 +70,7 @@ def present_dampers(
         for number, dampers in enumerate(results, 1):
             numbered = stem if number == 1 else stem.with_name(f"{stem.name}-{number}")
             if dampers.bodies:
-                files += save_figure(dampers_figure(dampers, f"{dampers.label} ({excitation})"), numbered)
+                files += save_figure(dampers_figure(dampers, f"Dampers: {dampers.label} ({excitation})"), numbered)
         rows = chain.from_iterable(map(_rows, results))
         files.append(write_table(with_ending(stem, "csv"), _HEADING, rows))
     return CommandOutput(tuple(files), tuple(lines), tuple(warnings))

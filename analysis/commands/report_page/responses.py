@@ -11,7 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.commands.figures.decay_figure import frequency_title, group_modes
-from analysis.commands.figures.frf_figure import MAX_POINTS, break_at_wraps, is_determined, is_smooth, phase_degrees
+from analysis.commands.figures.frf_figure import (
+    MAX_POINTS,
+    break_at_wraps,
+    folds_back,
+    is_determined,
+    is_smooth,
+    phase_degrees,
+)
 from analysis.commands.report_page.charts import Chart, Curve, Panel, needs_logarithmic_axis
 from analysis.commands.report_page.measurements import Measurement, SweepChange, SweepResults
 from analysis.core.damper_motion.comparison import Peak, local_model
@@ -121,10 +128,9 @@ def response_chart(
         known = is_determined(frf) & np.isfinite(frf.value)
         bounds = [np.where(known, modulus + sign * expanded, np.nan) for sign in (-1.0, 1.0)]
         draw = "points" if known.size <= MAX_POINTS else "line"
-        steps = np.diff(original.frequency)
-        if (steps > 0).any() and (steps < 0).any():
+        if folds_back(original):
             # Several responses at one frequency are no curve over frequency, and have no band.
-            draw, bounds = "dots", []
+            draw, bounds, found = "dots", [], ()
         magnitude.append(Curve(name, f, np.where(known, modulus, np.nan), *bounds, style=style, draw=draw))
         unknown = ~known & np.isfinite(frf.value)
         if unknown.any():

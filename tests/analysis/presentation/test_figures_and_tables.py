@@ -18,7 +18,7 @@ import daq
 import rig
 from analysis.commands.cli import app
 from analysis.commands.figures.decay_figure import decay_figure
-from analysis.commands.figures.frf_figure import frf_figure, is_determined
+from analysis.commands.figures.frf_figure import determined_band, frf_figure, is_determined, is_smooth
 from analysis.commands.figures.modes_figure import modes_figure
 from analysis.commands.presentation.decay_findings import present_decay
 from analysis.commands.presentation.fit_findings import present_fit
@@ -400,3 +400,26 @@ def test_combination_frequency_is_no_swapped_channel():
     (nonlinear,) = theory_warnings(replace(combined, model_error=0.1), other_shape)
     assert "channels are swapped" in linear
     assert nonlinear.startswith("47.81 Hz (about 13.04 + 34.78 Hz): probably combination frequencies")
+
+
+def test_curve_that_folds_back_has_no_line() -> None:
+    frequency, value = np.array([12.0, 11.0, 10.0, 11.5, 11.8]), np.linspace(1.0, 2.0, 5) + 0j
+    figure = frf_figure([Response.curve(frequency, value, "body1", error=np.full(5, 0.01))], "fold")
+    magnitude, phase, _ = figure.axes
+    assert {line.get_linestyle() for axes in (magnitude, phase) for line in axes.lines} == {"None"}
+    assert not magnitude.collections and not phase.collections
+
+
+def test_spectrum_ends_at_determined_lines() -> None:
+    frequency = np.linspace(1.0, 100.0, 991)
+    error = np.where(frequency < 60.0, 0.01, 2.0)
+    curve = Response.curve(frequency, np.ones(991) + 0j, "body1", error=error)
+    assert determined_band([curve]) == (1.0, pytest.approx(60.0, abs=2.5))
+
+
+def test_phase_has_no_islands_in_noise() -> None:
+    generator = np.random.default_rng(1)
+    angle = generator.uniform(-np.pi, np.pi, 1200)
+    angle[:300], angle[700:740] = 0.0, 0.0
+    is_drawn = is_smooth(Response.curve(np.linspace(1.0, 100.0, 1200), np.exp(1j * angle), "body1"))
+    assert is_drawn[:280].all() and not is_drawn[350:].any()

@@ -16,14 +16,14 @@ from selenium.webdriver.support.ui import WebDriverWait
 _LONGEST_SWEEP_S = 180.0
 
 
-def open_browser() -> webdriver.Chrome:
-    """Open chromium without a window, 1280 x 800 pixels."""
+def open_browser(width: int = 1280, height: int = 800, scale: float = 1.0) -> webdriver.Chrome:
+    """Open chromium without a window of this size, with `scale` pixels of a picture for each of the page."""
     options = webdriver.ChromeOptions()
     options.binary_location = "/usr/bin/chromium"
     for word in ("headless=new", "no-sandbox", "disable-dev-shm-usage", "disable-gpu", "hide-scrollbars"):
         options.add_argument(f"--{word}")
     driver = webdriver.Chrome(options=options, service=webdriver.ChromeService("/usr/bin/chromedriver"))
-    size = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    size = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": False}
     driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     return driver
 
@@ -56,7 +56,8 @@ def draw_bench(picture: str) -> None:
 
 def draw_page(page: str, picture: str) -> None:
     """Draw the first screen of a page."""
-    driver = open_browser()
+    # The page without its margins.
+    driver = open_browser(1040, 650, 1.5)
     try:
         driver.get(Path(page).resolve().as_uri())
         driver.save_screenshot(picture)

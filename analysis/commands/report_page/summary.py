@@ -187,7 +187,7 @@ def _impact_texts(result: Dampers) -> list[str]:
     has_impacts = np.zeros(frequency.size, dtype=bool)
     for motions in result.bodies:
         has_impacts |= [motion.floor > 0 or motion.ceiling > 0 for motion in motions]
-    limits = f"damper impacts with a velocity step below {detection_limits(result.bodies)} are not detectable"
+    limits = f"impacts with a velocity step below {detection_limits(result.bodies)} are not detectable"
     if not has_impacts.any():
         undetected = f"no damper impact was detected at any of {frequency.size} frequencies"
         return [f"“{result.label}”: {undetected}; {limits}."]

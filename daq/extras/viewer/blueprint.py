@@ -79,7 +79,7 @@ def layout(
     lane_height = 0.6 * overloaded_count
     row_heights = [3.6, 1.0 + lane_height, 4.5]
     if damper_count:
-        row_heights = [3.9, 1.3 + lane_height, 3.9, 2.6, 0.8 + 0.6 * damper_count]
+        row_heights = [3.3, 1.3 + lane_height, 3.9, 3.2, 0.8 + 0.6 * damper_count]
     panel = rrb.TimePanel(state="collapsed", timeline=TIMELINE, playback_speed=speed, loop_mode="all")
     return _two_columns(camera, notes, right_column, row_heights, panel)
 

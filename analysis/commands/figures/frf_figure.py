@@ -134,7 +134,7 @@ def determined_band(frfs: Sequence[Response]) -> tuple[float, float]:
     """Return the lowest and highest frequency of curves; of spectra with many lines, where any curve is determined."""
     columns = [column for frf in frfs for column in (frf.frequency, frf.omitted)]
     lines = [frf.frequency[is_determined(frf)] for frf in frfs if frf.frequency.size > MAX_POINTS]
-    if len(lines) == len(frfs) and sum(line.size for line in lines):
+    if len(lines) == len(frfs) and any(line.size for line in lines):
         columns = lines
     frequencies = np.concatenate(columns)
     return float(frequencies.min()), float(frequencies.max())

@@ -201,7 +201,7 @@ def _macs(results: Sequence[Measurement], first: Measurement) -> list[str]:
     """Compare the shapes of the first sweep of each recording with those of the reference, as HTML."""
     modes = {each.label: each.sweeps[0].modes for each in (first, *results) if each.sweeps}
     known = [each for each in modes.values() if each is not None and each.frequency.size]
-    return ['<div class="pairs">', *(mac_table(known[0], each) for each in known), "</div>"]
+    return ['<div class="pairs">', *(mac_table(known[0], each) for each in known), "</div>"] if known else []
 
 
 def _budgets(results: Sequence[Measurement]) -> list[str]:

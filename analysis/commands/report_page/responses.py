@@ -126,12 +126,13 @@ def response_chart(
     for original, frf, name, style, found in rows:
         f, modulus, expanded = frf.frequency, factor * abs(frf.value), factor * frf.expanded()
         known = is_determined(frf) & np.isfinite(frf.value)
-        bounds = [np.where(known, modulus + sign * expanded, np.nan) for sign in (-1.0, 1.0)]
+        low, high = (np.where(known, modulus + sign * expanded, np.nan) for sign in (-1.0, 1.0))
+        curve = Curve(name, f, np.where(known, modulus, np.nan), low, high, style)
         draw = "points" if known.size <= MAX_POINTS else "line"
         if folds_back(original):
             # Several responses at one frequency are no curve over frequency, and have no band.
-            draw, bounds, found = "dots", [], ()
-        magnitude.append(Curve(name, f, np.where(known, modulus, np.nan), *bounds, style=style, draw=draw))
+            draw, curve, found = "dots", replace(curve, low=None, high=None), ()
+        magnitude.append(replace(curve, draw=draw))
         unknown = ~known & np.isfinite(frf.value)
         if unknown.any():
             strips += _ranges(f, unknown)

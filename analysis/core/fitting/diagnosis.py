@@ -405,9 +405,7 @@ def list_omitted_points(curves: Curves, is_fitted: NDArray[np.bool_], uncovered:
     reasons: dict[str, list[str]] = {}
     for k in np.flatnonzero(~is_fitted).tolist():
         if k in uncovered:
-            reason = (
-                f"{uncovered[k]}, which a fit cannot compute (restitution 0 or contact: {{duration: ...}} avoids this)"
-            )
+            reason = f"{uncovered[k]}, which a fit cannot compute (contact: {{duration: ...}} avoids this)"
         else:
             reason = "the motion of the rig is irregular, or has another type than the motion of the model"
         reasons.setdefault(reason, []).append(f"{curves.frequency[k]:.4g}")

@@ -61,17 +61,17 @@ def test_continued_motions_have_correct_derivatives():
         )
 
 
-def test_chattering_are_reported_as_reason():
+def test_coupled_impacts_are_reported_as_reason():
     curves, frequency, level = nearest_points(49.0)
-    dampers = [damper.replace(restitution=0.3) for damper in curves.scene.dampers]
-    rebounding_scene = curves.scene.replace(dampers=dampers)
-    rebounding_curves = replace(curves, scene=rebounding_scene, frequency=frequency, level=level)
-    orbits = SweepOrbits(rebounding_curves)
-    assert np.isnan(orbits.response(scene_of_test(rebounding_scene, rebounding_curves), level, frequency)).all()
-    assert "infinitely many rebounds" in orbits.uncovered[0]
-    [message] = list_omitted_points(rebounding_curves, np.array([False]), orbits.uncovered)
+    halves = [damper.replace(mass_ratio=0.5 * damper.mass_ratio) for damper in curves.scene.dampers]
+    coupled_scene = curves.scene.replace(dampers=2 * halves)
+    coupled_curves = replace(curves, scene=coupled_scene, frequency=frequency, level=level)
+    orbits = SweepOrbits(coupled_curves)
+    assert np.isnan(orbits.response(scene_of_test(coupled_scene, coupled_curves), level, frequency)).all()
+    assert "at the same instant" in orbits.uncovered[0]
+    [message] = list_omitted_points(coupled_curves, np.array([False]), orbits.uncovered)
     assert "another kind of motion" not in message and "which a fit cannot compute" in message
-    [message] = list_omitted_points(rebounding_curves, np.array([False]), {})
+    [message] = list_omitted_points(coupled_curves, np.array([False]), {})
     assert "has another type than the motion of the model" in message
     orbits.failed.clear()
     assert np.isfinite(orbits.response(scene_of_test(curves.scene, curves), level, frequency)).all()

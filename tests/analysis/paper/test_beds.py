@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +56,7 @@ def synthetic_row(setting: Setting) -> dict[str, str]:
 class ReverseOrderWorkers(Workers):
     """Workers in this process that complete the last piece first."""
 
-    def _start(self) -> Executor:
+    def _start(self, cleanup: ExitStack) -> Executor | None:
         return None
 
     def compute(self, function: Callable[[Any], Any], pieces: Sequence[Any]) -> Iterator[tuple[int, Any]]:

@@ -81,7 +81,6 @@ def main() -> int:
     tallies: dict[str, Tally] = {}
     try:
         with tempfile.TemporaryDirectory(prefix="soak-") as folder, progress_bar() as progress:
-            print("recording the files to damage", file=sys.stderr)
             workspace = Workspace(Path(folder))
             for kind in options.only or KINDS:
                 tallies[kind] = Tally()

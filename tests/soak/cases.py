@@ -5,6 +5,7 @@ Each function returns the result of the command and the faults of the files. It 
 
 from __future__ import annotations
 
+import math
 import os
 import random
 import resource
@@ -13,6 +14,7 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -108,23 +110,37 @@ class Workspace:
         self.folder = folder / "work"
         # Scene file, undamaged recording, and duration of the recording command, by index in `scenes.VALID_SCENES`.
         self.scenes: dict[int, Path] = {}
-        self.undamaged: dict[int, Path] = {}
+        self.recordings: dict[int, Path] = {}
         self.recording_seconds: dict[int, float] = {}
         for number in scenes.RECORDED_SCENES:
             self.scenes[number] = folder / f"scene{number}.yaml"
             self.scenes[number].write_text(yaml.safe_dump(scenes.VALID_SCENES[number]))
-            self.undamaged[number] = folder / f"undamaged{number}.mcap"
-            words = ["daq", "record", str(self.scenes[number]), "-o", str(self.undamaged[number])]
-            self.recording_seconds[number] = run(words, folder).seconds
-        # Time from the start of a short command in a new process to its end, s.
-        self.startup_seconds = run_new_process(["daq", "info", str(self.undamaged[0])], folder).seconds
         # Duration of a complete writing command [s], size of its file and names of all files, by command.
         self.completed: dict[str, tuple[float, int, set[str]]] = {}
-        self.foreign_files = {}
+
+    def undamaged(self, number: int) -> Path:
+        """Return the recording of a scene; it is made at the first call."""
+        if number not in self.recordings:
+            path = self.scenes[number].with_name(f"undamaged{number}.mcap")
+            words = ["daq", "record", str(self.scenes[number]), "-o", str(path)]
+            self.recording_seconds[number] = run(words, path.parent, time_limit=math.inf).seconds
+            self.recordings[number] = path
+        return self.recordings[number]
+
+    @cached_property
+    def startup_seconds(self) -> float:
+        """Time from the start of a short command in a new process to its end, s."""
+        return run_new_process(["daq", "info", str(self.undamaged(0))], self.folder.parent).seconds
+
+    @cached_property
+    def foreign_files(self) -> dict[tuple[str, str], bytes]:
+        """Contents of files of other programs, by suffix and name of the writer."""
+        contents = {}
         for name, (ending, write, _) in files.WRITERS.items():
-            path = folder / f"foreign-{name.replace(' ', '-')}{ending}"
+            path = self.folder.with_name(f"foreign-{name.replace(' ', '-')}{ending}")
             write(path, files.random_samples())
-            self.foreign_files[path.suffix, name] = path.read_bytes()
+            contents[path.suffix, name] = path.read_bytes()
+        return contents
 
     def clear(self) -> Path:
         """Return the emptied folder."""
@@ -135,7 +151,7 @@ class Workspace:
     def recording_faults(self, path: Path, number: int) -> list[str]:
         """Return the faults of a recording: samples that differ from the undamaged recording of a scene."""
         try:
-            with daq.open(path) as recording, daq.open(self.undamaged[number]) as expected:
+            with daq.open(path) as recording, daq.open(self.undamaged(number)) as expected:
                 recording.check()
                 # Ignore the ramp of the drive to zero at the end of an interrupted test.
                 aborted = any(marker.kind == "abort" for marker in recording.markers)
@@ -156,9 +172,10 @@ class Workspace:
 def interrupt_recording(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
     """Kill or interrupt `daq record` at a random time; the old or the new file must be intact."""
     number, folder = rng.choice(scenes.RECORDED_SCENES), workspace.clear()
+    undamaged = workspace.undamaged(number)
     overwrite = rng.random() < 0.5
     if overwrite:
-        shutil.copy(workspace.undamaged[number], folder / "r.mcap")
+        shutil.copy(undamaged, folder / "r.mcap")
     signal_number = rng.choice((signal.SIGKILL, signal.SIGKILL, *TERMINATION_SIGNALS))
     # A new process first imports the packages, as for a user; a fork is much faster.
     new_process = rng.random() < 0.3
@@ -189,7 +206,7 @@ def interrupt_writing(workspace: Workspace, rng: random.Random) -> tuple[Command
     commands = WRITING_STUDIES if rng.random() < _STUDY_SHARE else WRITING_COMMANDS
     command, folder = rng.choice(list(commands)), workspace.clear()
     output = folder / commands[command]
-    shutil.copy(workspace.undamaged[0], folder / "r.mcap")
+    shutil.copy(workspace.undamaged(0), folder / "r.mcap")
     shutil.copy(workspace.scenes[_DAMPER_SCENE], folder / "damper.yaml")
     (folder / "s.yaml").write_text(files.make_scene().to_yaml())
     (folder / "x.csv").write_bytes(workspace.foreign_files[".csv", "csv"])
@@ -218,7 +235,7 @@ def interrupt_writing(workspace: Workspace, rng: random.Random) -> tuple[Command
 def interrupt_startup(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
     """Interrupt a command while Python starts and imports; existing files must not change."""
     folder = workspace.clear()
-    shutil.copy(workspace.undamaged[0], folder / "r.mcap")
+    shutil.copy(workspace.undamaged(0), folder / "r.mcap")
     (folder / "s.yaml").write_text(scenes.valid_scene(rng))
     signal_number = rng.choice((signal.SIGTERM, signal.SIGINT, signal.SIGINT))
     send_signal = signal_sender(signal_number, rng.uniform(0.0, 2.0) * workspace.startup_seconds)
@@ -275,8 +292,8 @@ def _without_signal_effects(result: CommandResult, signal_number: signal.Signals
 def damage_recording(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
     """Read a damaged recording, mostly to recover it over another file; no sample may be wrong, no file lost."""
     number, folder = rng.choice(scenes.RECORDED_SCENES), workspace.clear()
-    (folder / "r.mcap").write_bytes(recordings.damage(workspace.undamaged[number].read_bytes(), rng))
-    shutil.copy(workspace.undamaged[number], folder / "f.mcap")
+    (folder / "r.mcap").write_bytes(recordings.damage(workspace.undamaged(number).read_bytes(), rng))
+    shutil.copy(workspace.undamaged(number), folder / "f.mcap")
     words = _reading_command(
         rng,
         (READING_COMMANDS[0], READING_COMMANDS[2], READING_COMMANDS[2], READING_COMMANDS[2], *READING_COMMANDS[1:]),
@@ -291,7 +308,7 @@ def damage_recording(workspace: Workspace, rng: random.Random) -> tuple[CommandR
 def fill_disk(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
     """Limit the size of files, as a full disk does; the existing recording must stay intact."""
     number, folder = rng.choice(scenes.RECORDED_SCENES), workspace.clear()
-    shutil.copy(workspace.undamaged[number], folder / "r.mcap")
+    shutil.copy(workspace.undamaged(number), folder / "r.mcap")
     max_bytes = int(10 ** rng.uniform(1, 6))
     record = ["daq", "record", str(workspace.scenes[number]), "-o", "r.mcap", "--overwrite"]
     words = record if rng.random() < 0.1 else _reading_command(rng, READING_COMMANDS[2:])
@@ -318,7 +335,7 @@ def use_rare_command(workspace: Workspace, rng: random.Random) -> tuple[CommandR
     """Run a rarely used command with invalid options, in half of the cases on an invalid scene."""
     folder = workspace.clear()
     (folder / "s.yaml").write_text((scenes.invalid_scene if rng.random() < 0.5 else scenes.valid_scene)(rng))
-    shutil.copy(workspace.undamaged[0], folder / "r.mcap")
+    shutil.copy(workspace.undamaged(0), folder / "r.mcap")
     (folder / "x.csv").write_bytes(next(data for (end, _), data in workspace.foreign_files.items() if end == ".csv"))
     (folder / "c.py").write_text(CLIENT_SCRIPT)
     words = scenes.rare_command("s.yaml", rng)
@@ -331,14 +348,14 @@ def use_invalid_recording(workspace: Workspace, rng: random.Random) -> tuple[Com
     """Run a command on a recording with invalid contents but correct checksums."""
     folder = workspace.clear()
     name = rng.choice(RECORDING_NAMES)
-    recordings.write_invalid_recording(workspace.undamaged[rng.choice(scenes.RECORDED_SCENES)], folder / name, rng)
+    recordings.write_invalid_recording(workspace.undamaged(rng.choice(scenes.RECORDED_SCENES)), folder / name, rng)
     return run([name if word == "r.mcap" else word for word in _reading_command(rng)], folder), []
 
 
 def use_random_command_line(workspace: Workspace, rng: random.Random) -> tuple[CommandResult, list[str]]:
     """Run a random command line; files, folders and devices must not change."""
     folder = workspace.clear()
-    shutil.copy(workspace.undamaged[0], folder / "r.mcap")
+    shutil.copy(workspace.undamaged(0), folder / "r.mcap")
     (folder / "s.yaml").write_text(scenes.valid_scene(rng))
     (folder / "x.csv").write_bytes(next(data for (end, _), data in workspace.foreign_files.items() if end == ".csv"))
     (folder / "c.py").write_text(CLIENT_SCRIPT)
@@ -365,7 +382,7 @@ def import_damaged_file(workspace: Workspace, rng: random.Random) -> tuple[Comma
     (ending, _), content = rng.choice(list(workspace.foreign_files.items()))
     (folder / f"x{ending}").write_bytes(recordings.damage(content, rng))
     (folder / "s.yaml").write_text(files.make_scene().to_yaml())
-    shutil.copy(workspace.undamaged[0], folder / "r.mcap")
+    shutil.copy(workspace.undamaged(0), folder / "r.mcap")
     words = ["daq", "import", f"x{ending}", *rng.choice(((), ("--scene", "s.yaml", "-o", "r.mcap", "--overwrite")))]
     result = run(words, folder)
     if result.code and workspace.recording_faults(folder / "r.mcap", 0):

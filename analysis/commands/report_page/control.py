@@ -21,6 +21,10 @@ from rig.core.scene.excitation.profile import from_decibels
 if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
+# A pulse begins and ends where it exceeds this part of its peak; the chart shows this multiple of its time first.
+_VISIBLE_PART = 0.01
+_PULSE_VIEW = 3.0
+
 
 def _profile_chart(check: ProfileCheck) -> Chart:
     """Return a chart of control and limited channels with their bounds."""
@@ -93,16 +97,22 @@ def control_charts(measurement: Measurement) -> list[Chart]:
     center = int(mark.fields["center"]) - mark.first_sample
     time = EvenlySpaced(-center / rec.rate, 1.0 / rec.rate, wave.size)
     curves = [Curve(control, time, wave, style=place_style(rec.channels[control].at))]
-    pulse = test.pulse((np.arange(wave.size) - center) / rec.rate)
+    elapsed = (np.arange(wave.size) - center) / rec.rate
+    pulse, view = test.pulse(elapsed), None
     if pulse is not None:
         target, tolerance = pulse
-        curves.append(Curve("prescribed", time, target, target - tolerance, target + tolerance, CurveStyle(REFERENCE)))
+        # The measured pulse is drawn over the prescribed pulse.
+        band = target - tolerance, target + tolerance
+        curves.insert(0, Curve("prescribed", time, target, *band, CurveStyle(REFERENCE)))
+        moving = elapsed[abs(target) > _VISIBLE_PART * abs(target).max()]
+        view = _PULSE_VIEW * float(moving.min()), _PULSE_VIEW * float(moving.max())
     waveform = Chart(
         "First shock at the control channel; band: tolerance.",
         f"Acceleration of {control} in the first shock.",
         [Panel("acceleration", "m/s²", curves, height=220)],
         x_name="time",
         x_unit="s",
+        x_view=view,
     )
     spectra = [srs(rec, name) for name in dict.fromkeys((control, *response_channels(rec)))]
     curves = [

@@ -205,7 +205,9 @@ class Measurements:
         try:
             return compute(*args, **kwargs)
         except ShotrigError as error:
-            self._warn(path, [f"{analysis}: not available. {error}"])
+            reason = str(error).removeprefix(f"{path}: ").replace(str(path), path.name)
+            reason = reason[:1].upper() + reason[1:]
+            self._warn(path, [f"{analysis}: not available. {reason}"])
             return None
 
     def _warn(self, path: Path, texts: Sequence[str]) -> None:

@@ -246,6 +246,15 @@ def test_missing_result_is_a_warning(tmp_path: Path) -> None:
     assert any("not available" in warning for warning in result.warnings)
 
 
+def test_report_of_shock_shows_its_pulse(tmp_path: Path) -> None:
+    path = daq.record(rig.load("shaker-table-shock"), tmp_path / "shock.mcap")
+    page = text_of(write_report([path], tmp_path).files[0])
+    view = re.search(r'"name":"time","unit":"s","log":false,"range":null,"view":\[(.*?),(.*?)\]', page)
+    assert view is not None and -0.5 < float(view[1]) < 0.0 < float(view[2]) < 0.5
+    # A section without content is omitted, and warnings name no folder.
+    assert ">Mode shapes<" not in page and "Use `analysis srs shock.mcap`" in page
+
+
 @pytest.mark.parametrize(
     ("curve", "logarithmic", "data"),
     [

@@ -23,8 +23,9 @@ _MARGIN = 0.1
 # A mode has the same frequency as another up to this multiple of its half-width, or of the distance of the lines if
 # that is larger.
 _SAME_HALF_WIDTHS = 1.0
-# A pole that fewer parts contain than this share of them is computational.
-_MIN_SHARE_OF_PARTS = 0.75
+# Every second line resolves a pole if its half-power bandwidth contains at least this number of them. A pole that is
+# missing where it is resolved is computational.
+_MIN_RESOLVING_LINES = 2.0
 # Ratio of the standard uncertainty to the root mean square of four differences. With 1, the expanded uncertainty is the
 # largest difference if the others are zero.
 _MEAN_SQUARE_RATIO = 1.2
@@ -35,7 +36,7 @@ _MIN_LINES = 16
 class BandChoice(NamedTuple):
     """Variation of poles between parts of a band, each of shape (poles,)."""
 
-    confirmed: NDArray[np.bool_]  # whether enough parts contain the pole
+    confirmed: NDArray[np.bool_]  # whether all parts that resolve the pole contain it
     frequency_error: Array  # standard uncertainty, Hz
     damping_error: Array  # standard uncertainty
 
@@ -62,7 +63,7 @@ def band_choice(
     """
     natural, damping, width = abs(poles) / (2 * np.pi), -poles.real / abs(poles), half_width(poles)
     spacing = float(np.median(np.diff(frequency)))
-    expected = np.zeros(poles.size)
+    confirmed = np.ones(poles.size, dtype=bool)
     differences: list[list[tuple[float, float]]] = [[] for _ in poles]
     for lines, step in parts_of_band(frequency):
         try:
@@ -71,17 +72,18 @@ def band_choice(
             others = np.zeros(0, dtype=complex)
         low, high = frequency[lines[0]], frequency[lines[-1]]
         margin = _MARGIN * (high - low)
-        should = (natural > low + margin) & (natural < high - margin)
-        if step > 1:
-            should &= 2.0 * width > step * spacing
-        expected += should
-        for k in np.flatnonzero(should).tolist():
-            distance = abs(abs(others) / (2 * np.pi) - natural[k])
-            nearest = int(np.argmin(distance)) if others.size else -1
-            if nearest >= 0 and distance[nearest] < _SAME_HALF_WIDTHS * max(width[k], spacing):
-                other_damping = -others[nearest].real / abs(others[nearest])
-                differences[k].append((float(distance[nearest]), float(abs(other_damping - damping[k]))))
-    found = np.array([len(each) for each in differences])
+        bandwidth_lines = 2.0 * width / (step * spacing)
+        is_inside = (natural > low + margin) & (natural < high - margin)
+        for k in np.flatnonzero(is_inside & ((step == 1) | (bandwidth_lines > 1.0))).tolist():
+            # A pole of the part that is closer to another pole is not this one.
+            own = others[abs(abs(others[:, None]) / (2 * np.pi) - natural).argmin(axis=1) == k]
+            distance = abs(abs(own) / (2 * np.pi) - natural[k])
+            if distance.min(initial=np.inf) < _SAME_HALF_WIDTHS * max(width[k], spacing):
+                nearest = own[distance.argmin()]
+                other_damping = -nearest.real / abs(nearest)
+                differences[k].append((float(distance.min()), float(abs(other_damping - damping[k]))))
+            elif step == 1 or bandwidth_lines[k] >= _MIN_RESOLVING_LINES:
+                confirmed[k] = False
     mean_squares = [np.mean(np.square(each), axis=0) if each else np.zeros(2) for each in differences]
     frequency_error, damping_error = _MEAN_SQUARE_RATIO * np.sqrt(np.reshape(mean_squares, (-1, 2)).T)
-    return BandChoice(found >= _MIN_SHARE_OF_PARTS * expected, frequency_error, damping_error)
+    return BandChoice(confirmed, frequency_error, damping_error)

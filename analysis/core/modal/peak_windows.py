@@ -24,8 +24,6 @@ _WINDOW_HALF_WIDTHS = 6.0
 _MIN_WINDOW_LINES = 20
 # Peaks belong to the same window if they are closer than this multiple of the sum of their half-widths.
 _GROUP_HALF_WIDTHS = 3.0
-# Maximum number of peaks: those that exceed the scatter most.
-_MAX_PEAKS = 60
 
 
 class Window(NamedTuple):
@@ -50,9 +48,8 @@ def peak_windows(frequency: Array, values: Sequence[ComplexArray]) -> list[Windo
         [scatter(np.nan_to_num(value) * frequency**2) for value in values], _NOISE_LINES, axis=1
     )
     ratio = np.max(magnitude[:, peaks] / np.maximum(noise[:, peaks], 1e-300), axis=0, initial=0.0)
-    # Peaks of noise are prominent, too, but exceed the scatter of their lines least.
-    order = np.argsort(-ratio, kind="stable")
-    chosen = np.sort(order[: min(_MAX_PEAKS, int((ratio > _MIN_SIGNAL_RATIO).sum()))])
+    # Peaks of noise are prominent, too, but exceed the scatter of their lines less.
+    chosen = ratio > _MIN_SIGNAL_RATIO
     peaks, drops = peaks[chosen], np.minimum(0.9 * properties["prominences"][chosen], _HALF_POWER)
     if not peaks.size:
         return [Window(0, frequency.size, 0.0, np.inf)]

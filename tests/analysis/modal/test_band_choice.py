@@ -38,12 +38,31 @@ def test_differences_between_parts_add_uncertainty() -> None:
     assert choice.damping_error[0] == pytest.approx(0.0012)
 
 
-def test_pole_of_half_of_the_parts_is_rejected() -> None:
-    parts = iter([[100.0, 130.0], [100.0, 130.0], [100.0], [100.0]])
+def test_pole_missing_in_one_part_is_rejected() -> None:
+    parts = iter([[100.0, 130.0], [100.0, 130.0], [100.0], [100.0, 130.0]])
 
     choice = band_choice(FREQUENCY, poles_at([100.0, 130.0]), lambda _: poles_at(next(parts)))
 
     assert choice.confirmed.tolist() == [True, False]
+
+
+def test_pole_of_part_belongs_to_nearest_pole() -> None:
+    parts = iter([[100.0, 103.0], [100.0, 103.0], [101.4], [101.4]])
+
+    choice = band_choice(FREQUENCY, poles_at([100.0, 103.0], 0.016), lambda _: poles_at(next(parts), 0.016))
+
+    assert choice.confirmed.tolist() == [True, False]
+    assert choice.frequency_error[1] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("bandwidth", "is_confirmed"), [(1.6, True), (2.4, False)])
+def test_halves_confirm_poles_that_they_resolve(bandwidth: float, is_confirmed: bool) -> None:
+    parts = iter([[100.0], [100.0], [], []])
+    damping = 0.5 * bandwidth / 100.0
+
+    choice = band_choice(FREQUENCY, poles_at([100.0], damping), lambda _: poles_at(next(parts), damping))
+
+    assert choice.confirmed.tolist() == [is_confirmed]
 
 
 def test_mode_next_to_limit_needs_no_confirmation() -> None:

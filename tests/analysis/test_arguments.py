@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -164,6 +165,8 @@ def test_average_of_sensors_is_weighted_by_variance() -> None:
     )  # fmt: skip
     bodies = modes.of_bodies()
     assert bodies.names == ("a", "body 2")
+    in_order = replace(modes, places=("arm", "base", "base"), bodies=(2, 1, 1)).of_bodies()
+    assert in_order.places == ("base", "arm")
     # The weights are 1 / error², 100 to 1.
     assert bodies.shapes[1, 0].real == pytest.approx(0.5 + 0.11 / 101)
     assert bodies.errors[1, 0] == pytest.approx(0.01, rel=0.01)

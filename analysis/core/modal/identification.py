@@ -87,9 +87,8 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
         matrix = frfs
         return separate(
             identify(list(matrix), count),
-            matrix.keys(),
             tuple(f"{point.quantity} at {point.place or point.name}" for point in matrix.inputs),
-            tuple(point.place for point in matrix.outputs),
+            matrix.outputs,
         )
     all_lines = [frf.to("displacement").sorted() for frf in frfs]
     curves = remove_unbounded(reduce_lines(all_lines))
@@ -145,6 +144,7 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
         warnings=(),
         input=curves[0].input,
         places=tuple(curve.output_at for curve in curves),
+        bodies=tuple(curve.outputs[0].body for curve in curves),
     )
     unused = [frf.response for frf in frfs if frf.response not in result.responses]
     notes = mode_warnings(result, curves, count, found, uncertain, unmeasured, unused)

@@ -32,11 +32,6 @@ MAX_RELATIVE_UNCERTAINTY = 1.0 / 3.0
 _POLE_STYLES = ((False, "x", "#bbbbbb", "new pole"), (True, "o", "#333333", "stable"))
 
 
-def _body_number(place: str) -> float:
-    """Return the number of a body; infinite for another place."""
-    return float(place.removeprefix("body ")) if place.removeprefix("body ").isdecimal() else inf
-
-
 class BodyShapes(NamedTuple):
     """Mode shapes with an element for each body, scaled to largest element 1, with standard deviations."""
 
@@ -81,6 +76,8 @@ class Modes(Result):
         Excitation and its location, such as ``force at body 1``.
     places : tuple of str
         Location of each channel: name of its body, or ``body 1``; empty if unknown.
+    bodies : tuple of int
+        Number of the body of each channel, from 1; 0 for another location.
     """
 
     frequency: Array
@@ -98,6 +95,7 @@ class Modes(Result):
     warnings: tuple[str, ...]
     input: str = ""
     places: tuple[str, ...] = ()
+    bodies: tuple[int, ...] = ()
 
     def summary(self) -> str:
         """List frequency and damping ratio of each mode, with their 95 % intervals."""
@@ -179,12 +177,13 @@ class Modes(Result):
         places = self.places or ("",) * len(self.responses)
         # A channel with an unknown location is a separate point.
         keys = [place or f"channel {name}" for place, name in zip(places, self.responses, strict=True)]
+        number = dict(zip(keys, self.bodies or (0,) * len(keys), strict=True))
         names, shapes, errors = [], [], []
         # The largest element, which scales a shape, has zero error and gets the weight of the most precise
         # other element.
         smallest_error = np.min(self.shape_error, axis=0, initial=np.inf, where=self.shape_error > 0.0)
         weights = 1.0 / np.where(np.isfinite(smallest_error), np.maximum(self.shape_error, smallest_error), 1.0) ** 2
-        ordered = sorted(dict.fromkeys(keys), key=_body_number)
+        ordered = sorted(number, key=lambda key: number[key] or inf)
         for key in ordered:
             rows = [row for row, other in enumerate(keys) if other == key]
             ratio = weights[rows] / weights[rows].sum(axis=0)

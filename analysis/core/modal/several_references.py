@@ -18,6 +18,7 @@ import numpy as np
 
 from analysis.core.modal.modes import Modes
 from rig.core.base.arrays import ComplexArray
+from rig.core.results.points import Point
 
 # A second or further singular value of a residue indicates another mode if it exceeds this number of standard
 # uncertainties.
@@ -26,11 +27,11 @@ _DETECTION_SIGMAS = 5.0
 _MIN_RATIO = 0.02
 
 
-def separate(modes: Modes, outputs: tuple[str, ...], inputs: tuple[str, ...], places: tuple[str, ...]) -> Modes:
+def separate(modes: Modes, inputs: tuple[str, ...], outputs: tuple[Point, ...]) -> Modes:
     """Separate the modes of each pole by the singular values of its residues.
 
-    `modes`: identified from all elements of a matrix, in the order of the outputs; `places`: locations of the
-    outputs. Returns modes with the residues of one input: that whose smallest participation factor is the largest.
+    `modes`: identified from all elements of a matrix, in the order of the outputs; `inputs`: their names.
+    Returns modes with the residues of one input: that whose smallest participation factor is the largest.
     """
     n_outputs, n_inputs = len(outputs), len(inputs)
     # A model error may resemble a second shape.
@@ -61,8 +62,9 @@ def separate(modes: Modes, outputs: tuple[str, ...], inputs: tuple[str, ...], pl
         },
         shape_error=error,
         residue=shapes * participation[reference],
-        responses=outputs,
-        places=places,
+        responses=tuple(point.name for point in outputs),
+        places=tuple(point.place for point in outputs),
+        bodies=tuple(point.body for point in outputs),
         lower=modes.lower[rows],
         upper=modes.upper[rows],
         input=inputs[reference],

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.base.errors import RecordingError, SceneError, suggestion
+from rig.core.results.points import body_number
 from rig.core.results.response import MOTIONS, Point
 
 if TYPE_CHECKING:
@@ -187,8 +188,7 @@ def location_of(rec: Recording, channel: str) -> str:
 def output_point(rec: Recording, channel: str, motion: str) -> Point:
     """Return the output of responses of a channel, with the number of its body; 0 for another location."""
     at = rec.channels[channel].at
-    body = int(at.removeprefix("body ")) if at.startswith("body ") else 0
-    return Point(channel, motion, location_of(rec, channel), body)
+    return Point(channel, motion, location_of(rec, channel), body_number(at))
 
 
 def required_channels(rec: Recording, responses: Sequence[str], reference: str) -> list[str]:

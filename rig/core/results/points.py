@@ -29,6 +29,12 @@ class Point:
         return f"body {self.body}" if self.body else self.place
 
 
+def body_number(place: str) -> int:
+    """Return the number of the body at a location without names, such as ``body 3``; 0 for another location."""
+    number = place.removeprefix("body ")
+    return int(number) if number != place and number.isdecimal() else 0
+
+
 def index_of(points: Sequence[Point], name: str, kind: str) -> int:
     """Return the index of the point with a name, or of the only point at a location."""
     if not isinstance(name, str):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rig.core.base.errors import SceneError
 from rig.core.base.palette import place_styles, recording_styles
-from rig.core.results.points import MOTIONS, Point
+from rig.core.results.points import MOTIONS, Point, body_number
 from rig.core.results.response_arithmetic import MAX_PEAK_UNCERTAINTY_RATIO, ResponseArithmetic
 from rig.core.results.response_values import stack
 from rig.core.results.result import complete_style, missing_package
@@ -176,7 +176,7 @@ class Response(ResponseArithmetic, Sequence["Response"]):
                 "another format, such as CSV."
             )
         if nodes is None:
-            nodes = [_node(point.place, k) for k, point in enumerate(self.outputs, 1)]
+            nodes = [body_number(point.place) or k for k, point in enumerate(self.outputs, 1)]
         file = universal_file(Path(path), self.label, [*nodes, *driven])
         node_pairs = [(node, force_node) for node in nodes for force_node in driven]
         for count, (curve, (node, force_node)) in enumerate(zip(self.sorted().curves(), node_pairs, strict=True), 1):
@@ -231,12 +231,6 @@ class Response(ResponseArithmetic, Sequence["Response"]):
         lower_edge = np.maximum(magnitude - expanded, 1e-3 * magnitude)
         ax.fill_between(curve.frequency, lower_edge, magnitude + expanded, color=line.get_color(), alpha=0.2, lw=0)
         ax.set(xlabel="frequency / Hz", ylabel=f"|{self.name}| / ({unit})")
-
-
-def _node(place: str, number: int) -> int:
-    """Return the node of a location: 3 for ``body 3``, `number` for a body with a name."""
-    last = place.rpartition(" ")[2]
-    return int(last) if place.startswith("body ") and last.isdigit() else number
 
 
 __all__ = ["MAX_MARKERS", "MOTIONS", "SCATTER", "Point", "Response", "stack"]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
-from rig.core.results.points import Point, index_of
+from rig.core.results.points import Point, body_number, index_of
 from rig.core.results.ratio_names import display_unit, ratio_name
 from rig.core.results.result import Result
 from rig.core.results.uncertainty import Covariance, UncertaintyBudget, coverage_factor, stack_budgets
@@ -92,7 +92,7 @@ class ResponseValues(Result):
         return cls(
             frequency,
             value,
-            (Point(output, motion, output_at),),
+            (Point(output, motion, output_at, body_number(output_at)),),
             (Point(reference, reference, input_at),),
             uncertainty,
             **fields,
@@ -346,6 +346,7 @@ class ResponseValues(Result):
 
     def placed(self, output: str, force: str, body: int = 0) -> Self:
         """Set the locations of output and input of a curve, and the number of the output's body if it is known."""
+        body = body or body_number(output)
         points = replace(self.outputs[0], place=output, body=body), replace(self.inputs[0], place=force)
         return replace(self, outputs=points[:1], inputs=points[1:])
 

@@ -169,7 +169,7 @@ def test_shapes_use_the_input_that_excites_every_mode():
         shape_error=np.zeros((4, 2)), residue=residue, responses=("a/1", "a/3", "b/1", "b/3"), chart=(),
         lower=np.zeros(4), upper=np.zeros((4, 3)), model_error=0.0, label="", warnings=(),
     )  # fmt: skip
-    separated = separate(modes, ("a", "b"), ("f1", "f3"), ("body 1", "body 3"))
+    separated = separate(modes, ("f1", "f3"), (Point("a", place="body 1"), Point("b", place="body 3")))
     # The force f1 does not excite the second mode.
     assert separated.input == "f3"
     np.testing.assert_allclose(separated.residue, shapes * participation[1], atol=1e-12)
@@ -184,7 +184,9 @@ def test_model_error_is_no_second_shape(model_error, count):
         shape_error=np.zeros((4, 1)), residue=residue, responses=("a/1", "a/3", "b/1", "b/3"), chart=(),
         lower=np.zeros(4), upper=np.zeros((4, 3)), model_error=model_error, label="", warnings=(),
     )  # fmt: skip
-    assert separate(modes, ("a", "b"), ("f1", "f3"), ("body 1", "body 3")).frequency.size == count
+    assert (
+        separate(modes, ("f1", "f3"), (Point("a", place="body 1"), Point("b", place="body 3"))).frequency.size == count
+    )
 
 
 @pytest.mark.thorough

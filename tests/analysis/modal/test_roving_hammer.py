@@ -5,8 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import pyuff
+from typer.testing import CliRunner
 
 import analysis
+from analysis.commands.cli import app
 from analysis.core.modal.roving_hammer import exchange_points
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError, SceneError
@@ -59,7 +61,7 @@ def test_missing_points_are_refused(pairs: list[tuple[int, int]]) -> None:
         exchange_points([hit(*pair) for pair in pairs])
 
 
-def test_universal_file_of_one_sensor_is_read(tmp_path: Path) -> None:
+def write_uff(path: Path, points: tuple[int, ...]) -> Path:
     sets = [
         {
             "type": 58, "binary": 0, "func_type": 4, "rsp_node": 3, "rsp_dir": 3, "ref_node": point, "ref_dir": 3,
@@ -68,8 +70,22 @@ def test_universal_file_of_one_sensor_is_read(tmp_path: Path) -> None:
             "ordinate_axis_units_lab": "m", "orddenom_spec_data_type": 13, "orddenom_axis_units_lab": "N",
             "z_axis_spec_data_type": 0,
         }
-        for point in (1, 2)
+        for point in points
     ]  # fmt: skip
-    pyuff.UFF(str(tmp_path / "a.uff")).write_sets(sets)
-    response = analysis.read_frfs(tmp_path / "a.uff")
+    pyuff.UFF(str(path)).write_sets(sets)
+    return path
+
+
+def test_universal_file_of_one_sensor_is_read(tmp_path: Path) -> None:
+    response = analysis.read_frfs(write_uff(tmp_path / "a.uff", (1, 2)))
     assert response.keys() == ("node 1 +Z", "node 2 +Z") and response.input == "force at node 3 +Z"
+
+
+def test_command_identifies_points_of_all_files(tmp_path: Path) -> None:
+    files = [str(write_uff(tmp_path / f"h{point}.uff", (point,))) for point in (1, 2)]
+    # The window of 1 s adds 1/(2 pi 15 Hz) = 1.06 % to the first damping ratio: more than the mode has.
+    result = CliRunner().invoke(app, ["modes", *files, "--roving", "--exponential-window", "100"])
+    assert "force at node 3 +Z: 2 modes" in result.output and "at node 2 +Z" in result.output
+    assert (tmp_path / "h1+h2-modes.csv").is_file()
+    result = CliRunner().invoke(app, ["modes", files[0], "--exponential-window", "1"])
+    assert isinstance(result.exception, SceneError) and "exponential window" in str(result.exception)

@@ -1,7 +1,8 @@
 """Response at constant force from a test of continuation: its stable and unstable parts, and its folds.
 
-The motion between two folds is unstable at constant force. At a fold the frequency is stationary along the curve; it
-follows from a cubic through the nearest points over the length of the curve.
+A fold is a point at which the curve turns back in frequency: the frequency has a maximum or minimum along the curve. It
+is that of a cubic polynomial, fitted to the frequencies of the nearest points over the length of the curve. The motion
+between two folds is unstable at constant force.
 """
 
 from __future__ import annotations
@@ -164,7 +165,7 @@ def continuation(rec: Recording) -> AmplitudeCurve:
         known = rec.scene.driven_shaker is not None and rec.scene.driven_shaker.drive_is_force
         systematic = [limit[:, k, 0] for name, limit in response.limits.items() if not known or name != SENSITIVITY]
         error = (response.random_bound()[:, k, 0] + np.sum(systematic, axis=0)) / abs(value)
-        # Change of the frequency with the level: that of the flank of a mode.
+        # Change of the frequency per relative change of the force at constant amplitude, as on the flank of a mode.
         rate = np.array([poles[each] for each in frequency.tolist()]) / (2.0 * np.pi)
         per_level = rate * abs(value) / np.maximum(abs(value.real), 1e-3 * abs(value))
         bound = (error + FORCE_TOLERANCE) * per_level

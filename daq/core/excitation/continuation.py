@@ -48,8 +48,6 @@ if TYPE_CHECKING:
 
 # Feedback starts where the product of |l| and dead time is below this fraction of its limit, and stops above the limit.
 _BEGIN_RATIO = 0.8
-# The force of a point is the mean over this number of windows.
-_AVERAGED_WINDOWS = 6
 # The input gain is estimated from this number of points measured without feedback.
 _FLANK_POINTS = 3
 # Largest relative deviation of the force from the level.
@@ -98,7 +96,7 @@ class _CurveTone(EnvelopeTone):
         super().__init__(station, test.from_, displacement(station, test.at))
         self._test = test
         self._force = None if test.level_key == "drive" or station.force_is_drive else measured_force(station)
-        self._forces = deque[float](maxlen=_AVERAGED_WINDOWS)
+        self._forces = deque[float](maxlen=AVERAGED_WINDOWS)
         self.forget_mode()
 
     def forget_mode(self) -> None:
@@ -107,10 +105,13 @@ class _CurveTone(EnvelopeTone):
         self._flank = deque[tuple[float, complex]](maxlen=_FLANK_POINTS)  # angular frequency and X / U of points
 
     def _add(self, motion: complex, drive: complex, samples: int) -> None:
-        """Ignore transients: with the amplitude, the mode changes too much. The input gain follows from the flank."""
+        """Do nothing: the mode depends on the amplitude, so that transients do not determine it (see `_learn_gain`)."""
 
     def _learn_gain(self) -> None:
-        """Estimate the input gain b from points without feedback, at which (i w - s) X = b U, by least squares."""
+        """Estimate the input gain b and the pole s of the mode by least squares.
+
+        At points measured without feedback, displacement X and drive U obey (i w - s) X = b U.
+        """
         self._flank.append((2.0 * math.pi * self.frequency, self.motion / self.envelope))
         if len(self._flank) >= 2:
             omega, response = np.array(self._flank).T
@@ -165,7 +166,7 @@ class _CurveTone(EnvelopeTone):
         return self.point() if settled else None
 
     def is_holdable(self, point: Point, ratio: float) -> bool:
-        """Return whether the motion at a point can be held; `ratio`: fraction of the limit of the pole."""
+        """Return whether feedback is stable at a point: |l| times the dead time is below this fraction of its limit."""
         return 0.0 < abs(point.pole) * self.dead_time <= ratio * MAX_POLE_TIMES_DEAD_TIME
 
 
@@ -185,7 +186,7 @@ class _Curve:
 
     @property
     def unstable(self) -> bool:
-        """Whether the curve runs back, as between two folds."""
+        """Whether the last step was opposite to the direction of the test, as between folds: the motion is unstable."""
         return self._tangent[0] * self._forward < 0.0
 
     def follow(self, drive: float) -> Generator[Array, Array, None]:
@@ -254,18 +255,18 @@ class _Curve:
         station.report(share, f"{format_decimals(point.frequency, 2)} Hz, level {self._level:g}")
 
     def _scaled(self, start: Point, end: Point) -> tuple[float, float]:
-        """Return the change from one point to another in the coordinates of the curve."""
+        """Return the distance between two points: change of the angular frequency / |l|, and of ln(amplitude)."""
         turn = 2.0 * math.pi * (end.frequency - start.frequency) / self._rate(start)
         return turn, math.log(end.motion / start.motion)
 
     def _rate(self, point: Point) -> float:
-        """Return the unit of angular frequency at a point, 1/s."""
+        """Return |l| at a point, 1/s, limited by the largest change of the frequency in a step."""
         longest = _MAX_BAND_RATIO * self._band / self._test.step
         known = abs(point.pole) / (2.0 * math.pi) if point.pole else 0.5 * longest
         return 2.0 * math.pi * min(known, longest)
 
     def _driven(self, length: float) -> Generator[Array, Array, Point | None]:
-        """Step without feedback; return None if the response jumped or did not settle."""
+        """Measure the next frequency without feedback; return None if it did not settle. Raise `Lost` after a jump."""
         last = self.points[-1]
         if self.unstable:
             return None
@@ -281,14 +282,15 @@ class _Curve:
         return point
 
     def _held(self, length: float) -> Generator[Array, Array, Point | None]:
-        """Step along the curve with feedback; return None if the corrections do not converge."""
+        """Measure the next point along the curve with feedback; return None if the corrections do not converge."""
         last, direction = self.points[-1], complex(*self._tangent)
         # The next chord turns as much as the last one, for the distance of their centers.
         direction *= cmath.exp(0.5j * self._bend * (self._chord + length))
         along, up = direction.real, direction.imag
         rate = self._rate(last)
-        # Slope of ln(force) along the normal, as of a mode: over w at constant |X|, and over |X| at constant w, which
-        # follows from the tangent where it is steep.
+        # Expected slope of ln(force) along the normal, from those over w / |l| and over ln |X|. The former is that of a
+        # mode. The latter is 1 for a mode; where the curve is steep, it follows from the tangent, on which the force is
+        # constant.
         over_frequency = -last.pole.imag / abs(last.pole)
         over_motion = -over_frequency * along / up if abs(up) > 0.5 else 1.0
         slope = over_motion * along - over_frequency * up
@@ -311,7 +313,7 @@ class _Curve:
         return None
 
     def _turn(self, point: Point) -> float:
-        """Return the angle between the last two steps if a point is added, rad."""
+        """Return the angle from the last chord to that to a new point, rad."""
         x, y = self._scaled(self.points[-1], point)
         along, up = self._tangent
         return math.atan2(along * y - up * x, along * x + up * y)
@@ -332,9 +334,11 @@ class _Curve:
 
     def _reason(self, growth: float = 0.0) -> str:
         """Describe why no further point was measured; `growth`: of the last motion without feedback, 1/s."""
-        last, tone = self.points[-1], self._tone
         if limitation := self._limitation():
             return limitation
+        if not self.points:
+            return f"the motion does not repeat at {self._test.from_:.4g} Hz. Start farther from the resonance"
+        last, tone = self.points[-1], self._tone
         rates = (
             ("an open-loop growth", growth, MAX_GROWTH_TIMES_DEAD_TIME),
             ("a pole", 0.0 if tone.is_holdable(last, 1.0) else abs(last.pole), MAX_POLE_TIMES_DEAD_TIME),

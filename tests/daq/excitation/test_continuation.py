@@ -123,6 +123,26 @@ def test_unsettled_start_gives_up(tmp_path: Path) -> None:
         assert np.isfinite(rec.read("body1")).all()
 
 
+def test_irregular_start_gives_up() -> None:
+    # The body moves by its damper's clearance of 15 mm, several times a period.
+    scene = rig.load({
+        "structure": {
+            "masses": [0.52426, 1.1001], "springs": [22770.43, 47781.16], "damping": {"modal": 0.0047103}
+        },
+        "dampers": [{"body": 1, "mass_ratio": 0.069502, "clearance": 0.0147404}],
+        "shaker": {"kind": "force", "body": 1},
+        "test": {"kind": "continuation", "from": 17.43923, "to": 15.91541, "at": "body 1", "force": 8.540843},
+        "channels": [
+            {"name": "a1", "at": "body 1", "accelerometer": {"sensitivity": "10 mV/g", "noise": "20 ug/sqrt(Hz)"}},
+            {"name": "force", "at": "shaker", "hammer": {"sensitivity": "100 mV/N"}},
+        ],
+        "converter": {"rate": 5120.0, "bits": 24, "range": 10.0},
+        "seed": 436797,
+    })  # fmt: skip
+    with pytest.raises(RunError, match=r"level 8\.54.*, 0 points: .*17\.44 Hz"):
+        run(scene)
+
+
 @pytest.mark.parametrize(
     ("change", "message"), [({"at": "body 7"}, "body 7 does not exist"), ({"to": "53 Hz"}, "which is also from")]
 )

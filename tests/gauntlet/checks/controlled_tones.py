@@ -14,7 +14,7 @@ from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import ShotrigError
 from rig.core.results.response import Response
 from tests.gauntlet.checks.modes import true_modes
-from tests.gauntlet.controlled_tones import BACKBONE, CURVE, FOLDS, HELD, LINEAR_BACKBONE
+from tests.gauntlet.controlled_tones import BACKBONE, CURVE, FOLDS, HELD, LINEAR_BACKBONE, bands_between_folds
 from tests.gauntlet.result import Case, CheckResult
 
 # Name of the check for sensors without tolerances.
@@ -26,6 +26,10 @@ _MISLEADING_BOUNDS = 3.0
 _MISLEADING_ERROR = 0.05
 # Largest relative error of the exact force: the branches are interpolated.
 _EXACT_ERROR = 1e-4
+# The exact force is computed up to this relative deviation of the amplitude, and extrapolated.
+_MAX_PROBED = 0.02
+# Narrower bands between folds are within the steps of the test, relative to the half-power bandwidth.
+_MIN_BAND = 0.2
 # Orbits are followed over the drive, relative to that of the point, and over the frequency.
 _DRIVES, _FREQUENCIES = (0.75, 1.33), (0.97, 1.03)
 
@@ -40,11 +44,12 @@ def check(case: Case, kind: str) -> list[CheckResult]:
     if kind not in _POINTS:
         return []
     found = [point for points_of in _POINTS[kind] for point in points_of(case)]
+    turns = _missed_folds(case, kind) if kind == FOLDS else []
     points = [point for point in found if point is not None and np.isfinite(point[1])]
     tolerances = [getattr(channel.accelerometer, "sensitivity_tolerance", None) for channel in case.scene.channels]
     name = "modes" if kind == LINEAR_BACKBONE else "orbits" if any(tolerances) else EXACT_SENSORS
     if not points:
-        return [CheckResult(name, kind, "refused", note="; ".join(case.warnings) or "no point settled")]
+        return [CheckResult(name, kind, "refused", note="; ".join(case.warnings) or "no point settled"), *turns]
     measured, bound, exact, scale = np.array(points).T
     error = abs(measured - exact)
     inside = error <= bound
@@ -55,7 +60,7 @@ def check(case: Case, kind: str) -> list[CheckResult]:
     if len(found) > len(points):
         note += f"; {len(found) - len(points)} without orbit or interval"
     relative_bound = float(np.median(bound / scale))
-    return [CheckResult(name, kind, outcome, int(inside.sum()), inside.size, relative_bound, note)]
+    return [CheckResult(name, kind, outcome, int(inside.sum()), inside.size, relative_bound, note), *turns]
 
 
 class _Crossing(NamedTuple):
@@ -152,13 +157,14 @@ def _curve_points(case: Case) -> Iterator[_Point | None]:
         curve = _orbits(case, drive, frequency, over_drive=True)
         relative = float(response.expanded()[line, k, 0] / value)
         # Within the interval of the amplitude the exact force changes, by more where the response is nonlinear.
-        amplitudes = [value * force * (1.0 + error) for error in (-relative, 0.0, relative)]
+        probed = min(relative, _MAX_PROBED)
+        amplitudes = [value * force * (1.0 + error) for error in (-probed, 0.0, probed)]
         found = [[] if curve is None else _at_amplitude(curve, body, amplitude) for amplitude in amplitudes]
         if not all(found):
             yield None
             continue
         exact = [min(some, key=lambda each: abs(each.value - drive)).force for some in found]
-        bound = float(np.ptp(exact)) / 2.0
+        bound = float(np.ptp(exact)) / 2.0 * relative / probed
         if shaker is None or not shaker.drive_is_force:
             # The error of the response can also be that of the force.
             bound = max(bound, relative * force)
@@ -199,6 +205,27 @@ def _folds(case: Case) -> Iterator[_Point | None]:
             continue
         nearest = min(exact, key=lambda value: abs(value - fold.frequency))
         yield fold.frequency, fold.bound, nearest, 0.01 * fold.frequency
+
+
+def _missed_folds(case: Case, kind: str) -> list[CheckResult]:
+    """Check that two folds were measured in each band between exact folds, or that the test says where it ended."""
+    test, result = case.scene.test, analysis.continuation(case.recording)
+    theory = case.scene.replace(test={"kind": "sine", "frequency": test.from_, "force": test.force}, channels=None)
+    width = _MIN_BAND * 2.0 * case.scene.structure.damping.modal * test.to
+    bands = [
+        band
+        for band in bands_between_folds(rig.follow_orbits(theory, "frequency", test.band))
+        if band[1] - band[0] > width
+    ]
+    missed = [
+        f"{low:.6g} to {high:.6g} Hz"
+        for low, high in bands
+        if sum(low - width < fold.frequency < high + width for fold in result.folds) < 2
+    ]
+    ends = [mark.fields["reason"] for mark in case.recording.markers if mark.kind == "abort"]
+    outcome = "correct" if not missed else "warned" if ends or case.warnings else "wrong"
+    note = f"{len(result.folds)} folds" + (f", missed {', '.join(missed)}" if missed else "")
+    return [CheckResult("folds", kind, outcome, note="; ".join([note, *ends, *case.warnings]))]
 
 
 def _linear_points(case: Case) -> Iterator[_Point | None]:

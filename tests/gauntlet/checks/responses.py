@@ -28,7 +28,7 @@ from rig.core.scene.measurement_chain import Accelerometer, Hammer
 from rig.core.scene.presets import complete_from_preset
 from rig.core.scene.shaker import ForceShaker
 from rig.core.system.structural_model import receptance
-from tests.gauntlet.controlled_tones import BACKBONE, CURVE, HELD
+from tests.gauntlet.controlled_tones import BACKBONE, CURVE, FOLDS, HELD
 from tests.gauntlet.instant_contact import STEPS, TONE
 from tests.gauntlet.result import Case, CheckResult, Outcome
 from tests.gauntlet.two_shakers import exact_receptance
@@ -161,7 +161,7 @@ class _Tally:
 
 def check(case: Case, kind: str) -> list[CheckResult]:
     """Compare all curves of a recording with closed form or exact orbits."""
-    if not case.recording.test.drives or kind in (TONE, STEPS, HELD, BACKBONE, CURVE):
+    if not case.recording.test.drives or kind in (TONE, STEPS, HELD, BACKBONE, CURVE, FOLDS):
         return []
     if len(case.scene.shakers) > 1:
         return _check_several_shakers(case, kind)

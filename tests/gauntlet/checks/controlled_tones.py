@@ -168,7 +168,9 @@ def _curve_points(case: Case) -> Iterator[_Point | None]:
         if shaker is None or not shaker.drive_is_force:
             # The error of the response can also be that of the force.
             bound = max(bound, relative * force)
-        yield force, bound + _EXACT_ERROR * force, (max(exact) + min(exact)) / 2.0, force
+        # Feedback changes the force during the measurement.
+        bound += (_EXACT_ERROR + float(fields["invasive"])) * force
+        yield force, bound, (max(exact) + min(exact)) / 2.0, force
 
 
 def _phase_points(case: Case) -> Iterator[_Point | None]:

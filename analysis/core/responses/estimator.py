@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 from analysis.core.responses.checks.channel_changes import Parts
 from analysis.core.responses.checks.curve_checks import delayed_channels, reversed_force
 from analysis.core.responses.checks.several_inputs import check_matrix
+from analysis.core.responses.checks.tone_steps import ToneInterval
 from analysis.core.responses.estimators import ESTIMATORS
 from analysis.core.responses.measurands import Measurand, force_of, input_location, output_point
 from rig.core.base.errors import RecordingError, SceneError
@@ -117,6 +118,8 @@ class Estimator:
     resolves_between_lines: bool = False
     # Parts of the test with equal excitation, between which the gain of a channel is compared; none if they differ.
     parts: Callable[[Request], list[Parts]] = lambda request: []
+    # Intervals in which a single tone drives the structure, in whose samples changes of the gain are searched.
+    tones: Callable[[Request], list[ToneInterval]] = lambda request: []
     # Remedy for too few lines to interpolate a peak; `needed` is their required distance, Hz, infinite if not known.
     peak_remedy: Callable[[float], str] = lambda needed: "Measure for longer"
     # Remedy for too few lines in a resonance; `step` is the required distance of the lines, Hz.

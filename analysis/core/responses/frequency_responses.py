@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from analysis.core.recordings.names import takes_path
 from analysis.core.responses.checks.channel_changes import change_warnings
 from analysis.core.responses.checks.dead_channels import dead_channel_warnings
-from analysis.core.responses.checks.gain_steps import step_warnings
+from analysis.core.responses.checks.tone_steps import sweep_warnings
 from analysis.core.responses.estimator import Blocks, Request, estimator_of
 from analysis.core.responses.measurands import (
     default_reference,
@@ -143,7 +143,8 @@ def frequency_responses(
             "converter.filter), and import again."
         )
     if own_estimator.jumps:
-        computed = [response.warn(*step_warnings(response, rec.scene.is_linear)) for response in computed]
+        texts_of_sweeps = sweep_warnings(rec, own_estimator.tones(request), used, computed)
+        computed = [response.warn(*texts) for response, texts in zip(computed, texts_of_sweeps, strict=True)]
     return [replace(response, test=kind.value).warn(*warnings) for response in computed]
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from analysis.core.recordings.slices import PIECE_SAMPLES, read_slices
 from analysis.core.responses.checks.clean_segments import describe_flaws, find_flaws
+from analysis.core.responses.checks.tone_steps import ToneInterval
 from analysis.core.responses.errors.scatter import Scatter, stacked
 from analysis.core.responses.errors.systematic import quantization_steps, reproducible_rounding
 from analysis.core.responses.estimator import Estimator, Request
@@ -44,6 +45,8 @@ _TOO_CLOSE = "shorter than a period of the beat with another tone"
 _LENGTHS = (_TOO_SHORT, _TOO_CLOSE)
 # Samples per matrix product; they and the terms of the fit fit into the cache of a core.
 _SAMPLES_PER_PRODUCT = 2048
+# Duration of the transition to a tone at the start of the wait for its steady state, s.
+_TRANSITION_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -596,4 +599,24 @@ def _peak_remedy(needed: float) -> str:
     return f"Measure every {needed:.1g} Hz there" if np.isfinite(needed) else "Measure with smaller steps there"
 
 
-ESTIMATOR = Estimator(_compute, "steady tones are averaged over whole periods", jumps=True, peak_remedy=_peak_remedy)
+def _tone_intervals(request: Request) -> list[ToneInterval]:
+    """Return the tones, each from the end of the transition to its frequency to the end of its measurement."""
+    rec, intervals = request.rec, list[ToneInterval]()
+    for marker in rec.markers:
+        if marker.kind not in ("settle", "measure") or "frequency" not in marker.fields:
+            continue
+        tone = float(marker.fields["frequency"]) / rec.rate
+        first = marker.first_sample + (round(_TRANSITION_S * rec.rate) if marker.kind == "settle" else 0)
+        if intervals and intervals[-1].stop == first and intervals[-1].start == tone:
+            first = intervals.pop().first
+        intervals.append(ToneInterval(first, min(marker.stop, rec.samples), tone))
+    return intervals
+
+
+ESTIMATOR = Estimator(
+    _compute,
+    "steady tones are averaged over whole periods",
+    jumps=True,
+    tones=_tone_intervals,
+    peak_remedy=_peak_remedy,
+)

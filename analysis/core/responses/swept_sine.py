@@ -6,6 +6,7 @@ near it. A *bin* is a frequency of the discrete Fourier transform of the segment
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from analysis.core.recordings.slices import read_slices
 from analysis.core.responses.checks.clean_segments import describe_flaws, find_flaws, remedy
+from analysis.core.responses.checks.tone_steps import ToneInterval
 from analysis.core.responses.errors.random_errors import SharedErrors
 from analysis.core.responses.errors.systematic import (
     UNSETTLED,
@@ -319,4 +321,19 @@ def _compute(request: Request) -> list[Response]:
     )
 
 
-ESTIMATOR = Estimator(_compute, "a sweep is processed as a whole, by the local rational method", jumps=True)
+def _tones(request: Request) -> list[ToneInterval]:
+    """Return the sweeps."""
+    rec, intervals = request.rec, []
+    for marker in request.measured:
+        first, last, duration = (float(marker.fields[key]) for key in ("from", "to", "duration"))
+        law = {"growth": math.log(last / first) / (duration * rec.rate)}
+        if marker.fields.get("spacing") == "linear":
+            law = {"slope": (last - first) / duration / rec.rate**2}
+        stop = rec.samples if marker.last_sample is None else min(marker.stop, rec.samples)
+        intervals.append(ToneInterval(marker.first_sample, stop, first / rec.rate, **law))
+    return intervals
+
+
+ESTIMATOR = Estimator(
+    _compute, "a sweep is processed as a whole, by the local rational method", jumps=True, tones=_tones
+)

@@ -176,6 +176,16 @@ def test_intact_sweep_and_changed_structure_are_not_reported(request, tmp_path, 
     assert not warnings_with_gain(path, tmp_path, ["body1", "body2"], 0.7, 40_000)
 
 
+def test_changed_channel_of_few_tones_is_named(tmp_path):
+    infos = synthetic.channels()
+    path = synthetic.stepped_sine(tmp_path / "a.mcap", [9.0, 14.0, 21.0, 33.0], periods=40, infos=infos, noise=1e-8)
+    # Within the second tone.
+    first = round((40.0 / 9.0 + 20.0 / 14.0) * synthetic.RATE)
+    [warning] = warnings_with_gain(path, tmp_path, ["body2"], 0.5, first)
+    assert warning.startswith("body2: its gain changes by a factor of 0.5 at about 14 Hz")
+    assert not warnings_with_gain(path, tmp_path, ["body2"], 1.0, first)
+
+
 @pytest.mark.parametrize("kind", ["random_test", "stepped_sine", "swept_sine"])
 @pytest.mark.parametrize("channel", ["force", "body3"])
 def test_dead_channel_is_named_and_left_out(request, tmp_path, kind, channel):

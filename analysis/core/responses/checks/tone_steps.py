@@ -1,0 +1,213 @@
+"""Sudden changes of the gain of a channel while a tone drives a structure, from the samples.
+
+The amplitude of every channel changes slowly from one period to the next, also in a transient and in a sweep. Over some
+periods it is a quadratic function of time, with harmonics and an offset. A *step* is an instant from which on the
+readings have to be divided by a ratio to follow this model. Model and ratio are fitted by least squares for every
+instant: with the readings before the instant x, those after it y and the projection P off the model, the ratio g
+minimizes ``|P x + P y / g|``. A change of the motion is no step: it is not sudden, and other channels have it as well.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.core.responses.checks.channel_changes import describe_change
+from analysis.core.responses.checks.clean_segments import find_flaws
+from analysis.core.responses.checks.gain_steps import step_warnings
+from rig.core.base.arrays import Array
+from rig.core.results import format_number
+from rig.core.results.response import Response
+
+if TYPE_CHECKING:
+    from daq.core.recording.recording import Recording
+
+# Length of a block of samples in periods; it has at least this duration, s, and this number of samples.
+_PERIODS = 12.0
+_MIN_SECONDS = 0.3
+_MIN_SAMPLES = 96
+# Number of terms of the drift of a reading, such as that of a sensor after power-on, and highest harmonic of the model.
+_DRIFT_TERMS = 4
+_HARMONICS = 3
+# The part of a block that is searched begins and ends at this fraction of its length from both ends.
+_MARGIN = 0.15
+# All samples are searched in recordings with at most this number of values; about 0.3 s of CPU time.
+_MAX_VALUES = 2_000_000
+# A step reduces the root mean square of the residual to this fraction, and to this fraction of that of the readings.
+_MAX_REMAINING_FRACTION = 0.35
+_MAX_REMAINING = 0.1
+# Least magnitude of the logarithm of the ratio, and its largest fraction in another channel at the same instant.
+_MIN_CHANGE = 0.1
+_MAX_COMMON = 0.25
+# A channel has no step where its residual remains above this fraction.
+_MAX_FRACTION_OF_STEP = 0.7
+
+
+@dataclass(frozen=True)
+class ToneInterval:
+    """Samples in which a tone drives the structure."""
+
+    first: int  # sample
+    stop: int  # sample after the last
+    start: float  # frequency at the first sample, periods per sample
+    slope: float = 0.0  # increase of the frequency of a linear sweep, periods per sample²
+    growth: float = 0.0  # increase of its logarithm in a logarithmic sweep, per sample
+
+    def frequency(self, offset: int) -> float:
+        """Return the frequency at a sample after the first, periods per sample."""
+        return self.start * math.exp(self.growth * offset) + self.slope * offset
+
+    def phase(self, offsets: NDArray[np.int64]) -> Array:
+        """Return the phase at samples after the first, rad."""
+        periods = np.expm1(self.growth * offsets) / self.growth if self.growth else offsets
+        return np.asarray(2.0 * np.pi * (self.start * periods + 0.5 * self.slope * offsets**2))
+
+
+class ToneStep(NamedTuple):
+    """Sudden change of the gain of a channel."""
+
+    channel: str
+    sample: int
+    log_ratio: float
+    frequency: float  # Hz
+
+
+def tone_step_warnings(rec: Recording, intervals: Sequence[ToneInterval], channels: Sequence[str]) -> list[str]:
+    """Return a warning for each channel whose gain changes suddenly in one of the intervals."""
+    steps: dict[str, ToneStep] = {}
+    for step in find_tone_steps(rec, intervals, channels):
+        if step.channel not in steps or abs(step.log_ratio) > abs(steps[step.channel].log_ratio):
+            steps[step.channel] = step
+    return [
+        describe_change(
+            step.channel,
+            float(np.exp(step.log_ratio)),
+            f"{format_number(float(f'{step.frequency:.3g}'))} Hz ({step.sample / rec.rate:.4g} s)",
+        )
+        for step in steps.values()
+    ]
+
+
+def find_tone_steps(rec: Recording, intervals: Sequence[ToneInterval], channels: Sequence[str]) -> Iterator[ToneStep]:
+    """Yield the steps of single channels; at least two channels are needed to distinguish them from the motion."""
+    if len(channels) < 2:
+        return
+    for interval in intervals:
+        offset = 0
+        while True:
+            frequency = interval.frequency(offset)
+            samples = int(max(_PERIODS / frequency, _MIN_SECONDS * rec.rate, _MIN_SAMPLES))
+            first = interval.first + offset
+            if first + samples > interval.stop:
+                break
+            if not find_flaws(rec, channels, first, first + samples):
+                block = np.stack([rec.read(name, first, first + samples) for name in channels])
+                phase = interval.phase(offset + np.arange(samples))
+                yield from (
+                    ToneStep(channels[row], first + position, log_ratio, frequency * rec.rate)
+                    for row, (position, log_ratio) in _steps_of_block(block, phase).items()
+                )
+            # The searched parts of successive blocks overlap.
+            offset += int((1.0 - 3.0 * _MARGIN) * samples)
+
+
+def _steps_of_block(block: Array, phase: Array) -> dict[int, tuple[int, float]]:
+    """Return position and logarithm of the ratio of the step of each row that has one."""
+    model, _ = np.linalg.qr(_model(phase))
+    margin = int(_MARGIN * block.shape[1])
+    positions = np.arange(margin, block.shape[1] - margin)
+    # A large offset would hide the tone.
+    fits = [_Fits.of(row - row.mean(), model, positions) for row in block]
+    steps = {}
+    for number, fit in enumerate(fits):
+        best = int(np.argmin(fit.remaining))
+        log_ratio = float(fit.log_ratio[best])
+        is_significant = fit.remaining[best] < min(_MAX_REMAINING_FRACTION * fit.residual, _MAX_REMAINING)
+        if not is_significant or abs(log_ratio) < _MIN_CHANGE:
+            continue
+        others = (other.step_at(best) for index, other in enumerate(fits) if index != number)
+        if max(others) < _MAX_COMMON * abs(log_ratio):
+            steps[number] = int(positions[best]), log_ratio
+    return steps
+
+
+def _model(phase: Array) -> Array:
+    """Return the terms of the model, shape (samples, terms)."""
+    time = np.linspace(-1.0, 1.0, phase.size)
+    drift = time ** np.arange(_DRIFT_TERMS)[:, None]
+    tone = np.stack([np.cos(phase), np.sin(phase)])
+    harmonics = [part(order * phase) for order in range(2, _HARMONICS + 1) for part in (np.cos, np.sin)]
+    return np.concatenate([drift, tone, time * tone, time**2 * tone, harmonics]).T
+
+
+class _Fits(NamedTuple):
+    """Fits of a step at each position to one channel; residuals are relative to the readings without their drift."""
+
+    residual: float  # without a step
+    remaining: Array  # (positions,)
+    log_ratio: Array  # (positions,)
+
+    def step_at(self, index: int) -> float:
+        """Return the magnitude of the logarithm of the ratio at a position; 0 if it does not reduce the residual."""
+        is_step = self.remaining[index] < _MAX_FRACTION_OF_STEP * self.residual
+        return abs(float(self.log_ratio[index])) if is_step else 0.0
+
+    @classmethod
+    def of(cls, readings: Array, model: Array, positions: Array) -> _Fits:
+        """Fit a step before each position; `model`: orthonormal columns."""
+        projections = np.cumsum(model * readings[:, None], axis=0)
+        powers = np.cumsum(readings**2)
+        before, after = projections[positions - 1], projections[-1] - projections[positions - 1]
+        power_before, power_after = powers[positions - 1], powers[-1] - powers[positions - 1]
+        # Squares and product of the residuals of both parts.
+        square_before = power_before - np.sum(before**2, axis=1)
+        square_after = power_after - np.sum(after**2, axis=1)
+        product = -np.sum(before * after, axis=1)
+        factor = -product / np.maximum(square_after, 1e-12 * max(powers[-1], 1e-300))
+        remaining = np.maximum(square_before + factor * product, 0.0)
+        # The readings without their drift, as corrected by the factor.
+        tone_powers = np.cumsum((readings - model[:, :_DRIFT_TERMS] @ projections[-1, :_DRIFT_TERMS]) ** 2)
+        tone_before = tone_powers[positions - 1]
+        scale = np.maximum(tone_before + factor**2 * (tone_powers[-1] - tone_before), 1e-300)
+        log_ratio = np.where(factor > 0.0, -np.log(np.maximum(factor, 1e-300)), 0.0)
+        residual = max(float(powers[-1] - projections[-1] @ projections[-1]), 0.0) / max(tone_powers[-1], 1e-300)
+        return cls(np.sqrt(residual), np.sqrt(remaining / scale), log_ratio)
+
+
+def sweep_warnings(
+    rec: Recording, intervals: Sequence[ToneInterval], channels: Sequence[str], responses: Sequence[Response]
+) -> list[list[str]]:
+    """Return the warnings of changed gains for each response of a stepped or swept sine.
+
+    In long recordings, the samples are searched only if a curve has a step. A step of a curve without one in the
+    samples is reported if it may lie between the intervals, or if noise hides the tone in the samples of its channel.
+    """
+    curve_steps = [step_warnings(response, rec.scene.is_linear) for response in responses]
+    is_short = rec.samples * len(channels) <= _MAX_VALUES
+    if not is_short and not any(curve_steps):
+        return curve_steps
+    sudden = tone_step_warnings(rec, intervals, channels)
+    if sudden or any(later.first > earlier.stop for earlier, later in pairwise(intervals)):
+        return [sudden or texts for texts in curve_steps]
+    noisy = [name for name in channels if any(map(any, curve_steps)) and _is_noisy(rec, intervals, name)]
+    return [[text for text in texts if text.startswith(tuple(noisy))] for texts in curve_steps]
+
+
+def _is_noisy(rec: Recording, intervals: Sequence[ToneInterval], channel: str) -> bool:
+    """Return whether the tone is hidden in the samples of a channel, in the middle of most intervals."""
+    residuals = []
+    for interval in intervals:
+        middle = (interval.stop - interval.first) // 2
+        samples = int(max(_PERIODS / interval.frequency(middle), _MIN_SAMPLES))
+        first = interval.first + middle - samples // 2
+        readings = rec.read(channel, max(first, 0), min(first + samples, rec.samples))
+        if np.isfinite(readings).all():
+            model, _ = np.linalg.qr(_model(interval.phase(np.arange(readings.size) + middle - samples // 2)))
+            residuals.append(_Fits.of(readings - readings.mean(), model, np.array([readings.size // 2])).residual)
+    return bool(residuals) and float(np.median(residuals)) > _MAX_REMAINING

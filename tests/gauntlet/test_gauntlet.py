@@ -24,7 +24,7 @@ SCENE_NUMBERS = {
     "tone_dampers": 0,
     "steps_dampers": 0,
     "decay_dampers": 0,
-    "stepped_sine_joints": 0,
+    "stepped_sine_joints": 3,
     "tone_finite_contact": 0,
     "steps_finite_contact": 6,
     "curves_close_modes": 0,

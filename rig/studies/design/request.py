@@ -128,7 +128,10 @@ def parse_request(
             "gravity: got 0; expected more than 0, because dampers without weight do not return to their floors"
         )
     if scene.joints:
-        raise SceneError("joints: a design requires a linear structure with dampers. Remove the joints.")
+        raise SceneError(
+            "joints: a design measures its dampers by the peak without them, which must be the same at every level. "
+            "Remove the joints."
+        )
     impact_law = impact_law_of(scene.dampers)
     bare = with_ideal_force(_with_controlled_force(scene.with_ideal_channels(dampers=[]), levels))
     default_levels = [level_of(bare) * factor for factor in DEFAULT_LEVEL_RATIOS]

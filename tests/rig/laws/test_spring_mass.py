@@ -14,7 +14,6 @@ from rig.core.orbits.periodic_orbit import set_to_orbit, start_propagator
 from rig.core.orbits.problem import OrbitProblem
 from rig.core.system.assembly import assemble
 from rig.core.system.structural_model import receptance
-from rig.studies.cost.motion_study import motion_study
 from rig.studies.motion_map.grid import take_off_levels, vertical_axis
 from tests.rig.laws.random_scenes import random_scene
 from tests.rig.laws.test_declarations import assert_motion_as_declared
@@ -148,11 +147,6 @@ def test_only_walls_limit_the_level() -> None:
     assert np.isfinite(take_off_levels(mixed, np.array([20.0, 49.0]))).all()
     with pytest.raises(rig.SceneError, match="no damper that can hit a wall"):
         vertical_axis(TUNED, None)
-
-
-def test_compared_methods_reject_a_mass_on_a_spring() -> None:
-    with pytest.raises(rig.SceneError, match="a mass on a spring"):
-        motion_study(with_particle_damper(), periods=1)
 
 
 @pytest.mark.parametrize(

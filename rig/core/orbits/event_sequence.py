@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -124,11 +125,11 @@ class Plan:
 
 
 def derive_plan(
-    trajectory: Trajectory, start: NDArray[np.int64], repetition: int, system: HybridSystem
+    trajectory: Trajectory, start: NDArray[np.int64], end: NDArray[np.int64], repetition: int, system: HybridSystem
 ) -> tuple[Plan, Array]:
     """Derive the sequence of events from a simulated cycle.
 
-    `start`, shape (dampers,): modes at the start of the cycle; `repetition`: number of drive periods in the cycle.
+    `start`, `end`, shape (dampers,): modes at both ends of the cycle; `repetition`: number of its drive periods.
     Returns the plan, and the indices of its events among the events of the cycle. Raises `UncoveredMotionError` if a
     damper changes its contact at the instant of another damper's impact, with which a full mass matrix or a common body
     couples it.
@@ -170,24 +171,25 @@ def derive_plan(
             events.append(kinds.INDUCED_SEPARATION if simultaneous else kinds.SEPARATION)
         dampers.append(damper)
         order.append(k)
-    _end_rebounds(events, dampers)
+    for damper in {damper for damper in dampers if restitution[damper] > 0.0}:
+        own = [i for i, each in enumerate(dampers) if each == damper]
+        # In a closed cycle, the first event follows the last.
+        _end_rebounds(events, own + own[:1] if start[damper] == end[damper] else own)
     plan = make_plan(events, dampers, walls_from_modes(start, system), repetition, system)
     return plan, np.array(order, dtype=np.int64)
 
 
-def _end_rebounds(events: list[int], dampers: list[int]) -> None:
+def _end_rebounds(events: list[int], own: list[int]) -> None:
     """Replace the last of infinitely many rebounds with an impact after which the damper rests, in place.
 
     The simulation ends them when a rebound is within rounding error. The orbit has the same number of impacts. After
-    the last impact the damper leaves the wall, as it can only from rest.
+    the last impact the damper leaves the wall, as it can only from rest. `own`: indices of the damper's events.
     """
     leaves = (kinds.SEPARATION, kinds.INDUCED_SEPARATION, kinds.SLIP_LOW, kinds.SLIP_HIGH)
     impact = {bounce: kind for kind, bounce in BOUNCE.items()}
-    for damper in set(dampers):
-        own = [i for i, each in enumerate(dampers) if each == damper]
-        for last, following in zip(own, own[1:] + own[:1], strict=True):
-            if events[following] in leaves:
-                events[last] = impact.get(events[last], events[last])
+    for last, following in pairwise(own):
+        if events[following] in leaves:
+            events[last] = impact.get(events[last], events[last])
 
 
 def _finite_contact_kind(trajectory: Trajectory, event: int, system: HybridSystem) -> int:
@@ -200,11 +202,11 @@ def _finite_contact_kind(trajectory: Trajectory, event: int, system: HybridSyste
     )
     gaps = system.elements[damper].along_gap(trajectory.state_before)
     gap, min_overlap = gaps[np.flatnonzero(is_event)[0]], MIN_RELATIVE_OVERLAP * np.abs(gaps).max()
-    floor, ceiling = system.wall_gap[damper].tolist()
+    lower, upper = system.wall_gap[damper].tolist()
     if kind == FLOOR_TOUCH:
-        return kinds.PRESS_FLOOR if gap < floor - min_overlap else kinds.TOUCH_FLOOR
+        return kinds.PRESS_FLOOR if gap < lower - min_overlap else kinds.TOUCH_FLOOR
     assert kind == CEILING_TOUCH
-    return kinds.PRESS_CEILING if gap > ceiling + min_overlap else kinds.TOUCH_CEILING
+    return kinds.PRESS_CEILING if gap > upper + min_overlap else kinds.TOUCH_CEILING
 
 
 def _slip_kind(trajectory: Trajectory, event: int, system: HybridSystem) -> int:

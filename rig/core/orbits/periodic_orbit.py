@@ -179,10 +179,10 @@ def _simulate(propagator: Propagator, steps: float, periods: int) -> Trajectory:
 def start_propagator(
     problem: OrbitProblem, setting: OperatingPoint, from_linear_response: bool = False
 ) -> tuple[Propagator, float]:
-    """Return a propagator at the start of a period, with all dampers on their floors, and its steps per period.
+    """Return a propagator at the start of a period, with all dampers at rest, and its steps per period.
 
     The initial state is that of the scene; `from_linear_response` adds the steady vibration of the linear structure
-    with all dampers riding on their floors.
+    with all dampers riding.
     """
     system = problem.varied_system(setting)
     propagator, steps = tone_propagator(system, problem.amplitudes(setting), 2 * np.pi * setting.frequency)
@@ -253,7 +253,7 @@ def simulate_cycle(propagator: Propagator, steps: float, repetition: int) -> tup
     heights, velocities = state.height.copy(), state.velocity.copy()
     initial_state = state.z[: system.states].copy()
     trajectory = _simulate(propagator, steps, repetition)
-    plan, order = derive_plan(trajectory, modes, repetition, system)
+    plan, order = derive_plan(trajectory, modes, state.mode, repetition, system)
     instants = trajectory.event_segment[order] * steps * propagator.tables.step + trajectory.event_offset[order]
     flights = np.array([[heights[j], velocities[j]] for j in plan.flying]).ravel()
     return plan, np.concatenate([initial_state, flights, instants])

@@ -10,7 +10,7 @@ from rig.core.engine.trajectory import Trajectory
 from rig.core.laws.events import CEILING, CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH, SEPARATION, SLIP
 from rig.core.system.hybrid_system import HybridSystem
 
-#: A contact with the ceiling is a stay if it is longer than this multiple of the duration of an isolated contact.
+#: A contact with the upper wall is a stay if it is longer than this multiple of the duration of an isolated contact.
 MIN_STAY_RATIO = 2.0
 
 
@@ -20,11 +20,11 @@ def motion_types(trajectory: Trajectory, system: HybridSystem, n_periods: int, s
     `trajectory`: one repetition; `n_periods`: number of drive periods after which the motion repeats, 0 if it does not;
     `segment_duration`: duration of a segment of the trajectory, s.
 
-    Returns one of these types for each element: "riding" (at rest on the floor, or sticking, throughout), "linear" (not
-    at rest at the start, and no impacts), "k slips per n" (no impacts), "I" (one floor impact per period), "II" (one
-    floor and one ceiling impact per period, no stay at the ceiling), "III" (the same with a stay), "k per n" (k impacts
-    in n periods), "irregular" (no repetition). The start of finite-duration contact is an impact. Types I to III are
-    those of dampers; the contacts of a joint are "k per n".
+    Returns one of these types for each element: "riding" (at rest on its wall, or sticking, throughout), "linear" (not
+    at rest at the start, and no impacts), "k slips per n" (no impacts), "I" (one impact on the lower wall per period),
+    "II" (one impact on each wall per period, no stay at the upper wall), "III" (the same with a stay), "k per n" (k
+    impacts in n periods), "irregular" (no repetition). The start of finite-duration contact is an impact. Types I to
+    III are those of dampers; the contacts of a joint are "k per n".
     """
     times = trajectory.event_segment * segment_duration + trajectory.event_offset
     cycle = len(trajectory.state) * segment_duration
@@ -39,25 +39,27 @@ def type_of(
     kinds: NDArray[np.int64], times: Array, system: HybridSystem, element: int, n_periods: int, cycle: float
 ) -> str:
     """Classify the motion of an element (from 0) by its events over `n_periods`, in total `cycle` seconds."""
-    floor_impacts = np.count_nonzero((kinds == FLOOR_IMPACT) | (kinds == FLOOR_TOUCH))
-    ceiling_impacts = np.count_nonzero((kinds == CEILING_IMPACT) | (kinds == CEILING_TOUCH))
+    lower_impacts = np.count_nonzero((kinds == FLOOR_IMPACT) | (kinds == FLOOR_TOUCH))
+    upper_impacts = np.count_nonzero((kinds == CEILING_IMPACT) | (kinds == CEILING_TOUCH))
     if n_periods == 0:
         return "irregular"
-    if floor_impacts + ceiling_impacts == 0:
+    if lower_impacts + upper_impacts == 0:
         slips = np.count_nonzero(kinds == SLIP)
         if slips:
             return f"{slips} slips per {n_periods}"
         return "riding" if system.elements[element].law.starts_at_rest else "linear"
-    every_period = n_periods == 1 and floor_impacts == 1 and not system.elements[element].is_joint
-    if every_period and ceiling_impacts == 0:
+    every_period = n_periods == 1 and lower_impacts == 1 and not system.elements[element].is_joint
+    if every_period and upper_impacts == 0:
         return "I"
-    if every_period and ceiling_impacts == 1:
-        return "III" if _stays_at_ceiling(kinds, times, system, element, cycle) else "II"
-    return f"{floor_impacts + ceiling_impacts} per {n_periods}"
+    if every_period and upper_impacts == 1:
+        return "III" if _stays_at_upper_wall(kinds, times, system, element, cycle) else "II"
+    return f"{lower_impacts + upper_impacts} per {n_periods}"
 
 
-def _stays_at_ceiling(kinds: NDArray[np.int64], times: Array, system: HybridSystem, damper: int, cycle: float) -> bool:
-    """Return whether the damper stays at the ceiling after its impact."""
+def _stays_at_upper_wall(
+    kinds: NDArray[np.int64], times: Array, system: HybridSystem, damper: int, cycle: float
+) -> bool:
+    """Return whether the damper stays at the upper wall after its impact."""
     impact = int(np.flatnonzero(np.isin(kinds, (CEILING_IMPACT, CEILING_TOUCH)))[0])
     following = (impact + 1) % len(kinds)
     if kinds[impact] == CEILING_IMPACT:

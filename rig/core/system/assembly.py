@@ -1,7 +1,7 @@
 """Assembly of the hybrid linear system of a scene, which the engine simulates.
 
-A damper's *bed* is its particles, modeled as one mass in a cavity of a body. The bed *rides* while it is at rest on the
-floor of the cavity; otherwise it *flies*.
+A damper's *bed* is its particles, modeled as one mass in a cavity of a body. The bed *rides* while it is at rest in the
+cavity; otherwise it *flies*.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from rig.core.laws.sliding_mass import sliding_mass
 from rig.core.laws.spring_mass import spring_mass
 from rig.core.laws.stop import stop
 from rig.core.laws.wall_contact import wall_contact
-from rig.core.scene.damper import Damper, TimedContact, Wall, Walls
+from rig.core.scene.damper import Damper, TimedContact, Wall, walls_of
 from rig.core.scene.joint import FrictionJoint, Stop
 from rig.core.scene.scene import Scene
 from rig.core.scene.shaker import at_shaker
@@ -51,7 +51,7 @@ def assemble(scene: Scene) -> HybridSystem:
     masses, body, locked = model.bed_mass, model.bed_body, model.locked
     free = np.flatnonzero(~locked)
     finite_contact = any(scene.dampers[j].contact is not None for j in free)
-    # Finite-duration contact has three configurations: no contact, contact with the floor, and with the ceiling.
+    # Finite-duration contact has three configurations: no contact, contact with the lower wall, and with the upper.
     limit = MAX_DAMPERS // 2 if finite_contact else MAX_DAMPERS
     if scene.joints and len(free) + len(scene.joints) > MAX_DAMPERS // 2:
         raise SceneError(
@@ -210,7 +210,7 @@ def _system(equations: Equations, gravity: float, elements: tuple[Element, ...])
 
 
 def _add_bed(equations: Equations, body: int, mass: float, gravity: float) -> int:
-    """Add a bed in free fall, whose coordinate is its height above the floor of its cavity; return its row."""
+    """Add a bed in free fall, whose coordinate is its height above its lower wall; return its row."""
     row = equations.add_coordinate(mass)
     equations.mass[body, body] += mass
     equations.mass[body, row] = equations.mass[row, body] = mass
@@ -219,12 +219,12 @@ def _add_bed(equations: Equations, body: int, mass: float, gravity: float) -> in
 
 
 def _stiffness_and_damping(damper: Damper, reduced_mass: float) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return stiffness [N/m] and damping [N s/m] of floor and ceiling; `reduced_mass`: of bed and body, kg."""
-    contact = damper.contact
-    assert contact is not None
-    walls = (contact.floor, contact.ceiling) if isinstance(contact, Walls) else (contact, contact)
-    floor, ceiling = (_wall_stiffness_and_damping(wall, damper.restitution, reduced_mass) for wall in walls)
-    return (floor[0], ceiling[0]), (floor[1], ceiling[1])
+    """Return stiffness [N/m] and damping [N s/m] of lower and upper wall; `reduced_mass`: of bed and body, kg."""
+    walls = walls_of(damper.contact)
+    lower, upper = (
+        _wall_stiffness_and_damping(wall, damper.restitution, reduced_mass) for wall in (walls[0], walls[-1])
+    )
+    return (lower[0], upper[0]), (lower[1], upper[1])
 
 
 def _wall_stiffness_and_damping(wall: Wall, restitution: float, mass: float) -> tuple[float, float]:
@@ -235,7 +235,7 @@ def _wall_stiffness_and_damping(wall: Wall, restitution: float, mass: float) -> 
 
 
 def _initial_state(scene: Scene, system: HybridSystem) -> Array:
-    """Return the state at t = 0 without drive, with all dampers on their floors."""
+    """Return the state at t = 0 without drive, with all dampers at rest."""
     state = np.zeros(system.states)
     n = system.coordinates
     test = scene.test

@@ -1,9 +1,9 @@
 """The hybrid system of a scene and its drive, which the engine simulates: linear between contact events.
 
-A damper's *bed* is its particles, modeled as one mass. A damper *rides* while its bed is at rest on the floor or at the
-ceiling of its cavity. An *element* is a contact law at one place (`rig.core.laws`): a damper, or a *joint* between two
-bodies or a body and the ground. A *configuration* states which of the forces of its law acts in each element: it
-determines the equations of motion.
+A damper's *bed* is its particles, modeled as one mass. A damper *rides* while its bed is at rest on a wall of its
+cavity. An *element* is a contact law at one place (`rig.core.laws`): a damper, or a *joint* between two bodies or a
+body and the ground. A *configuration* states which of the forces of its law acts in each element: it determines the
+equations of motion.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ class HybridSystem:
     state is the force of their actuator, N.
     `elements`: the dampers that can move in their cavities, then the joints. A bed of grains is here one mass at rest;
     `rig.extras.grains` computes its motion. Arrays of a value for each damper omit the joints.
-    `initial`: state at t = 0 without drive, with all dampers on their floors.
+    `initial`: state at t = 0 without drive, with all dampers at rest.
     """
 
     # names of the coordinates: "body 1" ... "body n", then "table" if the scene has one
@@ -210,12 +210,12 @@ class HybridSystem:
 
     @cached_property
     def wall_stiffness(self) -> np.ndarray:
-        """Stiffness of floor and ceiling of each element with finite-duration contact, N/m, shape (elements, 2)."""
+        """Stiffness of both walls of each element with finite-duration contact, N/m, shape (elements, 2)."""
         return self._of_walls("stiffness")
 
     @cached_property
     def wall_damping(self) -> np.ndarray:
-        """Damping of floor and ceiling of each element with finite-duration contact, N s/m, shape (elements, 2)."""
+        """Damping of both walls of each element with finite-duration contact, N s/m, shape (elements, 2)."""
         return self._of_walls("damping")
 
     def _of_walls(self, name: str) -> np.ndarray:
@@ -224,13 +224,13 @@ class HybridSystem:
 
     @cached_property
     def wall_gap(self) -> np.ndarray:
-        """Gap of each element at its floor and at its ceiling, m; infinite without this wall; shape (elements, 2)."""
+        """Gap of each element at its lower and its upper wall, m; infinite without this wall; shape (elements, 2)."""
         gaps = [[wall.gap for wall in element.law.walls] or [-np.inf, np.inf] for element in self.elements]
         return np.array(gaps, dtype=np.float64).reshape(-1, 2)
 
     @cached_property
     def hold_offset(self) -> np.ndarray:
-        """Holding force of each element per mass on its floor and ceiling, its body at rest; shape (elements, 2)."""
+        """Holding force of each element per mass on both walls, its body at rest; shape (elements, 2)."""
         offsets = [
             [-self.other_acceleration(element, gap) if np.isfinite(gap) else 0.0 for gap in gaps]
             for element, gaps in zip(self.elements, self.wall_gap.tolist(), strict=True)
@@ -313,7 +313,7 @@ class HybridSystem:
         return np.asarray(1.0 / inverse_mass[self.gap_coordinate[: self.dampers]])
 
     def duration_and_restitution(self, damper: int, wall: int) -> tuple[float, float]:
-        """Return duration [s] and restitution of the contact of a damper (from 0) with its floor (1) or ceiling (2)."""
+        """Return duration [s] and restitution of the contact of a damper (from 0) with its wall 1 (lower) or 2."""
         stiffness, damping = self.wall_stiffness[damper, wall - 1], self.wall_damping[damper, wall - 1]
         return duration_and_restitution(float(stiffness), float(damping), float(self.reduced_mass[damper]))
 
@@ -336,7 +336,7 @@ class HybridSystem:
 
     @property
     def start(self) -> int:
-        """Configuration in which every element is in the mode at its start: the dampers on their floors."""
+        """Configuration in which every element is in the mode at its start: the dampers at rest."""
         return self.configuration([element.law.start for element in self.elements])
 
     def joint_modes(self, state: np.ndarray) -> list[int]:

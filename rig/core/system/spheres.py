@@ -30,7 +30,7 @@ class Spheres:
 
     settings: Grains
     mass: float  # of the bed, kg
-    clearance: float  # from the settled bed to the ceiling, m
+    clearance: float  # from the settled bed to the upper wall, m
     count: int  # number of grains
     seed: int  # of the random diameters and positions
 

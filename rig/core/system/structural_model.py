@@ -1,7 +1,7 @@
 """The structure as matrices M, C, K with its dampers' masses: natural modes and the linear frequency response.
 
-A damper's *bed* is its particles, modeled as one mass. A bed that *rides* is at rest on the floor of its cavity: an
-added mass of its body.
+A damper's *bed* is its particles, modeled as one mass. A bed that *rides* is at rest in its cavity: an added
+mass of its body.
 
 Convention: x(t) = Re(X e^{i w t}), so that a phase lag is negative.
 """

@@ -315,8 +315,14 @@ class OrbitFamily:
         return _eigenvalues(self._period_map(shoot(*self.equations(float(x[-1])), self.plan.sequence, x[:-1])))
 
     def _period_map(self, shooting: ShootingResult) -> Array:
-        """Return the scaled monodromy matrix."""
-        return monodromy(shooting, len(self.plan.sequence.kind), self.scale[:-1], self.residual_scale)
+        """Return the scaled monodromy matrix; raises `RunError` if the instant of an event is not determined."""
+        try:
+            return monodromy(shooting, len(self.plan.sequence.kind), self.scale[:-1], self.residual_scale)
+        except np.linalg.LinAlgError:
+            raise RunError(
+                f"orbit with events [{self.plan.label}]: an event touches its threshold without crossing it, so that "
+                "the stability is not determined. Choose other bounds."
+            ) from None
 
     def make_orbit(
         self, setting: OperatingPoint, unknowns: Array, equations: Equations, shooting: ShootingResult

@@ -175,6 +175,16 @@ def test_stable_branches_of_fig_9_cover_the_band() -> None:
     assert all("no periodic motion at" in failure for failure in curve.failures)
 
 
+def test_undetermined_event_is_a_failure_of_its_branch(monkeypatch: pytest.MonkeyPatch) -> None:
+    def singular(*_: object) -> None:
+        raise np.linalg.LinAlgError("Matrix is singular to machine precision.")
+
+    monkeypatch.setattr("rig.core.orbits.orbit.monodromy", singular)
+    curve = follow_orbits(rig.load("fig9"), "frequency", (49.0, 49.1), searches=1)
+    assert not curve.branches
+    assert "an event touches its threshold without crossing it" in " ".join(curve.failures)
+
+
 def test_multiplier_is_minus_one_at_a_period_doubling() -> None:
     scene = rig.load("fig9")
     (branch,) = [

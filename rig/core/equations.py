@@ -125,7 +125,7 @@ class Equations:
         self._servo_rate[row] = 2.0 * np.pi * corner
 
     def move_ground(self, row: int) -> None:
-        """Put the structure on a coordinate, whose motion is then that of the ground."""
+        """Replace the ground with a coordinate, such as that of a table that carries the structure."""
         influence, damping, stiffness = self._ground()
         pairs = ((damping, self.damping), (stiffness, self.stiffness))
         if not any((abs(column) > 1e-12 * abs(matrix).max()).any() for column, matrix in pairs):

@@ -314,7 +314,7 @@ def _visible_edges(frf: Response) -> Array:
 
 
 def is_determined(frf: Response) -> NDArray[np.bool_]:
-    """Return whether each point exceeds its noise and its expanded uncertainty; single points are not determined."""
+    """Return whether each point exceeds its noise and its expanded uncertainty; isolated ones do not count."""
     known = exceeds_noise(frf) & ~(frf.expanded() >= abs(frf.value))
     if known.size < _ROUGHNESS_POINTS:
         return known

@@ -21,8 +21,9 @@ from rig.core.scene.excitation.profile import from_decibels
 if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
-# A pulse begins and ends where it exceeds this part of its peak; the chart shows this multiple of its time first.
+# A pulse lasts while it exceeds this part of its peak.
 _VISIBLE_PART = 0.01
+# The chart first shows this multiple of the duration of the pulse.
 _PULSE_VIEW = 3.0
 
 

@@ -65,7 +65,7 @@ class SweepResults:
         return tuple(max(inside, key=lambda pair: pair[1].value, default=None) for inside in self.found)
 
     def damping_text(self, mode: int) -> str:
-        """Write a damping ratio with its 95 % interval, and that it is extrapolated if no line resolves its peak."""
+        """Write a damping ratio with its 95 % interval; add "extrapolated" if no line resolves its peak."""
         assert self.modes is not None
         is_extrapolated = extrapolates_damping(self.modes, self.frfs)[mode]
         return f"{self.modes.damping_text(mode)}{', extrapolated' if is_extrapolated else ''}"

@@ -147,7 +147,7 @@ def _resonance_texts(measurement: Measurement) -> list[str]:
 
 
 def _response_texts(measurement: Measurement) -> list[str]:
-    """Describe the response with the highest value of each sweep, of which no mode is identified."""
+    """For each sweep without an identified mode, describe the response with the highest value."""
     known = ([frf for frf in sweep.frfs if np.isfinite(frf.value).any()] for sweep in measurement.sweeps)
     return [f"{max(frfs, key=lambda frf: abs(frf.value[frf.peak_line()])).summary()}." for frfs in known if frfs]
 

@@ -33,7 +33,7 @@ _BREAK = re.compile(
 _MAX_DECIBEL_DECIMALS = 2
 # Heights that are compared are not written finer than this fraction.
 _HEIGHT_RESOLUTION = 0.005
-# A mode of another recording is that of the reference if its frequency is lower by less than this fraction.
+# Modes of two recordings are the same mode if their frequencies differ by less than this fraction: dampers shift it.
 _MODE_SHIFT = 0.15
 # Maximum number of overloads or gaps that are listed individually.
 _MAX_LISTED = 5

@@ -47,7 +47,7 @@ _CONTACT_MODEL_ERROR = 2e-2
 # After the subtraction of a jump, this fraction of the jump remains while the sensor rings.
 RESIDUAL_RATIO = 0.02
 # An impact on a neighboring body causes a slightly curved kink of the acceleration, which the fit can mistake for a
-# jump. This jump is at most this multiple of the velocity change due to the kink within one sample.
+# jump. Jumps below this multiple of the velocity change due to the kink within one sample are rejected.
 _KINK_JUMP_RATIO = 1.0
 # For finite-duration contact, this fraction of the contact duration replaces the sample interval in the limit above.
 _KINK_DURATION_RATIO = 1.0 / 6.0
@@ -91,8 +91,8 @@ _SMOOTHING_SAMPLES = 8
 _KINK_PRIOR_HZ = 100.0
 # The weight of a bed causes steps of at most this multiple of their prior standard deviation.
 _MAX_STEP_SIGMAS = 3.0
-# With finite-duration contact, a jump is detectable above this fraction of the velocity change that a step of one prior
-# standard deviation causes during the contact.
+# Smallest detectable jump with finite-duration contact, relative to the prior standard deviation of steps times the
+# contact duration.
 _MIN_JUMP_STEP_RATIO = 0.02
 # The noise is assumed to be constant over this number of windows.
 _NOISE_WINDOWS = 8

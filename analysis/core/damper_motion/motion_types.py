@@ -1,10 +1,9 @@
 """Type of damper motion in a stepped-sine test, estimated from the channels.
 
-A damper moves in a cavity of its body, between floor and ceiling. The types are those of Inoue, Yokomichi and
-Hiraki (2011). Riding: at rest on
-the floor. Type I: one floor impact per period. Types II and III: one impact on each of floor and ceiling per period;
-the damper leaves the ceiling at once (II), or stays there until the body's acceleration rises to -g (III). Other
-patterns are described by their numbers of impacts.
+A damper moves in a cavity of its body, between floor and ceiling. The types are those of Inoue, Yokomichi and Hiraki
+(2011). Riding: at rest on the floor. Type I: one floor impact per period. Types II and III: one impact on each of floor
+and ceiling per period; the damper leaves the ceiling at once (II), or stays there until the acceleration of the body
+rises to -g (III). Other patterns are described by their numbers of impacts.
 """
 
 from __future__ import annotations
@@ -198,9 +197,9 @@ def _recurrence_periods(detected: Impacts, frequency: float, begin: float, end: 
 def _stays_at_ceiling(apparent_gravity: Array, error: float, rebound_speed: float, push_time: float) -> bool | None:
     """Return whether a damper stays at the ceiling after impacts; None if undetermined.
 
-    `apparent_gravity`: acceleration of the body plus g at each impact, m/s²; `error`: its largest error, m/s². After a
-    rebound of at most `rebound_speed` m/s the damper stays if it returns while the ceiling still pushes, for
-    `push_time` s. If the acceleration falls linearly from a to 0 in a time t, a rebound slower than a t / 3 returns.
+    `apparent_gravity`: acceleration of the body plus g at each impact, m/s²; `error`: its largest error, m/s². The
+    ceiling pushes for `push_time` s. After a rebound of at most `rebound_speed` m/s the damper stays if it returns in
+    this time. If the acceleration falls linearly from a to 0 in a time t, a rebound slower than a t / 3 returns.
     """
     finite = apparent_gravity[np.isfinite(apparent_gravity)]
     median = float(np.median(finite)) if finite.size else 0.0

@@ -190,7 +190,7 @@ def modal_decay(
     kink_error = np.sqrt(np.maximum(kink_error**2 - kink_error_of_noise**2, 0.0))
     bias = _bias_bound(damping, damping_narrower, damping_larger_fall, kink_error)
     error = np.hypot(noise_error * damping, 0.5 * bias)
-    # Phase and logarithm of the envelope have the same uncertainty, relative to a much larger change of the phase.
+    # Phase (rad) and logarithm of the envelope have the same uncertainty, but the phase changes much more in a decay.
     natural_bias = np.full(natural.size, np.nan)
     # The bias is determined only if both fits are determined.
     if np.isfinite(natural_narrower - natural).any() and np.isfinite(natural_larger_fall - natural).any():

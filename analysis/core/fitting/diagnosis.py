@@ -26,9 +26,9 @@ from rig.core.results import format_number
 from rig.core.scene.structure import Dashpots, ModalDamping
 from rig.core.system.structural_model import structural_model
 
-# The stated errors explain the residuals up to this factor, because they may be too small by a factor of 2, ...
+# Largest ratio of the variance of the residuals to the stated one: stated errors may be too small by a factor of 2.
 _MAX_NOISE_VARIANCE = 4.0
-# ... times the reduced chi-square that noise exceeds with this probability.
+# The ratio is multiplied by the reduced chi-square that noise exceeds with this probability.
 _NOISE_PROBABILITY = 1e-4
 # Common mistakes in a channel: the ratio of its reading to the true value, and the cause.
 _SCALE_MISTAKES = {
@@ -59,13 +59,15 @@ _DERIVATIVE_MISTAKES = {
 }
 # Of the mistakes of a sensor and of the swapped pairs, this number with the smallest initial cost are fitted.
 _MAX_FITTED_MISTAKES = 4
-# In the initial cost, the model error is this fraction of the local peak, and the squared residuals have this limit.
+# Model error in the initial cost, as a fraction of the local peak.
 _MODEL_ERROR = 0.1
+# Upper limit of a squared residual in the initial cost.
 _MAX_SQUARE = 900.0
 # The structure is fitted several times, with these model errors in turn.
 _MODEL_ERRORS = (0.1, 0.01, 0.0)
 # An explanation is nearly as likely as the best one if its sum of squares exceeds the smallest by at most this number
-# of mean squares: a likelihood ratio of 90. A free factor, an additional unknown, must be better by this.
+# of mean squares: a likelihood ratio of 90. A free factor adds an unknown: it is preferred only if its sum of squares
+# is smaller by more than this number of mean squares.
 _CLOSE_SQUARE = 9.0
 # A fitted factor indicates a unit error if the relative difference from the factor of the unit error is at most this.
 _UNIT_TOLERANCE = 0.06
@@ -138,7 +140,7 @@ def mass_scale_error(problem: Problem, x: Array) -> str:
     factor = float(np.exp(np.mean((x - problem.start)[masses])))
     if 1.0 / _MAX_MASS_RATIO < factor < _MAX_MASS_RATIO:
         return ""
-    # Receptances are displacements over forces: such masses need lower motion or higher force by the factor.
+    # Masses that are too large by a factor result from motion read too small, or force read too large, by this factor.
     unit_error = _unit_error(1.0 / factor, _SCALE_MISTAKES) or _unit_error(factor, _FORCE_MISTAKES)
     return (
         f"The curves fit with {factor:.4g} times the masses of the scene{unit_error}: the unit of force or motion "
@@ -445,7 +447,7 @@ class _Refit:
 
     @property
     def fits(self) -> bool:
-        """Whether the stated errors explain the residuals, by a chi-squared test, and tolerances those of sensors."""
+        """Whether stated errors explain the residuals (chi-squared test), and tolerances the errors of sensors."""
         problem, count = self.problem, self.residual.size - self.problem.size
         limit = _MAX_NOISE_VARIANCE * float(scipy.stats.chi2.isf(_NOISE_PROBABILITY, count)) / count
         return self.mean_square < limit and not problem.implausible_sensors(self.x)

@@ -96,8 +96,8 @@ def measured_curves(rec: Recording, name: str) -> list[Curves]:
     """Estimate the curves of a fit: one set for each sweep or test of a recording.
 
     With a coil spring the reference is the displacement of the table: the responses describe the structure with the
-    spring to ground. The spring force would be a small difference of two readings. The reference is also
-    a table that carries the structure.
+    spring to ground. The spring force is not used, because it is a small difference of two readings. If a table carries
+    the structure, its displacement is the reference as well.
 
     Raises `RecordingError` if the recording contains no responses, or moving dampers without steady tones.
     """

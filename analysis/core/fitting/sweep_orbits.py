@@ -340,7 +340,7 @@ class _OrbitSolver:
     ) -> tuple[OrbitFamily, Array, Any, Any] | None:
         """Return family, unknowns, equations and shooting result of the refined orbit; None without convergence.
 
-        The convergence of a single correction is not checked.
+        With one correction at most, the convergence is not checked.
         """
         plan, problem = start.plan, self.problem
         family = OrbitFamily(problem, plan, point, "frequency", start.unknowns)

@@ -2,8 +2,8 @@
 
 All elements of the matrix have the same poles. The residue of a pole is the outer product of a shape and its modal
 participation factors, one for each input. The residue of a repeated pole is a sum of such products; their number is the
-rank of the residue matrix [1]_. A pole is reported as repeated only if a second pole next to it would not improve the
-fit significantly, because identification would have added that pole.
+rank of the residue matrix [1]_. Identification adds a second pole wherever it improves the fit significantly. Only a
+pole without such a neighbor is reported as repeated.
 
 References
 ----------

@@ -3,8 +3,8 @@
 What a file does not state (leakage, double impacts, a nonlinear structure) are errors of unknown size. In a model of
 the whole band they change every mode, so that the result depends on the limits of the band. A model of the lines around
 a peak is independent of the other lines; residual terms represent the other modes. A pole is physical if it contributes
-an essential part of a curve at its frequency, and if the parts of the lines of its window that resolve it contain it
-(see `band_choice`).
+an essential part of a curve at its frequency, and if it is also identified from every subset of the window's lines that
+can resolve it (see `band_choice`).
 """
 
 from __future__ import annotations

@@ -102,7 +102,7 @@ def scene_setting(scene: Scene, group: str) -> str:
 
 
 def without_noise(scene: Scene) -> Scene:
-    """Remove noise, quantization, sensor tolerances and bias, which no data sheet can correct, in an expanded scene."""
+    """Return an expanded scene without the errors that no correction removes: noise, rounding, tolerances and bias."""
     return _without_tolerances(_without_quantization(_with_noise(scene, 0.0)))
 
 

@@ -96,7 +96,6 @@ class Chassis:
         self.outputs: dict[Runner, Generation] = {}
         self._tasks_drive_outputs = False  # tasks drive the outputs, no longer the test of the scene
         self._has_acquired = False  # an acquisition has been started
-        # Bench time in s, and the action that is due then.
         # Resources of each task, and their names for messages; see `reserve`.
         self._reserved: dict[Runner, Mapping[Hashable, str]] = {}
         # Tasks that have been started and not closed; bench time runs while there are any.

@@ -2,7 +2,7 @@
 
 Around each frequency, two rational functions of type (2, 2) pass through five lines each: two poles, two zeros. They
 are computed from the null vector of a Loewner matrix, in barycentric form [1]_. Their mean is the interpolated value.
-Their difference is the limit of the error by the resolution: it is small only if the lines resolve all resonances.
+Their difference bounds the error due to the spacing of the lines: it is small only if the lines resolve all resonances.
 
 An error e of the values changes a rational interpolant r = P / Q at the frequency t by
 ``sum(l_i(t) (Q(f_i) / Q(t))^2 e_i)``, with the Lagrange polynomials l_i of the lines f_i.

@@ -5,11 +5,11 @@ acts on it as phi_ki f_k, with the mode shape phi. It carries one damper of mass
 clearance. M_i depends on the normalization of the mode shape: the paper sets its largest element to 1, so that the
 single mass represents the body with the largest displacement.
 
-Two weightings of the masses md_j of dampers in bodies j give mu_i. As printed (Eq. 13), mu_i is the signed sum of
-phi_ji md_j / M_i. The kinetic energy of dampers at rest on their floors gives phi_ji^2 instead. Both agree for a damper
-in a body with phi_ji = 1. If the damper's body moves less, both overestimate the acceleration of the equivalent
-damper. Normalizing the shape at the damper's own body (`at`) avoids this; it is the exact one-mode reduction for
-a single damper.
+mu_i is computed with one of two weightings of the masses md_j of the dampers in bodies j. As printed (Eq. 13), mu_i is
+the signed sum of phi_ji md_j / M_i. The kinetic energy of dampers at rest on their floors gives phi_ji^2 instead. Both
+agree for a damper in a body with phi_ji = 1. If the damper's body moves less, both overestimate the acceleration of the
+equivalent damper. Normalizing the shape at the damper's own body (`at`) avoids this; it is the exact one-mode reduction
+for a single damper.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Channels that die during a test, such as those with a broken cable: from an instant on, their signal is nearly zero.
 
-Blocks at equal distances over the test contain every part of its excitation. A channel is dead from the first of the
-last blocks on, whose signal is far smaller than that of all blocks shortly before, unless the whole motion has ended.
+Blocks at equal distances over the test contain every part of its excitation. A channel is dead if its signal is far
+smaller in all blocks up to the end than in the blocks just before, while the motion continues. It is dead from the
+first of these last blocks on.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Steps of the gain of a channel during a sweep, from the response curves.
 
 Near each frequency, a response is a rational function [1]_. The function is fitted to the points before and after an
-instant of the sweep, once with equal gains and once with a ratio of the gains after and before, which is the same at
-all points. A step is reported if the ratio explains nearly all of the residual, and the other curves have no step at
-this frequency. A change of the motion to another branch changes all curves, and their phases; a single curve of a
-nonlinear structure is not checked, because a fault is distinguished from such a change by the other curves.
+instant of the sweep. The fit is repeated with one more unknown: the ratio of the gains after and before. A step is
+reported if the ratio explains nearly all of the residual, and the other curves have no step at this frequency. A change
+of the motion to another branch changes all curves, and their phases; a single curve of a nonlinear structure is not
+checked, because a fault is distinguished from such a change by the other curves.
 
 References
 ----------

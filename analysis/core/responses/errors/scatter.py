@@ -1,7 +1,7 @@
 """Scatter of a mean of several channels, as a square-root factor of its covariance.
 
-Computed from the covariance C as ``w C w*``, a variance may be negative due to rounding if C is singular, such as the
-covariance of four channels from two averages. Computed from the factor, it is a sum of squares. Variances with few
+With weights w and the covariance C, a variance ``w C w*`` may be negative due to rounding if C is singular, as with
+four channels and two averages. Computed from the factor, it is a sum of squares. Variances with few
 degrees of freedom may be close to zero by chance. The variances are moderated by the variances of neighboring lines, as
 empirical Bayes estimates [1]_.
 

@@ -472,7 +472,7 @@ def _first_row_of_inverse(matrices: ComplexArray) -> ComplexArray:
 
 
 def _regularize(system: ComplexArray | Array, unknowns: int) -> ComplexArray:
-    """Add the equations of a weak regularization towards small unknowns, the first columns of the system."""
+    """Add equations that weakly pull the unknowns, which are the first columns of the system, to zero."""
     weak = _REGULARIZATION * np.eye(unknowns, system.shape[-1])
     return np.concatenate([system, np.broadcast_to(weak, (*system.shape[:-2], *weak.shape))], axis=-2)
 

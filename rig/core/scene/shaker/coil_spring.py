@@ -1,4 +1,4 @@
-"""What shakers with a table have in common that drive a body through a coil spring."""
+"""Common part of the shakers whose table drives a body through a coil spring."""
 
 from typing import TYPE_CHECKING, Any, ClassVar
 

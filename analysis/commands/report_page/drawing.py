@@ -34,6 +34,8 @@ _MARGIN = 15
 # Size of a body in a mode shape, px.
 _SHAPE_WIDTH = 90
 _SHAPE_HEIGHT = 26
+# Width of the drawing of a mode shape with the values beside the bodies, in the larger type of a phone, px.
+_SHAPE_VIEW = 228
 # Distance between two bodies in a mode shape, px.
 _SHAPE_SPACING = 36
 # Amplitude of the largest element of an animated mode shape, px: two bodies in antiphase do not meet.
@@ -216,8 +218,8 @@ def mode_drawing(shapes: BodyShapes, places: Sequence[str], mode: int, title: st
             f'<text x="{_SHAPE_WIDTH + 32}" y="{y + 17}">{f"{element:+.2f}".replace("-", "−")}{interval}</text>'
         )
     return (
-        f'<figure><svg role="img" aria-label="Mode shape at {escape_html(title)}" viewBox="0 0 210 {height}" '
-        f'width="210" height="{height}" fill="none" opacity="{opacity}"><path stroke="currentColor" '
+        f'<figure><svg role="img" aria-label="Mode shape at {escape_html(title)}" viewBox="0 0 {_SHAPE_VIEW} {height}" '
+        f'width="{_SHAPE_VIEW}" height="{height}" fill="none" opacity="{opacity}"><path stroke="currentColor" '
         f'd="M10 34V14m-4 6l4 -6l4 6"/><text x="6" y="48">+</text>{"".join(parts)}</svg>'
         f"<figcaption>{escape_html(title)}</figcaption></figure>"
     )

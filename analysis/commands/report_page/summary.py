@@ -188,13 +188,15 @@ def _impact_texts(result: Dampers) -> list[str]:
     for motions in result.bodies:
         has_impacts |= [motion.floor > 0 or motion.ceiling > 0 for motion in motions]
     limits = f"impacts with a velocity step below {detection_limits(result.bodies)} are not detectable"
+    all_points = f"{frequency.size} frequencies" if frequency.size > 1 else f"{frequency[0]:.4g} Hz"
     if not has_impacts.any():
-        undetected = f"no damper impact was detected at any of {frequency.size} frequencies"
+        undetected = f"no damper impact was detected at {'any of ' * (frequency.size > 1)}{all_points}"
         return [f"“{result.label}”: {undetected}; {limits}."]
-    text = (
-        f"“{result.label}”: damper impacts were detected at {int(has_impacts.sum())} of {frequency.size} "
-        f"frequencies ({format_frequencies(frequency.tolist(), has_impacts.tolist())}); {limits}"
-    )
+    detected = all_points
+    if frequency.size > 1:
+        listed = format_frequencies(frequency.tolist(), has_impacts.tolist())
+        detected = f"{int(has_impacts.sum())} of {all_points} ({listed})"
+    text = f"“{result.label}”: damper impacts were detected at {detected}; {limits}"
     energy = result.energy
     if energy is not None:
         share, bound = energy.dampers / energy.supplied, energy.bound / energy.supplied

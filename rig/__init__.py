@@ -1,5 +1,13 @@
 """Simulation of the rig: a scene file is compiled to a hybrid linear system, whose motion is propagated exactly."""
 
+# An interrupt during import must end the command without a traceback.
+try:
+    from rig.core.base.interruption import restore_default_interrupt
+
+    restore_default_interrupt()
+except KeyboardInterrupt:
+    raise SystemExit(130) from None
+
 import lazy_loader
 
 # A module is imported when a name of `__init__.pyi` is first used, so that the package loads quickly: the import of

@@ -10,6 +10,7 @@ import os
 import re
 import signal
 import sys
+import threading
 import warnings
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
@@ -241,9 +242,10 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _report_warnings(cleanup: ExitStack) -> None:
-    """Report warnings and log messages in one line each on stderr."""
-    cleanup.callback(setattr, warnings, "showwarning", warnings.showwarning)
-    warnings.showwarning = _warn
+    """Report warnings and log messages in one line each on stderr; repeat an interrupt that Python cannot raise."""
+    for module, name, hook in ((warnings, "showwarning", _warn), (sys, "unraisablehook", _repeat_interrupt)):
+        cleanup.callback(setattr, module, name, getattr(module, name))
+        setattr(module, name, hook)
     import logging
 
     # Without a handler, Python prints warnings that other packages log.
@@ -261,3 +263,19 @@ def _report_warnings(cleanup: ExitStack) -> None:
 
 def _warn(message: Warning | str, *_: Any, **__: Any) -> None:
     print(f"warning: {_with_options(str(message))}", file=sys.stderr)
+
+
+def _repeat_interrupt(unraisable: sys.UnraisableHookArgs) -> None:
+    """Interrupt the command again if Ctrl-C arrived in a destructor, from which Python raises nothing."""
+    if not isinstance(unraisable.exc_value, KeyboardInterrupt):
+        sys.__unraisablehook__(unraisable)
+        return
+    timer = threading.Timer(0.01, _interrupt_again)
+    timer.daemon = True
+    timer.start()
+
+
+def _interrupt_again() -> None:
+    """Interrupt the command, unless it has ended in the meantime: its exit code and message are then complete."""
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_DFL:
+        signal.raise_signal(signal.SIGINT)

@@ -13,6 +13,7 @@ import types
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Annotated
 
 import pytest
@@ -97,6 +98,39 @@ def test_interrupt_hidden_by_import_error_is_reported(command, capsys):
         raise ImportError("numba._devicearray failed to import")
 
     assert command(act) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+def test_interrupt_of_a_destructor_interrupts_the_command(command, capsys):
+    def act() -> None:
+        sys.unraisablehook(SimpleNamespace(exc_value=KeyboardInterrupt()))
+        while True:
+            pass
+
+    assert command(act) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+def test_interrupt_of_a_destructor_is_not_repeated_after_the_end(command, capsys, monkeypatch):
+    timers = []
+
+    class Timer:
+        def __init__(self, _: float, function: object) -> None:
+            timers.append(function)
+
+        def start(self) -> None:
+            pass
+
+    monkeypatch.setattr("threading.Timer", Timer)
+
+    def act() -> None:
+        sys.unraisablehook(SimpleNamespace(exc_value=KeyboardInterrupt()))
+        raise KeyboardInterrupt
+
+    assert command(act) == 130
+    [interrupt_again] = timers
+    monkeypatch.setattr(signal, "getsignal", lambda _: signal.SIG_DFL)
+    interrupt_again()
     assert capsys.readouterr().err == "interrupted\n"
 
 

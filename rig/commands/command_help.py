@@ -20,7 +20,7 @@ _GROUPS = {
     "Criterion": ("levels", "band", "response_bodies", "damping_uncertainty", "stiffness_uncertainty"),
     "Curves": ("response", "reference", "motion", "unit", "theory", "modes", "channel", "hit", "free"),
     "Averages of blocks": ("estimator", "block", "overlap", "window"),
-    "Network": ("address", "port", "certificate", "key", "client_ca", "session_timeout", "proto"),
+    "Network": ("address", "port", "certificate", "key", "client_ca", "session_timeout"),
     "Output": (
         "output", "overwrite", "save", "web", "viewer", "screenshot", "at", "begin", "end", "speed", "what", "fresh",
     ),

@@ -1,8 +1,8 @@
 """Linear theory of a recording: its structure without moving dampers, as it was in the test.
 
 The force of a shaker is measured, so the structure is that without the shaker's coil spring. In an impact test all
-shakers are idle, and their coil springs remain attached. If a table carries the structure, the
-modes are those with the table at rest.
+shakers are idle, and their coil springs remain attached. If a table carries the structure, the modes are those with the
+table at rest.
 """
 
 from __future__ import annotations

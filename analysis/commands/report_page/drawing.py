@@ -34,7 +34,7 @@ _MARGIN = 15
 # Size of a body in a mode shape, px.
 _SHAPE_WIDTH = 90
 _SHAPE_HEIGHT = 26
-# Width of the drawing of a mode shape with the values beside the bodies, in the larger type of a phone, px.
+# Width of a mode shape with the values at the right of its bodies, in the larger font of a phone, px.
 _SHAPE_VIEW = 228
 # Distance between two bodies in a mode shape, px.
 _SHAPE_SPACING = 36

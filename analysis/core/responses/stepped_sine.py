@@ -45,7 +45,7 @@ _TOO_CLOSE = "shorter than a period of the beat with another tone"
 _LENGTHS = (_TOO_SHORT, _TOO_CLOSE)
 # Samples per matrix product; they and the terms of the fit fit into the cache of a core.
 _SAMPLES_PER_PRODUCT = 2048
-# Duration of the transition to a tone at the start of the wait for its steady state, s.
+# A wait for the steady state begins with the transition to its tone, which usually ends within this time, s.
 _TRANSITION_S = 0.5
 
 

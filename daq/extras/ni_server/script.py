@@ -45,8 +45,8 @@ def run_script(
     Returns
     -------
     int
-        Exit code of the script; 1 if it raised an exception, whose traceback is then on stderr; 128 + n
-        if signal n ended it, even if this process forwarded the signal.
+        Exit code of the script; 1 if it raised an exception, whose traceback is then on stderr; 128 + n if signal n
+        ended it, even if this process forwarded the signal.
 
     Raises
     ------

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 # The drawn length of a spring changes by at most this fraction.
 _MAX_STRETCH_RATIO = 0.6
-# The motion is exaggerated at most by this factor; a larger factor would show the noise of a rig at rest.
+# Largest exaggeration; a larger factor would show the noise of a rig at rest.
 _MAX_EXAGGERATION = 1e4
 
 
@@ -61,7 +61,7 @@ class RigMotion:
 
     displacement: Array  # displacement of each body, m, positive up; shape (bodies, instants)
     tables: Array  # displacement of the table of each shaker, m; shape (tables, instants)
-    gap: Array | None = None  # height of each damper above its floor, m; shape (dampers, instants); None: not known
+    gap: Array | None = None  # height of each damper above its floor, m; shape (dampers, instants); None if unknown
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Extremes:
     gap: float = 0.0  # height of a damper above its floor
 
     def extended_by(self, motion: RigMotion, shaker_bodies: Sequence[int]) -> Extremes:
-        """Return the extremes including another motion; `shaker_bodies`: bodies (from 1) above tables."""
+        """Return the extremes of this and another motion; `shaker_bodies`: bodies (from 1) above shaker tables."""
         positions = np.vstack([np.zeros((1, motion.displacement.shape[1])), motion.displacement])
         coil = (
             _max_magnitude(motion.displacement[[body - 1 for body in shaker_bodies]] - motion.tables)
@@ -97,8 +97,8 @@ def _max_magnitude(values: Array) -> float:
 def exaggeration(extremes: Extremes) -> float:
     """Return the factor by which the drawn motion is multiplied, so that it is visible and drawn parts do not collide.
 
-    It is the largest number of the series 1, 2, 5, 10, ... with two properties: springs stretch by less than 60 % of
-    their length, and dampers stay within the drawn headroom.
+    It is the largest number of the series 1, 2, 5, 10, ... at which springs stretch by less than 60 % of their length
+    and dampers stay within the drawn headroom.
 
     >>> exaggeration(Extremes(spring=0.8e-3))
     50.0
@@ -140,11 +140,11 @@ class RigView:
         self.bodies = scene.structure.bodies
         self.stack = Stack(scene, self.exaggeration)
         self.shaker_tables = self.stack.tables
-        # If the structure is given by matrices, it is not known which bodies are connected, and no spring is drawn.
+        # If the structure is given by matrices, it is unknown which bodies are connected, and no springs are drawn.
         self.has_spring = [stiffness > 0 for stiffness in scene.structure.springs or [0.0] * self.bodies]
 
     def static_parts(self) -> Iterator[tuple[str, rr.AsComponents]]:
-        """Yield the entity and the shape of each part; they are sent to the viewer once."""
+        """Yield the entity and the shape of each part; the shapes are sent to the viewer once."""
         import rerun as rr
 
         yield "rig", rr.ViewCoordinates.RIGHT_HAND_Z_UP
@@ -245,7 +245,7 @@ class RigView:
         yield f"{entity}/name", label(foot, text, LABEL)
 
     def _scale_marks(self) -> Iterator[tuple[str, rr.AsComponents]]:
-        """Draw the rest positions of the bodies, and a scale bar with its length and the exaggeration, at the left."""
+        """Draw the rest positions of the bodies and, at the left, a scale bar with its length and the exaggeration."""
         x, y = -WIDTH / 2 - 0.032, -DEPTH / 2
         middles = [bottom + height / 2 for bottom, height in zip(self.stack.bottoms, self.stack.heights, strict=True)]
         yield "rig/rest", lines([[(x - 0.030, y, z), (x, y, z)] for z in middles], MARK, 0.0008)

@@ -1,4 +1,4 @@
-"""Positions and sizes of the drawn parts at rest: bodies with cavities, stacked on springs, and shaker tables.
+"""Positions and sizes of the drawn parts at rest: bodies with cavities, springs between them, and shaker tables.
 
 Lengths are in meters at the scale of the drawing and chosen for legibility. All bodies have the same width and depth.
 """
@@ -42,7 +42,7 @@ SHAKER_PITCH = 0.120  # distance between shakers next to the rig
 class Cavity:
     """A cavity of a body for one damper, in meters of the drawing from the underside of the body."""
 
-    damper_index: int  # of its damper in the scene
+    damper_index: int  # index of its damper in the scene
     x: float  # position of its middle
     width: float
     ceiling: float | None  # height of the ceiling; None if it is above the drawing
@@ -61,7 +61,7 @@ def cavities(dampers: Sequence[Damper], body: int, exaggeration: float) -> list[
     cavity_pitch = (WIDTH - WALL) / max(len(dampers_of_body), 1)
     result = []
     for number, index in enumerate(dampers_of_body):
-        # A mass on a spring, and a sliding mass, move to both sides.
+        # A mass on a spring and a sliding mass move in both directions.
         below, above = (distance * exaggeration for distance in dampers[index].distances)
         rest = min(below, HEADROOM / 2)
         clearance = rest + above
@@ -89,10 +89,13 @@ def walls(cavities: Sequence[Cavity]) -> list[Box]:
 
 
 class Block(NamedTuple):
-    """The block of a joint: it is fixed to the upper of two parts, and hangs above the lower by the gap of a stop."""
+    """The block of a joint, fixed to the upper of two parts.
+
+    Its distance from the lower part is the gap of the stop.
+    """
 
     entity: str  # path of the drawing
-    box: Box  # relative to the underside of its body, or to the ground
+    box: Box  # position relative to the underside of its body, or to the ground
 
 
 class Table(NamedTuple):
@@ -100,10 +103,10 @@ class Table(NamedTuple):
 
     point: str  # name, such as ``table``
     glyph: Glyph  # of the shaker
-    body: int  # above it, from 1
+    body: int  # number of the body above it, from 1
     x: float  # position
     top: float  # height of its top
-    has_coil_spring: bool  # otherwise the structure stands on it
+    has_coil_spring: bool  # whether it drives through a coil spring; otherwise the structure stands on it
 
     def entity(self, part: str) -> str:
         """Return the path of a part of the shaker, with the number of the table if there are several."""
@@ -120,7 +123,7 @@ class Stack:
         shaker_bodies = [shaker.first_body for _, shaker in scene.tables]
         # A table below the whole structure replaces the ground, at its height.
         self.ground = PLINTH + PLATE if any(shaker.carries_structure for shaker in scene.shakers) else 0.0
-        # A table of body 1, with its coil spring, requires space below the body.
+        # A table of body 1 with a coil spring requires space below the body.
         first_length = PLINTH + PLATE + COIL_LENGTH if 1 in shaker_bodies and not self.ground else SPRING_LENGTH
         self.lengths = [first_length] + [SPRING_LENGTH] * (len(bodies) - 1)
         self.bottoms: list[float] = []
@@ -128,7 +131,7 @@ class Stack:
         for length, height in zip(self.lengths, self.heights, strict=True):
             self.bottoms.append(self.top + length)
             self.top += length + height
-        # One table is under body 1; the others are at the right, each under a lug of its body.
+        # The table of body 1 is under the body; other tables are at the right, each under a lug of its body.
         right_positions = iter(range(len(shaker_bodies)))
         self.tables: list[Table] = []
         for (point, shaker), body in zip(scene.tables, shaker_bodies, strict=True):
@@ -162,5 +165,5 @@ def round_factor(limit: float) -> float:
     (50.0, 0.2)
     """
     decade = 10.0 ** math.floor(math.log10(limit))
-    # The tolerance keeps a limit that is already round.
+    # The tolerance prevents that rounding errors reduce a limit that is already round.
     return next(step * decade for step in (5.0, 2.0, 1.0, 0.5) if step * decade <= limit * (1 + 1e-9))

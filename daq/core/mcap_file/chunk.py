@@ -13,14 +13,14 @@ from typing import Any, NamedTuple
 
 from mcap.opcode import Opcode
 
-# A chunk is read up to this unpacked size, bytes. The recorder's chunks are a thousand times smaller.
+# Largest accepted size of an unpacked chunk, bytes. The recorder's chunks are a thousand times smaller.
 LARGEST_CHUNK = 1 << 26
-# The next three limits reject small files that would keep a reader busy for minutes.
-# Unpacked size up to which any compression ratio is accepted.
+# The next three limits reject small files that would keep a reader busy for minutes. Up to this unpacked size in bytes,
+# any compression ratio is accepted.
 _UNLIMITED_RATIO_BYTES = 1 << 21
-# Above this size, the compression ratio is at most this.
+# Largest accepted compression ratio of larger chunks.
 _MAX_RATIO = 1000
-# Maximum number of records of a chunk minus its size in the file in bytes.
+# A chunk of n bytes in the file may have at most n plus this number of records.
 _MAX_EXCESS_RECORDS = 1 << 10
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -40,7 +40,7 @@ class StoredMessage(NamedTuple):
     """A message of a chunk."""
 
     channel: int  # number of the channel
-    sequence: int  # position in the topic
+    sequence: int  # number of the message in its topic
     log_time: int  # ns
     publish_time: int  # ns
     data: memoryview
@@ -49,7 +49,8 @@ class StoredMessage(NamedTuple):
 def unpack_chunk(content: memoryview, checksum_needed: bool = False, largest: int | None = None) -> memoryview:
     """Return the records in a chunk, given its content without opcode and length; verify its checksum.
 
-    `largest` limits the unpacked bytes; by default `LARGEST_CHUNK` and the compression ratio do. Raises `Damage`.
+    `largest` is the largest accepted number of unpacked bytes; by default, it follows from `LARGEST_CHUNK` and the
+    compression ratio. Raises `Damage`.
     """
     if len(content) < CHUNK_HEAD.size + 8:
         raise Damage("the chunk is truncated")
@@ -64,7 +65,7 @@ def unpack_chunk(content: memoryview, checksum_needed: bool = False, largest: in
     if size > largest:
         raise Damage(f"the chunk states {size} bytes after decompression; at most {largest} are accepted")
     if begin + 8 + packed != len(content):
-        raise Damage(f"the chunk states {packed} bytes of records, but has {len(content) - begin - 8}")
+        raise Damage(f"the chunk states {packed} bytes of records, but contains {len(content) - begin - 8}")
     records = _unpack(compression, content[begin + 8 :], size)
     if len(records) != size:
         raise Damage(f"the chunk decompresses to {len(records)} bytes instead of {size}")
@@ -99,13 +100,13 @@ def _unpack(compression: bytes, packed: memoryview, size: int) -> bytes | memory
         except (RuntimeError, ValueError, EOFError) as error:
             raise Damage(f"the chunk cannot be decompressed ({error})") from error
         if not unpacker.eof or unpacker.unused_data:
-            raise Damage(f"the chunk does not decompress to {size} bytes, as it states")
+            raise Damage(f"the chunk states {size} bytes after decompression, but decompresses to another size")
         return bytes(records)
     raise Damage(f"the compression {compression!r} of the chunk is not known; expected zstd, lz4 or none")
 
 
 def _decompressor() -> Any:
-    """Return the decompressor of this thread, which is cached: its creation takes as long as unpacking 10 kB."""
+    """Return the cached decompressor of this thread; creating one takes as long as unpacking 10 kB."""
     if not hasattr(_thread_local, "zstd"):
         import zstandard
 

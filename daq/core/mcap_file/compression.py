@@ -1,4 +1,4 @@
-"""Compression of the chunks of an MCAP file, which depends on their content.
+"""Compression of the chunks of an MCAP file; the method depends on the content of the chunk.
 
 zstd compresses messages with repeated fields to a fifth. No compression shrinks float64 samples by more than a tenth;
 lz4 packs them four times as fast as zstd and unpacks them eight times as fast.
@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-# Messages are compressed as much as at zstd's default level 3, in 60 % of the time.
+# This level compresses messages as much as zstd's default level 3, in 60 % of the time.
 _LEVEL = 1
-# Sizes of the hash tables, log2. A table that fits into the first cache of a processor is faster than that of the
-# level. Noisy counts and float32 samples hardly contain repeated sequences of bytes: a short search for long ones takes
-# half the time and compresses 24-bit counts to 61 % instead of 57 %. Readers unpack them in 75 % of the time.
+# Sizes of the hash tables, log2. A table that fits into the first-level cache of a processor is faster than the default
+# table of the level. Noisy counts and float32 samples hardly contain repeated sequences of bytes. A short search for
+# long sequences takes half the time and compresses 24-bit counts to 61 % instead of 57 %. Unpacking takes 75 % of the
+# time.
 _HASH_LOG = 12
 _SAMPLES_HASH_LOG = 8
 _SAMPLES_MIN_MATCH = 7

@@ -3,9 +3,9 @@
 Only records with a checksum are used: chunks, attachments, and the metadata records of shotrig's recordings. If the
 length of a record is damaged, the file is searched for the next consistent record.
 
-The work is linear in the size of the file. If a record whose checksum is wrong is followed by another record, the
-search continues there. Only a record that no other follows is verified and then searched, and the total size of such
-records is limited.
+The computing time is linear in the size of the file. If another record follows a record with a wrong checksum, the
+search continues at the following record. If none follows, the search continues inside the damaged record; the total
+size of such records is limited.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _PACKED_SIZE = struct.Struct("<Q")
 _INDEX_HEAD = struct.Struct("<HI")
 # Entry of a message index: log time and position.
 _ENTRY_BYTES = 16
-# Size of a text or a map, which precedes its content.
+# Size of a text or a map; this field precedes the content.
 _TEXT_SIZE = struct.Struct("<I")
 # Length of the record at the end of the data section: a checksum.
 _DATA_END_BYTES = 4
@@ -50,7 +50,8 @@ _CHECKED_BYTES = 64
 _ATTACHMENT_HEAD = struct.Struct("<QQI")
 _DATA_SIZE = struct.Struct("<Q")
 _CHECKSUM_BYTES = 4
-# The total size of verified records that no other record follows is at most this, plus this multiple of the file.
+# Limit of the total size of verified records that no other record follows: this number of bytes plus this multiple of
+# the file's size.
 _MAX_UNCONFIRMED_BYTES = 1 << 26
 _MAX_UNCONFIRMED_RATIO = 8
 
@@ -73,7 +74,7 @@ class Unreadable:
 
 
 class DamagedFile:
-    """A file whose records are read one by one; raises `RecordingError` if it cannot be opened."""
+    """An MCAP file whose records are read one by one; raises `RecordingError` if the file cannot be opened."""
 
     def __init__(self, path: Path) -> None:
         if path.exists() and not path.is_file():
@@ -92,7 +93,7 @@ class DamagedFile:
         self._file.close()
 
     def _read(self, position: int, length: int) -> memoryview:
-        """Return bytes of the file; none if the disk cannot read them."""
+        """Return bytes of the file; no bytes if the disk cannot read them."""
         try:
             self._file.seek(position)
             return memoryview(self._file.read(max(0, min(length, self.size - position))))
@@ -119,7 +120,7 @@ class DamagedFile:
     def _part(self, position: int) -> tuple[Intact | Unreadable | None, int | None]:
         """Return the part at a position and its end.
 
-        The part is None for a header or message index, the end is None if no record is identified.
+        The part is None for a header or message index. The end is None if no record is identified.
         """
         head = self._read(position, RECORD_HEAD.size)
         if len(head) < RECORD_HEAD.size:
@@ -150,14 +151,14 @@ class DamagedFile:
         return None, None
 
     def _may_verify(self, length: int) -> bool:
-        """Return whether a record of this length that no other follows may be verified."""
+        """Return whether the limit permits to verify a record of this length that no other record follows."""
         self._unconfirmed_bytes_left -= length
         return self._unconfirmed_bytes_left >= 0
 
     def _chunk(self, position: int, length: int) -> tuple[Intact | Unreadable, int] | None:
-        """Return the chunk at a position and its end, None if there is no chunk.
+        """Return the chunk at a position and its end; None if there is no chunk.
 
-        Its length is stated twice, in the record's head and by the packed size; both values are tried.
+        The chunk states its length twice, in the record's head and as packed size; both values are tried.
         """
         begin = position + RECORD_HEAD.size
         head = self._read(begin, CHUNK_HEAD.size + _MAX_NAME_BYTES + _PACKED_SIZE.size)

@@ -1,9 +1,9 @@
-"""Checks every record of an MCAP file (https://mcap.dev/spec): its checksum, and its agreement with other records.
+"""Checks the checksum of every record of an MCAP file (https://mcap.dev/spec), and its agreement with other records.
 
-MCAP has checksums for chunks, attachments and the summary. Records without a checksum are compared with the records
-that they repeat: message indexes and the times of a chunk with its messages, the summary with the file. Two kinds of
-damage have no effect and are not detected: a changed program name in the header, and packed bytes that unpack to the
-same records. A checksum of the data section covers both and is verified if it exists.
+MCAP has checksums for chunks, attachments and the summary. Records without a checksum are compared with the data that
+they repeat: message indexes and the times of a chunk with the messages of the chunk, the summary with the file. Two
+kinds of damage have no effect and are not detected: a changed program name in the header, and packed bytes that unpack
+to the same records. A checksum of the data section covers both and is verified if it exists.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from daq.core.mcap_file.chunk import (
 from daq.core.mcap_file.reader import Container
 from daq.core.mcap_file.summary import parse_record
 
-# Opcodes from this number on belong to applications; readers ignore their records.
+# Opcodes from this number on are reserved for applications; readers ignore such records.
 _FIRST_PRIVATE_OPCODE = 0x80
 _ENTRY = np.dtype([("log_time", "<u8"), ("position", "<u8")])
 # The checksum of the data section is computed in pieces of this size.
@@ -60,13 +60,13 @@ class _Check:
     """The check of one file."""
 
     def __init__(self, container: Container) -> None:
-        self.position = 0  # first byte of the present record
+        self.position = 0  # position of the first byte of the present record
         self._file = container
         # Files of shotrig have a checksum for every record and a complete summary; those of other programs may not.
         self._is_own_file = container.checksums_needed
         self._descriptions: dict[int, dict[int, Any]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
         # Records that the summary must list: opcode of the index -> position of the record -> hash of its index. A hash
-        # saves memory: the fields of a million empty chunks would take a gigabyte.
+        # saves memory: the index fields of a million empty chunks would take a gigabyte.
         self._unlisted: dict[int, dict[int, int]] = {
             Opcode.CHUNK_INDEX: {}, Opcode.ATTACHMENT_INDEX: {}, Opcode.METADATA_INDEX: {}
         }  # fmt: skip
@@ -142,14 +142,14 @@ class _Check:
             raise Damage(f"a record with opcode {opcode} does not belong at this position")
 
     def _check_record(self, record: Any, content: memoryview) -> None:
-        """Reject a record that shotrig's writer would encode differently, because no checksum covers its lengths."""
+        """Reject a record that shotrig's writer would encode differently: no checksum covers the length fields."""
         builder = RecordBuilder()
         record.write(builder)
         if self._is_own_file and builder.end()[RECORD_HEAD.size :] != content:
             raise Damage(f"a {type(record).__name__} record is malformed")
 
     def _add_description(self, opcode: int, content: memoryview) -> None:
-        """Store a schema or channel; repeated records of one number must be equal."""
+        """Store a schema or channel; records with the same number must be equal."""
         record = parse_record(opcode, content)
         if self._descriptions[opcode].setdefault(record.id, record) != record:
             raise Damage(f"two different schemas or channels have the number {record.id}")
@@ -172,7 +172,7 @@ class _Check:
         times = [messages["log_time"] for messages in self._messages.values()]
         stamps = [int(stamp) for each in times for stamp in (each.min(), each.max())]
         if (start, end) != ((min(stamps), max(stamps)) if stamps else (0, 0)):
-            raise Damage("the times that the chunk states are not those of its messages")
+            raise Damage("the times that the chunk states differ from the times of its messages")
         if stamps:
             self._extend_times(start, end)
         packed = len(content) - CHUNK_HEAD.size - name_length - 8
@@ -193,7 +193,7 @@ class _Check:
         self._times = min(first, start), max(last, end)
 
     def _message_index(self, content: memoryview) -> None:
-        """Compare a message index with the messages of the chunk before it."""
+        """Compare a message index with the messages of the preceding chunk."""
         chunk = self._chunk
         if chunk is None or len(content) < 6:
             raise Damage("a message index does not follow a chunk")
@@ -203,19 +203,19 @@ class _Check:
         listed = np.frombuffer(content, _ENTRY, offset=6)
         entries = self._messages.get(channel, np.empty(0, _ENTRY))
         if not np.array_equal(np.sort(listed, order="position"), entries):
-            raise Damage(f"the message index of channel {channel} does not agree with the chunk before it")
+            raise Damage(f"the message index of channel {channel} does not agree with the preceding chunk")
         chunk.message_index_offsets[channel] = self.position
         chunk.message_index_length += RECORD_HEAD.size + len(content)
 
     def _end_chunk(self) -> None:
-        """Complete the latest chunk after its message indexes."""
+        """Complete the check of the latest chunk after its message indexes."""
         chunk, self._chunk = self._chunk, None
         if chunk is None:
             return
         indexed = chunk.message_index_offsets
         missing = self._messages.keys() - indexed.keys()
         if missing and (self._is_own_file or indexed):
-            raise Damage(f"the chunk before it has no message index of channel {min(missing)}")
+            raise Damage(f"the preceding chunk has no message index of channel {min(missing)}")
         self._unlisted[Opcode.CHUNK_INDEX][chunk.chunk_start_offset] = _fingerprint(chunk)
 
     # -- the summary -------------------------------------------------------------------------------------
@@ -247,7 +247,7 @@ class _Check:
         if footer.summary_offset_start not in (0, offsets or self.position):
             raise Damage("the footer states a wrong position of the summary offsets")
         for kind, unlisted in self._unlisted.items():
-            # Another program may leave out a kind of index.
+            # Files of other programs may lack a kind of index.
             if unlisted and (self._is_own_file or self._listed[kind]):
                 raise Damage(f"the summary does not list the record at byte {min(unlisted)}")
 

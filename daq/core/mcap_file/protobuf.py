@@ -1,4 +1,4 @@
-"""Encode protobuf messages without the protobuf package, and describe them for MCAP."""
+"""Encodes protobuf messages without the protobuf package, and describes their types for MCAP."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 
 class Schema(NamedTuple):
-    """Schema of a topic, as MCAP requires it."""
+    """Schema of a topic, in the form that MCAP requires."""
 
     name: str
     encoding: str  # language of the schema, such as "protobuf"
@@ -20,7 +20,7 @@ class Schema(NamedTuple):
 
 @cache
 def descriptor_set_bytes(package: str, messages: tuple[tuple[str, tuple[tuple[str, str], ...]], ...]) -> bytes:
-    """Return the serialized FileDescriptorSet of protobuf messages, with its imports, as MCAP requires.
+    """Return the serialized FileDescriptorSet of protobuf messages and of their imports, as MCAP requires.
 
     `messages` are (message, ((field, type), ...)); fields are numbered from 1. A type is a protobuf type such as
     ``double``, or the full name of a message; ``[]`` after it makes the field repeated.
@@ -67,7 +67,7 @@ def varint(number: int) -> bytes:
 
 
 def varints(numbers: NDArray[np.uint64], size: int) -> NDArray[np.uint8]:
-    """Encode each number in `size` bytes; shape (numbers, bytes). `varint` must not need more bytes.
+    """Encode each number in `size` bytes; shape (numbers, bytes). No number may require more bytes.
 
     >>> varints(np.array([300, 1], np.uint64), 2).tolist()
     [[172, 2], [129, 0]]

@@ -1,6 +1,6 @@
-"""Reads an MCAP file that was closed properly, by the summary at its end.
+"""Reads an MCAP file that was closed properly; the summary at its end gives the positions of all records.
 
-Chunks, metadata and attachments are read when they are requested. Every length is bounded, every checksum verified.
+Chunks, metadata and attachments are read on request. Every length is limited, every checksum verified.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from daq.core.mcap_file.chunk import LARGEST_CHUNK, MAGIC, RECORD_HEAD, Damage, 
 from daq.core.mcap_file.summary import Summary, parse_record, read_summary
 from rig.core.base.errors import RecordingError
 
-# A record outside the chunks is read up to this size, bytes.
+# Largest accepted size of a record outside the chunks, bytes.
 LARGEST_RECORD = 1 << 24
-# A summary is read up to this size, bytes.
+# Largest accepted size of a summary, bytes.
 LARGEST_SUMMARY = 1 << 28
 
 FOOTER_RECORD = struct.Struct("<BQQQI")
@@ -32,7 +32,7 @@ class Container:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        # Whether a record without a checksum is damaged: shotrig's writer gives every record a checksum.
+        # Whether a record without a checksum counts as damaged; shotrig's writer adds a checksum to every record.
         self.checksums_needed = False
         if path.exists() and not path.is_file():
             raise RecordingError(f"{path}: not a file. Give the path of a recording.")
@@ -59,7 +59,7 @@ class Container:
             raise self.error("is damaged: its summary has no checksum")
 
     def error(self, problem: str) -> RecordingError:
-        """Return an error with the remedy for a damaged file."""
+        """Return an error that names the problem and the remedy for a damaged file."""
         return RecordingError(
             f"{self.path}: the file {problem}. Run `daq recover {self.path} -o FIXED.mcap` to recover the intact part."
         )
@@ -92,7 +92,7 @@ class Container:
         return read_summary(memoryview(section), self.size)
 
     def read(self, offset: int, length: int) -> bytes:
-        """Return bytes of the file, fewer at its end."""
+        """Return bytes of the file; at the end of the file, fewer than requested."""
         if self._file.closed:
             raise RecordingError(f"{self.path}: the recording is closed. Open it again.")
         try:
@@ -102,7 +102,7 @@ class Container:
             raise RecordingError(f"{self.path}: cannot read ({error.strerror}). Check the disk.") from error
 
     def _record(self, opcode: int, offset: int, length: int, largest: int) -> memoryview:
-        """Return the content of a record, given the position and length in its index."""
+        """Return the content of a record, given its position and length from the index."""
         if length > largest:
             raise Damage(f"a record at byte {offset} states a length of {length} bytes; at most {largest} are accepted")
         if offset > self.size - length:
@@ -115,7 +115,7 @@ class Container:
         return data[RECORD_HEAD.size :]
 
     def records(self, number: int) -> memoryview:
-        """Return the records of a chunk, given its number in the summary; `RecordingError` if it is damaged."""
+        """Return the records of a chunk, given its number in the summary; raise `RecordingError` if it is damaged."""
         offset, length = int(self.summary.offsets[number]), int(self.summary.lengths[number])
         try:
             record = self._record(Opcode.CHUNK, offset, length, LARGEST_CHUNK + (1 << 16))
@@ -124,9 +124,9 @@ class Container:
             raise self._chunk_error(number, damage) from damage
 
     def messages(self, number: int, records: memoryview | None = None) -> list[StoredMessage]:
-        """Return the messages of a chunk, given its number in the summary; `RecordingError` if it is damaged.
+        """Return the messages of a chunk, given its number in the summary; raise `RecordingError` if it is damaged.
 
-        `records`: those of the chunk, if already read.
+        `records`: the records of the chunk, if already read.
         """
         try:
             return messages_in(self.records(number) if records is None else records, int(self.summary.lengths[number]))
@@ -138,7 +138,10 @@ class Container:
         return self.error(f"is damaged at byte {offset}: {damage}")
 
     def metadata(self) -> dict[str, dict[str, str]]:
-        """Return the fields of the metadata records by their names; the last record of a name counts."""
+        """Return the fields of each metadata record by the record's name.
+
+        Of records with equal names, the last is returned.
+        """
         try:
             metadata = {}
             for index in self.summary.metadata:

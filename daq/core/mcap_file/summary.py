@@ -22,10 +22,10 @@ from daq.core.mcap_file.chunk import RECORD_HEAD, Damage
 if TYPE_CHECKING:
     from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statistics
 
-# Maximum number of records of one kind in a summary, except chunk indexes; it limits the memory.
+# Maximum number of records of one kind in a summary, except chunk indexes; this limits the memory.
 MAX_RECORDS = 1 << 16
 
-# Beginning of a chunk index: times, position and length of the chunk, bytes of the map that follows.
+# Beginning of a chunk index: times, position and length of the chunk, size of the following map in bytes.
 _CHUNK_INDEX_HEAD = struct.Struct("<QQQQI")
 # Size of the fields of a chunk index after the map, without the name of the compression.
 _CHUNK_INDEX_TAIL_BYTES = 28
@@ -33,7 +33,7 @@ _COLUMNS = ("starts", "ends", "offsets", "lengths", "unpacked")
 
 
 def with_checksum(fields: Mapping[str, str]) -> dict[str, str]:
-    """Add a checksum to the fields of a metadata record, which has none in MCAP.
+    """Add a checksum to the fields of a metadata record; MCAP itself has none for it.
 
     >>> is_intact(with_checksum({"rate": "5120"})), is_intact(with_checksum({"rate": "5120"}) | {"rate": "5121"})
     (True, False)
@@ -50,7 +50,7 @@ def is_intact(fields: Mapping[str, str]) -> bool:
 def parse_record(opcode: int, content: memoryview, checksum_needed: bool = False) -> Any:
     """Return a record outside the chunks as an object of the package mcap; raise `Damage` if it is malformed.
 
-    The checksums of attachments and metadata records are verified if they exist or are needed.
+    The checksums of attachments and metadata records are verified if they exist; if they are needed, they must exist.
     """
     from mcap import records
     from mcap.data_stream import ReadDataStream
@@ -89,22 +89,22 @@ class Summary:
 
     schemas: dict[int, Schema]
     channels: dict[int, Channel]
-    # The next arrays have an element for each chunk, in the order of the latest times.
+    # Each of the following arrays has an element for each chunk, sorted by latest time.
     starts: NDArray[np.uint64]  # earliest time, ns
     ends: NDArray[np.uint64]  # latest time, ns
     offsets: NDArray[np.int64]  # position in the file, bytes
     lengths: NDArray[np.int64]  # length in the file, bytes
     unpacked: NDArray[np.int64]  # size of the records, bytes
-    chunks_of_channel: Mapping[int, NDArray[np.int64]]  # indexes of the chunks with messages of a channel
+    chunks_of_channel: Mapping[int, NDArray[np.int64]]  # for each channel: indexes of the chunks with its messages
     metadata: list[MetadataIndex]
     attachments: list[AttachmentIndex]
     statistics: Statistics | None  # counts; None if the file has none
 
 
 def read_summary(data: memoryview, file_size: int) -> Summary:
-    """Return the summary in a section whose checksum is verified; raise `Damage` if it is malformed.
+    """Parse the summary section, whose checksum the caller has verified; raise `Damage` if it is malformed.
 
-    No record may be beyond `file_size` bytes.
+    No index may point beyond `file_size` bytes.
     """
     chunk_positions: defaultdict[int, list[int]] = defaultdict(list)
     kinds = (
@@ -142,7 +142,7 @@ def read_summary(data: memoryview, file_size: int) -> Summary:
 def _chunk_table(
     data: memoryview, positions: Mapping[int, list[int]], file_size: int
 ) -> tuple[dict[str, NDArray[Any]], dict[int, NDArray[np.int64]]]:
-    """Return columns of the chunk indexes, and the chunks of each channel.
+    """Return the fields of the chunk indexes as arrays, and the chunks of each channel.
 
     `positions` lists the positions of the indexes by their length: indexes of equal length are parsed in one operation,
     because a recording of an hour has tens of thousands.

@@ -1,8 +1,8 @@
-"""Writes an MCAP file chunk by chunk; the caller determines the content of each chunk.
+"""Writes an MCAP file chunk by chunk; the caller chooses the content of each chunk.
 
-https://mcap.dev/spec describes the records. The writer of the package mcap encodes messages one by one, which is too
-slow for the thousand small messages of a second of display data. This writer encodes and indexes messages of equal size
-in one operation.
+https://mcap.dev/spec describes the records. The writer of the package mcap encodes messages one by one. This is too
+slow for display data, which has about a thousand small messages per second. This writer encodes and indexes messages of
+equal size in one operation.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from daq.core.mcap_file.chunk import MAGIC, RECORD_HEAD
 from daq.core.mcap_file.compression import Compressor
 
-# Opcodes as plain numbers: the enumeration members of the package are slow to convert.
+# Opcodes as plain numbers: the enumeration members of the package mcap are slow to convert.
 _MESSAGE_CODE, _CHUNK_CODE = int(Opcode.MESSAGE), int(Opcode.CHUNK)
 _INDEX_CODE, _CHUNK_INDEX_CODE = int(Opcode.MESSAGE_INDEX), int(Opcode.CHUNK_INDEX)
 
@@ -33,18 +33,19 @@ _MESSAGE_FIELDS = _MESSAGE.size - RECORD_HEAD.size
 # Entry of a message index: log time, position in the chunk.
 _ENTRY = struct.Struct("<QQ")
 _ENTRIES = np.dtype([("log_time", "<u8"), ("position", "<u8")])
-# Message index: opcode, length, channel, bytes of the entries that follow.
+# Message index: opcode, length, channel, size of the following entries in bytes.
 _INDEX = struct.Struct("<BQHI")
 _INDEX_FIELDS = _INDEX.size - RECORD_HEAD.size
-# Opcode, length, first and last time, position and length of the chunk, bytes of the positions that follow; then sizes.
+# Chunk index: opcode, length, first and last time, position and length of the chunk, size of the following map in
+# bytes. The map and the sizes follow.
 _CHUNK_INDEX = struct.Struct("<BQQQQQI")
-# Channel, position of its message index in the file.
+# Entry of this map: channel, and position of its message index in the file.
 _POSITION = struct.Struct("<HQ")
-# Opcode, length, first and last time, size and checksum of the records, length of the name of the compression.
+# Chunk: opcode, length, first and last time, size and checksum of the records, length of the compression's name.
 _CHUNK = struct.Struct("<BQQQQII")
-# Bytes of all message indexes of the chunk, length of the name of the compression.
+# After the map: size of all message indexes of the chunk in bytes, length of the compression's name.
 _CHUNK_INDEX_END = struct.Struct("<QI")
-# Sizes of the packed and unpacked records.
+# Sizes of the packed and unpacked records, bytes.
 _SIZE, _SIZES = struct.Struct("<Q"), struct.Struct("<QQ")
 _FOOTER = struct.Struct("<BQQQ")
 
@@ -66,12 +67,12 @@ class ChunkedFile:
         self._stream = stream
         self._schemas: list[records.Schema] = []
         self._channels: list[records.Channel] = []
-        # Schemas and channels to be written at the beginning of the next chunk.
+        # Schemas and channels that the next chunk must begin with.
         self._new_descriptions = RecordBuilder()
         self._chunk_indexes: list[bytes] = []
         self._attachments: list[records.AttachmentIndex] = []
         self._metadata: list[records.MetadataIndex] = []
-        self._counts: dict[int, int] = {}  # messages of each channel
+        self._counts: dict[int, int] = {}  # number of messages of each channel
         self._times: tuple[int, int] | None = None  # earliest and latest log time, ns
         stream.write(MAGIC)
         self._write_records(records.Header("", library))
@@ -106,7 +107,7 @@ class ChunkedFile:
         return channel.id
 
     def add_chunk(self, messages: Iterable[Message | Messages], compressor: Compressor) -> bool:
-        """Write messages as a chunk, in their order; return False if there are none."""
+        """Write messages as a chunk, in the given order; return False if there are no messages."""
         descriptions = self._new_descriptions.end()
         parts, position = [descriptions], len(descriptions)
         entries: defaultdict[int, list[bytes]] = defaultdict(list)
@@ -134,14 +135,14 @@ class ChunkedFile:
         return True
 
     def add_chunk_per_channel(self, messages: Sequence[Messages], compressor: Compressor) -> int:
-        """Write a chunk for each channel; all messages have the same channels. Return the number of chunks."""
+        """Write a chunk for each channel; all `Messages` must have the same channels. Return the number of chunks."""
         channels = messages[0].channels
         encoded = [each.encode() for each in messages]
         times = [time for each in messages for time in _range_of(each)]
         index, index_position = b"", -1
         for row, channel in enumerate(channels):
             descriptions = b"" if row else self._new_descriptions.end()
-            # The index is equal for all channels whose messages begin at the same position.
+            # Channels whose messages begin at the same position have equal indexes.
             if index_position != len(descriptions):
                 index_position = position = len(descriptions)
                 entries = []

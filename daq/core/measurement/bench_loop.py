@@ -1,4 +1,4 @@
-"""The loop between the excitation of a test and the bench.
+"""The loop that passes drive from the excitation of a test to the bench, and readings back.
 
 The drive is the signal at the inputs of the simulated rig. The excitation is a generator: it yields the drive in
 windows, and receives the readings of each window. The loop applies each window to the bench and ends the test when a
@@ -25,12 +25,12 @@ RAMP_S = 0.05
 
 
 def ramp_down(last: Array, samples: int) -> Array:
-    """Return a ramp of the drive to zero, shape (inputs, samples), continuous in value and slope.
+    """Return a ramp of the drive to zero, shape (inputs, samples); value and slope are continuous at its start.
 
     `last` are the last two samples of the drive before the ramp, shape (inputs, 2).
     """
     index = np.arange(1, samples + 1)
-    # A straight line of the last slope, times a half cosine.
+    # A straight line that continues the last slope, times half a period of a raised cosine.
     return (last[:, -1:] + (last[:, -1:] - last[:, :1]) * index) * (1 + np.cos(np.pi * index / samples)) / 2
 
 
@@ -41,9 +41,9 @@ class LimitReached(GivenUp):
 class BenchLoop(ABC):
     """A test on the bench of its scene; subclasses process its blocks, windows and markers.
 
-    A window of drive is acquired in blocks; `block` is the maximum number of samples per block. A marker names an
-    interval of samples, for example the duration of an overload. `bench`: the bench
-    of the scene, at rest, if it exists.
+    A window of drive is applied in blocks; `block` is the maximum number of samples per block. A marker names an
+    interval of samples, for example the duration of an overload. `bench`: an existing bench of the scene, at rest; by
+    default, a new bench.
     """
 
     def __init__(self, scene: Scene, block: int | None = None, bench: Bench | None = None) -> None:
@@ -61,7 +61,7 @@ class BenchLoop(ABC):
 
     @abstractmethod
     def mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
-        """Process a marker of a kind, such as "overload", of the samples `first` to `stop` - 1."""
+        """Process a marker of a kind, such as "overload", for the samples `first` to `stop` - 1."""
 
     @abstractmethod
     def report(self, fraction: float, message: str) -> None:
@@ -83,8 +83,8 @@ class BenchLoop(ABC):
     def run_test(self, test: Excitation, drive: Array, max_duration: float = math.inf) -> bool:
         """Run a test; return whether the test ran to completion within `max_duration`, s.
 
-        `drive`: drive of the first window. An error of `ending_error`, or of a test that gives up, is raised after a
-        ramp of the drive to zero.
+        `drive`: drive of the first window. An error from `ending_error`, or the `RunError` of a test that gives up, is
+        raised after the drive has been ramped to zero.
         """
         check_samples = self.station.samples(self._limits.interval)
         while self.station.now < max_duration * self.bench.rate:
@@ -93,7 +93,7 @@ class BenchLoop(ABC):
                 readings.append(self.acquire(drive[:, start : start + check_samples]))
                 error = self.ending_error(readings[-1])
                 if error is not None:
-                    # Closing the test first ends its open markers before the ramp.
+                    # The test is closed before the ramp, so that its open markers end before the ramp.
                     test.close()
                     self.acquire(ramp_down(self._last_drive, self.station.samples(RAMP_S)))
                     raise error
@@ -101,7 +101,7 @@ class BenchLoop(ABC):
                 drive = test.send(readings[0] if len(readings) == 1 else np.concatenate(readings, axis=1))
             except StopIteration:
                 if self.bench.latency:
-                    # The last samples of the test are still in the converter's filter.
+                    # The last samples of the test are still delayed in the converter's filter.
                     self.acquire(np.repeat(self._last_drive[:, -1:], self.bench.latency, axis=1))
                 return True
             except GivenUp:
@@ -142,7 +142,7 @@ class BenchLoop(ABC):
         self.on_block(block, readings)
         missing = drive.shape[1] - readings.shape[1]
         if missing:
-            # With a removed filter delay, the first blocks have fewer samples than drive.
+            # If the filter delay is removed, the first blocks have fewer samples than the drive.
             padding = (0, 0), (missing, 0)
             readings, overload = np.pad(readings, padding), np.pad(overload, padding)
         return readings, overload

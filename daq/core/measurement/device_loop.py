@@ -1,7 +1,7 @@
 """Runs a test of a scene on any device that plays volts and returns readings, such as NI hardware with nidaqmx.
 
-A device plays samples from a queue. A new drive therefore takes effect after the samples that wait in it: the readings
-of a window begin earlier than its drive, as with the delay of a converter's filter (`Station.latency`).
+A device outputs samples from a queue. A new drive therefore takes effect only after the samples that wait in the queue.
+The readings of a window begin earlier than its drive, as with the delay of a converter's filter (`Station.latency`).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def run_on_device(
     Parameters
     ----------
     excite : callable
-        Makes the test of a station, such as `daq.core.excitation.excitation`.
+        Function that returns the test of a station, such as `daq.core.excitation.excitation`.
     station : Station
         Scene, channels, sample rate, and the functions that receive marks, progress and warnings.
     read : callable
@@ -41,7 +41,7 @@ def run_on_device(
     Raises
     ------
     RunError
-        If the test gives up; the drive has then ended with a ramp to zero.
+        If the test gives up; the drive has then been ramped to zero.
     """
     volts_per_drive = np.array([[1.0 / DRIVE_PER_VOLT[shaker.drive_unit]] for shaker in station.scene.shakers])
     station.latency += queued

@@ -14,8 +14,8 @@ from rig.core.system.assembly import assemble
 
 
 def measurement_effects(scene: Scene) -> Iterable[Effect]:
-    """Yield the effects of each channel, as its chain lists them, of the converter, and of the recording."""
-    # Computed before the chain exists: with thousands of bodies, the matrices of both would exceed the memory.
+    """Yield the effects of each channel's devices, of the converter, and of the recording."""
+    # Computed before the chain is created: with thousands of bodies, the matrices of both would exceed the memory.
     intervals = choose_oversampling(scene)
     system = assemble(scene)
     chain = Chain(scene, scene.converter.true_rate, system.points, system.inputs)

@@ -14,24 +14,23 @@ from rig.core.numerics.memory import require_memory
 from rig.core.scene.presets import complete_from_preset
 from rig.core.scene.scene import Scene
 
-# A test with more samples is assumed to be a mistake.
+# A test with more samples per channel is assumed to be a mistake.
 MAX_SAMPLES = 1e12
 # Approximate bytes per sample in a recording that contains display data, by storage type.
 BYTES_PER_SAMPLE = {"counts": 4.5, "float32": 6.0, "float64": 10.7}
-# Lower bound of the ratio of the compressed size to the approximate size; only a disk that is too small even for this
-# size is rejected.
+# Lower bound of the ratio of the compressed to the approximate size. A disk is rejected only if it is too small even
+# for the compressed size.
 MIN_COMPRESSION_RATIO = 0.005
 # Bytes per sample of a true (simulated) quantity in a recording, measured on random motion with dampers.
 TRUTH_BYTES_PER_SAMPLE = 6.0
-# Measured memory of a recording process without channels: libraries and kernels.
+# Measured memory of a recording process without channels (libraries and compiled functions), bytes.
 PROGRAM_BYTES = 0.33e9
-# Measured memory of the signal path of a channel without and with a decimation filter.
+# Measured memory of a channel's signal path without and with a decimation filter, bytes.
 CHANNEL_BYTES = 0.15e6
 FILTERED_CHANNEL_BYTES = 0.4e6
-# Measured memory of the matrices of a structure, per product of two bodies.
+# Measured memory of the matrices of a structure, bytes; multiply by the square of the number of bodies.
 STRUCTURE_BYTES = 180.0
-# Number of copies of a block in memory during recording: of each channel, of the motion, and of true motion that is
-# recorded.
+# Number of copies of a block in memory during recording: of each channel, of the motion, and of recorded true motion.
 CHANNEL_COPIES = 5.0
 MOTION_COPIES = 2.0
 TRUTH_COPIES = 7.0
@@ -51,7 +50,7 @@ class Estimate:
 
 
 def estimate(scene: Scene) -> Estimate:
-    """Estimate lower bounds of the resources of a scene's test.
+    """Estimate lower bounds of duration, samples, disk space and memory of a scene's test.
 
     >>> import rig
     >>> scene = rig.load("fig10b-no-damper")
@@ -60,7 +59,7 @@ def estimate(scene: Scene) -> Estimate:
     (1800.0, '9.22e+06 samples a channel, 166 MB')
     """
     rate = scene.converter.sample_rate
-    # A scene without channels has an ideal channel on every body and on the table.
+    # A scene without `channels` is measured by an ideal channel on every body and on the table.
     channels = scene.structure.bodies + 1 if scene.channels is None else len(scene.channels)
     test = scene.test
     seconds, stored = (0.0, 0.0) if test is None else (test.shortest, procedure_of(test).stored(test))

@@ -20,11 +20,11 @@ from rig.core.scene.presets import complete_from_preset
 if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
-# An oscillation exceeds its limit twice per period; intervals with a shorter gap are merged.
+# Intervals with a shorter gap are merged, s: an oscillation exceeds its limit twice per period.
 _MIN_GAP_S = 0.5
-# Interval at which the limits of channels are checked, independent of the block size.
+# Interval at which the limits of channels are checked, s, independent of the block size.
 _CHECK_INTERVAL_S = 0.1
-# Check interval if no channel has a limit, and only the channels of a controlled force are monitored.
+# Check interval if only the channels of a controlled force are monitored, s.
 _CONTROL_CHECK_INTERVAL_S = 0.5
 # A test ends if a control channel is overloaded for longer than this, s.
 _MAX_OVERLOAD_S = 1.0
@@ -34,7 +34,7 @@ _MAX_SETTLING_S = 60.0
 
 @dataclass(frozen=True)
 class Exceedance:
-    """A reading beyond the abort limit of its channel."""
+    """A reading that exceeds the abort limit of its channel."""
 
     sample: int  # index of the sample
     channel: ChannelInfo
@@ -50,7 +50,7 @@ class Exceedance:
 
 
 class DriveInput(NamedTuple):
-    """An input of the rig, whose drive an amplifier can clip."""
+    """An input of the rig; an amplifier can clip its drive."""
 
     name: str
     rate: float  # Hz
@@ -69,7 +69,7 @@ class FlaggedIntervals:
 
     def __init__(self, kind: str, channels: Sequence[ChannelInfo | DriveInput], mark: Callable[..., Any]) -> None:
         self._kind, self._channels, self._mark = kind, channels, mark
-        self._open_intervals: dict[int, tuple[int, int]] = {}  # first sample and end, by row
+        self._open_intervals: dict[int, tuple[int, int]] = {}  # first sample and sample after the last, by row
 
     def add(self, first: int, flags: NDArray[np.bool_]) -> None:
         """Add the flags of the next samples, shape (channels, samples); `first` is the index of the first sample."""
@@ -78,7 +78,7 @@ class FlaggedIntervals:
         min_gap = max(1, round(_MIN_GAP_S * self._channels[0].rate))
         for row in range(len(self._channels)):
             flagged = np.flatnonzero(flags[row]) + first
-            # Flagged samples with a shorter gap belong to the same interval.
+            # Flagged samples with a gap of less than `_MIN_GAP_S` belong to the same interval.
             for interval in np.split(flagged, np.flatnonzero(np.diff(flagged) > min_gap) + 1):
                 if not interval.size:
                     continue
@@ -144,7 +144,10 @@ class Limits:
 
 
 class ControlLoss:
-    """Monitors the channels of a controlled spring force or motion: a clipped channel does not measure it."""
+    """Monitors the channels that measure the controlled spring force or motion.
+
+    A clipped channel does not measure it.
+    """
 
     def __init__(self, scene: Scene, channels: Sequence[ChannelInfo]) -> None:
         self._rows = [row for row, info in enumerate(channels) if info.at in scene.controlled_terms]
@@ -171,9 +174,9 @@ class ControlLoss:
 
 
 def bias_overload(scene: Scene, row: int, seconds: float) -> str | None:
-    """Simulate the bench at rest; return a message if the bias of a sensor overloads the input after `seconds`.
+    """Simulate the bench at rest; return a message if the bias of a sensor still overloads the input after `seconds`.
 
-    `row`: row of the channel in the scene. Returns None without such an overload.
+    `row`: row of the channel in the scene. Returns None if the input is not overloaded.
     """
     channel = None if scene.channels is None else scene.channels[row]
     if channel is None or channel.accelerometer is None:
@@ -183,7 +186,7 @@ def bias_overload(scene: Scene, row: int, seconds: float) -> str | None:
         return None
     bench = Bench(scene)
     second_of_zeros, overloaded = np.zeros((len(bench.inputs), max(1, round(bench.rate)))), False
-    # The last second decides.
+    # The input counts as overloaded if it is overloaded in the last second.
     for _ in range(max(1, round(min(seconds, _MAX_SETTLING_S)))):
         overloaded = bool(bench.acquire(second_of_zeros).overload[row].any())
     if not overloaded:

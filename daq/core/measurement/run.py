@@ -30,7 +30,7 @@ from rig.core.numerics.runs import runs_of
 from rig.core.scene.loading import SceneLike, load
 from rig.core.scene.scene import Scene
 
-# After this fraction of a test, the size of its recording is extrapolated.
+# The size of the recording is extrapolated after this fraction of the test.
 _MIN_FRACTION = 0.02
 
 
@@ -67,14 +67,14 @@ def record(
     Raises
     ------
     SceneError
-        If the scene or its test cannot be run; no recording remains.
+        If the scene or its test cannot be run; no file is left.
     RecordingError
         If the recording cannot be created at this path, or exists already.
     RunError
-        If the run failed or a channel exceeded its abort limit; the recording up to this time is closed and
-        marked.
+        If the run failed or a channel exceeded its abort limit; the recording up to this time is closed and marked as
+        incomplete.
     KeyboardInterrupt
-        If the user interrupted; the recording up to this time is closed and marked.
+        If the user pressed Ctrl-C; the recording up to this time is closed and marked as incomplete.
 
     Warns
     -----
@@ -100,11 +100,11 @@ def record(
 
 
 class MeasurementRun(BenchLoop):
-    """A run of a test that is recorded.
+    """One run of a test, with its recording.
 
     `excite` creates the excitation of the test. `listener` is called with each block and the readings of its channels.
-    `kind` is the kind of test that the recording states, by default the kind in the scene; for a manual test it
-    differs.
+    `kind` is the kind of test that the recording states; by default, the kind in the scene. A manual test states its
+    own kind.
     """
 
     def __init__(
@@ -147,7 +147,7 @@ class MeasurementRun(BenchLoop):
             ):
                 self._recorder = recorder
                 try:
-                    # Closing the test writes its last markers; the recorder must still be open.
+                    # Closing the test writes its last markers, so the recorder must still be open.
                     with closing(test):
                         self.run_test(test, drive)
                 except (ShotrigError, _Stopped) as error:
@@ -164,7 +164,7 @@ class MeasurementRun(BenchLoop):
         except _Stopped as stopped:
             raise KeyboardInterrupt(self._recorded_duration()) from stopped
         except DiskError:
-            # The recorder's message already describes the content of the file.
+            # The message of the recorder's error already describes the content of the file.
             raise
         except ShotrigError as error:
             if self._recorder is None:
@@ -175,14 +175,14 @@ class MeasurementRun(BenchLoop):
         return path
 
     def ending_error(self, readings: Array) -> BaseException | None:
-        """Return the error that ends the test: of a limit, or of an interrupt by the user; None if it continues."""
+        """Return the error that ends the test (an exceeded limit, or Ctrl-C); None if the test continues."""
         error = super().ending_error(readings)
         if error is not None:
             return RunError(f"test aborted: {error}")
         return _Stopped("interrupted") if self._interrupted() else None
 
     def on_block(self, block: Block, readings: Array) -> None:
-        """Record a block, except for the samples that are lost during the transfer."""
+        """Record a block without the samples that are lost between converter and recording."""
         assert self._recorder is not None
         if self.bench.scene.recording.truth:
             self._recorder.write_truth(block.motion)
@@ -193,7 +193,7 @@ class MeasurementRun(BenchLoop):
         self._listener(block, readings)
 
     def _write_acquired(self, block: Block) -> None:
-        """Write the samples of a block that are not lost during the transfer."""
+        """Write the samples of a block that are not lost between converter and recording."""
         assert self._recorder is not None
         recorded = np.ones(block.samples.shape[1], dtype=bool)
         for begin, end in self.bench.lost:
@@ -206,7 +206,7 @@ class MeasurementRun(BenchLoop):
             self._recorder.write(block.samples[:, start:stop])
 
     def on_window(self, first: int, drive: Array, overload: NDArray[np.bool_]) -> None:
-        """Mark the overloads of a window, and where the amplifiers clip its drive."""
+        """Mark the overloads of a window, and the intervals in which an amplifier clips the drive."""
         self._overloads.add(first - self.bench.latency, overload)
         self._clipped_drive.add(first, abs(drive) > self.bench.drive_limit[:, None])
 
@@ -244,7 +244,7 @@ class MeasurementRun(BenchLoop):
 
 
 def missing_force_reference(scene: Scene, channels: Sequence[ChannelInfo]) -> str | None:
-    """Return a warning that names the channels that are missing for the shaker's force; None if none is missing.
+    """Return a warning that names the channels that are missing to measure the shaker's force; None if all exist.
 
     >>> import rig
     >>> from daq.core.virtual_bench.bench import Bench

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rig.core.scene.measurement_chain import Accelerometer, Hammer
     from rig.core.scene.scene import Scene
 
-# `analysis modes` requires this number of frequencies.
+# `analysis modes` requires at least this number of frequencies.
 _MIN_MODE_TONES = 8
 
 
@@ -66,14 +66,14 @@ def is_recorded(scene: Scene, path: Path) -> bool:
             return False
         with daq.open(path) as rec:
             is_same_version = rec.metadata.get("run", {}).get("shotrig") == version("shotrig") and not rec.source
-            # Live recordings of clients have no markers of a test.
+            # Live recordings that clients start have no markers of a test.
             return is_same_version and rec.status == "complete" and bool(rec.markers) and rec.scene == scene
     except (ShotrigError, OSError):
         return False
 
 
 def summary(path: Path) -> str:
-    """Describe a new recording: contents, problems and next commands."""
+    """Describe a new recording: contents, problems and the next commands."""
     import daq
 
     with daq.open(path) as rec:
@@ -125,7 +125,7 @@ def next_steps(rec: Recording) -> list[str]:
 
 
 def _overloads(rec: Recording) -> list[str]:
-    """Return lines about the overloads: the number of channels, and a table of their times, frequencies and limits."""
+    """Return lines about the overloads: number of overloaded channels, and a table of times, frequencies and limits."""
     by_channel: dict[str, list[Marker]] = {}
     for mark in sorted((mark for mark in rec.markers if mark.kind == "overload"), key=lambda mark: mark.first_sample):
         by_channel.setdefault(str(mark.fields["channel"]), []).append(mark)
@@ -165,7 +165,7 @@ def _clipped_drives(rec: Recording) -> list[str]:
 
 
 def _limit(rec: Recording, name: str) -> str:
-    """Return the limits of a channel as text: saturation of the sensor, and range of the input in V and in its unit."""
+    """Return a channel's limits as text: saturation of the sensor, and range of the input in V and in the unit."""
     from rig.core.scene.presets import preset_note
 
     info, limits = rec.channels[name], []

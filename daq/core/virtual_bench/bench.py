@@ -30,18 +30,18 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
     from rig.core.simulation.motion import Motion
 
-# Duration of the past motion on which filters settle if sampling at another rate begins while the rig moves, s.
+# If sampling at a further rate begins while the rig moves, the filters first process this duration of past motion, s.
 _SETTLING_S = 2.0
-# Upper limit of this duration, ticks: the bench of a stiff scene has a million ticks per second.
+# Upper limit of this past motion, ticks: the bench of a stiff scene has a million ticks per second.
 _MAX_PAST_TICKS = 1 << 18
 
 
 class Bench:
-    """Plant, signal chain and converter of a scene, from power-on.
+    """Simulated rig (plant), signal chain and converter of a scene, from power-on.
 
     `acquire` requires a drive at the sample rate of the converter and returns samples at that rate. `advance` requires
-    a drive at the tick rate and returns samples at several rates. The samples depend neither on the division of the
-    drive among calls nor on the other rates.
+    a drive at the tick rate and returns samples at several rates. The samples do not depend on how the drive is divided
+    among calls, nor on the other rates.
 
     >>> import rig
     >>> bench = Bench(rig.load("bare-structure"))
@@ -54,7 +54,7 @@ class Bench:
     def __init__(self, scene: Scene, ticks_per_sample: int | None = None) -> None:
         self.scene = scene
         self.ticks_per_sample = choose_oversampling(scene) if ticks_per_sample is None else ticks_per_sample
-        # In samples and ticks per second of the nominal clock; the plant runs at the true rate of the converter.
+        # Sample and tick rate by the nominal clock, 1/s; the plant runs at the true rate of the converter.
         self.rate = scene.converter.sample_rate
         self.tick_rate = self.rate * self.ticks_per_sample
         self._plant = plant = Plant(scene, scene.converter.true_rate * self.ticks_per_sample)
@@ -79,16 +79,16 @@ class Bench:
 
     @property
     def lost(self) -> tuple[tuple[int, int], ...]:
-        """First and last sample, at `rate`, of each range that is lost between converter and recording."""
+        """First and last sample, at `rate`, of each range of samples that is lost between converter and recording."""
         return self._base_stream.lost
 
     def lost_at(self, rate: float) -> tuple[tuple[int, int], ...]:
-        """Return the lost ranges at a rate of the last `advance`; see `lost`."""
+        """Return the lost ranges at one of the rates of the last `advance`; see `lost`."""
         return self._streams[rate].lost
 
     @property
     def channel_settings(self) -> tuple[Channel, ...]:
-        """The channels of the scene with their present couplings and supplies; `set_conditioning` changes them."""
+        """The channels of the scene with their present couplings and supplies, which `set_conditioning` changes."""
         return self._base_stream.channel_settings
 
     def set_conditioning(self, channel_settings: Sequence[Channel]) -> None:
@@ -109,7 +109,7 @@ class Bench:
     def advance(self, drive: Array, rates: Collection[float] = ()) -> dict[float, Block]:
         """Drive the rig and return the samples at `rate` and at each of `rates`.
 
-        The drive, shape (inputs, ticks), is interpolated linearly between ticks. If the last call did not have a rate,
+        The drive, shape (inputs, ticks), is interpolated linearly between ticks. If a rate was absent in the last call,
         its filters first settle on the past motion.
         """
         rates = {self.rate, *rates}
@@ -133,19 +133,22 @@ class Bench:
 
 @dataclass(frozen=True)
 class Block:
-    """Samples of all channels, and the true motion at their instants, which tests and controllers must not use."""
+    """Samples of all channels, and the true motion at the sampling instants.
+
+    Tests and controllers must not use the motion.
+    """
 
     first: int  # index of the first sample, from power-on
     samples: Array | NDArray[np.int32]  # volts or counts, shape (channels, samples)
-    overload: NDArray[np.bool_]  # whether each sample is clipped, or depends on a saturated device
+    overload: NDArray[np.bool_]  # whether each sample is clipped or depends on a saturated device
     motion: Motion
 
 
 class Stream:
-    """Samples of all channels at one rate: sample n is taken n / rate seconds after power-on of the bench.
+    """Samples of all channels at one rate; sample n is taken n / rate seconds after power-on of the bench.
 
     The samples depend neither on their division into blocks nor on other streams. `past_motion` is the motion and drive
-    of the blocks before the stream begins, on which its filters settle.
+    of the blocks before the stream begins; its filters settle on this motion.
     """
 
     def __init__(
@@ -160,7 +163,7 @@ class Stream:
         self._scene = at_rate(scene, rate)
         min_intervals = choose_oversampling(scene, self._scene.converter)
         if any(channel.measures_force or channel.measures_voltage for channel in scene.channels or ()):
-            # Force and drive channels measure the drive, which must be resolved from tick to tick.
+            # Force and drive channels measure the drive; the stream then needs a rate at which each tick is resolved.
             min_intervals = max(min_intervals, math.ceil(1 / per_tick))
         self._intervals_per_sample = intervals = _choose_intervals(min_intervals, per_tick)
         motion_rate = self._scene.converter.true_rate * intervals
@@ -225,7 +228,7 @@ def first_tick(per_tick: Fraction, sample: int) -> int:
 
 
 def at_rate(scene: Scene, rate: float) -> Scene:
-    """Return the scene with another sample rate; its test is removed if the rate is too low for the test."""
+    """Return the scene with another sample rate, without its test if the rate is too low for the test."""
     if rate == scene.converter.sample_rate:
         return scene
     converter = scene.converter.replace(rate=rate)
@@ -236,7 +239,7 @@ def at_rate(scene: Scene, rate: float) -> Scene:
 
 
 def _choose_intervals(min_intervals: int, per_tick: Fraction) -> int:
-    """Return the number of intervals per sample: at least `min_intervals`, of whole ticks if possible."""
+    """Return the number of intervals per sample: at least `min_intervals`, each a whole number of ticks if possible."""
     ticks_per_sample = 1 / per_tick
     if ticks_per_sample.denominator > 1:
         return min_intervals

@@ -1,4 +1,4 @@
-"""Resamples the motion of the plant from ticks (time steps of the bench) to the instants that a sample rate needs."""
+"""Resamples the motion of the plant from ticks (time steps of the bench) to the instants of another rate."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from rig.core.simulation.motion import Motion
 class MotionAtRate:
     """Resamples a motion and its drive from ticks to instants: instant n is n / rate ticks after power-on.
 
-    A sample requires `group` instants; only complete groups are returned. `tick` is the duration of a tick, s, `first`
-    the index of the first instant. At a tick, the motion is that of the tick. Between ticks and breaks (jumps of
-    velocity or acceleration), the acceleration is the cubic of `daq.core.dsp.interpolation`, integrated to velocity and
-    displacement. The drive is interpolated linearly.
+    A sample requires `group` instants; only complete groups are returned. `tick` is the duration of a tick, s; `first`
+    is the index of the first instant. An instant at a tick has the motion of the tick. Between ticks and breaks (jumps
+    of velocity or acceleration), the acceleration is the cubic of `daq.core.dsp.interpolation`, integrated to velocity
+    and displacement. The drive is interpolated linearly.
 
-    The exact motion at the instants would need a second way out of the plant, which beds of grains do not have. The
-    error of the cubic is smaller than any sensor's noise: for three dampers, 159 impacts and 5000 instants from 5120
-    ticks per second, at most 5e-11 (displacement), 1e-8 (velocity) and 1e-5 (acceleration) of the root mean square;
-    1e-4 of the acceleration at single instants of contacts of 2 ms.
+    The plant does not output the exact motion at the instants: beds of grains cannot. The error of the cubic is smaller
+    than the noise of any sensor. Measured with three dampers, 159 impacts and 5000 instants from 5120 ticks per second,
+    relative to the root mean square: at most 5e-11 (displacement), 1e-8 (velocity) and 1e-5 (acceleration); 1e-4 of the
+    acceleration at single instants of contacts of 2 ms.
     """
 
     def __init__(self, rate: Fraction, group: int, tick: float, first: int) -> None:
@@ -44,7 +44,7 @@ class MotionAtRate:
         stop = motion.first + forces.shape[1]
         is_group_end = (stop - 1) % self._group == 0
         if self._rate == 1 and self._first == 0 and self._output_stop == motion.first and is_group_end:
-            # The instants are the ticks, and none is pending, so nothing needs to be copied.
+            # The instants equal the ticks, and none is pending, so nothing needs to be copied.
             self._next = self._output_stop = stop
             return motion, forces
         earliest_instant, values = self._next, self._interpolate(motion, forces)
@@ -64,7 +64,7 @@ class MotionAtRate:
         return resampled, force
 
     def _interpolate(self, motion: Motion, forces: Array) -> list[NDArray[Any]]:
-        """Return displacement, velocity, acceleration, drive, gap and contact at the instants of a block."""
+        """Return displacement, velocity, acceleration, drive, gap and contact state at the instants of a block."""
         rate, first_instant = self._rate, self._next
         last_tick = motion.first + forces.shape[1] - 1
         self._next = max(first_instant, last_tick * rate.numerator // rate.denominator + 1)
@@ -83,7 +83,7 @@ class MotionAtRate:
         return resampled
 
     def _take_breaks(self, motion: Motion, earliest_instant: int) -> list[NDArray[Any]]:
-        """Return and remove the breaks before `_output_stop`, in the form of `Motion`: with the instant after each."""
+        """Return and remove the breaks before `_output_stop`, each with the instant after it, as in `Motion`."""
         interval = self._tick / float(self._rate)
         if self._rate == 1:
             new = [motion.break_sample, motion.break_offset]
@@ -117,7 +117,7 @@ def _between_ticks(
     times = np.concatenate([at_ticks, breaks])[time_order]
     displacements, velocities, accelerations = ([*last[k : k + 1], row] for k, row in enumerate(_motion_rows(motion)))
     displacement = np.concatenate([*displacements, motion.break_displacement], axis=1)[:, time_order]
-    # Limits from before and after at each tick and break.
+    # Limits from the left and from the right at each tick and break.
     (v_before, v_after), (a_before, a_after) = (
         [np.concatenate([*rows, side], axis=1)[:, time_order] for side in sides]
         for rows, sides in ((velocities, motion.break_velocity), (accelerations, motion.break_acceleration))

@@ -98,7 +98,7 @@ def test_chunk_length_error_gives_both_sizes(compression, excess):
     content = chunk(compression, MESSAGE)
     packed_size = len(content) - CHUNK_HEAD.size - len(compression) - 8
     wrong_content = content + bytes(excess) if excess > 0 else content[:excess]
-    with pytest.raises(Damage, match=f"states {packed_size} bytes of records, but has {packed_size + excess}$"):
+    with pytest.raises(Damage, match=f"states {packed_size} bytes of records, but contains {packed_size + excess}$"):
         unpack_chunk(memoryview(wrong_content))
 
 

@@ -1,4 +1,4 @@
-"""The predicted test as text for `rig explain` and `rig design`, and the check at the start of `daq record`."""
+"""Text about the predicted test for `rig explain` and `rig design`, and the check at the start of `daq record`."""
 
 from __future__ import annotations
 

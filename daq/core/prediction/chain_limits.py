@@ -1,4 +1,4 @@
-"""The limits of a measuring chain (sensor, integrator, converter input), and the scene without them."""
+"""The limits of a measuring chain (sensor, integrator, converter input), and the scene without such limits."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from rig.core.scene.measurement_chain import Channel
 from rig.core.scene.presets import complete_from_preset
 from rig.core.scene.scene import Scene
 
-# A limit that no test reaches, in any unit. This limit is used instead of None, because None may change the number of
-# states of the device's model.
+# A limit that no test reaches, in any unit. None would also remove a limit, but may change the number of states of the
+# device's model.
 _NO_LIMIT = 1e8
 # Largest word length of a converter, bits.
 _MAX_BITS = 32
 
 
 def reading_limit(channel: Channel | None, info: ChannelInfo) -> tuple[float, str]:
-    """Return the lowest limit of a channel's reading, in its unit (inf without a limit), and the part that has it.
+    """Return the lowest limit of a channel's reading, in its unit (inf without a limit), and the part with this limit.
 
     The limit of an accelerometer is not a reading but an acceleration; `foresee` compares it with the motion.
-    `channel`: its settings in the scene; None if the scene does not define channels.
+    `channel`: settings of the channel in the scene; None if the scene does not define channels.
     """
     limits, sensitivity = [(np.inf, "")], abs(info.sensitivity)
     if info.range is not None:

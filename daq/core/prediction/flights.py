@@ -28,7 +28,7 @@ _MAX_LISTED_MODES = 5
 
 
 def onset_level(scene: Scene, system: HybridSystem) -> float:
-    """Return the lowest level of a tone or sweep at which a damper leaves its floor; infinite for other tests.
+    """Return the lowest level of a tone or sweep at which a damper leaves its floor; infinite for any other test.
 
     The level is the force in N, or the drive in the shaker's unit.
     """
@@ -41,7 +41,7 @@ def onset_level(scene: Scene, system: HybridSystem) -> float:
 def _acceleration_per_level(scene: Scene, system: HybridSystem, frequencies: Array) -> Array:
     """Return the acceleration amplitude under each damper per unit of level, m/s^2; (dampers, frequencies).
 
-    All dampers are on their floors. Without dampers, or for other tests than tones and sweeps, the array is empty.
+    All dampers are on their floors. The array is empty without dampers, and for tests without tone or sweep.
     """
     if not system.dampers or scene.test is None or not scene.test.single_tone:
         return np.zeros((0, 0))
@@ -52,7 +52,7 @@ def _acceleration_per_level(scene: Scene, system: HybridSystem, frequencies: Arr
 
 
 def flying_tones(scene: Scene, system: HybridSystem, level: float, tones: Array) -> NDArray[np.bool_]:
-    """Return whether the linear response to each tone, Hz, makes a damper fly; `level` is that of the tone."""
+    """Return for each tone, Hz, whether the linear response makes a damper fly; `level`: level of the tones."""
     accelerations = level * _acceleration_per_level(scene, system, tones)
     if not accelerations.size:
         return np.zeros(tones.size, dtype=bool)
@@ -60,7 +60,7 @@ def flying_tones(scene: Scene, system: HybridSystem, level: float, tones: Array)
 
 
 def flight_lines(scene: Scene, system: HybridSystem, level: float, rehearsals: Sequence[Rehearsal]) -> tuple[str, ...]:
-    """Return lines that state for each damper whether it flies, and at which frequencies or at what time.
+    """Return lines of text that state for each damper whether it flies, and at which frequencies or at what time.
 
     `rehearsals`: simulations of parts of the test.
     """
@@ -94,7 +94,7 @@ def flight_lines(scene: Scene, system: HybridSystem, level: float, rehearsals: S
 
 
 def outside_band(scene: Scene) -> tuple[str, ...]:
-    """Return a line with the natural frequencies outside the band of the test, or nothing."""
+    """Return a line of text with the natural frequencies outside the test's band; empty if there are none."""
     band = None if scene.test is None else scene.test.band
     if band is None or band[0] == band[1]:
         return ()

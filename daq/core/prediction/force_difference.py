@@ -1,8 +1,8 @@
 """Predict whether the sensors at the ends of a coil spring resolve the force of the spring.
 
 The force k0 (x0 - x1) is a small difference of two readings if the spring is stiff: at a resonance of the structure,
-both ends move by many times the extension of the spring. The error of the force, relative to the force, is then the
-relative error of a reading times this multiple.
+both ends move by many times the extension of the spring. The relative error of the force is then the relative error of
+a reading times this multiple.
 """
 
 from __future__ import annotations
@@ -67,14 +67,14 @@ def unresolved_force(scene: Scene, system: HybridSystem, channels: Sequence[Chan
         listed = ", ".join(f"{frequency:.4g}" for frequency in resonances[is_unresolved][:_MAX_LISTED])
         every = " (every resonance of the test)" if is_unresolved.all() else ""
         softer = shaker.coil_spring * _MAX_ERROR_RATIO / ratio.max()
-        # A sweep is controlled by both ends of the spring, whether or not a cell measures the force.
+        # The controller of a sweep uses the motion of both ends of the spring, even if a cell measures the force.
         remedy = "Measure the force (at: shaker)"
         if is_controlled_by_ends:
             cell = "that is at the shaker" if has_cell else "at: shaker"
             remedy = f"Use a stepped sine, which is controlled by a force cell ({cell})"
         yield (
             f"coil spring: at {listed} Hz{every}, the spring is so stiff that its force is a small difference of two "
-            f"readings; tolerances and noise of their sensors cause errors of up to {ratio.max():.2g} times the "
+            f"readings; tolerances and noise of the two sensors cause errors of up to {ratio.max():.2g} times the "
             f"force. {remedy}, calibrate the sensors, or choose a spring of at most {format_number(softer)} N/m."
         )
 

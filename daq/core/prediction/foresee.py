@@ -43,19 +43,19 @@ from rig.core.scene.shaker import DRIVE_PER_VOLT
 from rig.core.system.assembly import assemble
 from rig.core.system.impact_acceleration import impact_acceleration
 
-# A rehearsal may last at most this multiple of the duration that the CPU time allows, or of the expected duration.
+# A rehearsal may take at most this multiple of the duration that the CPU time permits, or of the expected duration.
 _MAX_TIME_RATIO = 1.5
-# A drive above this ratio to its limit counts as limited.
+# A drive above this fraction of its limit counts as limited.
 _LIMITED_DRIVE_RATIO = 0.999
-# Factor of the level, and number of reductions, until the amplifier no longer clips the drive.
+# If the amplifier clips the drive, the level is reduced by this factor, at most this number of times.
 _LEVEL_REDUCTION, _MAX_LEVEL_REDUCTIONS = 0.1, 3
-# If dampers fly, at most this number of rehearsals at other levels determines the largest permissible level.
+# If dampers fly, the largest permissible level is determined by at most this number of rehearsals at other levels.
 _MAX_SECANT_STEPS = 3
-# The waits of all tones at which dampers ride differ from their prediction by this fraction and by this number of
-# standard deviations of their scatter: 0.1 to 2 % without scatter, measured with 15 scenes.
+# Predicted waits of tones at which dampers ride have a limit of error of this fraction, plus this number of standard
+# deviations of their scatter. Measured with 15 scenes: errors of 0.1 to 2 % without scatter.
 _LINEAR_WAIT_ERROR = 0.03
 _WAIT_SIGMAS = 2.5
-# A test that aborts may end earlier or later than the rehearsal of its parts by this ratio.
+# The end of an aborting test may differ by this ratio from the end in the rehearsal of its parts.
 _ABORT_RATIO = 1.5
 # The search for the largest permissible level ends when the largest reading differs from its limit by less than this
 # fraction.
@@ -93,12 +93,12 @@ def foresee(scene: Scene | str | Path, cpu_seconds: float = 0.0) -> Foresight:
     scene : Scene or str or Path
         Scene, name of a bundled scene, or path of a scene file.
     cpu_seconds : float, optional
-        Tests of at most about this CPU time, s, are rehearsed completely; those of less than 0.7 s always are.
+        A test that needs at most about this CPU time, s, is rehearsed completely; a test of less than 0.7 s always is.
 
     Returns
     -------
     Foresight
-        Largest values with their limits, duration and size.
+        Largest values with their limits, duration of the test, and size of its recording.
 
     Raises
     ------
@@ -137,7 +137,7 @@ class RehearsedTest:
 
     @property
     def aborted(self) -> str | None:
-        """Reason why the test would abort; None if it would not."""
+        """Reason why the test would abort; None if it would run to its end."""
         return next((part.aborted for part in self.parts if part.aborted is not None), None)
 
     def largest(self, quantity: str, row: int) -> tuple[float, float | None, float | None]:
@@ -161,7 +161,7 @@ def rehearse_test(
 ) -> RehearsedTest:
     """Rehearse a test, or the parts of it for which the CPU time suffices.
 
-    `channels`: those of its bench; `bench`: the bench of the scene, at rest, if it exists; `cpu_seconds`: as `foresee`.
+    `channels`: channels of its bench; `bench`: an existing bench of the scene, at rest; `cpu_seconds`: as `foresee`.
     """
     plan, seconds = plan_rehearsal(scene, channels, cpu_seconds), affordable_seconds(scene, cpu_seconds)
     expected = expected_seconds(plan.parts[0][0], channels)
@@ -180,14 +180,14 @@ def rehearse_test(
         steps = sum(len(part.steps) // 2 for part in parts)
         return RehearsedTest(parts, False, f"{steps} steps about the peaks of the linear response")
     if parts[0].aborted is not None:
-        # The test ends here.
+        # The test aborts in this part, so later parts are not reached.
         return RehearsedTest(parts, True)
     extension = 1.0 if plan.is_complete else procedure.extension(test, parts[0].seconds)
     return RehearsedTest(parts, False, f"{sum(part.seconds for part in parts):.3g} s of the test", extension)
 
 
 def _rehearse_parts(plan: RehearsalPlan, bench: Bench | None, max_seconds: float) -> tuple[Rehearsal, ...]:
-    """Rehearse the parts one after another, up to an abort; each takes at most `max_seconds` of bench time."""
+    """Rehearse the parts one after another, up to an abort; each part lasts at most `max_seconds` of bench time."""
     parts: list[Rehearsal] = []
     for scene, excluded_steps in plan.parts:
         part = Rehearsal(scene, excluded_steps, bench if plan.is_complete else None)
@@ -214,7 +214,8 @@ class _Assessment:
         largest_level = np.nan
         if limiting is not None and limiting.driven_share > 0.0 and self.key:
             largest_level, dampers_fly = self._largest_level(limiting, dampers_fly)
-            # The second nearest limit must not be exceeded either.
+            # At the level of the nearest limit, another limit may be exceeded; the second nearest limit is therefore
+            # checked too.
             second_ratio = by_ratio_to_limit[-2].driven_share if len(by_ratio_to_limit) > 1 else 0.0
             if second_ratio > 0.0:
                 second_level = max(self.level / second_ratio, self.level / limiting.driven_share)
@@ -256,7 +257,7 @@ class _Assessment:
             driven = None
             limit, limiting_part = reading_limit(settings.get(info.name), info)
             if POWER_ON_RATIO * settling_time(info) > self.unlimited_test.reading_time(row):
-                # While the bias of a sensor settles, its reading is not a response to the tone.
+                # While the bias of a sensor settles, the reading is not a response to the tone.
                 frequency, time = None, self.unlimited_test.reading_time(row)
                 first, *later = self.unlimited_test.parts
                 later_peaks = (float(part.readings.magnitude[row]) for part in later)
@@ -305,7 +306,7 @@ class _Assessment:
             landing_peak = impact_acceleration(self.system, row, speeds.tolist(), sensor.resonance)
             is_overload_marked = any(part.overloaded[names.index(channel.name)] for part in self.rehearsed_test.parts)
             largest = max(motion_peak, landing_peak)
-            # The mark does not distinguish an overload of the sensor from an overload of the input.
+            # An overload marker does not distinguish an overload of the sensor from an overload of the input.
             is_overloaded = is_overload_marked and largest > sensor.saturation
             name, limit = f"{channel.name} sensor", sensor.saturation
             yield Expectation(name, "m/s^2", largest, frequency, time, limit, "sensor", is_overloaded)
@@ -338,9 +339,10 @@ class _Assessment:
                 )
 
     def _unclipped_drive(self, row: int, limit: float) -> float:
-        """Return the largest drive that a test without tones requires, from a rehearsal at a level that is not clipped.
+        """Return the largest drive that a test without tones requires, from a rehearsal at a level without clipping.
 
-        Its drive is proportional to the level. `row`: row of the input; `limit`: largest drive of its amplifier.
+        The drive of such a test is proportional to the level. `row`: row of the input; `limit`: largest drive of its
+        amplifier.
         """
         scene, level = self.unlimited_test.parts[0].scene, self.level
         for _ in range(_MAX_LEVEL_REDUCTIONS):
@@ -352,7 +354,7 @@ class _Assessment:
         return drive * self.level / level * self.unlimited_test.extension
 
     def _loads(self) -> Iterable[Expectation]:
-        """Yield the largest value of each quantity that loads a shaker."""
+        """Yield the largest value of each quantity that loads a shaker, with its limit."""
         for row, (name, quantity, *_) in enumerate(loads_of(self.scene, self.bench.points)):
             magnitude, frequency, time = self.unlimited_test.largest("loads", row)
             if magnitude > 0.0:
@@ -360,9 +362,9 @@ class _Assessment:
                 yield Expectation(name, unit, magnitude, frequency, time, limit, "shaker", magnitude > limit)
 
     def _largest_level(self, limiting: Expectation, dampers_fly: bool) -> tuple[float, bool]:
-        """Return the largest level without overload, and whether dampers fly at this level or at the level of the test.
+        """Return the largest level without overload, and whether dampers fly at this level or at the test's level.
 
-        `limiting`: the maximum that is nearest to its limit; `dampers_fly`: whether they fly at the test's level.
+        `limiting`: the maximum nearest to its limit; `dampers_fly`: whether dampers fly at the test's level.
         """
         onset = onset_level(self.scene, self.system)
         if not np.isfinite(limiting.driven_share):
@@ -379,7 +381,7 @@ class _Assessment:
         return self._solve_level(limiting, names.index(limiting.name), level), True
 
     def _solve_level(self, limiting: Expectation, row: int, level: float) -> float:
-        """Return the level at which a channel reaches its limit, by the secant method in logarithms with rehearsals.
+        """Return the level at which a channel reaches its limit, by rehearsals and the secant method in logarithms.
 
         `row`: row of the channel; `level`: first estimate.
         """
@@ -426,7 +428,8 @@ class _Assessment:
         errors = linear.scatter * waits
         flies = [flying_tones(self.scene, self.system, level, order) for level in test.levels] & ~rehearsed
         if flights:
-            # Tones with flights that were not rehearsed are farther from the peaks, and rarely take the longest waits.
+            # Tones with flying dampers that were not rehearsed are farther from the peaks, and rarely need the longest
+            # waits.
             expected = np.array([wait.expected for wait in flights])
             waits[flies] = np.maximum(waits[flies], np.exp(np.log(expected).mean()))
             errors[flies] = expected.std()
@@ -444,11 +447,12 @@ class _Assessment:
         return _Duration.within(seconds, _ABORT_RATIO)
 
     def _rehearsed_waits(self, part: Rehearsal, is_beginning: bool) -> Iterable[tuple[float, _Duration]]:
-        """Yield the frequency of each tone of a part in which dampers fly, and the wait until it is steady.
+        """Yield the frequency of each tone at which dampers fly in a part, and the wait until the motion is steady.
 
-        Of the beginning of the test, every tone is steady as in the test. If a tone did not settle in a rehearsal, it
-        may settle soon after, or take all the time of the test. The mean of both is assumed: in scenes of the paper,
-        40 such tones took 37 s on average, with limits of 10 and 60 s.
+        A part at the beginning of the test settles exactly as the test does, so its settled tones without flights are
+        included too. A tone that did not settle in the rehearsal may settle soon after, or take the longest wait that
+        the test permits. The mean of the two is assumed. In scenes of the paper, 40 such tones took 37 s on average;
+        the two limits were 10 and 60 s.
         """
         assert self.scene.test is not None
         longest = self.scene.test.steady_state.longest

@@ -17,7 +17,7 @@ from rig.core.scene.scene import STANDARD_GRAVITY
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# The range of the duration is printed above this ratio of its ends.
+# The range of the duration is printed if the ratio of its ends exceeds this value.
 _MIN_RANGE_RATIO = 1.1
 
 
@@ -27,13 +27,13 @@ class Expectation:
 
     name: str
     unit: str
-    largest: float  # largest value if there were no limits
+    largest: float  # largest value without any limits
     frequency: float | None = None  # frequency of the maximum, Hz
     time: float | None = None  # time of the maximum from the start of the test, s
-    limit: float = np.inf  # in the same unit; infinite without a limit
+    limit: float = np.inf  # limit in the same unit; infinite without a limit
     limited_by: str = ""  # part that has this limit, such as "sensor"
     overloaded: bool = False  # whether the limit is exceeded in the test
-    recorded: float = np.nan  # largest reading in the recording; only for a channel
+    recorded: float = np.nan  # largest reading in the recording; only for channels
     driven: float | None = None  # largest value after the power-on transient; None: equal to `largest`
 
     @property
@@ -91,7 +91,7 @@ class Foresight(Result):
     limited_by: Expectation | None  # maximum that limits `largest_level`
     nonlinear: bool  # whether dampers fly, so that `largest_level` is approximate
     aborts: str | None  # reason why the test will abort; None if it will not
-    signals: dict[str, LowestSignalToNoise] = field(default_factory=dict)  # by name of the channel
+    signals: dict[str, LowestSignalToNoise] = field(default_factory=dict)  # by channel name
     unread: tuple[str, ...] = ()  # warnings of signals that are not resolved
     flights: tuple[str, ...] = ()  # lines about dampers in flight
     seconds: float = 0.0  # duration of the test, s
@@ -138,7 +138,7 @@ class Foresight(Result):
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return name, unit, largest value, its frequency or time, limit, and largest recorded value."""
         rows = self.expectations
-        # In the arrays of frequencies and times, None becomes NaN.
+        # A missing frequency or time is NaN.
         return {
             "name": np.array([entry.name for entry in rows], dtype=np.str_),
             "unit": np.array([entry.unit for entry in rows], dtype=np.str_),

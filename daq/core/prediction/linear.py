@@ -1,4 +1,4 @@
-"""Linear response of a scene in its channels, with all dampers on their floors, and its signal-to-noise ratio."""
+"""Linear response of a scene at its channels, with all dampers on their floors, and the signal-to-noise ratio."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def required_drive(scene: Scene, system: HybridSystem) -> tuple[float, float] | 
 class LowestSignalToNoise:
     """Smallest ratio of a channel's amplitude to the standard deviation of its noise in a measurement."""
 
-    ratio: float  # not in dB
+    ratio: float  # ratio of amplitudes, not in dB
     frequency: float  # Hz
 
     @property
@@ -92,8 +92,8 @@ class LowestSignalToNoise:
 def lowest_signal_to_noise(scene: Scene, channels: tuple[ChannelInfo, ...]) -> dict[str, LowestSignalToNoise]:
     """Return the lowest signal-to-noise ratio of each channel with noise, by name, from the linear response.
 
-    The noise is the noise of a measured tone or of a spectral line: for a noise density S and a lock-in measurement
-    over the time T, it is sqrt(2 S / T). The ratio is not defined for impacts and free decays.
+    The noise is that of a measured tone or spectral line: sqrt(2 S / T) for a noise density S and a lock-in measurement
+    over the time T. The ratio is not defined for impacts and free decays.
     """
     test, frequencies = scene.test, test_frequencies(scene.test, _N_FREQUENCIES)
     settings = {channel.name: channel for channel in scene.channels or ()}

@@ -1,8 +1,8 @@
-"""Predict the waits of a stepped sine by its own procedure, on the linear response with all dampers riding.
+"""Predict the waits of a stepped sine by running its own procedure on the linear response, with all dampers riding.
 
 The procedure, its detector of the steady state and its control of the force are those of the test. Only the tone is
 replaced: between changes of the drive, the transient of each mode decays freely, so that the amplitudes in a window are
-computed in closed form instead of from samples. Their noise is drawn from the noise densities of the channels.
+computed in closed form instead of from samples. Random noise is added according to the noise densities of the channels.
 """
 
 from __future__ import annotations
@@ -31,29 +31,30 @@ from rig.core.system.open_loop_drive import riding_equations, riding_response
 
 # The tones are represented by at most this number of samples per period of the highest frequency.
 _SAMPLES_PER_PERIOD = 32
-# Without modes that are this independent, the waits follow from the slowest mode.
+# Largest condition number of the matrix of mode shapes; above it, the waits follow from the slowest mode alone.
 _MAX_CONDITION = 1e13
-# A prediction ends after this number of windows, about 1 s of CPU time.
+# A prediction ends after this number of measuring windows, about 1 s of CPU time.
 _MAX_WINDOWS = 20000
-# It is repeated with other noise up to this number of windows in all, but at least up to the second number. A mean of
-# four runs would be only 9 % closer to the test, which has noise of its own, and take twice the time.
+# The prediction is repeated with other noise, until the runs have this number of windows in total, at least the second
+# number. A mean of four runs would be only 9 % closer to the test, because the test itself has noise, and would take
+# twice the time.
 _REPEATED_WINDOWS = 2000
 _MIN_REPEATED_WINDOWS = 500
 # Number of windows whose noise is drawn at once.
 _DRAWN_AT_ONCE = 256
-# Weights of Durand's rule at both ends of an interval, for an integral over equally spaced values.
+# Weights of Durand's rule at both ends of an interval, for the integral of equally spaced values.
 _DURAND = np.array([5.0, 13.0]) / 12.0
 
 
 class LinearWaits(NamedTuple):
-    """Waits before all tones of a test."""
+    """Waits before the tones of a test."""
 
     expected: Array  # s, (levels, tones)
     scatter: float  # standard deviation of a wait due to noise, relative to its expected value
 
 
 def linear_waits(scene: Scene, system: HybridSystem, channels: Sequence[ChannelInfo]) -> LinearWaits:
-    """Return the waits before the tones of a stepped sine, in their order."""
+    """Return the waits before the tones of a stepped sine, in the order of the test."""
     test = scene.test
     assert test is not None
     tones = np.array(test.dwells)
@@ -74,7 +75,7 @@ def linear_waits(scene: Scene, system: HybridSystem, channels: Sequence[ChannelI
     scatter = np.sqrt(np.sum((first - second) ** 2) / max(np.sum(first**2 + second**2), 1e-300))
     predicted = ~np.isnan(runs[0])
     expected = np.nanmean(runs[:, predicted], axis=0)
-    # Tones that were not predicted wait as long as those at about their frequency.
+    # The wait of a tone that was not predicted is interpolated from the predicted tones by frequency.
     frequency, order = np.tile(tones, shape[0]), np.argsort(np.tile(tones, shape[0])[predicted], kind="stable")
     rest = np.interp(frequency[~predicted], frequency[predicted][order], expected[order])
     return LinearWaits(np.concatenate([expected, rest]).reshape(shape), float(scatter))
@@ -83,7 +84,7 @@ def linear_waits(scene: Scene, system: HybridSystem, channels: Sequence[ChannelI
 def _run(
     scene: Scene, system: HybridSystem, channels: Sequence[ChannelInfo], modes: _RidingModes, number: int, limit: int
 ) -> tuple[Array, int]:
-    """Run the test up to a limit of windows, with the noise of a number; return the waits, s, and the windows used."""
+    """Run the test up to a number of windows, with noise of a given seed; return the waits, s, and the windows used."""
     test = scene.test
     assert isinstance(test, SteppedTest)
     rate = min(scene.converter.true_rate, _SAMPLES_PER_PERIOD * max(test.order))
@@ -118,7 +119,7 @@ class _RidingModes:
 
     @classmethod
     def of(cls, scene: Scene, system: HybridSystem, tones: Array) -> _RidingModes | None:
-        """Return the modes; None if they are not independent. `tones`: frequencies of the test, Hz."""
+        """Return the modes; None if their shapes are nearly dependent. `tones`: frequencies of the test, Hz."""
         name = scene.at_driven("shaker")
         descriptor, state_matrix, input_vector = riding_equations(system, name)
         poles, shapes = np.linalg.eig(np.linalg.solve(descriptor, state_matrix))
@@ -146,9 +147,10 @@ class _PredictedTone(SteadyTone):
         self._drawn: list[ComplexArray] = []
         self._observed: tuple[float, int] | None = None
         motions = [info for info in station.channels if info.quantity not in ("force", "voltage")]
-        # Displacements of the motion channels, as products with the states.
+        # Row vectors that yield the displacements of the motion channels from the states.
         self._motions = np.array([np.eye(system.states)[system.points.index(info.at)] for info in motions])
-        # The observed quantities, as products with these displacements: the controlled force, and each of them.
+        # Row vectors that yield the observed quantities from these displacements: the controlled force, and each
+        # displacement.
         places, force = [info.at for info in motions], np.zeros((0 if self._controlled is None else 1, len(motions)))
         for place, factor in scene.controlled_terms.items():
             force[0, places.index(place)] = factor
@@ -161,7 +163,7 @@ class _PredictedTone(SteadyTone):
         self._densities = dict(zip(tones.tolist(), densities, strict=True))
 
     def transition(self, samples: int, frequency: float, amplitude: float) -> Array:
-        """Generate a transition, and compute the transient that it leaves."""
+        """Generate a transition between drives, and compute the transient after it."""
         poles, start = self._modes.poles, self._transient + self._steady_coordinates()
         wave = super().transition(samples, frequency, amplitude)
         values = np.append(wave, amplitude * np.sin(self.phase)) / self.rate
@@ -181,7 +183,7 @@ class _PredictedTone(SteadyTone):
         return self.amplitude * (real * np.sin(self.phase) + imaginary * np.cos(self.phase))
 
     def observe(self, samples: int) -> Generator[Array, Array, ComplexArray]:
-        """Return the amplitudes in a window that is not output."""
+        """Return the amplitudes in a window, without computing its samples."""
         self.windows += 1
         if self._observed != (self.frequency, samples):
             self._set_window(samples)
@@ -193,7 +195,7 @@ class _PredictedTone(SteadyTone):
         yield
 
     def _set_window(self, samples: int) -> None:
-        """Prepare windows of a length at the present frequency."""
+        """Prepare windows of a given number of samples at the present frequency."""
         self._observed = self.frequency, samples
         decay = np.exp(np.outer(np.arange(samples + 1) / self.rate, self._modes.poles))
         self._decay_in_window = decay[-1]
@@ -203,12 +205,13 @@ class _PredictedTone(SteadyTone):
         self._steady = -1j * (self._quantities @ self._motions @ state)
         gains = self._quantities @ self._motions @ self._modes.shapes
         self._transient_gain = gains * lock_in_gain
-        # Of both parts, whose weights have about the same norm, in white noise up to half the sample rate.
+        # Standard deviation of real and imaginary part for white noise up to half the sample rate; the weights of both
+        # parts have about the same norm.
         noise_gain = np.linalg.norm(weights) * math.sqrt(self.rate) / 2.0
         self._scatter = self._quantities * self._densities[self.frequency] * noise_gain
 
     def _noise(self) -> ComplexArray:
-        """Return the next complex random numbers with a variance of 1 in both parts, one for each motion channel."""
+        """Return one complex random number for each motion channel; real and imaginary part have a variance of 1."""
         if not self._drawn:
             self._drawn = list(self._random.standard_normal((_DRAWN_AT_ONCE, 2 * len(self._motions))).view(complex))
         return self._drawn.pop()

@@ -25,9 +25,9 @@ from rig.core.base.arrays import Array
 from rig.core.scene.scene import Scene
 from rig.core.scene.shaker import Load, at_shaker
 
-#: A reading before this fraction of the settling time of the sensor's bias is part of the power-on transient.
+#: Readings in this fraction of the settling time of the sensor's bias belong to the power-on transient.
 POWER_ON_RATIO = 0.5
-# Time after a stored impact of a damper in which its further impacts are not stored, s.
+# After a stored impact of a damper, further impacts of this damper are not stored for this time, s.
 _MIN_IMPACT_INTERVAL_S = 0.5
 # Duration at the end of a rehearsal whose blocks are stored, s.
 _STORED_END_S = 4.0
@@ -52,7 +52,7 @@ class Extremes:
 
 @dataclass(frozen=True)
 class Step:
-    """The wait for the steady state of a tone, or its measurement."""
+    """The wait for the steady state of a tone, or the measurement of the tone."""
 
     first: int  # index of the first sample
     stop: int  # index of the sample after the last
@@ -65,7 +65,7 @@ class ShakerLoad(NamedTuple):
 
     name: str
     load: Load
-    weights: Array  # of displacements, velocities and accelerations, (3, points)
+    weights: Array  # weights of displacements, velocities and accelerations, (3, points)
 
 
 def loads_of(scene: Scene, points: Sequence[str]) -> list[ShakerLoad]:
@@ -94,7 +94,7 @@ class Rehearsal(BenchLoop):
         self.readings = Extremes(len(bench.channels))
         powered_on_s = np.array([POWER_ON_RATIO * settling_time(info) for info in bench.channels])
         self._powered_on = np.round(powered_on_s * self.rate)
-        # Readings after the power-on transient; without such a transient, these are all readings.
+        # Extremes of the readings after the power-on transient; of all readings if there is no such transient.
         self.driven_readings = Extremes(len(bench.channels)) if self._powered_on.any() else self.readings
         self.overloaded = [False] * len(bench.channels)
         # Drive of each input of the rig, before the limits of output and amplifier.
@@ -102,17 +102,17 @@ class Rehearsal(BenchLoop):
         self.accelerations = Extremes(len(bench.points))
         loads = loads_of(scene, bench.points)
         self._load_weights = np.stack([load.weights for load in loads], axis=1) if loads else None
-        self.loads = Extremes(len(loads))  # as `loads_of`
+        self.loads = Extremes(len(loads))  # loads in the order of `loads_of`
         # Largest closing speed of each damper before an impact, m/s.
         self.closing_speed = np.zeros(len(scene.dampers))
         # Times of the impacts of each damper, s.
         self.impact_times: list[list[float]] = [[] for _ in scene.dampers]
         self.steps: list[Step] = []
-        # First sample of the last measured interval without a constant tone, and the sample after its last.
+        # Last measured interval without a constant tone: its first sample, and the sample after its last.
         self.measured: tuple[int, int] | None = None
         # Simulated duration, s, and whether the test ran to its end.
         self.seconds, self.complete = 0.0, False
-        # Reason why the test was aborted; None if it was not.
+        # Reason why the test was aborted; None if it ran to its end.
         self.aborted: str | None = None
         # Blocks of the last seconds, from which the size of the recording is estimated.
         self.last_blocks: deque[Block] = deque()
@@ -140,7 +140,7 @@ class Rehearsal(BenchLoop):
         return earlier[-1].frequency if earlier else None
 
     def report(self, fraction: float, message: str) -> None:
-        """Ignore the progress of the test."""
+        """Ignore the progress: a rehearsal has no progress bar."""
 
     def ending_error(self, readings: Array) -> BaseException | None:
         """Return the error that ends the test at an exceeded limit; None while steps are still excluded."""

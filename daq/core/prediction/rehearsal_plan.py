@@ -27,15 +27,15 @@ from rig.core.scene.presets import complete_from_preset, input_settings
 from rig.core.scene.scene import Scene
 from rig.core.system.assembly import assemble
 
-# A rehearsal takes about this CPU time, s.
+# Default CPU time of a rehearsal, s.
 _CPU_BUDGET_S = 0.7
-# CPU time of a sample, to which states and channels add, s. All CPU times here were measured on one core of 2 GHz.
+# CPU time of a sample without states and channels, s. All CPU times here were measured on one core of 2 GHz.
 _SAMPLE_CPU_S = 130e-9
 # CPU time of each state in a sample, s.
 _STATE_CPU_S = 6e-9
 # CPU time of each channel in a sample, s.
 _CHANNEL_CPU_S = 130e-9
-# A channel with a decimation filter needs this multiple of the CPU time of a channel without.
+# A channel with a decimation filter needs this multiple of the CPU time of a channel without a filter.
 _FILTER_TIME_RATIO = 2.0
 # CPU time of each element of the state matrix in a sample, s.
 _ELEMENT_CPU_S = 0.6e-9
@@ -56,13 +56,13 @@ _SWEEP_POINTS = 400
 class RehearsalPlan:
     """The rehearsed parts of a test: scenes whose tests are run one after another."""
 
-    # Each scene with the number of steps at its beginning that are run but not evaluated.
+    # Each scene, with the number of steps at its beginning that are run but not evaluated.
     parts: tuple[tuple[Scene, int], ...]
     is_complete: bool = False  # whether the only part is the complete test
 
 
 def affordable_seconds(scene: Scene, cpu_seconds: float = 0.0) -> float:
-    """Return the longest duration of a test, s, that can be rehearsed in a CPU time, but at least `_CPU_BUDGET_S`."""
+    """Return the duration of a test, s, that can be rehearsed in the larger of a CPU time and `_CPU_BUDGET_S`."""
     system, has_filter = assemble(scene), complete_from_preset(scene.converter).filter is not None
     channels = system.coordinates if scene.channels is None else len(scene.channels)
     states = system.states + system.dampers
@@ -74,7 +74,7 @@ def affordable_seconds(scene: Scene, cpu_seconds: float = 0.0) -> float:
 def plan_rehearsal(scene: Scene, channels: tuple[ChannelInfo, ...], cpu_seconds: float = 0.0) -> RehearsalPlan:
     """Choose the parts of a scene's test to rehearse.
 
-    `channels`: those of the bench; `cpu_seconds`: a test of at most this CPU time is rehearsed completely.
+    `channels`: channels of the bench; `cpu_seconds`: a test of at most this CPU time is rehearsed completely.
     """
     # Affordable duration of the rehearsed parts, s.
     test, seconds = scene.test, affordable_seconds(scene)
@@ -131,7 +131,7 @@ def plan_about_peaks(scene: Scene, channels: tuple[ChannelInfo, ...], seconds: f
 
 
 def _with_settled_bias(scene: Scene) -> Scene:
-    """Return the scene with the bias of its sensors long after power-on: zero if a high-pass filter follows."""
+    """Return the scene with settled biases of its sensors: zero if a high-pass filter follows, otherwise constant."""
     if scene.channels is None:
         return scene
     channels = []
@@ -196,8 +196,8 @@ def with_level(scene: Scene, level: float) -> Scene:
 def shorten_to_tone(scene: Scene, frequency: float | None, seconds: float) -> tuple[Scene | None, int]:
     """Return a short scene with only the tones near a frequency in Hz, and the number of steps not to evaluate.
 
-    Only a series of tones is shortened; its first step is evaluated only if it is also the first step of the test.
-    Another test is not changed if it takes at most `seconds`; otherwise the scene is None.
+    Only a series of tones is shortened; its first step is evaluated only if it is also the first step of the test. Any
+    other test is returned unchanged if it takes at most `seconds`; otherwise the scene is None.
     """
     test = scene.test
     if test is None or frequency is None or not test.dwells or procedure_of(test).rehearsal != "peaks":
@@ -211,7 +211,7 @@ def shorten_to_tone(scene: Scene, frequency: float | None, seconds: float) -> tu
 
 
 def _stepped_sine_settings(test: Test, direction: str) -> dict[str, Any]:
-    """Return the settings of a stepped sine that replaces a test at its highest level, without its frequencies."""
+    """Return the settings, except the frequencies, of a stepped sine that replaces a test at its highest level."""
     steady_state = test.steady_state
     return {
         "kind": "stepped_sine",

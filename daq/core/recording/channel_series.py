@@ -26,13 +26,13 @@ from rig.core.numerics.runs import runs_of
 if TYPE_CHECKING:
     from mcap.records import Channel
 
-# If more samples than this number are requested, the file is checked for them first: a wrong sample index must not
-# exhaust the memory.
+# If more samples than this are requested, the number of samples in the file is checked first: a wrong sample index must
+# not exhaust the memory.
 _LARGE_RANGE = 1 << 22
 # At most this number of samples may be requested for each sample in the file.
 _MAX_REQUESTED_PER_STORED = 16
-# Voltages above this multiple of the converter's range are no measured values. The factor admits readings that were
-# imported with a wrong unit or range, which the import names.
+# Voltages above this multiple of the converter's range are treated as invalid. The factor admits readings that were
+# imported with a wrong unit or range; `daq import` reports such a mistake.
 _MAX_RANGES = 1000.0
 # Memory for decoded samples of a recording, bytes. Decoded samples are cached, because an analysis reads a measured
 # segment several times.
@@ -40,7 +40,7 @@ _MAX_CACHE_BYTES = 1 << 27
 
 
 class BlockCache:
-    """Cache of the latest decoded blocks of a recording, by numbers of channel and chunk, up to `_MAX_CACHE_BYTES`."""
+    """Cache of the latest decoded blocks of a recording by channel number and chunk, up to `_MAX_CACHE_BYTES`."""
 
     def __init__(self) -> None:
         self._blocks: OrderedDict[tuple[int, int], list[SampleBlock]] = OrderedDict()
@@ -122,9 +122,9 @@ class Series:
 
     @cached_property
     def _chunk_stops(self) -> NDArray[np.int64]:
-        """Number of the sample after the last one, for each chunk."""
+        """For each chunk: number of the sample after the last sample."""
         if not self._chunks.size:
-            # Without samples the clock may not be known.
+            # Without samples, the clock may be unknown.
             return np.empty(0, np.int64)
         return self.clock.samples_at(self._container.summary.ends[self._chunks])
 
@@ -151,7 +151,7 @@ class Series:
         return blocks
 
     def _without_invalid(self, block: SampleBlock) -> SampleBlock:
-        """Replace numbers that no converter outputs by NaN, as lost samples read."""
+        """Replace numbers that no converter outputs by NaN, the value of lost samples."""
         with np.errstate(invalid="ignore"):
             if block.samples.size == 0 or max(block.samples.max(), -block.samples.min()) < self._max_volts:
                 return block
@@ -203,7 +203,7 @@ class Series:
         return values
 
     def reject_mostly_lost(self, start: int, stop: int) -> None:
-        """Raise `RecordingError` if the file lacks almost all samples [start, stop) of a long range."""
+        """Raise `RecordingError` if almost all samples [start, stop) of a long range are missing in the file."""
         if stop - start <= _LARGE_RANGE:
             return
         begin, end = np.searchsorted(self._chunk_stops, [start, stop], side="right")

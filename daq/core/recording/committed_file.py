@@ -1,7 +1,7 @@
-"""The file of a recording, which grows by whole commits: a full disk leaves no half-written record in it.
+"""The file of a recording, which grows by whole commits, so that a full disk leaves no half-written record.
 
-A commit writes all bytes that were collected since the previous commit. A file that replaces another is written next to
-it, as `NAME.part` by a recorder, and renamed when it is complete.
+A commit writes all bytes that were collected since the previous commit. A file that replaces another file is first
+written next to it (a recorder names it `NAME.part`), and renamed when it is complete.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from typing import IO
 from rig.core.base.errors import RecordingError, RunError
 from rig.core.base.output_files import rename_complete, resolve_output
 
-# Number of byte strings that are joined for one write; joining all would double the memory for thousands of channels.
+# Number of byte strings that are joined for one write. Joining all strings would double the memory for thousands of
+# channels.
 _MAX_PARTS_PER_WRITE = 256
 # Disk space that is kept free for the end of the file and the display, bytes.
 RESERVE = 1 << 20
@@ -37,9 +38,9 @@ class CommittedFile:
     """The output of the MCAP writer: `write` collects bytes in memory, `commit` writes them to the disk together.
 
     The folder of the file is created, and the file itself by the first commit, so that a killed process leaves no empty
-    file. `current_path` differs from `path` while an existing file is being replaced. If
-    `failed`, the file ends with the previous commit. `ending`: that of the name during replacement. Raises
-    `RecordingError` if the file exists or cannot be created.
+    file. `current_path` differs from `path` while an existing file is being replaced. If `failed`, the file ends with
+    the previous commit. `ending`: ending of the file's name until it replaces another file. Raises `RecordingError` if
+    the file exists or cannot be created.
     """
 
     def __init__(self, path: Path, overwrite: bool, ending: str = ".part") -> None:
@@ -103,7 +104,7 @@ class CommittedFile:
     def free(self) -> int:
         """Return the free space of the file's disk in bytes; raise `DiskError` if the disk fails."""
         if sys.platform == "win32" or self._file is None:
-            # Windows cannot move or delete an open file.
+            # Windows cannot move or delete an open file: it is still on the disk of its folder.
             return shutil.disk_usage(self.current_path.parent).free
         try:
             disk = os.fstatvfs(self._file.fileno())
@@ -145,7 +146,7 @@ class CommittedFile:
 
     @property
     def replaces(self) -> bool:
-        """Whether the complete file will replace another."""
+        """Whether the complete file will replace another file."""
         return self.current_path != self._final
 
     def keep_old(self) -> None:
@@ -153,7 +154,7 @@ class CommittedFile:
         self._keeps_old = True
 
     def discard(self) -> None:
-        """Close the file; if it would have replaced another, remove it, and leave the other unchanged."""
+        """Close the file; if it would have replaced another file, remove it and leave the other file unchanged."""
         if self.replaces:
             self._remove()
         self.close()
@@ -175,7 +176,7 @@ class CommittedFile:
     def removed_on_failure(self) -> Iterator[None]:
         """Remove the new file if the body of the `with` statement fails.
 
-        A complete file that only could not be renamed remains.
+        A complete file that could not be renamed is kept.
         """
         try:
             yield
@@ -212,7 +213,7 @@ def _unused_name(path: Path, ending: str) -> Path:
 
 
 def remove_unfinished(path: Path, ending: str) -> None:
-    """Remove the replacements of a file that killed processes have left; only for files that can be made again."""
+    """Remove incomplete replacements of a file that killed processes left; only for files that can be made again."""
     for part in path.parent.glob(f"{escape(path.name)}{ending}*"):
         with suppress(OSError, RecordingError), locked(part):
             part.unlink()

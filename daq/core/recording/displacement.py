@@ -1,4 +1,4 @@
-"""Displacements for the drawing of a recorded rig: choice of their source, and integration without drift."""
+"""Displacements for the drawing of a recorded rig: choice of the measured source, and integration without drift."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rig.core.base.arrays import Array
 if TYPE_CHECKING:
     from daq.core.signal_chain.channel import ChannelInfo
 
-# Corner of the high-pass, Hz: below it an integrated signal is mostly drift and noise.
+# Corner of the high-pass filter, Hz. Below this frequency, an integrated signal is mostly drift and noise.
 HIGH_PASS_HZ = 1.0
 _INTEGRATIONS = {"velocity": "once", "acceleration": "twice"}
 
@@ -23,7 +23,8 @@ _INTEGRATIONS = {"velocity": "once", "acceleration": "twice"}
 class MotionSource:
     """Source of the displacement of a point of the drawn rig, such as ``body 1``.
 
-    `quantity` is that of the channel; without a channel it is ``truth``, or ``nothing`` if the point is not measured.
+    `quantity` is the quantity of the channel. Without a channel it is ``truth``, or ``nothing`` if the point is not
+    measured.
     """
 
     point: str

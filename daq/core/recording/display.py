@@ -44,10 +44,10 @@ TRANSFORM_STEP = 2
 _HALF_LENGTH = 8
 # Shape parameter of its Kaiser window.
 _KAISER_BETA = 6.8
-# Its cutoff frequency (-6 dB), as a ratio to the display rate.
+# Cutoff frequency (-6 dB) of the filter, as a ratio to the display rate.
 _CUTOFF = 0.385
-# Maximum number of multiplications of a matrix product: OpenBLAS divides larger ones among threads, which wait for each
-# other longer than they compute.
+# Maximum number of multiplications of a matrix product. OpenBLAS divides larger products among threads, which wait for
+# each other longer than they compute.
 _MAX_PRODUCT = 2**18
 
 _RULE = "=" * 80
@@ -69,7 +69,7 @@ _MESSAGE_HEAD = np.frombuffer(struct.pack("<4sIII4x", _LITTLE_ENDIAN, 0, 0, 1), 
 
 
 def encode_floats(values: Array) -> NDArray[np.uint8]:
-    """Encode each number as a std_msgs/msg/Float64MultiArray of one element; its bytes are along a new last axis.
+    """Encode each number as a std_msgs/msg/Float64MultiArray of one element; the bytes are along a new last axis.
 
     >>> encode_floats(np.ones((2, 3))).shape
     (2, 3, 28)
@@ -100,7 +100,7 @@ def display_step(rate: float) -> int:
 
 
 class DisplayDecimator:
-    """Low-passes signals and outputs the samples whose numbers are multiples of `step`.
+    """Filters signals by a low pass, and outputs the samples whose numbers are multiples of `step`.
 
     The filter has linear phase, and its delay is removed: an output is available half a filter length later. Before the
     first and after the last sample, the signal is continued as a constant. `stop` is the index of the next sample,
@@ -144,7 +144,7 @@ class DisplayDecimator:
         return output
 
     def _output_until(self, last: int) -> tuple[NDArray[np.int64], Array]:
-        """Return sample indices and values of the outputs from the next one to sample `last` * `step`, included."""
+        """Return sample indices and values of the next outputs, up to and including sample `last` * `step`."""
         output_samples = np.arange(self._next_output, last + 1, dtype=np.int64) * self.step
         if output_samples.size == 0:
             return output_samples, np.empty((self._samples.shape[0], 0))
@@ -253,7 +253,7 @@ class Display:
         }
 
     def add(self, group: Group | None, stop: int) -> Iterator[Messages]:
-        """Add the stored samples up to sample index `stop`, None for no samples; yield the messages they complete."""
+        """Add the stored samples up to sample index `stop` (None: no samples); yield the completed messages."""
         for first, samples in group.acquired() if group is not None else ():
             self._groups.skip(first - self._groups.position)
             self._groups.add(samples * self._scale)
@@ -277,7 +277,7 @@ class Display:
             yield self._block_levels(group)
 
     def _block_levels(self, group: Group) -> Messages:
-        """Return rms and peak at the ends of the blocks."""
+        """Return rms and peak of each block, with the times of the blocks' ends."""
         ends: list[int] = []
         levels = []
         for first, samples in group.blocks(block_length(self._clock.rate)):

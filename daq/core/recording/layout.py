@@ -37,7 +37,7 @@ SCENE_FILE = "scene.yaml"
 # Remedy for a file whose content contradicts this layout.
 WRITER_REMEDY = "Correct the program that wrote the file, or record again."
 
-# Upper limit of a voltage, and of a true value in SI. Squares and sums of smaller values are finite.
+# Upper limit of a voltage in V, and of a true value in SI units. Squares and sums of smaller values do not overflow.
 MAX_VOLTS = 1e30
 
 # Approximate duration of a block, s.
@@ -46,9 +46,10 @@ BLOCK_S = 0.1
 MIN_BLOCK_SAMPLES = 256
 # Approximate time between commits to the disk, s: a killed process loses less.
 FLUSH_S = 0.5
-# Maximum number of groups (samples of `FLUSH_S`) that are converted for display at once. More hardly reduce the cost.
+# Maximum number of groups (samples of `FLUSH_S`) that are converted for display at once. More groups hardly reduce the
+# computing time.
 MAX_DISPLAY_GROUPS = 8
-# At most this product of channels and groups is converted at once, which limits the memory for samples that are not yet
+# Largest product of channels and groups that are converted at once. It limits the memory for samples that are not yet
 # displayed.
 MAX_DISPLAY_CHANNELS = 64
 
@@ -84,7 +85,7 @@ CLOCK_CHECKS = {
 
 @dataclass(frozen=True)
 class Timebase:
-    """The sample clock: sample k is taken at start_ns + k / rate, to the nearest nanosecond."""
+    """The sample clock: sample k is taken at start_ns + k / rate, rounded to nanoseconds."""
 
     rate: float  # Samples per second, Hz
     start_ns: int = 0  # time of sample 0 in nanoseconds since the epoch of the recording
@@ -125,7 +126,7 @@ class Timebase:
 
     def samples_at(self, time_ns: NDArray[np.uint64]) -> NDArray[np.int64]:
         """Return the sample indices nearest to times in ns since the recording's epoch, clipped to int64."""
-        # The subtraction may wrap around in 64 bits; it is right for differences below 292 years.
+        # The subtraction may overflow 64 bits; the result is right for differences below 292 years.
         elapsed_ns = (time_ns - np.uint64(self.start_ns % 2**64)).view(np.int64)
         return np.clip(np.rint(elapsed_ns * (self.rate * 1e-9)), -(2.0**62), 2.0**62).astype(np.int64)
 
@@ -137,9 +138,9 @@ def require_ordered_times(from_s: float | None, to_s: float | None) -> None:
 
 
 def stated_clock(metadata: Mapping[str, str]) -> Timebase | None:
-    """Return the sample clock that the metadata of a topic state, None if they state none.
+    """Return the sample clock in the metadata of a topic; None if the metadata contain none.
 
-    Raises `RecordingError` if it is invalid.
+    Raises `RecordingError` if the clock is invalid.
     """
     if "rate" not in metadata or "start_ns" not in metadata:
         return None

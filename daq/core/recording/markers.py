@@ -47,8 +47,8 @@ _FIELD_CHECKS = {
     ),
 }
 
-# Kinds of contact events: a damper leaves its floor or ceiling (separation), or hits one of them. Contacts of finite
-# duration begin with touch and end with release. Sliding with friction begins with slip and ends with stop.
+# Kinds of contact events: a damper leaves its floor or ceiling (separation), or hits floor or ceiling. Contacts of
+# finite duration begin with touch and end with release. Sliding with friction begins with slip and ends with stop.
 FRICTION_CHANGES = ("slip", "stop")
 CONTACT_CHANGES = ("separation", "floor", "ceiling", "touch", "release", *FRICTION_CHANGES)
 _EVENT_CHECKS = {
@@ -81,7 +81,7 @@ _MARKER_JSON_SCHEMA: dict[str, Any] = {
 
 
 def event_schema(has_friction: bool, has_joints: bool = False) -> Schema:
-    """Return the schema of contact events; a recording names events of friction or joints only if it can have them."""
+    """Return the schema of contact events; events of friction and joints are listed only if the scene can have them."""
     kinds = [kind for kind in CONTACT_CHANGES if has_friction or kind not in FRICTION_CHANGES]
     content: dict[str, Any] = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -189,14 +189,14 @@ class Gap:
 
     first_sample: int  # first missing sample
     last_sample: int  # last missing sample
-    channels: tuple[str, ...]  # names of the channels that lack them; for true motion, its topics
-    reason: str  # `never acquired`, or how they were lost
+    channels: tuple[str, ...]  # names of the channels without these samples; for true motion, names of the topics
+    reason: str  # `never acquired`, or how the samples were lost
 
 
 def faulty_hits(markers: Sequence[Marker], channels: Collection[str] | None = None) -> dict[int, str]:
     """Return the faults of impacts by the number of the impact: a second pulse followed, or channels were overloaded.
 
-    `channels`: those whose overloads count; by default all.
+    `channels`: channels whose overloads count; by default all channels.
 
     >>> hits = [Marker("hit", 100, 120), Marker("hit", 900, 920, {"double": True})]
     >>> faulty_hits([*hits, Marker("overload", 105, 130, {"channel": "hammer"})])
@@ -210,7 +210,7 @@ def faulty_hits(markers: Sequence[Marker], channels: Collection[str] | None = No
     for marker in markers:
         if marker.kind != "overload" or (channels is not None and marker.fields.get("channel") not in channels):
             continue
-        # An overload belongs to the impacts before or in it, because the response follows the impact.
+        # An overload is assigned to the impact in it or before it, because the response follows the impact.
         first = max(bisect_right(starts, marker.first_sample), 1)
         for number in range(first, bisect_left(starts, marker.stop) + 1):
             faults.setdefault(number, {})[f"clipped ({marker.fields.get('channel', '')})"] = None
@@ -227,7 +227,7 @@ def describe_faulty_hits(markers: Sequence[Marker], channels: Collection[str] | 
 
 
 def gaps_of(markers: Iterable[Marker], channels: Sequence[str]) -> list[Gap]:
-    """Return the gaps that markers report, in their order; a marker that names no channels is for all `channels`."""
+    """Return the gaps that markers report, in order of time; a marker without channel names is for all `channels`."""
     gaps = []
     for marker in markers:
         if marker.kind in ("gap", "lost"):
@@ -263,8 +263,8 @@ def unmarked_ranges(missing: Iterable[tuple[int, int]], gaps: Sequence[Gap]) -> 
 def event_to_json(time: float, damper: int, kind: str, speed: float, joint: int = 0) -> bytes:
     """Encode a contact event as JSON.
 
-    `time`: s after sample 0; `damper`, `joint`: number of one of them, from 1, and 0; `kind`: from `CONTACT_CHANGES`;
-    `speed`: closing speed, m/s.
+    `time`: s after sample 0; `damper`, `joint`: number of the damper or the joint, from 1 (the other is 0); `kind`:
+    from `CONTACT_CHANGES`; `speed`: closing speed, m/s.
     """
     return _json({"time": time, **({"joint": joint} if joint else {"damper": damper}), "kind": kind, "speed": speed})
 
@@ -286,7 +286,7 @@ def event_from_json(data: memoryview) -> tuple[float, int, str, float, int]:
 
 
 def _json(content: Mapping[str, Any]) -> bytes:
-    """Encode as compact JSON, numpy values included; raise `ValueError` for NaN and infinity, which JSON lacks."""
+    """Encode a value, also from numpy, as compact JSON; raise `ValueError` for NaN and infinity, which JSON lacks."""
     return json.dumps(content, separators=(",", ":"), allow_nan=False, default=_to_python, ensure_ascii=False).encode()
 
 

@@ -1,4 +1,4 @@
-"""The kind of the test in a recording, and a summary of its scene that is available without loading the scene.
+"""The kind of the test in a recording, and a summary of the recorded scene that is read without loading the scene.
 
 Loading a scene takes longer than everything else in `daq info`. A recording therefore repeats the summary in its
 metadata record `run`. For an imported or older recording, the kind is determined from the markers, and the summary from
@@ -24,26 +24,30 @@ if TYPE_CHECKING:
 class TestKind(StrEnum):
     """Kinds of tests, which are evaluated by different methods; recordings state the values.
 
-    Each value says what its estimator assumes, and which fields it needs in the markers of the measured intervals.
+    The text after each value states what its estimator assumes, and the fields that the estimator requires in the
+    markers of the measured intervals.
     """
 
     __test__ = False  # not a test for pytest
 
     TONES = "tones"
     """Tones in steady state, one at a time or several at once: sine, stepped sine, and the manually set tone of `daq
-    bench`. Markers `measure`, one for each tone, over the same samples for tones at once: frequency (Hz), level, drive,
-    settled; with several sweeps also direction."""
+    bench`. Markers `measure`, one for each tone (for several tones at once, over the same samples): frequency (Hz),
+    level, drive, settled; with several sweeps also direction."""
     SWEEP = "sweep"
     """One tone whose frequency changes slowly and steadily. Markers `measure`: from and to (Hz), spacing, duration,
     level."""
     MULTISINE = "multisine"
-    """Periods that repeat exactly, at least two in steady state. Markers `measure`: realisation (from 1), period
-    (samples), periods, lines (the first and last that are driven), level, settled."""
+    """Periods that repeat exactly, at least two in steady state.
+
+    Markers `measure`: realisation (from 1), period (samples), periods, lines (first and last driven spectral line),
+    level, settled.
+    """
     RANDOM = "random"
     """Stationary noise, or bursts of it, in a band. Markers `measure`: from and to (Hz), level; of bursts also
     burst (driven share of a block) and block (samples)."""
     HITS = "hits"
-    """Pulses that end long before the next one, as of a hammer. Markers `hit`: none are required."""
+    """Pulses, such as those of a hammer, that end long before the next pulse. Markers `hit`: no fields are required."""
     FREE = "free"
     """A free decay without a force."""
     SHOCK = "shock"
@@ -53,7 +57,7 @@ class TestKind(StrEnum):
 
     @property
     def field(self) -> str:
-        """Field of `measure` markers that the markers of the kinds below lack; empty if there is none."""
+        """Field of `measure` markers that distinguishes this kind from the kinds below; empty if there is none."""
         fields = {"tones": "frequency", "sweep": "spacing", "multisine": "realisation", "random": "from"}
         return fields.get(self.value, "")
 
@@ -69,12 +73,12 @@ class TestKind(StrEnum):
 
     @property
     def steady(self) -> bool:
-        """Whether the motion is measured in the steady state of one tone at a time."""
+        """Whether the motion is measured in the steady state of a single tone."""
         return self is TestKind.TONES
 
     @property
     def marked(self) -> bool:
-        """Whether the measured intervals need markers `measure`."""
+        """Whether measured intervals require markers `measure`."""
         return self in (TestKind.SWEEP, TestKind.RANDOM, TestKind.MULTISINE)
 
     @property
@@ -85,10 +89,10 @@ class TestKind(StrEnum):
 
 @dataclass(frozen=True)
 class ControlledTones:
-    """Tones whose frequency or level a controller chose from the motion; they have their own analysis."""
+    """Tones whose frequency or level a controller chose from the motion; such tests have their own analysis."""
 
-    field: str  # of their markers `measure`, which no test without this control writes
-    analysis: str  # command that evaluates them
+    field: str  # field of their markers `measure` that only tests with this control write
+    analysis: str  # command that evaluates these tones
 
     def measured(self, markers: Iterable[Marker]) -> list[Marker]:
         """Return the markers of the measured tones; empty for any other test."""
@@ -103,7 +107,7 @@ HELD_PHASE = ControlledTones("phase", "backbone")
 def own_analyses(markers: Sequence[Marker]) -> list[str]:
     """Return the commands of `analysis` that evaluate only the control of a test, the most specific first."""
     analyses = ["profile"] if {"identification", "measure"} <= {mark.kind for mark in markers} else []
-    # A followed curve consists of held motions.
+    # A curve followed by continuation also consists of held motions; only the analysis of the curve is returned.
     tones = [each.analysis for each in (FOLLOWED_CURVE, HELD_MOTION, HELD_PHASE) if each.measured(markers)]
     return analyses + tones[:1]
 
@@ -137,7 +141,7 @@ def kind_of_settings(test: Test | None) -> TestKind:
 
 
 def kind_from_markers(markers: Sequence[Marker], settings: Test | None) -> TestKind:
-    """Return the kind of a test from its markers, for a recording that does not give it.
+    """Return the kind of a test from its markers, for a recording that does not state the kind.
 
     >>> kind_from_markers([Marker("hit", 512)], None)
     <TestKind.HITS: 'hits'>
@@ -154,7 +158,7 @@ def kind_from_markers(markers: Sequence[Marker], settings: Test | None) -> TestK
 
 
 def shocks_of(markers: Iterable[Marker], with_practice: bool = False) -> list[Marker]:
-    """Return the markers of the shocks at full level, or of all pulses."""
+    """Return the markers of the shocks at full level; with `with_practice`, also those of the practice pulses."""
     return [mark for mark in markers if mark.kind == "shock" or (with_practice and mark.kind == "practice")]
 
 
@@ -170,10 +174,10 @@ class SceneOutline:
 
     scene_name: str
     test_kind: str  # "none" without a test
-    body_names: tuple[str, ...]  # body 1 first; empty if the bodies have no names
+    body_names: tuple[str, ...]  # names of the bodies, body 1 first; empty if the bodies have no names
     n_dampers: int
-    # Points whose motion gives the force of the shaker if no channel measures it, such as the ends of its spring. Empty
-    # without a shaker, or if the test does not use it.
+    # Points whose motion yields the force of the shaker if no channel measures it, such as the ends of its spring.
+    # Empty without a shaker, or if the test does not use the shaker.
     force_points: tuple[str, ...]
 
     @classmethod

@@ -1,4 +1,4 @@
-"""Write a recording, an MCAP file that is readable up to its last commit, also after a crash.
+"""Write a recording: an MCAP file that is readable up to its last commit, even after a crash.
 
 A commit writes a group of samples (about half a second), with its markers, to the disk.
 """
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 # Size of the index of a chunk at the end of the file, bytes.
 _INDEX_BYTES_PER_CHUNK = 256
-# The version is read once, because that takes longer than writing ten groups of samples.
+# The version is read once, because reading it takes longer than writing ten groups of samples.
 _version = cache(metadata.version)
 
 
@@ -217,7 +217,7 @@ class Recorder:
         Raises
         ------
         DiskError
-            If the disk is full or fails; `daq recover` then completes the file.
+            If the disk is full or fails; `daq recover` can then complete the file.
         """
         if self.closed:
             return
@@ -243,7 +243,7 @@ class Recorder:
             self.close(status, str(error) or type(error).__name__)
         except RunError as another:
             if isinstance(error, DiskError):
-                # The second error includes the first, with the remedy for a file without an end.
+                # The error of closing includes the first error, and adds the remedy for a file without an end.
                 raise another from error
             error.add_note(str(another))
 
@@ -252,14 +252,14 @@ class Recorder:
             raise RunError(f"{self.path}: the recording has ended. Start another recording for more samples.")
 
     def _require_truth(self, samples: int) -> None:
-        """Raise `RunError` unless the true motion of the next samples was written; both are committed together."""
+        """Raise `RunError` unless the true motion of the next samples was written: it is committed with the samples."""
         if self._truth is not None and self._truth.position < self._raw_groups.position + samples:
             raise RunError("recording.truth: the true motion of these samples is missing. Call write_truth first.")
 
     # -- the beginning and the end of the file -----------------------------------------------------------
 
     def _write_beginning(self) -> None:
-        """Write all descriptions before the first sample, so that an incomplete file still has them."""
+        """Write all descriptions before the first sample, so that an incomplete file contains them."""
         self._file = ChunkedFile(self._disk, f"shotrig {_version('shotrig')}")
         self._zstd = zstd()
         self._samples_compressor = lz4() if self._storage_type == "float64" else zstd_for_samples()
@@ -357,7 +357,7 @@ class Recorder:
                     self._write_group(number)
 
     def _write_group(self, number: int) -> None:
-        """Write and commit a group: its markers, samples and true motion, and the display that it completes."""
+        """Write and commit a group: its markers, samples and true motion, and the display data that it completes."""
         raw = self._raw_groups.complete.pop(number, None)
         # The reserved space (`RESERVE`) suffices to end the file.
         if self.free < sum(stream.group_bytes for stream in self._streams):
@@ -396,7 +396,7 @@ class Recorder:
 
     @property
     def _unchanged_text(self) -> str:
-        """Sentence about the file that this file would have replaced; empty if there is none."""
+        """Sentence about the file that this file would have replaced; empty if there is no such file."""
         return f" {self.path} is unchanged." if self._disk.replaces else ""
 
     def _commit(self) -> None:
@@ -418,7 +418,7 @@ class Recorder:
             ) from error
 
     def _blocks(self, group: Group, topics: Sequence[int]) -> list[Messages]:
-        """Encode the blocks of a group whose rows are topics."""
+        """Encode the blocks of a group; each row of the group is a topic."""
         encoded = []
         for first, samples in group.blocks(self._block_samples):
             _, blocks, size = samples.shape
@@ -442,7 +442,7 @@ class Recorder:
         self._write_chunk(messages)
 
     def _write_chunk(self, messages: Iterable[Message | Messages]) -> None:
-        """Write messages as a separate chunk, so that readers of other topics need not decode them."""
+        """Write messages as a separate chunk, so that readers of other topics need not decode it."""
         self._chunk_count += self._file.add_chunk(messages, self._zstd)
 
 

@@ -167,7 +167,7 @@ class Recording(Result):
         try:
             status = self.status
         except RecordingError:
-            # A debugger or notebook shows this text, where no error may be raised.
+            # A debugger or notebook shows this text, so no error may be raised here.
             status = "closed, or its metadata are damaged"
         names = ", ".join(self.channels)
         return f"{self.path}: {self.samples / self.rate:.4g} s of {names} at {self.rate:g} Hz, {status}"
@@ -253,8 +253,8 @@ class Recording(Result):
         Parameters
         ----------
         quantity : {'displacement', 'velocity', 'acceleration', 'gap', 'contact'}
-            Quantity of the points; the last two are of the dampers. Contact is 0 in flight, 1 on the floor, 2 at the
-            ceiling.
+            Quantity of the points; gap and contact are quantities of the dampers. The gap is the height above the
+            floor. Contact is 0 in flight, 1 on the floor, 2 at the ceiling.
         start, stop : int
             Indices of the first sample, and of the sample after the last; by default all samples.
 
@@ -272,7 +272,7 @@ class Recording(Result):
         return np.array([series.read(start, stop) for series in self._truth[quantity].values()])
 
     def reject_mostly_lost(self, start: int, stop: int) -> None:
-        """Raise `RecordingError` if a channel lacks almost all samples [start, stop) of a long range."""
+        """Raise `RecordingError` if almost all samples [start, stop) of a long range of a channel are missing."""
         for series in self._series.values():
             series.reject_mostly_lost(start, stop)
 
@@ -297,7 +297,7 @@ class Recording(Result):
 
     @property
     def _has_our_layout(self) -> bool:
-        """Whether the file gives the layout of this package, in which every record has a checksum."""
+        """Whether the file states the layout of this package, in which every record has a checksum."""
         return any("layout" in series.metadata for series in self._series.values())
 
     # -- markers and events ------------------------------------------------------------------------------
@@ -316,14 +316,14 @@ class Recording(Result):
             missing_ranges = [(*gap, name) for name, series in self._series.items() for gap in series.missing_ranges()]
             return [Gap(first, stop - 1, (name,), "missing") for first, stop, name in sorted(missing_ranges)]
         invalid = [
-            Gap(first, stop - 1, (name,), "no measured values")
+            Gap(first, stop - 1, (name,), "not valid readings")
             for name, series in self._series.items()
             for first, stop in unmarked_ranges(series.invalid_ranges(), self._marked_gaps(name))
         ]
         if invalid:
             count = sum(gap.last_sample - gap.first_sample + 1 for gap in invalid)
             warnings.warn(
-                f"{self.path}: {count} samples are no measured values, the first is sample {invalid[0].first_sample} "
+                f"{self.path}: {count} samples are not valid readings, the first is sample {invalid[0].first_sample} "
                 f"of {invalid[0].channels[0]}. They are treated as lost.",
                 RunWarning,
                 stacklevel=2,
@@ -348,8 +348,8 @@ class Recording(Result):
         """True contact events of the dampers and joints, one a row.
 
         Fields: `time` [s], `damper` (number, from 1), `kind` (such as `floor` or `separation`), and `speed`, the
-        closing speed before an impact [m/s]. If joints have events, the field `joint` is the number of the joint, from
-        1, where `damper` is 0, and vice versa.
+        closing speed before an impact [m/s]. If joints have events, there is a field `joint`: the number of the joint,
+        from 1. In each row either `joint` or `damper` is 0.
         """
         with add_path(self.path):
             events = [event_from_json(data) for data in self._messages(layout.EVENTS)]
@@ -394,7 +394,7 @@ class Recording(Result):
 
     @property
     def _settings(self) -> Test | None:
-        """Settings of the test; None if a recording of another program contains no scene."""
+        """Settings of the test; None if the recording contains no scene, as from another program."""
         try:
             return self.scene.test
         except ShotrigError:
@@ -402,7 +402,7 @@ class Recording(Result):
 
     @cached_property
     def outline(self) -> SceneOutline:
-        """Summary of the recorded scene from the metadata; the scene is loaded only if they lack it."""
+        """Summary of the recorded scene from the metadata; the scene is loaded only if the summary is missing."""
         return SceneOutline.from_metadata(self.metadata.get("run", {})) or SceneOutline.of(self.scene)
 
     @property
@@ -448,22 +448,22 @@ class Recording(Result):
         Raises
         ------
         RecordingError
-            At the first damage, or in a file of this package the first missing samples without a marker.
+            At the first damage. In a file of this package, also at the first missing samples without a marker.
         """
         from daq.core.mcap_file.file_check import check_file
 
         check_file(self._container)
         _ = self.metadata, self.markers, self.events
         for series in (each for by_point in self._truth.values() for each in by_point.values()):
-            # Reading the blocks checks them.
+            # The blocks are checked while they are read.
             for _ in series.blocks(0, series.stop):
                 pass
         for name in self._series:
             for first, stop in unmarked_ranges(self._series[name].missing_ranges(), self._marked_gaps(name)):
                 if self._has_our_layout:
                     raise RecordingError(
-                        f"{self.path}: samples {first} to {stop - 1} of {name} are missing without a marker, or are no "
-                        "measured values: they were removed or overwritten, or later samples were moved. Use the other "
+                        f"{self.path}: samples {first} to {stop - 1} of {name} are missing without a marker, or are not "
+                        "valid readings: they were removed or overwritten, or later samples were moved. Use the other "
                         "samples only."
                     )
 

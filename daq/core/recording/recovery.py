@@ -44,7 +44,8 @@ SampleRange = tuple[int, int]
 
 # Latest time that a message can have, ns.
 _MAX_TIME_NS = 2**64 - 1
-# Ending of the name of a file that replaces another; a recorder's `.part` contains samples of its own.
+# Ending of the name of a recovered file until it replaces another file. It differs from `.part`, the ending of a
+# recorder's file, which contains samples of its own.
 _ENDING = ".recovering"
 _DISK_REMEDY = "Free disk space, or choose a file on another disk with -o."
 
@@ -63,7 +64,7 @@ class Salvage:
 
     @property
     def whole(self) -> bool:
-        """Whether nothing is known to be lost."""
+        """Whether no loss is known."""
         return not (self.lost or self.missing or self.notes)
 
     def report(self) -> Iterator[str]:
@@ -95,7 +96,7 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
     path : str or Path
         The damaged file; it is not changed.
     fixed : str or Path
-        The file to create, not the damaged one.
+        The file to create; it must differ from the damaged file.
     overwrite : bool
         Whether an existing file may be replaced.
 
@@ -107,7 +108,7 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
     Raises
     ------
     RecordingError
-        If the file cannot be read, nothing in it can be recovered, or the new one cannot be made.
+        If the file cannot be read, nothing in it can be recovered, or the new file cannot be created.
     DiskError
         If the disk has no room for the new file, or fails.
     """
@@ -178,7 +179,7 @@ class _Salvager:
         self._schemas, self._channels, self._counts = schemas, channels, counts
         self._file = ChunkedFile(disk, f"shotrig {version('shotrig')}")
         self._compressor = zstd()
-        # The keys of the next four are channel numbers of the damaged file.
+        # The keys of the next four dictionaries are channel numbers of the damaged file.
         self._new_numbers: dict[int, int] = {}  # channel number in the new file
         self._sample_ranges: dict[int, list[SampleRange]] = {}  # ranges of copied samples
         self._n_messages: dict[int, int] = defaultdict(int)  # number of copied messages
@@ -242,7 +243,7 @@ class _Salvager:
         self._file.add_chunk(readable_messages, self._compressor)
 
     def _is_readable(self, message: StoredMessage) -> bool:
-        """Register the content of a message; return False, with a note, if it cannot be read."""
+        """Register the content of a message; if it cannot be read, add a note and return False."""
         channel = self._channels[message.channel]
         try:
             with add_path(channel.topic):
@@ -253,7 +254,7 @@ class _Salvager:
         return True
 
     def _register(self, message: StoredMessage, channel: Channel) -> None:
-        """Register the samples, or the gap, that a message contains."""
+        """Register the samples or the gap that a message contains."""
         if message.channel in self._sample_ranges:
             block = decode(message.data, self._schemas[channel.schema_id].name)
             if self._clock is None:
@@ -262,7 +263,7 @@ class _Salvager:
             check_block(block, message.log_time, self._clock)
             ranges, first = self._sample_ranges[message.channel], block.first_sample
             if ranges and first < ranges[-1][1]:
-                # A damaged file system may repeat parts of a file.
+                # Samples may repeat if a damaged file system repeats parts of a file.
                 raise RecordingError(
                     f"samples {first} to {block.stop - 1} are left out, because later samples precede them"
                 )
@@ -289,15 +290,13 @@ class _Salvager:
     # -- losses ------------------------------------------------------------------------------------------
 
     def _determine_losses(self, clock: Timebase) -> Salvage:
-        """Compare the copied samples and messages with those that the file gives; return the differences."""
+        """Compare the copied samples and messages with the numbers that the file states; return the differences."""
         channels, outcome = self._channels, self._metadata.get("outcome", {})
         end = max(ranges[-1][1] for ranges in self._sample_ranges.values() if ranges)
         # Number of samples stated at the end of the file; None if the end is missing.
         stated_end = int(outcome["samples"]) if _is_plausible_count(outcome.get("samples", "")) else None
         if stated_end is None and self._counts is None:
-            self._notes.append(
-                f"the file has no end: samples after {end / clock.rate:.6g} s, if there were any, are lost"
-            )
+            self._notes.append(f"the file has no end: any samples after {end / clock.rate:.6g} s are lost")
         end = max(end, stated_end or 0)
         lost, recovered = {}, {}
         for number, ranges in self._sample_ranges.items():
@@ -361,7 +360,7 @@ def _is_plausible_count(text: str) -> bool:
 
 
 def _subtract(ranges: Iterable[SampleRange], excluded: Sequence[SampleRange]) -> Iterator[SampleRange]:
-    """Yield the parts of `ranges` outside the ranges `excluded`; both are in order and do not overlap.
+    """Yield the parts of `ranges` outside the ranges `excluded`; each list is ascending and without overlaps.
 
     >>> list(_subtract([(0, 30), (40, 100)], [(10, 20), (25, 45), (90, 100)]))
     [(0, 10), (20, 25), (45, 90)]

@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 
 # Name of the fixed part.
 WORLD = "world"
-# The motion is exaggerated at most by this factor. Displacements near a resonance are millimeters; a millimeter is
-# drawn as two centimeters.
+# Largest exaggeration: displacements near a resonance are millimeters, and a millimeter is drawn as two centimeters.
 EXAGGERATION = 20.0
 
 TRANSFORMS_SCHEMA = Schema(
@@ -57,8 +56,8 @@ TRANSFORMS_SCHEMA = Schema(
 )
 # Size of a height (a double) in a message, bytes.
 _HEIGHT_BYTES = 8
-# Size of the seconds, and of the nanoseconds, in a google.protobuf.Timestamp, bytes: fixed, so that all messages have
-# one size. Each follows its tag (0x08, 0x10); the Timestamp follows its own tag and its size.
+# Size of the seconds, and of the nanoseconds, in a google.protobuf.Timestamp, bytes. The sizes are fixed, so that all
+# messages have the same size. Each number follows its tag (0x08, 0x10); the Timestamp follows its own tag and its size.
 _TIME_BYTES = 5
 _TIMESTAMP = bytes([0x0A, 2 + 2 * _TIME_BYTES, 0x08, *bytes(_TIME_BYTES), 0x10, *bytes(_TIME_BYTES)])
 # Translation: x = y = 0, and the tag of z, the height.
@@ -70,7 +69,7 @@ _NO_ROTATION = b"\x2a\x09\x21" + struct.pack("<d", 1.0)
 def exaggeration(scene: Scene) -> float:
     """Return the factor on displacements and gaps: at most 20, less if a finite clearance would not fit."""
     clearances = [damper.clearance for damper in scene.dampers if 0 < damper.clearance < math.inf]
-    # The drawing of a mass on a spring has half of the height on each side.
+    # A mass on a spring is drawn with half of the height on each side.
     clearances += [2 * max(damper.below, 0.0) for damper in scene.dampers if damper.spring and damper.impacts]
     clearances = [clearance for clearance in clearances if 0 < clearance < math.inf]
     return round_factor(min([EXAGGERATION, *(HEADROOM / clearance for clearance in clearances)]))

@@ -34,7 +34,7 @@ SAMPLE_TYPE: dict[str, np.dtype[Any]] = {schema: kind for schema, _, kind in SCH
 # field), and the tag of the samples.
 _HEADER = struct.Struct("<BqBQBdB")
 _TAGS = (0x09, 0x11, 0x19, 0x22)
-# At most this number of blocks is decoded together; the recorder writes a few blocks to a chunk.
+# Maximum number of blocks that are decoded together; the recorder writes a few blocks to a chunk.
 _MAX_JOINED_BLOCKS = 64
 
 
@@ -44,7 +44,7 @@ class SampleBlock(NamedTuple):
     t0_ns: int  # time of the first sample, nanoseconds since the epoch of the recording
     first_sample: int  # index of the first sample
     rate: float  # samples per second, Hz
-    samples: NDArray[Any]  # the stored numbers, (samples,); if `encode` wrote the message, a view
+    samples: NDArray[Any]  # the stored numbers, (samples,); a view of the message if `encode` wrote it
 
     @property
     def stop(self) -> int:
@@ -131,10 +131,10 @@ def check_block(block: SampleBlock, log_time: int, clock: Timebase) -> None:
 
 
 def decode_contiguous(records: memoryview, channel: int, schema: str, clock: Timebase) -> SampleBlock | None:
-    """Decode and join the blocks of a chunk, for a chunk as the recorder writes it; return None for any other.
+    """Decode and join the blocks of a chunk, if it has the form that the recorder writes; otherwise return None.
 
-    It contains only contiguous blocks of one channel and one length, whose times agree with the clock. Decoding them
-    one by one takes several times as long.
+    Such a chunk contains only contiguous blocks of one channel and one length, whose times agree with the clock.
+    Decoding the blocks one by one takes several times as long.
     """
     if len(records) < RECORD_HEAD.size:
         return None
@@ -161,9 +161,9 @@ def decode_contiguous(records: memoryview, channel: int, schema: str, clock: Tim
 
 @lru_cache(maxsize=64)
 def _contiguous_layout(length: int, count: int, schema: str) -> tuple[struct.Struct, np.dtype[Any], int] | None:
-    """Return the layout of `count` records of `length` bytes with one block each; None if they cannot contain one.
+    """Return the layout of `count` records of `length` bytes, each with one block; None if this length is impossible.
 
-    It consists of the numbers before the samples, the samples, and the number of samples of a block.
+    The layout consists of the numbers before the samples, the samples, and the number of samples of a block.
     """
     kind, message_bytes = SAMPLE_TYPE[schema], length - MESSAGE_HEAD.size
     size_bytes = _size_prefix(message_bytes) if message_bytes > _HEADER.size else b""
@@ -181,7 +181,7 @@ def _contiguous_layout(length: int, count: int, schema: str) -> tuple[struct.Str
 def _size_prefix(message_bytes: int) -> bytes:
     """Return the encoded size (varint) of the samples in a message of this length.
 
-    The prefix is as long as the payload size requires, and the payload is shorter by the prefix: try both lengths.
+    The length of the prefix depends on the size of the payload, which excludes the prefix; two lengths are tried.
     """
     bytes_after_header = message_bytes - _HEADER.size
     max_prefix = len(varint(bytes_after_header))

@@ -19,7 +19,7 @@ class Group:
     """The samples of one cell of the grid."""
 
     first: int  # sample index of the first column of `samples`
-    samples: NDArray[Any]  # valid only within `spans`; shape (rows, group length)
+    samples: NDArray[Any]  # samples, valid only within `spans`; shape (rows, group length)
     spans: list[tuple[int, int]]  # ranges of sample indices [start, stop) that were acquired, in order
 
     def acquired(self) -> Iterator[tuple[int, NDArray[Any]]]:
@@ -28,9 +28,9 @@ class Group:
             yield start, self.samples[:, start - self.first : stop - self.first]
 
     def blocks(self, length: int) -> Iterator[tuple[int, NDArray[Any]]]:
-        """Yield the acquired samples in blocks that end at multiples of `length`, or where the samples end.
+        """Yield the acquired samples in blocks; a block ends at a multiple of `length`, or with the acquired range.
 
-        An item is the index of the first sample, and successive blocks of equal size, shape (rows, blocks, samples).
+        Each item has the index of its first sample, and successive blocks of equal size, shape (rows, blocks, samples).
         """
         for start, samples in self.acquired():
             stop = start + samples.shape[1]

@@ -1,4 +1,4 @@
-"""Collect the true motion of the rig for a recording, and make its topics.
+"""Collect the true motion of the rig for a recording, and create the topics of this motion.
 
 The truth is the simulated motion itself, which no sensor measures (true quantity values, VIM 2.11).
 """
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
     from rig.core.simulation.motion import Motion
 
-# Function that adds a topic to the file: from its name, schema and metadata to the number of its channel.
+# Function that adds a topic of a given name, schema and metadata to the file, and returns its channel number.
 Register = Callable[[str, Schema, Mapping[str, str]], int]
 
 # Recorded quantities of the motion of each point.
@@ -64,7 +64,7 @@ class Truth:
         )
         self._events: deque[tuple[Any, ...]] = deque()
         self._n_events = 0
-        # The last groups of displacements and gaps by number.
+        # The last groups of displacements and gaps, by group number.
         self._recent_groups: dict[int, Group] = {}
         # Rows of displacements and gaps in the first stream.
         self._position_rows = np.r_[
@@ -136,7 +136,7 @@ class Truth:
     def positions(self, samples: NDArray[np.int64]) -> Array:
         """Return displacements of points and gaps of dampers at the next samples, m, shape (parts, samples).
 
-        At samples outside the last groups, the previous value is repeated.
+        Samples outside the last groups repeat the previous value.
         """
         positions = np.empty((len(self.part_names), 1 + samples.size))
         positions[:, 0] = self._last_positions

@@ -26,7 +26,9 @@ from rig.core.simulation.motion import Motion
 
 
 class Chain:
-    """All channels of a scene, from motion to samples in volts; results do not depend on the division into blocks.
+    """All channels of a scene, from motion to samples in volts.
+
+    The samples do not depend on the division of the motion into blocks.
 
     `rate` is the rate of the motion, Hz, a multiple of the converter's true rate (its sample rate with the clock
     error). `points` are the points whose motion is given, such as "body 1"; `inputs` are the inputs of the rig whose
@@ -65,7 +67,7 @@ class Chain:
         self._spring_forces = [_spring_force(channel, scene, points, rate) for channel in channels]
         self._buffers = SharedScratch()
         self._jitter = generator(scene.seed, "", "jitter") if converter.jitter else None
-        # Number of initial samples that are omitted, because the delay of the filter is removed.
+        # If the delay of the filter is removed, this number of initial samples is omitted.
         self.latency = DELAY_SAMPLES if converter.filter is not None and converter.remove_delay else 0
         parts = [self._build_channel(row, channel) for row, channel in enumerate(channels)]
         self.channel_settings: tuple[Channel, ...] = tuple(channels)

@@ -43,7 +43,7 @@ class Quantizer:
         self._volts_per_count = volts_per_count(settings)
         dropped = [(round(block.at * settings.sample_rate), block.samples) for block in settings.dropped_blocks]
         spans = merge_spans((first, first + samples) for first, samples in dropped)
-        # First and last sample of each run of samples that is lost between converter and recording.
+        # First and last sample of each range that is lost between converter and recording.
         self.lost = tuple((first, stop - 1) for first, stop in spans)
 
     def convert(self, volts: Array) -> tuple[Array | NDArray[np.int32], NDArray[np.bool_]]:
@@ -73,7 +73,8 @@ class Outputs:
     """
 
     def __init__(self, scene: Scene, inputs: Sequence[str], units: Sequence[str]) -> None:
-        # For each output with a range: index of the drive, full scale and step (None: not quantized), in its unit.
+        # For each output with a range: index of the drive, full scale and step in the unit of the drive (None: not
+        # quantized).
         self._limited: list[tuple[int, float, float | None]] = []
         for number, shaker in enumerate(scene.shakers, 1):
             settings = complete_from_preset(shaker.output)
@@ -85,7 +86,7 @@ class Outputs:
             self._limited.append((row, full_scale, step))
 
     def limit(self, drive_limit: Array) -> Array:
-        """Return the largest drive of each input, given the limits of the amplifiers; both of shape (inputs,)."""
+        """Return the largest unclipped drive of each input, given the amplifiers' limits; both of shape (inputs,)."""
         limit = drive_limit.copy()
         for row, full_scale, _ in self._limited:
             limit[row] = min(limit[row], full_scale)
@@ -105,7 +106,7 @@ class Outputs:
 
 
 def describe_clock(converter: Settings) -> str:
-    """Describe the sample rate; for a module whose clock has other rates, also the rate that the scene asks for."""
+    """Describe the sample rate, and the rate that the scene requests if the module rounds it up."""
     rate = f"{converter.sample_rate:.6g} Hz"
     if converter.sample_rate == converter.rate:
         return rate

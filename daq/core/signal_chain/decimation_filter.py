@@ -70,12 +70,13 @@ class DecimationFilter:
 
     def amplitude_response(self, frequency: ArrayLike) -> Array:
         """Return the zero-phase response: the frequency response without the delay, at frequencies in Hz."""
-        # Fourier integral as a sum: with 16 points per sample it is accurate to 1e-6 up to 15 times the sample rate.
+        # The Fourier integral is computed as a sum. With 16 points per sample, its error is below 1e-6 up to 15 times
+        # the sample rate.
         points_per_sample = 16
         values = self.impulse_response(np.arange(self.delay * points_per_sample) / points_per_sample)
         values[1:] *= 2.0
         angle = 2 * np.pi * np.asarray(frequency, dtype=float) / (self.rate * points_per_sample)
-        # A sum of cosines of multiples of the angle is a Chebyshev series in the cosine of the angle.
+        # A sum of cosines of multiples of an angle is a Chebyshev series in the cosine of the angle.
         return np.asarray(chebyshev.chebval(np.cos(angle), values / values.sum()))
 
 
@@ -88,7 +89,7 @@ def legendre_taps(low_pass: DecimationFilter, oversampling: int) -> Array:
     """
     nodes, weights = legendre.leggauss(32)
     interval = np.arange(low_pass.length * oversampling)[:, None]
-    # From the quadrature nodes of each interval (-1: start, 1: end) to the output sample, in sample intervals.
+    # Time from each quadrature node of an interval (-1: start, 1: end) to the output sample, in sample intervals.
     lag = (interval + 0.5 * (1.0 - nodes)) / oversampling
     values = low_pass.impulse_response(lag - low_pass.delay) * weights
     polynomials = legendre.legvander(nodes, MOMENTS - 1) * (2 * np.arange(MOMENTS) + 1)

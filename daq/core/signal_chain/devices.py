@@ -12,11 +12,11 @@ from daq.core.signal_chain.stage import Stage, data_sheet
 from rig.core.scene.measurement_chain import Accelerometer, Channel, Converter, Hammer, Integrator
 from rig.core.scene.presets import complete_from_preset, needs_supply
 
-# Quality factor of a mounted resonance if the scene does not specify it.
+# Default quality factor of a mounted resonance.
 DEFAULT_Q = 30.0
-# Ratio of the lateral to the vertical acceleration if the scene does not specify it.
+# Default ratio of the lateral to the vertical acceleration.
 DEFAULT_LATERAL_RATIO = 0.1
-# Corner frequency of an AC coupling if the scene does not specify it.
+# Default corner frequency of an AC coupling, Hz.
 DEFAULT_AC_CORNER_HZ = 0.5
 
 
@@ -33,7 +33,7 @@ def channel_stages(channel: Channel, converter: Converter, seed: int) -> tuple[S
     else:
         sensor = accelerometer(complete_from_preset(channel.accelerometer or Accelerometer()), seed, channel.name)
     if needs_supply(channel) and converter.excitation == 0.0:
-        # Without supply, the output of the sensor's internal amplifier is zero.
+        # Without a supply, the output of the sensor's internal amplifier is zero.
         sensor = replace(sensor, deviation=-1.0, noise=None, noise_corner=None, offset=None, settling=None)
     amplifier = () if channel.integrator is None else (integrating_amplifier(channel.integrator),)
     return (sensor, *amplifier, *coupling)

@@ -1,9 +1,9 @@
 """Detect a reversed force or motion channel by the direction of power at the driving point.
 
 A passive structure absorbs power from the force: the cross spectrum of force and velocity at the driving point has a
-positive real part (Ewins, Modal Testing, 2nd ed., section 2.6). The real part is negative throughout if the force, or
-the motion sensor there, has the wrong sign. Near resonances the real part is so large that phase errors of filters and
-delays, well below a quarter of a period, do not change its sign.
+positive real part (Ewins, Modal Testing, 2nd ed., section 2.6). The real part is negative at all frequencies if the
+force sensor or the motion sensor has the wrong sign. Near resonances the real part is so large that phase errors of
+filters and delays, well below a quarter of a period, do not change its sign.
 """
 
 from __future__ import annotations
@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 from daq.core.signal_chain.channel import ChannelInfo, Quantity
 from rig.core.base.arrays import Array
 
-# A line has a clear sign if the real part of its power is at least this fraction of the magnitude. Other lines count
-# only in the total power.
+# The sign of a spectral line's power is clear if its real part is at least this fraction of its magnitude. Other lines
+# count only in the total power.
 _MIN_REAL_RATIO = 0.3
-# Power is returned if the sum of the real parts is negative and at least this fraction of the sum of their magnitudes:
-# at 0.8, 90 % is negative. Less than 1, because phase errors can reverse the sign far from resonances.
+# The structure returns power if the sum of the real parts is negative and has at least this fraction of the sum of
+# their magnitudes. At 0.8, 90 % of the power is negative. The fraction is below 1 because phase errors can reverse the
+# sign far from resonances.
 _MIN_NEGATIVE_SUM = 0.8
-# The sign is evaluated if lines with a clear sign have at least this fraction of the total power. In a band around an
-# antiresonance alone, the fraction is smaller.
+# The sign is evaluated only if the lines with a clear sign have at least this fraction of the total power. In a narrow
+# band around an antiresonance, their fraction is smaller.
 _MIN_CLEAR_SHARE = 0.02
 # A line is driven if its force is at least this fraction of the largest line of the force.
 _MIN_FORCE_RATIO = 0.1
@@ -35,7 +36,7 @@ def returns_energy(power: NDArray[np.complex128]) -> bool:
 
 
 def _power_sums(power: NDArray[np.complex128]) -> Array:
-    """Return three sums: magnitude at all lines; |real part| and real part at lines with a clear sign."""
+    """Return three sums of power: magnitude at all lines; |real part| and real part at lines with a clear sign."""
     clear_parts = power.real[abs(power.real) > _MIN_REAL_RATIO * abs(power)]
     return np.array([abs(power).sum(), abs(clear_parts).sum(), clear_parts.sum()])
 
@@ -53,7 +54,7 @@ class DrivingPower:
         self._power_sums = np.zeros(3)
 
     def add(self, force: Array, motion: Array) -> None:
-        """Add the next samples in volts; NaN where samples are lost."""
+        """Add the next samples in volts; lost samples are NaN."""
         if force.size < 2:
             return
         frequency = np.fft.rfftfreq(force.size, 1.0 / self._force.rate)[1:]

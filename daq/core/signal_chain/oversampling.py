@@ -17,17 +17,17 @@ from rig.core.scene.scene import Scene
 from rig.core.system.assembly import assemble
 from rig.core.system.spheres import contact_time, spheres_of
 
-# With a filter, the motion is resolved at least up to this frequency, Hz.
+# With a decimation filter, the motion is resolved at least up to this frequency, Hz.
 MIN_BAND_HZ = 1000.0
 # Cubic interpolation (`daq.core.dsp.interpolation`) is accurate to 0.0001 dB up to this ratio of frequency to
 # oversampled rate.
 MAX_RESOLVED_RATIO = 0.1
-# The oversampled rate is at most this, Hz. Faster oscillations are aliased, as in the modulator of a real converter.
+# Largest oversampled rate, Hz. Faster oscillations are aliased, as in the modulator of a real converter.
 MAX_RATE = 1.024e6
 
 
 def choose_oversampling(scene: Scene, converter: Converter | None = None) -> int:
-    """Return the number of intervals per sample of a scene's converter, or of another, at least 1.
+    """Return the number of intervals per sample, at least 1, for a scene's converter or another converter.
 
     Without a decimation filter, motion between samples matters only if a sensor or amplifier can saturate or a contact
     has a finite duration. With a filter, oscillations above half the sample rate must be resolved, so that the filter
@@ -98,7 +98,7 @@ class DriveInterpolator:
         samples = np.concatenate([self._last, drive], axis=1)
         if samples.shape[1] == 0:
             return drive
-        # Sample 0, which no interval precedes; empty in later blocks.
+        # Sample 0, which has no interval before it; empty in later blocks.
         first_sample = drive[:, : 1 - self._last.shape[1]]
         self._last = samples[:, -1:]
         start, end = samples[:, :-1, None], samples[:, 1:, None]

@@ -22,7 +22,7 @@ from rig.core.numerics.simd import LANES
 class Sampler(Protocol):
     """Computes the samples of a block from the voltage at the converter's input."""
 
-    moments: int  # number of required moments of the voltage over each interval
+    moments: int  # required number of moments of the voltage over each interval
     intervals: int  # number of intervals on which a sample depends, up to the interval that ends at it
     # Required outputs at the end of each interval are output_matrix @ state + feedthrough * input.
     output_matrix: Array  # (outputs, states)
@@ -31,7 +31,8 @@ class Sampler(Protocol):
     def moments_buffer(self, intervals: int) -> Array:
         """Return the array into which the moments of the next intervals are written.
 
-        Its shape is (rows, LANES), with at least intervals + SUMS_AT_ONCE rows, or no rows if no moments are required.
+        Its shape is (rows, LANES), with at least intervals + SUMS_AT_ONCE rows. It has no rows if no moments are
+        required.
         """
 
     def read(self, outputs: Array, sample_ends: slice) -> Array:

@@ -1,8 +1,8 @@
 """Computes the samples of one channel, V, from the motion or force at its sensor.
 
 A stage is a device of the channel: sensor, amplifier or coupling. A section is a linear element of its circuit, such as
-a high pass. An interval is the sample interval divided by the oversampling; the circuit is propagated from interval to
-interval.
+a high pass. The oversampling divides each sample interval into equal intervals; the circuit is propagated from interval
+to interval.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class SignalPath:
     """Sensor, amplifier, coupling and sampling of one channel.
 
     The limits of sensor and amplifier act on the continuous signal, before it is filtered and sampled. `delay` is the
-    delay of the channel by skew, s. Skew is the time difference between the sampling of different channels.
+    delay of the channel due to skew, s. Skew is the time difference between the sampling of different channels.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class SignalPath:
         circuit = Circuit.series(sections)
         sensor, sample_rate = stages[0], converter.true_rate
         rate, gain = sample_rate * oversampling, sensor.nominal * (1.0 + sensor.deviation)
-        # The sampler delays by whole intervals, `Delay` by the remaining part of an interval.
+        # The sampler realizes the whole intervals of the delay, `Delay` the remaining part of an interval.
         delay_intervals = int(delay * rate)
         has_filter, self._oversampling = converter.filter is not None, oversampling
         self._first_interval = 0  # index of the first interval of the next block
@@ -85,7 +85,7 @@ class SignalPath:
             limit = np.inf if stage.rails is None else stage.rails
             for section in stage.sections:
                 state_limits += [limit if section.name == INTEGRATION else np.inf] * section.states
-        # The limit of the sensor clips its output, which is the input of this section.
+        # The limit of the sensor clips the sensor's output, which is the input of this section.
         limited_section = len(sensor.sections)
         self._limits = tabulate_limits(
             sections, limited_section, sensor.limit, np.array(state_limits), gain, rate, entries, self._discrete
@@ -169,7 +169,7 @@ class Overloads:
 
     def flags(self, sample_ends: slice) -> NDArray[np.bool_]:
         """Return the flag of each sample, given the intervals that end at a sample."""
-        severity = self._severity[1:]  # 0 within the limit, in overload 1 + zero shift / limit
+        severity = self._severity[1:]  # 0 within the limit; 1 + zero shift / limit in overload
         if self._affected_ahead <= 0 and not severity.any():
             return np.zeros(severity[sample_ends].size, dtype=bool)
         overloaded = np.flatnonzero(severity)
@@ -185,14 +185,14 @@ class Overloads:
         return (valid_from[1:] > np.arange(severity.size))[sample_ends]
 
 
-# Discretized circuits by their matrices: channels with equal data sheets share them, also those of other benches.
+# Discretized circuits by their matrices. Channels with equal data sheets share a circuit, also across benches.
 _CIRCUIT_CACHE: dict[tuple[object, ...], DiscreteCircuit] = {}
-# Number of circuits at which the cache is emptied.
+# The cache is emptied when it contains this number of circuits.
 _MAX_CIRCUITS = 64
 
 
 def _discretized(circuit: Circuit, gain: float, rate: float, moments: int, entries: Sequence[Entry]) -> DiscreteCircuit:
-    """Discretize a circuit; an equal circuit is taken from the cache."""
+    """Discretize a circuit, or return an equal circuit from the cache."""
     matrices = (np.asarray(matrix).tobytes() for matrix in (circuit.a, circuit.b, circuit.c, circuit.d))
     key = (*matrices, np.asarray(circuit.sections).tobytes(), gain, rate, moments, tuple(entries))
     if key not in _CIRCUIT_CACHE:
@@ -203,7 +203,7 @@ def _discretized(circuit: Circuit, gain: float, rate: float, moments: int, entri
 
 
 def _direct_offsets(stages: Sequence[Stage], circuit: Circuit, rate: float) -> list[tuple[float, Offset]]:
-    """Return the offsets of the stages with their direct feedthrough to the output, where it is not 0."""
+    """Return each offset of a stage whose direct feedthrough to the output is not 0, with this feedthrough."""
     offsets, section = [], 0
     for stage in stages:
         section += len(stage.sections)
@@ -215,7 +215,7 @@ def _direct_offsets(stages: Sequence[Stage], circuit: Circuit, rate: float) -> l
 def _disturbances(
     stages: Sequence[Stage], channel: str, rate: float, seed: int, has_filter: bool
 ) -> tuple[list[Entry], list[Disturbance]]:
-    """Return the noises and offsets of the stages: the entry of each into the circuit, and its source.
+    """Return the noises and offsets of the stages: for each, its point of entry into the circuit, and its source.
 
     `rate` is the sample rate, Hz.
     """
@@ -233,7 +233,7 @@ def _disturbances(
                 sources.append(FastNoise(noise, corner, rate, noise_generator, degree))
             entries += [Entry(section, degree, has_filter) for degree in range(n_terms)]
         if stage.offset is not None:
-            # A constant has no higher degrees.
+            # A constant offset needs only the polynomial of degree 0.
             for degree in range(1 if stage.settling is None else NOISE_TERMS):
                 sources.append(OffsetPolynomial(stage.offset, stage.settling, rate, degree))
                 entries.append(Entry(section, degree, has_filter))

@@ -183,7 +183,7 @@ def test_number_that_is_no_voltage_is_lost(tmp_path: Path, stored: str, value: f
     path = write_recording(tmp_path / "a.mcap", volts, make_scene(recording={"samples": stored}))
     with daq.open(path) as recording:
         assert np.flatnonzero(np.isnan(recording.read("body2"))).tolist() == [*range(2000, 2010)]
-        with pytest.warns(RunWarning, match="10 samples are no measured values, the first is sample 2000 of body2"):
+        with pytest.warns(RunWarning, match="10 samples are not valid readings, the first is sample 2000 of body2"):
             (gap,) = recording.gaps
         assert (gap.first_sample, gap.last_sample, gap.channels) == (2000, 2009, ("body2",))
         with pytest.raises(RecordingError, match="samples 2000 to 2009 of body2"):

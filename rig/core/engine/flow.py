@@ -13,7 +13,7 @@ import numpy as np
 
 from rig.core.engine.law_tables import LawTables
 
-#: Number of terms of the matrix exponential of a step; more than those of a signal's power series.
+#: Number of terms of the matrix exponential of a step; the power series of a signal has fewer.
 TERMS = 25
 
 
@@ -29,13 +29,12 @@ class Flow(NamedTuple):
     step_matrix: gives the state after a full step, its accelerations and, as far as the padding has room, their
     derivatives with respect to tau. derivative: gives accelerations and their derivatives at the state z itself.
     series: (A h)^k / k! for every k.
-    margin: gives from |z| the largest approach of each signal to a limit in a step beyond its values at both ends (an
-    eighth of the bound of its second derivative, and rounding).
-    bound: gives from |z| for each signal a bound of its fourth derivative with respect to tau over a step, then for
-    each signal the sum of the magnitudes of its terms. Of a flying mass these are those of its body's position.
-    rates: nonzero elements of A, in compressed sparse rows (row_pointer, column). rates_constant: b.
-    after[k, m]: table index after a change from the configuration with table index k to the mode with the number m, or
-    -1 if it is not yet computed.
+    margin: maps |z| to the margins of the signals. A signal can be closer to a limit within a step than at both ends of
+    the step, by at most its margin (an eighth of the bound of its second derivative, plus rounding).
+    bound: maps |z| to bounds over a step: first the fourth derivative of each signal with respect to tau, then the sum
+    of the magnitudes of the terms of each signal. For a flying mass the signal here is the position of its body. rates:
+    nonzero elements of A, in compressed sparse rows (row_pointer, column). rates_constant: b. after[k, m]: table index
+    after one element of the configuration with table index k changes to mode m, or -1 if it is not yet computed.
     """
 
     has_series: bool
@@ -62,12 +61,12 @@ class Flow(NamedTuple):
 class Model(NamedTuple):
     """Constants of a system for the laws of its elements, in SI units.
 
-    step: step length, s. mass: of each element. position_index, velocity_index: of the position and velocity of each
-    element's body in the state. gap_coordinate: index of the gap in the state; -1 for a detached mass. base_coordinate:
-    index of the coordinate that is subtracted from it; -1 without one. memory_coordinate: index of the memory; -1
-    without one. first_velocity: index of the first velocity,
-    which equals the number of coordinates. first_acceleration: index of the accelerations that are stored after the
-    state. inverse_mass: inverse of the mass matrix. force, force_constant: forces on the coordinates. coupled: whether
+    step: step length, s. mass: mass of each element. position_index, velocity_index: indices of the position and
+    velocity of each element's body in the state. gap_coordinate: index of the gap in the state; -1 for a detached mass.
+    base_coordinate: index of the coordinate that is subtracted from the gap coordinate; -1 if none is.
+    memory_coordinate: index of the memory; -1 without memory. first_velocity: index of the first velocity, which equals
+    the number of coordinates. first_acceleration: index of the accelerations that are stored after the state.
+    inverse_mass: inverse of the mass matrix. force, force_constant: forces on the coordinates. coupled: whether
     simultaneous contacts affect each other. laws: tables of the laws.
     """
 

@@ -54,11 +54,12 @@ MAX_STEP_MATRIX_DAMPERS = 6
 MAX_STEP_MATRIX_BYTES = 1 << 29
 #: Memory, in bytes, of an element of the step matrix, including the tables of derivatives and bounds.
 ELEMENT_BYTES = 20
-#: Memory, in bytes, of the terms of the matrix exponential for an element, of one configuration at a time.
+#: Memory, in bytes, of the terms of the matrix exponential for an element of the matrix. Only the terms of one
+#: configuration are stored at a time.
 TERM_BYTES = 9 * TERMS
 #: An array contains the table index of every possible configuration up to this number of configurations.
 MAX_DIRECT_LOOKUP = 4096
-#: Envelopes (`rig.core.engine.screening`) save time up to this phase advance of the drive per step.
+#: Envelopes (`rig.core.engine.screening`) save time up to this phase advance of the drive per step, rad.
 MAX_ENVELOPE_PHASE_RAD = 0.2
 #: Number of small systems whose tables are cached for the next run.
 MAX_CACHED_SYSTEMS = 32
@@ -98,7 +99,7 @@ class FlowTables:
         self.flow = self._allocate(_INITIAL_CAPACITY)
 
     def _step_matrix_is_faster(self, configurations: int) -> bool:
-        """Return whether the matrix of a full step is faster than the series, within the memory limit.
+        """Return whether the matrix of a full step is faster than the series, and fits in the memory limit.
 
         `configurations`: number of possible configurations.
         """
@@ -251,7 +252,7 @@ class FlowTables:
         )
 
     def _double_capacity(self) -> None:
-        """Replace the tables with tables with the same content and room for twice the number of configurations."""
+        """Copy the tables into arrays with room for twice the number of configurations."""
         old = self.flow
         self.flow = self._allocate(2 * len(old.after))
         for name in (*self._table_shapes(), "after"):
@@ -322,7 +323,7 @@ class FlowTables:
                 is_detached = bool(self.model.gap_coordinate[j] < 0)
                 self._fill_bound(table_index, row, signal, 0.0 if is_detached else constant, terms, constants)
                 if is_detached and signal.order == 0:
-                    # The flying mass accelerates by gravity.
+                    # A flying mass is accelerated by gravity alone.
                     self.flow.margin_constant[table_index][row] += float(self.system.gravity) * self.step**2 / 8
 
     def _fill_bound(
@@ -334,13 +335,14 @@ class FlowTables:
         """
         flow, nq = self.flow, self.system.coordinates
         weights = np.zeros(self.size)
-        # The series of an acceleration in tau has the terms k terms[k] / h of the velocity at the power k - 1.
+        # If a velocity has the terms terms[k] tau^k, the acceleration has the terms k terms[k] / h tau^(k - 1).
         entries = np.array(signal.entries) - (self.size - nq if signal.order else 0)
         weights[entries] = signal.factors
         k = np.arange(TERMS)
         factor, power = (k / self.step, k - 1) if signal.order else (np.ones(TERMS), k)
         fourth_derivative = factor * np.abs(power * (power - 1) * (power - 2) * (power - 3))
-        # Between the ends of the step a signal moves towards a limit by at most an eighth of its second derivative.
+        # Within the step a signal exceeds its values at both ends by at most an eighth of its largest second
+        # derivative.
         approach = factor * np.abs(power * (power - 1)) / 8
         columns = terms.swapaxes(1, 2)
         sums, sum_constants = (np.abs(part @ weights).astype(np.float64) for part in (columns, constants))

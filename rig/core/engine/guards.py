@@ -42,7 +42,7 @@ from rig.core.numerics.simd import affine_product, unsigned
 def bound_by_tables(flow: Flow, table_index: int, z: Array, workspace: Workspace) -> None:
     """Compute the bounds of each signal's fourth derivative and magnitude over a full step from the state z.
 
-    They are stored in `workspace.bound`: fourth derivatives of all signals, then magnitudes.
+    The bounds are stored in `workspace.bound`: fourth derivatives of all signals, then magnitudes of all signals.
     """
     for i in range(workspace.magnitude.shape[0]):
         workspace.magnitude[i] = abs(z[i])
@@ -66,7 +66,7 @@ def bound_by_series(
         row_of_bound, index = signals.indices[lane, BOUND], signals.indices[lane, ENTRY]
         has_acceleration = signals.indices[lane, ORDER] > 0
         if model.gap_coordinate[signals.indices[lane, ELEMENT]] >= 0 and not has_acceleration:
-            # With an infinite bound no guard is proven free of zeros, so that its series is always examined.
+            # With an infinite bound no guard is proven free of zeros, so the series of every guard is examined.
             bound[row_of_bound] = np.inf
             continue
         row = index - model.first_acceleration + coordinates if has_acceleration else index

@@ -13,7 +13,7 @@ Terms:
 - segment: time interval under one drive, such as a sample interval (`rig.core.engine.propagator`);
 - envelope: upper bound of the magnitude of each state, for which the margins are valid;
 - margin of a signal: a signal inside its limits by its margin at both ends of a full step reaches no limit in it;
-- status: what is known of the present state (`rig.core.engine.power_series`).
+- status: which quantities of the present state are already computed (`rig.core.engine.power_series`).
 
 All numbers are float64, and no memory is allocated. The tables are described in `rig.core.engine.flow` and
 `rig.core.engine.law_tables`, the ends of modes in `rig.core.engine.resets`. Inlined functions have a single call site,
@@ -94,11 +94,11 @@ def advance(
     """Propagate to the end of a segment, or return earlier if the caller must act.
 
     `segment`: number of the segment, for the log. `steps`, `remaining`: duration of the segment and of its part still
-    to be propagated, in step lengths (not necessarily integers). Event times are computed from these two alone. Event
-    times are therefore bitwise identical however often the kernel returned within the segment. `status`:
-    `CONTACTS_UNCHECKED`, `STATE_ONLY` (no accelerations), `WITH_ACCELERATIONS`, or `ABOVE_MARGINS` (with accelerations,
-    and every signal inside its margins). `accelerations`: whether the accelerations at the end are needed; they are
-    stored after the state.
+    to be propagated, in step lengths (not necessarily integers). Event times are computed from these two alone, so that
+    they are bitwise identical however often the kernel returns within the segment. `status`: `CONTACTS_UNCHECKED`,
+    `STATE_ONLY` (no accelerations), `WITH_ACCELERATIONS`, or `ABOVE_MARGINS` (with accelerations, and every signal
+    inside its margins). `accelerations`: whether the accelerations at the end are needed; they are stored after the
+    state.
 
     Returns (reason, remaining, status). `reason`: `DONE`, `TABLES_MISSING`, `LOG_FULL` or `STUCK`. After missing tables
     are computed or the log is enlarged, call again with the remaining steps.

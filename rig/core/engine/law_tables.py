@@ -2,9 +2,9 @@
 
 The modes and exits of all elements are numbered one after another. A *lane* is the place of a signal: an element has as
 many lanes as its richest mode has signals. A signal is a sum of factors times entries of the extended state (states,
-accelerations, derivatives of the accelerations), plus a constant and, for a flying detached mass, its height. The
-holding force is divided by the mass of the element: it is the acceleration of its body minus that of the other forces
-on the mass, such as gravity.
+accelerations, derivatives of the accelerations), plus a constant and, for a flying detached mass, its height. As a
+signal, the holding force is divided by the mass of the element: it is the acceleration of the body, minus the
+acceleration that gravity and other forces would give the mass.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from rig.core.system.hybrid_system import Element, HybridSystem
 
 #: Index of the lower and of the upper end of a signal's interval.
 LOW, HIGH = 0, 1
-#: There is no exit, no further candidate, or no restitution.
+#: Value that marks a missing exit, candidate or restitution.
 NONE = -1
-#: A gap may be a rounding error of zero up to this fraction of speed times sqrt(mass / stiffness).
+#: A gap that is smaller than this fraction of speed times sqrt(mass / stiffness) may be a rounding error of zero.
 GAP_ROUNDING_RATIO = 1e-9
 
 
-#: Columns of the numbers of a signal (`Signals.numbers`): constant part; gap at which the first term is zero, m; factor
-#: of the height of a detached mass; limits; limits with the margins of the envelope (`rig.core.engine.screening`); from
-#: `SCALE` on, the factors of its terms.
+#: Columns of `Signals.numbers`: constant part of the signal; gap at which its first term is zero, m; factor of the
+#: height of a detached mass; lower and upper limit; both limits with the margins of the envelope
+#: (`rig.core.engine.screening`); from `SCALE` on, the factors of the terms.
 OFFSET, REST, FLIES, LOWER, UPPER, LOWEST, HIGHEST, SCALE = range(8)
-#: Columns of the indices of a signal (`Signals.indices`): element; number of its mode; 1 for a signal of accelerations,
-#: else 0; row in the tables of bounds; from `ENTRY` on, for each term an entry of the extended state, and the entry of
-#: its rate of change.
+#: Columns of `Signals.indices`: element; number of its mode; 1 if the signal contains accelerations, else 0; row in the
+#: tables of bounds; from `ENTRY` on, two indices for each term: its quantity in the extended state, and the rate of
+#: this quantity.
 ELEMENT, MODE, ORDER, BOUND, ENTRY, RATE = range(6)
 
 
@@ -39,16 +39,16 @@ class LawTables(NamedTuple):
     """The laws of all elements; m is the number of a mode, x of an exit.
 
     terms: largest number of terms of a signal. first_mode, first_lane: number of the first mode and lane of each
-    element, then their counts. stride: of each element, and force_index[m]: see `HybridSystem.strides`.
+    element, then their counts. stride (of each element), force_index[m]: see `HybridSystem.strides`.
 
     wall[m]: contact in results. push[m]: direction in which this wall pushes, 1 or -1. wall_gap[m]: gap of a held mass,
     m. is_held[m]. transmits[m]: whether the holding force can be an impulse. can_hit[m]: whether the mode can end in an
     impact. flies[m]: 1 for a detached mass that is not held, else 0. force[m]: factors of gap and speed, relaxed gap,
     constant part, and factor of the memory.
 
-    numbers, indices [m, lane of the element]: see `Signals`. exit[m, lane, end]. rounding[m, lane]: largest value per
-    speed that is a rounding error of the gap. is_speed[m, lane]: whether the signal is the speed. factors[m, lane]:
-    those of gap and speed.
+    numbers, indices [m, lane of the element]: see `Signals`. exit[m, lane, end]. rounding[m, lane]: largest value of
+    the signal, per unit of speed, that may be a rounding error of the gap. is_speed[m, lane]: whether the signal is the
+    speed. factors[m, lane]: factors of gap and speed in the signal.
 
     target[x, candidate]: next mode, as number within the element. event[x]: kind. restitution[x].
     """
@@ -115,7 +115,7 @@ def signal_terms(system: HybridSystem, element: Element, mode: Mode, signal: Sig
 
 
 class BoundedSignals(NamedTuple):
-    """The different signals of every element under each of its forces, which need bounds.
+    """The signals that need bounds: the different signals of every element under each of its forces.
 
     first_row: first row of each element in the tables of bounds, then the number of rows. signals[element][force
     index]: terms of the signals, with the largest magnitude of their limits and constant parts.
@@ -126,7 +126,7 @@ class BoundedSignals(NamedTuple):
 
 
 def _limits(element: Element, signal: Signal) -> tuple[float, float]:
-    """Return the limits of a signal; those of a holding force per mass of the element."""
+    """Return the limits of a signal; limits of a holding force are divided by the mass of the element."""
     unit = element.mass if signal.row.hold else 1.0
     return signal.low / unit, signal.high / unit
 
@@ -149,13 +149,13 @@ def bounded_signals(system: HybridSystem, size: int) -> BoundedSignals:
 
 
 def _gap_rounding(element: Element) -> float:
-    """Return the gap, per unit of speed, up to which it may be a rounding error of zero, s; 0 without springs."""
+    """Return the largest gap, per unit of speed, that may be a rounding error of zero, s; 0 without springs."""
     stiffness = [-mode.force.gap for mode in element.law.modes.values() if mode.force is not None and mode.force.gap]
     return GAP_ROUNDING_RATIO * math.sqrt(element.mass / min(stiffness)) if stiffness else 0.0
 
 
 def _signal_rounding(element: Element, signal: Signal) -> float:
-    """Return the value of a signal, per unit of speed, up to which it may be a rounding error of the gap."""
+    """Return the largest value of a signal, per unit of speed, that may be a rounding error of the gap."""
     row, rounding = signal.row, _gap_rounding(element)
     return GAP_ROUNDING_RATIO * math.sqrt(-row.gap * element.mass) if row.gap < 0.0 else rounding
 
@@ -196,7 +196,7 @@ def law_tables(system: HybridSystem, size: int) -> LawTables:
         bound = bounded.first_row[j] + list(of_force).index(signal_parts)
         index[m, lane, [ORDER, BOUND]] = signal_parts.order, bound
         index[m, lane, ENTRY : ENTRY + 2 * count : 2] = entry
-        # The accelerations follow the state; other rates follow their quantities after the number of coordinates.
+        # The rate of a velocity is stored after the state; that of any other quantity, n entries after it.
         index[m, lane, RATE : RATE + 2 * count : 2] = entry + np.where((n <= entry) & (entry < 2 * n), size - n, n)
         rounding[m, lane] = _signal_rounding(element, signal)
         is_speed[m, lane] = signal.row.speed != 0.0 and signal.row.gap == 0.0

@@ -43,7 +43,7 @@ from rig.core.system.hybrid_system import Drive, HybridSystem, first_order_hold,
 
 #: Minimum number of rows (events and breaks) of a new log.
 LOG_ROWS = 1024
-# Maximum number of steps in a sample interval or a period; they take some seconds of CPU time.
+# Maximum number of steps in a sample interval or a period; this number takes some seconds of CPU time.
 MAX_STEPS = 1e7
 # `Segments.sets_drive`: every segment, or no segment, sets the drive at its start.
 _EVERY_SEGMENT = np.ones(1, dtype=bool)
@@ -286,7 +286,7 @@ class Propagator:
         return states
 
     def accelerations(self, states: Array, table_indices: NDArray[np.int64]) -> Array:
-        """Return the acceleration of every coordinate for rows of a `Trajectory`, m/s^2, (coordinates, samples)."""
+        """Return the acceleration of every coordinate for rows of a `Trajectory`, m/s², (coordinates, samples)."""
         if not len(states):
             return np.zeros((self.system.coordinates, 0))
         first = self.tables.size
@@ -352,7 +352,7 @@ class Propagator:
                 return
 
     def _double_log(self) -> None:
-        """Replace the log with a log that has the same content and twice the number of rows."""
+        """Copy the log into arrays with twice the number of rows."""
         old = self.log
         self.log = empty_log(2 * len(old.event_segment), self.tables.size, self.system.dampers)
         for source, target in zip(old, self.log, strict=True):

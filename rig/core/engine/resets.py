@@ -1,4 +1,4 @@
-"""What happens at the end of a mode: impact, rebound, separation, change of force, and their effect on other elements.
+"""The end of a mode: impact, rebound, separation, change of force, and their effect on other elements.
 
 At an impact velocities jump. The masses that touch, and all *held* masses (at rest on a wall), exchange impulses. At
 any other exit only the force on the element changes. With a diagonal mass matrix and one detached mass on each body,
@@ -87,8 +87,8 @@ def release(
 ) -> None:
     """Change held element j to the mode beyond an end of the interval of its holding force, and log the event.
 
-    `velocity`: of a detached mass, m/s, positive upwards. If the gap is a coordinate, the state already contains it.
-    `multiplicity`: of the gap's zero at a wall.
+    `velocity`: velocity of a detached mass, m/s, positive upwards; unused if the gap is a coordinate. `multiplicity`:
+    multiplicity of the zero of the gap at a wall.
     """
     laws, m, gap = model.laws, mode_number(model, state, j), model.gap_coordinate[j]
     x = unsigned(laws.exit[m, 0, end])
@@ -143,8 +143,7 @@ def _rebound_is_negligible(
 ) -> bool:
     """Return whether the height of a rebound is below the rounding of the gap; this ends a Zeno sequence.
 
-    `wall_gap`: gap at which the wall is touched, m; `rebound_speed`: relative to the wall, m/s; `force`: on every
-    coordinate, N.
+    `wall_gap`: gap at contact, m; `rebound_speed`: relative to the wall, m/s; `force`: force on every coordinate, N.
 
     With a full mass matrix, other contacts also accelerate the body by an unknown amount, so an upper bound of its
     acceleration is used. A mass that is wrongly set to rest has a tensile contact force and separates immediately.
@@ -168,7 +167,7 @@ def _rebound_is_negligible(
 
 @inlined_kernel
 def _end_impact(flow: Flow, model: Model, state: State, j: int, end: int, rebound_speed: float) -> None:
-    """Set element j in flight from the wall that it hit, or at rest on it for rebound speed 0."""
+    """Set element j in flight from the wall that it hit, or at rest on this wall if the rebound speed is 0."""
     laws, m = model.laws, mode_number(model, state, j)
     lane, push = laws.first_lane[j], _push_of(end)
     if model.gap_coordinate[j] >= 0:
@@ -193,7 +192,8 @@ def _end_impact(flow: Flow, model: Model, state: State, j: int, end: int, reboun
 def _touched_end(model: Model, state: State, j: int, gap_error: float) -> int:
     """Return the end at which a flying mass touches a wall within rounding while approaching it, or NONE.
 
-    `gap_error`: that of the mass whose impact determined the instant, m. Masses that fly together then land together.
+    `gap_error`: error of the gap of the mass whose impact determined the instant, m. Allowing for it, masses that fly
+    together land together.
     """
     m = mode_number(model, state, j)
     multiplicity = state.multiplicity[model.laws.first_lane[j]]
@@ -271,7 +271,7 @@ def _set_direction(model: Model, i: int, push: float, count: int, work: ContactW
 
 @inlined_kernel
 def _collect_contact(model: Model, state: State, i: int, end: int, count: int, work: ContactWorkspace) -> None:
-    """Write the contact of element i into row `count` of `work`; it is in flight at an end of its gap, or at rest."""
+    """Write the contact of element i, in flight at an end of its gap or at rest, into row `count` of `work`."""
     laws, m = model.laws, mode_number(model, state, i)
     flying, gap = not laws.is_held[m], model.gap_coordinate[i]
     push = _push_of(end) if flying else laws.push[m]
@@ -295,14 +295,14 @@ def _collect_contact(model: Model, state: State, i: int, end: int, count: int, w
 
 @kernel
 def _slip_by_impact(flow: Flow, model: Model, state: State, log: Log) -> None:
-    """Set the masses that slide with friction in the modes of their new speeds, which an impact has changed.
+    """Set masses with friction to the modes of their new speeds after an impact.
 
     A friction force is finite, so that it transmits no impulse: masses that stick slip, and others may reverse.
     """
     laws = model.laws
     for i in range(model.mass.shape[0]):
         gap, m, first = model.gap_coordinate[i], mode_number(model, state, i), laws.first_lane[i]
-        # A joint with memory has no mass: the kernel finds that its speed is outside its interval.
+        # A joint with memory is skipped, because it has no mass: the kernel detects a speed outside the interval.
         if gap < 0 or model.memory_coordinate[i] >= 0:
             continue
         speed = state.z[model.first_velocity + gap]
@@ -364,11 +364,11 @@ def _coupled_impact(flow: Flow, model: Model, state: State, log: Log, j: int, en
             if work.bound[a] == FREE and (is_plastic or landing > 1):
                 # Without rounding, masses that land together rebound at equal speeds, and land together again.
                 rebound_speed = work.opening_speed[a] - work.rhs[a]
-            # The gap of element j is zero and decreasing. A new opening speed up to the opening speed before the impact
-            # is a rounding error.
+            # Before the impact, the gap of element j is zero and decreases. If its opening speed is positive
+            # nevertheless, it is a rounding error, and so is a rebound speed that does not exceed it.
             if i == j and 0.0 < rebound_speed <= work.opening_speed[a]:
                 rebound_speed = 0.0
-            # Without reaction, another impact has moved the wall away before the mass touched it.
+            # A reaction of zero means that another impact has moved the wall away before the mass touched it.
             if work.reaction[a] > 0.0 or rebound_speed <= 0.0:
                 x = model.laws.exit[mode_number(model, state, i), 0, touched]
                 log_event(log, i, model.laws.event[x], -work.opening_speed[a])
@@ -385,7 +385,7 @@ def _coupled_impact(flow: Flow, model: Model, state: State, log: Log, j: int, en
             elif gap >= 0:
                 state.z[model.first_velocity + gap] = 0.0
     _slip_by_impact(flow, model, state, log)
-    # The impact changes the velocities of walls: the rate of a gap that was zero need not be zero any more.
+    # The impact changes the velocities of walls, so that the rate of a gap may no longer be exactly zero.
     for i in range(model.mass.shape[0]):
         if model.laws.can_hit[mode_number(model, state, i)]:
             lane = model.laws.first_lane[i]
@@ -487,8 +487,8 @@ def _is_gap(model: Model, m: int, lane: int) -> bool:
 def _side_of_limit(model: Model, state: State, j: int, m: int, lane: int, end: int) -> int:
     """Return the side of a limit on which a signal of mode m is: 1 inside, 0 at the limit within rounding, -1 outside.
 
-    Without a dashpot, the signal is zero at every touch and release. An exception is a force that the impact of another
-    element opens or closes through a full mass matrix.
+    Without a dashpot, the signal is zero at every touch and release. An exception is a contact that the impact of
+    another element starts or ends through a full mass matrix.
     """
     laws, number = model.laws, model.laws.numbers[m, lane]
     limit = number[LOWER] if end == LOW else number[UPPER]
@@ -497,7 +497,7 @@ def _side_of_limit(model: Model, state: State, j: int, m: int, lane: int, end: i
     speed = _speed(model, state, j)
     quantity, factor = _gap(model, state, j), laws.factors[m, lane, 0]
     if model.memory_coordinate[j] >= 0:
-        quantity -= state.z[model.memory_coordinate[j]]  # the memory has the opposite factor
+        quantity -= state.z[model.memory_coordinate[j]]  # the factor of the memory is minus that of the gap
     if laws.is_speed[m, lane]:
         quantity, factor = speed, laws.factors[m, lane, 1]
     distance = factor * (quantity - number[REST]) - limit
@@ -513,7 +513,7 @@ def _side_of_limit(model: Model, state: State, j: int, m: int, lane: int, end: i
 
 @kernel
 def _is_consistent(model: Model, state: State, j: int, m: int) -> bool:
-    """Return whether the signals of mode m are inside their intervals, or gaps at a limit that move inwards."""
+    """Return whether each signal of mode m is inside its interval, or is a gap at a limit and moves inwards."""
     laws, speed = model.laws, _speed(model, state, j)
     for lane in range(laws.first_lane[j + 1] - laws.first_lane[j]):
         for end in range(2):
@@ -528,7 +528,7 @@ def _is_consistent(model: Model, state: State, j: int, m: int) -> bool:
 def _stop_simultaneously(flow: Flow, model: Model, state: State, log: Log, j: int) -> None:
     """Stop the masses that slide at a speed of zero within rounding at the instant at which element j stops.
 
-    The forces that hold them depend on each other.
+    The forces that then hold these masses depend on each other.
     """
     laws = model.laws
     for i in range(model.mass.shape[0]):
@@ -538,7 +538,7 @@ def _stop_simultaneously(flow: Flow, model: Model, state: State, log: Log, j: in
         for lane in range(laws.first_lane[i + 1] - first):
             if not laws.is_speed[m, lane] or state.multiplicity[first + lane] != 0:
                 continue
-            # The rounding errors of a speed are those of the terms of a step, in which a displacement changes it.
+            # Rounding errors of a speed are proportional to its terms after a step: velocity, and displacement / step.
             displacement, velocity = state.z[model.position_index[i]], state.z[model.velocity_index[i]]
             if abs(_speed(model, state, i)) <= ROUNDING * (abs(velocity) + abs(displacement) / model.step):
                 x = unsigned(laws.exit[m, lane, LOW if laws.exit[m, lane, LOW] != NONE else HIGH])

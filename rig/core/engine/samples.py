@@ -29,9 +29,9 @@ class StateSamples(NamedTuple):
 class MotionSamples(NamedTuple):
     """Motion at sample instants, as in `rig.core.simulation.motion.Motion`; without columns no motion is stored.
 
-    rows: displacements, velocities, accelerations and gaps in SI units, shape (rows, samples). contact: with which wall
-    (`rig.core.laws.events`), shape (dampers, samples). first_column: first column that this propagation fills, shape
-    (1,). buffer: the last samples, which are not yet transposed into `rows`, shape (LANES, rows).
+    rows: displacements, velocities, accelerations and gaps in SI units, shape (rows, samples). contact: wall that each
+    damper touches (`rig.core.laws.events`), shape (dampers, samples). first_column: first column that this propagation
+    fills, shape (1,). buffer: the last samples, which are not yet transposed into `rows`, shape (LANES, rows).
     """
 
     rows: Array

@@ -33,8 +33,8 @@ class State(NamedTuple):
     order of `Law.modes`.
 
     `multiplicity[lane]` is the number of leading terms of the power series of a signal minus its limit that are exactly
-    zero at this instant: 1 after a rebound, 2 after a separation under tension, 3 after one at zero contact force. The
-    value is negative for the upper limit.
+    zero at this instant: 1 after a rebound, 2 after a separation under tension, 3 after a separation at zero contact
+    force. The value is negative for the upper limit.
     """
 
     z: np.ndarray

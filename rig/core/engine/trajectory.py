@@ -1,7 +1,7 @@
 """Result of a propagation: states at sample instants, events and breaks; conversion to the names in scene files.
 
 An event is a change of the mode of one element, such as the bed of a damper. A break is an instant at which velocities
-or accelerations jump. A segment is a time interval in which one smooth function drives, such as a sample interval
+or accelerations jump. A segment is a time interval in which the drive is one smooth function, such as a sample interval
 (`rig.core.engine.propagator`).
 """
 
@@ -19,7 +19,7 @@ from rig.core.system.hybrid_system import HybridSystem
 
 #: An event for users: time (s), number of the damper from 1, kind, closing speed (m/s).
 EVENT = np.dtype([("time", "f8"), ("damper", "i4"), ("kind", "U10"), ("speed", "f8")])
-#: The same in a scene with joints: number of the joint from 1, or 0 if the event is that of a damper, and vice versa.
+#: An event in a scene with joints: the joint has a number from 1, or 0 for an event of a damper, and vice versa.
 EVENT_WITH_JOINT = np.dtype([*EVENT.descr, ("joint", "i4")])
 
 

@@ -16,10 +16,10 @@ from rig.core.numerics.simd import aligned_zeros, padded_length
 class Workspace(NamedTuple):
     """Scratch arrays of one running kernel.
 
-    end_state: state at the end of a step. magnitude: |z| of the state z. envelope: upper bound of |z|. margin:
-    distances of the signals from their limits above which they do not reach them in a step, see
-    `rig.core.engine.screening`. signals: those of the present modes. bound, derivative: results of the tables of the
-    same names in `Flow`. state_series: power series of the state in tau, the time relative to a step; shape (terms,
+    end_state: state at the end of a step. magnitude: |z| of the state z. envelope: upper bound of |z|. margin: smallest
+    distance of each signal from its limits, at both ends of a step, with which it cannot reach a limit within the step
+    (`rig.core.engine.screening`). signals: signals of the present modes. bound, derivative: results of the tables of
+    the same names in `Flow`. state_series: power series of the state in tau, the time relative to a step; shape (terms,
     states). series_matrix: a view of it as a table of one matrix without constant part (`zero_constant`), to be
     multiplied by `powers` of tau. guard_series: power series of a signal's distance from a limit. subdivision, spans,
     bernstein: see `rig.core.numerics.bernstein.first_crossing`.

@@ -1,15 +1,15 @@
-"""Kinds of events of all laws, their names for users, and the contact with a wall that results is made of."""
+"""Kinds of events of all laws, their names for users, and the codes of contact with a wall."""
 
 from __future__ import annotations
 
 import numpy as np
 
-#: Contact of a damper in results: none, with its floor, or with its ceiling.
+#: Codes of a damper's contact in results: no contact, floor, ceiling.
 FLIGHT, FLOOR, CEILING = 0, 1, 2
-#: Kinds of events. A touch starts a contact of finite duration, which a release ends. A slip starts sliding with
-#: friction, which a stop ends.
+#: Kinds of events. A contact of finite duration begins with a touch and ends with a release. Sliding with friction
+#: begins with a slip and ends with a stop.
 SEPARATION, FLOOR_IMPACT, CEILING_IMPACT, FLOOR_TOUCH, CEILING_TOUCH, RELEASE, SLIP, STOP = 0, 1, 2, 3, 4, 5, 6, 7
-#: The mode changes without an event, because neither velocities nor forces jump.
+#: A change of mode that is not an event, because neither velocities nor forces jump.
 NO_EVENT = -1
 #: Kinds of events at which an element comes into contact with a wall.
 CONTACT_EVENTS = (FLOOR_IMPACT, CEILING_IMPACT, FLOOR_TOUCH, CEILING_TOUCH)

@@ -2,7 +2,7 @@
 
 The gap g of the law is the relative displacement of the bodies, and the *memory* u is the displacement of the slider.
 The force is -k (g - u). While the joint sticks, u is constant; when the force reaches the slip force, the slider moves
-with the bodies and the force is constant, until their relative speed is zero. The element is that of Jenkins.
+with the bodies and the force is constant, until the relative speed of the bodies is zero. This is the Jenkins element.
 
 References
 ----------
@@ -19,7 +19,8 @@ from rig.core.laws.law import SPEED, Exit, Law, Mode, Row, Signal
 def friction_joint(stiffness: float, slip_displacement: float) -> Law:
     """Declare the law of a joint that sticks at the start.
 
-    `stiffness`: of the spring, N/m; `slip_displacement`: elongation of the spring at which the slider moves, m.
+    `stiffness`: stiffness of the spring, N/m; `slip_displacement`: elongation of the spring at which the slider moves,
+    m.
     """
     spring, slip_force = Row(gap=-stiffness, memory=stiffness), stiffness * slip_displacement
     stop = Exit(("sticks",), STOP)

@@ -1,4 +1,4 @@
-"""Impact on a wall with spring and dashpot, without adhesion: conversion of duration and restitution.
+"""Impact on a wall with spring and dashpot, without adhesion: stiffness and damping from duration and restitution.
 
 A damper's bed is its particles, modeled as one mass. A bed of mass m_d hits a wall of a body of mass m_b at the
 relative speed v; no other force acts on either. The wall has the stiffness k and the damping c. With the reduced mass
@@ -6,12 +6,12 @@ m = m_d m_b / (m_d + m_b), omega^2 = k / m and the damping ratio zeta = c / (2 m
 
     F(t) = m v omega exp(-zeta omega t) sin(omega_d t + 2 b) / cos b,   sin b = zeta,  omega_d = omega cos b
 
-(hyperbolic functions above critical damping). It steps to c v at first contact, and returns to zero after
+(hyperbolic functions above critical damping). The force jumps to c v at first contact, and returns to zero after
 
     T = 2 acos(zeta) / (omega sqrt(1 - zeta^2)),     for zeta > 1 with acosh(zeta) and sqrt(zeta^2 - 1),
 
-while the wall is still compressed. There the bed separates. The coefficient of restitution, the ratio of separation to
-approach speed, is exp(-zeta omega T).
+while the wall is still compressed. At this instant the bed separates. The coefficient of restitution, the ratio of
+separation to approach speed, is exp(-zeta omega T).
 
 References
 ----------
@@ -23,9 +23,10 @@ from __future__ import annotations
 
 import math
 
-#: Time constant c / k of a wall of restitution 0, s, but at least the contact duration: the remaining compression
-#: decays with it. A contact without adhesion cannot reach restitution 0 exactly, because its dashpot would be
-#: infinitely strong. With 5 ms the restitution is 5 % for a contact of 2 ms, and 0.15 % for 0.1 ms.
+#: Time constant c / k of a wall of restitution 0, s; at least the contact duration is used. After the separation, the
+#: compression of the wall decays with this time constant. A contact without adhesion cannot reach restitution 0
+#: exactly, because its dashpot would be infinitely strong. With 5 ms the restitution is 5 % for a contact of 2 ms, and
+#: 0.15 % for 0.1 ms.
 RECOVERY_TIME_S = 5e-3
 
 
@@ -62,7 +63,7 @@ def dashpot(stiffness: float, restitution: float, mass: float) -> float:
     >>> round(duration_and_restitution(1e5, damping, mass=0.04)[1], 12)
     0.3
     """
-    zeta = damping_ratio(math.inf, restitution)  # the duration matters only without rebound
+    zeta = damping_ratio(math.inf, restitution)  # the result depends on the duration only for restitution 0
     return 2.0 * zeta * math.sqrt(stiffness * mass)
 
 
@@ -70,7 +71,8 @@ def spring_damper(duration: float, restitution: float, mass: float) -> tuple[flo
     """Return stiffness [N/m] and damping [N s/m] of the contact with a duration and a restitution.
 
     `duration`: from first contact to separation if no other force acts, s; `restitution`: ratio of separation to
-    approach speed; 0: the lowest that is possible with `RECOVERY_TIME_S`; `mass`: reduced mass of damper and body, kg.
+    approach speed; 0 gives the lowest restitution that is possible with `RECOVERY_TIME_S`; `mass`: reduced mass of
+    damper and body, kg.
 
     >>> stiffness, damping = spring_damper(duration=2e-3, restitution=0.3, mass=0.04)
     >>> [round(value, 9) for value in duration_and_restitution(stiffness, damping, mass=0.04)]

@@ -1,10 +1,10 @@
 """The parts of a contact law: rows, signals, exits, modes.
 
 An element has one relative displacement, the *gap* g, and the *speed* s = g'. Its force F acts along the gap. The law
-divides the motion into *modes*. In a mode, F is an affine function of gap and speed, or the element is *held*: the
-relative motion is at rest, by a force h that follows from the motion of the whole system. A mode lasts while each of
-its *signals* is inside an interval. A signal is affine in gap, speed and h. At an end of an interval the mode is left
-by an *exit*, which names the next mode, and the restitution if velocities jump.
+divides the motion into *modes*. In a mode, F is an affine function of gap and speed, or the element is *held*: its
+relative motion is zero, and the holding force h follows from the motion of the whole system. A mode lasts while each of
+its *signals* is inside an interval. A signal is an affine function of gap, speed and h. When it reaches an end of its
+interval, an *exit* specifies the next mode, and the restitution if velocities jump.
 
 Between two events the motion therefore obeys a linear system, which the engine solves exactly. A law with products of
 states, such as friction in two directions or Hertz's contact, does not have this form.
@@ -23,11 +23,14 @@ from rig.core.laws.events import FLIGHT, NO_EVENT
 
 
 class Row(NamedTuple):
-    """The function gap (g - rest) + speed s + hold h + memory u + constant of gap, speed and holding force, in SI.
+    """The affine function gap (g - rest) + speed s + hold h + memory u + constant, in SI units.
 
-    As a force, `gap` and `speed` are minus the stiffness and the damping of a spring with dashpot, relaxed at `rest`;
-    `constant` is a force that does not depend on the motion, such as friction in one direction. The memory u [m] is
-    constant; a mode whose force depends on it begins with the force of the mode before, which determines u.
+    Its variables are the gap g, the speed s, the holding force h and the memory u.
+
+    For the force of a spring with a dashpot, `gap` is minus the stiffness, `speed` minus the damping, and `rest` the
+    gap at which the spring is relaxed; `constant` is a force that does not depend on the motion, such as friction in
+    one direction. The memory u [m] is constant during a mode. A mode whose force depends on u begins with the force of
+    the previous mode; u follows from this condition.
     """
 
     gap: float = 0.0
@@ -48,7 +51,7 @@ GAP, SPEED, HOLD = Row(gap=1.0), Row(speed=1.0), Row(hold=1.0)
 class Exit(NamedTuple):
     """The end of a mode at one end of a signal's interval.
 
-    `to`: the next mode; of several candidates the first that is consistent with the motion. `event`: kind of event in
+    `to`: candidates for the next mode, which is the first that is consistent with the motion. `event`: kind of event in
     the log (`rig.core.laws.events`). `restitution`: ratio of separation to approach speed; None: velocities do not
     jump.
     """
@@ -59,7 +62,7 @@ class Exit(NamedTuple):
 
 
 class Signal(NamedTuple):
-    """A row and the open interval in which it remains while the mode lasts; an infinite end has no exit."""
+    """A row and the open interval in which its value remains during the mode; an infinite end has no exit."""
 
     row: Row
     low: float = -inf
@@ -74,7 +77,7 @@ class Signal(NamedTuple):
 
 
 class Mode(NamedTuple):
-    """A mode: its signals, its force on the gap (None: held), and the wall that the element touches.
+    """A mode: its signals, the force along the gap (None: held), and the wall that the element touches.
 
     `wall`: contact in results (`FLIGHT`, `FLOOR`, `CEILING`). `wall_gap`: gap of a held element, m.
     """
@@ -102,7 +105,7 @@ class Mode(NamedTuple):
 
 
 class Wall(NamedTuple):
-    """A wall that limits the gap: gap at contact, m; stiffness, N/m, and damping, N s/m, of a contact that lasts."""
+    """A wall: gap at contact, m; stiffness, N/m, and damping, N s/m, of a contact of finite duration."""
 
     gap: float
     stiffness: float = 0.0
@@ -123,14 +126,14 @@ class Law(NamedTuple):
 
     @property
     def starts_at_rest(self) -> bool:
-        """Whether the element moves with its body at the start, until a sufficient acceleration: on a wall, or held."""
+        """Whether the element is at rest on its body at the start: on a wall, or held by friction."""
         start = self.modes[self.start]
         return start.wall != FLIGHT or start.force is None
 
     def mode_at(self, wall: int, gap: float) -> str:
-        """Return the first mode that touches a wall, or no wall (`FLIGHT`), and contains a gap, m.
+        """Return the first mode that contains a gap, m, and touches a wall (`FLIGHT`: no wall).
 
-        If rounding puts the gap into no mode, it is the first mode at the wall.
+        If the gap is outside every mode due to rounding, the first mode at the wall is returned.
         """
         at_wall = [name for name, mode in self.modes.items() if mode.wall == wall]
         containing = [
@@ -146,7 +149,7 @@ class Law(NamedTuple):
         return any(force is not None and force.memory for force in self.forces)
 
     def mode_for(self, gap: float, speed: float) -> str:
-        """Return the first mode that contains a gap, m, and a speed, m/s; the start if there is none."""
+        """Return the first mode that contains a gap, m, and a speed, m/s, or the mode at the start if none does."""
         fitting = [
             name
             for name, mode in self.modes.items()
@@ -164,7 +167,7 @@ class Law(NamedTuple):
 
     @property
     def force_indices(self) -> dict[str, int]:
-        """Number of each mode's force; modes with the same force, and all modes in which the element is held, share it.
+        """Number of each mode's force, equal for modes with the same force, and for all modes of a held element.
 
         The forces of two walls have two numbers even if they are equal, so that no number depends on a parameter.
         """
@@ -182,7 +185,7 @@ class Law(NamedTuple):
 
 
 def faults(law: Law) -> list[str]:
-    """Return what is wrong with a declaration, in words; a correct law has no faults."""
+    """Return the faults of a declaration, in words; a correct law has none."""
     found = [] if law.start in law.modes else [f"the start {law.start!r} is not a mode"]
     for name, mode in law.modes.items():
         for signal in mode.signals:

@@ -13,7 +13,7 @@ from rig.core.laws.law import GAP, HOLD, Exit, Law, Mode, Signal, Wall
 
 
 def particle_bed(restitution: float, clearance: float, floor_gap: float = 0.0) -> Law:
-    """Declare the law of a bed; `clearance`: gap at the ceiling, m; a gap is infinite without this wall."""
+    """Declare the law of a bed; `clearance`, `floor_gap`: gaps at ceiling and floor, m, infinite without this wall."""
     rebound = ("flight",) if restitution > 0.0 else ()
     floor = Exit((*rebound, "floor"), FLOOR_IMPACT, restitution) if floor_gap > -inf else None
     ceiling = Exit((*rebound, "ceiling"), CEILING_IMPACT, restitution) if clearance < inf else None

@@ -35,7 +35,7 @@ def sliding_mass(slip_force: float, restitution: float, clearance: float) -> Law
     rebounds = restitution > 0.0
     floor = Exit(("slips up", "floor") if rebounds else ("floor",), FLOOR_IMPACT, restitution)
     ceiling = Exit(("slips down", "ceiling") if rebounds else ("ceiling",), CEILING_IMPACT, restitution)
-    # The wall towards which the mass moves; the other wall cannot be reached before the mass has stopped.
+    # Only the wall towards which the mass moves, because the mass stops before it can reach the other wall.
     wall_above = (Signal(GAP, high=half, at_high=ceiling),) if has_walls else ()
     wall_below = (Signal(GAP, low=-half, at_low=floor),) if has_walls else ()
     modes = {

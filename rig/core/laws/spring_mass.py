@@ -1,8 +1,8 @@
 """A mass on a spring and a dashpot in a body: a tuned mass damper or, between walls, an impact damper.
 
-Spring and dashpot always act, and are therefore part of the linear structure. The law contains the walls, which are
-those of a particle damper. The gap is the displacement of the mass from its position at rest, in which its spring
-carries its weight.
+Spring and dashpot always act, and are therefore part of the linear structure. The law describes only the walls, as for
+a particle damper. The gap is the displacement of the mass from its position at rest, in which its spring carries its
+weight.
 
 References
 ----------
@@ -20,8 +20,9 @@ from rig.core.laws.law import Law, Mode
 def spring_mass(declare_walls: Callable[[float, float], Law], below: float | None, clearance: float) -> Law:
     """Declare the law of a mass that starts at rest on its spring.
 
-    `declare_walls`: law of the gaps at upper and lower wall, m, whose first mode is without contact; `clearance`,
-    `below`: distance of the upper and of the lower wall, m, infinite without this wall; None: both are equal.
+    `declare_walls`: returns the law of walls at an upper and a lower gap, m, whose first mode is without contact.
+    `clearance`, `below`: distances of the mass at rest from the upper and the lower wall, m, infinite without this
+    wall. If `below` is None, both distances are equal.
     """
     below = clearance if below is None else below
     if min(below, clearance) == inf:

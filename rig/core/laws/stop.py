@@ -1,8 +1,8 @@
 """A stop between two bodies, or a body and the ground: a spring with a dashpot that acts while its gap is closed.
 
-The gap of the law is the displacement of the upper body relative to the lower body. Contact is that of a mass with a
-wall of finite stiffness (`rig.core.laws.wall_contact`), but the stop limits the motion in one direction only. Without
-a dashpot it is a bilinear spring.
+The gap of the law is the displacement of the upper body relative to the lower body. The force is that of a wall with
+finite stiffness (`rig.core.laws.wall_contact`), but the stop limits the motion in one direction only. Without a dashpot
+it is a bilinear spring.
 
 References
 ----------
@@ -21,8 +21,8 @@ from rig.core.laws.wall_contact import wall_contact
 def stop(stiffness: float, damping: float, closes_upwards: bool, gap: float) -> Law:
     """Declare the law of an open stop.
 
-    `stiffness`, `damping`: N/m, N s/m; `closes_upwards`: whether the relative displacement is positive at contact;
-    `gap`: motion until contact, m.
+    `stiffness`, `damping`: of spring and dashpot, N/m and N s/m; `closes_upwards`: whether the relative displacement is
+    positive at contact; `gap`: magnitude of the relative displacement at contact, m.
     """
     wall_above, wall_below = (gap, -inf) if closes_upwards else (inf, -gap)
     law = wall_contact((stiffness, stiffness), (damping, damping), wall_above, wall_below)

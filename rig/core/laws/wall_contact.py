@@ -1,9 +1,9 @@
 """Finite-duration contact of a mass with floor and ceiling, which are springs with dashpots, without adhesion.
 
 While the mass overlaps a wall and the force points away from the wall, the force on it is -k (g - g_w) - c g', with
-the wall at the gap g_w. The wall releases the mass when the force falls
-to zero; with a dashpot this is before the overlap is zero. A released mass that still overlaps the wall *recovers*: it
-touches the wall again when the force would be positive again, and is free when the overlap is zero.
+the wall at the gap g_w. The wall releases the mass when the force falls to zero; with a dashpot the mass then still
+overlaps the wall. It is in a mode named *recovers* until the overlap is zero; if the force becomes positive again
+before, it touches the wall again.
 """
 
 from __future__ import annotations

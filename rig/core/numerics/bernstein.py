@@ -32,7 +32,7 @@ NO_CROSSING = 2.0
 
 
 def _bernstein_matrices() -> np.ndarray:
-    """Return matrices [start, power, coefficient] from power to Bernstein basis of series divided by tau^start."""
+    """Return matrices [start, power, coefficient] from power to Bernstein basis; a series is divided by tau^start."""
     matrices = np.zeros((N_COEFFICIENTS, N_COEFFICIENTS, N_COEFFICIENTS))
     for start in range(N_COEFFICIENTS):
         degree = DEGREE - start
@@ -136,7 +136,7 @@ def _split(subdivision: Array, level: int, degree: int) -> None:
 def first_crossing(
     series: Array, start: int, rounding: float, subdivision: Array, spans: Array, bernstein: Array
 ) -> tuple[float, int]:
-    """Find where a guard first falls below zero on (0, 1].
+    """Locate the first instant on (0, 1] at which a guard falls below zero.
 
     `series`: power-series coefficients of the guard in tau; `start`: number of leading coefficients known to be exactly
     zero (multiplicity of the zero at tau = 0); `rounding`: largest value of the guard that is a rounding error of zero;
@@ -166,7 +166,7 @@ def first_crossing(
         left = spans[level, 0]
         right = spans[level, 1]
         lower_bound = minimum(coefficients)
-        # The guard is tau^start times the deflated guard, whose rounding is larger by this factor.
+        # The guard is tau^start times the deflated guard, so its rounding error is divided by tau^start.
         deflated_rounding = rounding / right**start
         if lower_bound >= -deflated_rounding:
             # The guard does not fall below zero here. A dip that extends over two intervals is counted once.

@@ -1,12 +1,12 @@
-"""Variant of `numba.njit` that compiles and loads kernels in less time, by internals of numba; see `jit`.
+"""Variant of `numba.njit` that uses internals of numba to compile and load kernels in less time; see `jit`.
 
 A *callee* is a function that a kernel calls. A callee is compiled without wrappers for Python, and optimized only in
 its callers. A callee is compiled once per argument type, not again for each literal value (`types.unliteral`). Kernels
 create no arrays: they need no numba runtime (`_nrt`), and can be loaded from the cache without refreshing numba's
 registries.
 
-An *entry* is a function that Python calls. No other function contains it, so that its file in the cache needs no
-bitcode, which takes longer to load than the machine code.
+An *entry* is a function that Python calls. An entry is never compiled into another function. Its file in the cache
+therefore needs no bitcode, which takes longer to load than the machine code.
 """
 
 import functools
@@ -27,7 +27,7 @@ getattr(JITCodeLibrary, "_optimize_final_module")  # noqa: B009
 
 
 class _EntryLibrary(JITCodeLibrary):
-    """Machine code that is not linked to other functions; its stored copy has the names of its symbols only."""
+    """Machine code that is not linked to other functions; only the names of its symbols are stored as bitcode."""
 
     def _get_module_for_linking(self) -> Any:
         symbols = (*self._final_module.functions, *self._final_module.global_variables)
@@ -50,7 +50,7 @@ class _EntryCompiler(Compiler):
 
 
 class _CalleeLibrary(JITCodeLibrary):
-    """Machine code without an optimization of its own: it is optimized in its callers."""
+    """Machine code that is not optimized separately, but as part of its callers."""
 
     def _optimize_final_module(self) -> None: ...
 

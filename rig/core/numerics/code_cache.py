@@ -1,6 +1,6 @@
 """Store the machine code of compiled functions on disk, with a checksum, one file for each signature.
 
-numba's own cache loads what its files contain: a truncated file ends the program, and a flipped bit is executed.
+The cache of numba itself has no checksums: a truncated file ends the program, and a flipped bit is executed.
 """
 
 from __future__ import annotations
@@ -54,7 +54,8 @@ class CodeCache:
         if stored[:_CHECKSUM_BYTES] != _checksum(path, code):
             warn_of_compilation(f"machine code in {path.parent} is damaged, and is compiled again")
             return None
-        # LLVM loads code in a callback, which cannot raise an interrupt: the code would be missing, and its call crash.
+        # LLVM loads code in a callback. An interrupt there is lost together with the code, and the next call would
+        # crash.
         with delayed_interrupt():
             return self._format.rebuild(target, pickle.loads(code))
 

@@ -7,9 +7,9 @@ p = high, where
 
 (r_i the body of damper i, md_i its mass). If the gap of a damper is a coordinate, r_i is this coordinate, d_i has the
 opposite sign, and 1 / md_i is omitted. At an impact p are the impulses, and A p + q are the speeds at which the
-contacts open, minus their rebound speeds. Right after it p are the contact forces, and A p + q are the accelerations at
-which they open. A is positive definite, so the solution exists and is unique; Murty's least-index principal pivoting
-reaches it in finitely many steps.
+contacts open, minus their rebound speeds. Right after an impact p are the contact forces, and A p + q are the
+accelerations at which the contacts open. A is positive definite, so the solution exists and is unique; Murty's
+least-index principal pivoting reaches it in finitely many steps.
 
 References
 ----------
@@ -29,18 +29,17 @@ from rig.core.numerics.jit import kernel
 ROUNDING = 16 * 2.3e-16
 #: State of a contact: between its limits, at the lower limit, at the upper limit.
 FREE, AT_LOW, AT_HIGH = 0, 1, 2
-#: Maximum number of pivots; in practice about as many are needed as there are contacts.
+#: Maximum number of pivots; in practice the number of contacts is sufficient.
 MAX_PIVOTS = 100_000
 
 
 class ContactWorkspace(NamedTuple):
     """Scratch arrays of the contact laws, with one entry for each contact of the instant.
 
-    `force`: forces on all coordinates, N. `damper`: from 0. `sign`: +1 floor, -1 ceiling. `row`: r. `direction`: d.
-    `own`: 1 / md, or 0. `flying`: whether the damper was in flight.
-    `wall_gap`: gap at the wall, m. `velocity_before`: velocity of the body before the impact, m/s. `opening_speed`:
-    opening speed of the gap before the impact, m/s. `magnitude`: sum of the magnitudes of the terms of the
-    acceleration, m/s^2.
+    `force`: forces on all coordinates, N. `damper`: number of the damper, from 0. `sign`: +1 floor, -1 ceiling. `row`:
+    r. `direction`: d. `own`: 1 / md, or 0. `flying`: whether the damper was in flight. `wall_gap`: gap at the wall, m.
+    `velocity_before`: velocity of the body before the impact, m/s. `opening_speed`: opening speed of the gap before the
+    impact, m/s. `magnitude`: sum of the magnitudes of the terms of the acceleration, m/s².
 
     `matrix`, `rhs`, `reaction`: A, q and the solution p; `reaction` is a force or an impulse. `low`, `high`: limits of
     p; those of a wall are 0 and infinity. `bound`: `AT_LOW`, `AT_HIGH`, or `FREE` between the limits. `block`: scratch

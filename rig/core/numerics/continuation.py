@@ -77,7 +77,7 @@ class NoConvergence(Exception):
 
 
 def newton(equations: Equations, x: Vector, scale: Vector, steps: Steps, normal: Vector) -> tuple[Vector, Vector, int]:
-    """Solve the equations on the plane through `x` normal to `normal` (scaled unknowns).
+    """Solve the equations on the plane that contains `x` and is perpendicular to `normal` (scaled unknowns).
 
     Returns `x`, shape (n + 1,), the solution; `tangent`, shape (n + 1,), unit tangent of the curve (scaled unknowns)
     from the last iteration, in the direction of `normal`; `iterations`, number of corrections. Raises `NoConvergence`

@@ -42,15 +42,15 @@ def fused(factor: float, other_factor: float, addend: float) -> float:
 
 
 def _register_pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
-    """Return a pointer to eight lanes of an array, from a flat index on; `array_type`: of numba."""
+    """Return a pointer to eight lanes of an array, from a flat index on; `array_type`: numba type of the array."""
     data = context.make_array(array_type)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [index]), WIDE.as_pointer())
 
 
 def _load(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:
-    """Generate the code that loads eight lanes of an array, from a flat index on; `array_type`: of numba."""
+    """Generate the code that loads eight lanes of an array, from a flat index on; `array_type`: its numba type."""
     register = builder.load(_register_pointer(context, builder, array_type, array, index))
-    register.align = 8  # bytes, because not all arrays come from `aligned_zeros`
+    register.align = 8  # in bytes; arrays that are not from `aligned_zeros` have this alignment
     return register
 
 
@@ -98,7 +98,7 @@ def _sums(shared_rows: bool) -> Any:
                 return _load(context, builder, types_of_arguments[0], rows, index)
 
             def entries(entry: Any) -> list[tuple[Any, Any]]:
-                """Return for each of the sums the pair of registers (rows, factors) of an entry e."""
+                """Return the registers (rows, factors) of an entry e for each of the sums."""
                 first = builder.add(row_start, builder.mul(entry, stride))
                 start = builder.add(factor_start, builder.mul(entry, step))
                 if shared_rows:

@@ -36,15 +36,16 @@ _CONFIG: Any = numba.config
 _ROOT = Path(__file__).parents[3]
 _IMPORTS = re.compile(rb"^from ((?:rig|daq)(?:\.\w+)+) import", re.MULTILINE)
 # Number of allocations between runs of the cyclic garbage collector while numba compiles (Python default 700). The
-# compiler creates little garbage; looking for it would take a fifteenth of the time.
+# compiler creates little garbage; more frequent runs would take a fifteenth of the compile time.
 _GC_THRESHOLD = 100_000
-#: Machine code that was not used for this time is removed; other checkouts may use code of another version.
+#: Machine code that was not used for this time is removed; older code may still be in use by other checkouts.
 _MAX_UNUSED_S = 30 * 86400.0
 
 try:
     from rig.core.numerics import callees
 except (ImportError, AttributeError):
-    # In another version of numba, `numba.njit` itself gives bit-identical results, and compiles twice as long.
+    # With another version of numba, `numba.njit` itself is used; it gives bit-identical results, but compiles twice as
+    # long.
     callees = None  # type: ignore[assignment]
 
 
@@ -190,7 +191,7 @@ def inlined_kernel(function: F) -> F:
 def only_overload(function: F) -> F:
     """Return the machine code of a kernel that is compiled for one signature, otherwise the kernel itself.
 
-    Use it for a second call with the same types and memory layouts: numba identifies those of every argument in every
+    Use it for repeated calls with the same types and memory layouts. numba would identify types and layouts in every
     call, which takes 0.1 us for each array, also in tuples. The machine code does not check them.
     """
     overloads = getattr(function, "overloads", {})
@@ -200,7 +201,7 @@ def only_overload(function: F) -> F:
 def unfused_kernel(function: F) -> F:
     """Compile a kernel in which multiplications and additions are not fused.
 
-    Use it for loops over samples. The processor computes most samples in groups and the others individually. Both must
-    be bit-identical, so that results do not depend on the block size.
+    Use it for loops over samples. The processor computes most samples in groups and the others individually. Both
+    results must be bit-identical, so that they do not depend on the block size.
     """
     return _njit(function, is_kernel=True, nogil=True, fastmath=False)

@@ -37,7 +37,7 @@ def require_memory(size: float, purpose: str) -> None:
 def require_memory_with_program(size: float, purpose: str) -> None:
     """Reject a computation that would exceed the memory limit together with the program itself.
 
-    Parameters and errors are those of `require_memory`; 0 bytes are never rejected.
+    Parameters and exceptions are those of `require_memory`; 0 bytes are never rejected.
     """
     if size > 0.0:
         require_memory(PROGRAM_BYTES + size, purpose)

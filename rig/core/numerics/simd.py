@@ -1,9 +1,9 @@
 """Products of a matrix and a vector in vector registers of the processor (SIMD), and elementwise operations.
 
-The engine multiplies small matrices with a vector millions of times a second. With plain loops numba stores the sums in
-memory; in registers of eight values (lanes) the product takes half the time. The instructions are therefore generated
-explicitly with llvmlite, as in `rig.core.numerics.fma`. The order of the sums is fixed, so that results do not depend
-on the number of columns, the block size or the optimizer.
+The engine multiplies small matrices with a vector millions of times a second. In plain loops numba keeps the sums in
+memory; with sums in registers of eight values (lanes) the product takes half the time. The instructions are therefore
+generated explicitly with llvmlite, as in `rig.core.numerics.fma`. The order of the sums is fixed, so that results do
+not depend on the number of columns, the block size or the optimizer.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def padded_length(count: int) -> int:
 
 
 def aligned_zeros(*shape: int) -> np.ndarray:
-    """Return zeros that start at a multiple of a register's size, so that no register is read in two parts."""
+    """Return an array of zeros whose address is a multiple of a register's size, so that loads are not split."""
     count = math.prod(shape)
     with_margin = np.zeros(count + LANES)
     start = -(with_margin.__array_interface__["data"][0] // with_margin.itemsize) % LANES
@@ -124,7 +124,7 @@ def _row_block_function(module: Any) -> Any:
 
 
 def _product_intrinsic(in_blocks: bool) -> Any:
-    """Return an intrinsic for the product of the register from `row` on, or in blocks of all registers up to `row`."""
+    """Return an intrinsic for a product: one register of rows from `row` on, or all blocks of rows up to `row`."""
 
     @intrinsic
     def product(
@@ -215,7 +215,7 @@ def affine_product(matrix: Any, constant: Any, index: int, vector: Any, columns:
 
 @inlined_kernel
 def affine_product_many(matrix: Any, constant: Any, index: int, vector: Any, columns: int, out: Any) -> None:
-    """Compute `affine_product` for many rows; this is more code, but loads the vector less often."""
+    """Compute `affine_product` for matrices of many rows; the code is longer, but loads the vector less often."""
     rows = constant.shape[1]
     start, rows_in_blocks = index * matrix.shape[1] * rows, rows - rows % (SUMS * LANES)
     if rows_in_blocks > 0:

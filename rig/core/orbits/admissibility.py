@@ -20,8 +20,7 @@ from rig.core.orbits.track import Track, track_orbit, turning_value
 # A flight lasts at least this phase of the drive, rad. In a shorter flight the peak acceleration is within 1e-5 of 1 g.
 MIN_FLIGHT_RAD = 0.02
 
-# Kinds of borders: the first three belong to an event, the others to a damper. Their descriptions are in
-# `Plan.borders`.
+# Kinds of borders: the first three belong to an event, the others to a damper. `Plan.borders` describes them.
 ORDER, NOT_RELEASED, MISSES_WALL = 0, 1, 2
 FLIGHT_VANISHES, HITS_FLOOR, HITS_CEILING, LEAVES_WALL, STAYS_AT_WALL, SEPARATED_BY_IMPACT = 3, 4, 5, 6, 7, 8
 SLIPS, STOPS, STICKS = 9, 10, 11
@@ -30,7 +29,7 @@ N_BORDER_KINDS = 12  # number of these kinds
 
 @cached_njit
 def _lowest_minimum(track: Track, s: int, j: int, offset: float, sign: float, first: int = 0) -> float:
-    """Return the lowest minimum between instants of offset + sign * guard, or infinity if there is none.
+    """Return the lowest minimum of offset + sign * guard that lies between instants, or infinity without a minimum.
 
     The guard is that of damper j in segment s of the track, from instant `first` on. The last index of `Track.guards`
     is the order of the derivative.
@@ -40,7 +39,7 @@ def _lowest_minimum(track: Track, s: int, j: int, offset: float, sign: float, fi
 
 @cached_njit
 def _lowest_between(guard: Array, step: float, offset: float, sign: float, first: int) -> float:
-    """Return the same of a guard, given with its derivatives at instants at a distance of `step`, s."""
+    """Return the lowest minimum of a guard from its values and derivatives at instants with spacing `step`, s."""
     lowest = np.inf
     for i in range(first, guard.shape[0] - 1):
         if sign * guard[i, 1] < 0.0 and sign * guard[i + 1, 1] > 0.0:
@@ -53,7 +52,7 @@ def _lowest_between(guard: Array, step: float, offset: float, sign: float, first
 
 @cached_njit
 def _reduce_margin(margins: Array, border: int, index: int, margin: float) -> None:
-    """Replace the margin of a border if the new one is smaller; `index`: event or damper."""
+    """Replace the margin of a border if the new margin is smaller; `index`: event or damper."""
     margins[border, index] = min(margins[border, index], margin)
 
 
@@ -70,8 +69,8 @@ def _crossing_rate(
 ) -> float:
     """Return the rate of a finite-duration contact's guard at its event, at most 1.
 
-    It is a speed in g/w, or the rate of a force per mass in g w. `acceleration_unit`: g, or without gravity another
-    acceleration, m/s^2.
+    For a gap the rate is a speed in g/w, for a force the rate of force per mass in g w. `acceleration_unit`: g, or
+    without gravity another acceleration, m/s².
     """
     kind, j, omega = sequence.kind[event], sequence.damper[event], equations.omega
     guard = track.guards[event - 1, -1, j]
@@ -92,15 +91,15 @@ def _finite_contact_margins(
 
     `length_unit`: g/w^2, m.
 
-    A released damper may still overlap a wall. The damper must not be pressed again before the overlap ends, which is
-    not an event. The overlap at the start of a segment follows from the previous segment. Therefore all segments are
-    examined twice in order, and only the second round determines the margins.
+    A released damper may still overlap a wall, and must not be pressed again before the overlap ends. The end of an
+    overlap is not an event, so an overlap at the start of a segment is known only from the previous segment. Therefore
+    all segments are examined twice in order, and only the second round determines the margins.
     """
     events, acceleration_unit = sequence.kind.shape[0], length_unit * equations.omega**2
     floor, ceiling = equations.wall_gap[j]
     overlapped_wall = 0  # none
     segments = track.times.shape[0]
-    # s: segment in `track`; k: the same in `sequence`.
+    # s: segment in `track`; k: the same segment in `sequence`.
     for visit in range(2 * segments):
         is_second_round, s = visit >= segments, visit % segments
         k, end_event = (s + 1, (s + 1) % events) if events > 0 else (0, 0)
@@ -149,7 +148,7 @@ def _finite_contact_margins(
 
 @cached_njit
 def _signal_along(equations: Equations, track: Track, s: int, configuration: int, signal: Array, j: int) -> Array:
-    """Return a signal of an sliding mass with two derivatives along a segment, shape (steps + 1, 3)."""
+    """Return a signal of a sliding mass with two derivatives along a segment, shape (steps + 1, 3)."""
     a, nq, n = equations.generator[configuration], equations.inverse_mass.shape[1], track.motion.shape[2]
     gap, base, memory = equations.gap_coordinate[j], equations.base_coordinate[j], equations.memory_coordinate[j]
     weights = np.zeros((3, n + 3))
@@ -159,7 +158,7 @@ def _signal_along(equations: Equations, track: Track, s: int, configuration: int
     if memory >= 0:
         weights[0, memory] = signal[MEMORY]
     if signal[HOLD] != 0.0:
-        # The other forces on the mass act across the gap: the holding force is that of its inertia.
+        # The other forces on the mass act across the gap, so the holding force is mass times acceleration.
         weights[0] = a[nq + equations.body_coordinate[j]]
     weights[1] = weights[0] @ a
     weights[2] = weights[1] @ a
@@ -195,8 +194,8 @@ def _sliding_margins(
             for end, sign in ((LOW, 1.0), (HIGH, -1.0)):
                 if not np.isfinite(signal[end]):
                     continue
-                # A speed that starts from rest has no minimum in the first step, except by rounding.
-                # So does a force with memory that starts at its limit.
+                # A speed that starts from rest has no minimum in the first step, except by rounding. The same is true
+                # of a force with memory that starts at its limit.
                 first = 1 if (is_speed or has_memory) and starts_with_own_event else 0
                 lowest = _lowest_between(values, step, -sign * signal[end], sign, first)
                 if is_force or not starts_with_own_event:
@@ -219,7 +218,7 @@ def _sliding_event_margin(
     equations: Equations, sequence: Sequence, track: Track, event: int, closing_speed: float, length_unit: float,
     distances: Array,
 ) -> None:  # fmt: skip
-    """Write the margins of an event of an sliding mass: the rate at which its signal reaches the limit.
+    """Write the margin of an event of a sliding mass: the rate at which its signal reaches the limit.
 
     After an impact without rebound or a reversal, the motion away must begin at once.
     """
@@ -249,7 +248,7 @@ def _sliding_event_margin(
 def margins(equations: Equations, sequence: Sequence, track: Track, instants: Array, closing_speed: Array) -> Array:
     """Compute the margin of an orbit at each border beyond which it is impossible as a motion.
 
-    `instants`, `closing_speed`: of the events, s and m/s, shape (events,).
+    `instants`, `closing_speed`: instants, s, and closing speeds, m/s, of the events, shape (events,).
 
     Returns shape (kinds of borders, max(events, dampers)), gaps in g/w^2, accelerations in g, times in 1/w; at most
     1, negative beyond the border. The second index is an event for the kinds ORDER, NOT_RELEASED and MISSES_WALL,
@@ -271,7 +270,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             ends_with_own_event = events > 0 and sequence.damper[end_event] == j
             wall, guard = sequence.wall[k, j], track.guards[s, :, j]
             if equations.stiffness[j, 0] > 0.0 or equations.first_mode[j] >= 0:
-                continue  # these are examined below
+                continue  # sliding masses are examined below
             if wall in (kinds.FLYING, kinds.WITHOUT_FORCE):
                 floor, ceiling = equations.wall_gap[j]
                 # A gap that starts from zero has no minimum in the first step, except by rounding.
@@ -309,7 +308,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
         is_bounce = kind in (kinds.CEILING_BOUNCE, kinds.FLOOR_BOUNCE)
         away_sign = -1.0 if at_ceiling else 1.0
         if kind == kinds.INDUCED_SEPARATION or (is_bounce and equations.restitution[j] == 0.0):
-            # The gap's curvature right after the event must lead away from the wall.
+            # Right after the event, the gap's second derivative must lead away from the wall.
             _reduce_margin(distances, STAYS_AT_WALL, j, away_sign * track.guards[event, 0, j, 2] / acceleration_unit)
         if kind == kinds.SEPARATION:
             jerk = track.guards[event - 1, -1, j, 1]

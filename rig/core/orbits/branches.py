@@ -31,7 +31,8 @@ BORDER_STEP = 2e-6
 SIMULATED_BORDER_STEPS = (2e-5, 3e-4, 3e-3)
 # Maximum number of branches: near irregular motion there are infinitely many.
 MAX_BRANCHES = 60
-# Relative deviations of two responses below which their orbits are the same: on a branch, or on a branch of one point.
+# Two orbits are the same if the relative deviation of their responses is below this: on a branch with several points,
+# and on a branch of one point.
 SAME_RESPONSE, SAME_POINT_RESPONSE = 0.01, 0.02
 # An orbit beyond a border is the neighbor of the orbit at the border if their responses differ by at most this
 # fraction.
@@ -162,7 +163,7 @@ class _Explorer:
         )
 
     def _stability_losses(self, branch: OrbitBranch) -> list[int]:
-        """Return the indices of the unstable orbits next to a loss of stability that is not at a fold."""
+        """Return the indices of unstable orbits that are next to a loss of stability, except at folds."""
         unstable_indices = []
         for value in (*branch.doublings, *branch.toruses):
             for i in np.flatnonzero((branch.value[:-1] - value) * (branch.value[1:] - value) <= 0).tolist():
@@ -220,7 +221,7 @@ class _Explorer:
         try:
             return self._orbit_past_border(orbit, value, float(direction))
         except RunError as failure:
-            self.failures.append(f"not continued beyond the end of a branch {location}, where {reason}: {failure}")
+            self.failures.append(f"not continued beyond the end of a branch {location} ({reason}): {failure}")
             return None
 
     def _orbit_past_border(self, orbit: Orbit, value: float, direction: float) -> Orbit:
@@ -245,7 +246,7 @@ class _Explorer:
                 is_close = np.abs(candidate.frf - orbit.frf).max() < NEIGHBOR_RESPONSE * np.abs(orbit.frf).max()
                 if is_close and not candidate.flaw and not candidate.plan.has_same_cycle(orbit.plan):
                     return candidate
-        # Close to the border, the new event may be too weak to be detected in a motion that has settled to 1e-7.
+        # Close to the border, the new event may be too weak to be detected in a motion that is steady to 1e-7.
         for step in SIMULATED_BORDER_STEPS[:-1]:
             try:
                 return self._simulate_past_border(orbit, value, direction * step)
@@ -262,7 +263,7 @@ class _Explorer:
 
 
 def _period_doubling_test(multipliers: NDArray[np.complex128]) -> float:
-    """Return a value that changes sign where a multiplier passes -1 (period doubling)."""
+    """Return a test value that changes sign where a multiplier passes -1 (period doubling)."""
     return float(np.prod(1 + multipliers).real)
 
 

@@ -1,4 +1,4 @@
-"""The sequence of events of a periodic orbit: derived from a simulated cycle, and with a label for users.
+"""The sequence of events of a periodic orbit: its derivation from a simulated cycle, and its label for users.
 
 An event is a change of the contact state of one damper. Beyond a *border* in the parameter, the sequence is impossible.
 The engine describes the *contact* of a damper as flight, floor or ceiling. An orbit describes it by a *wall state*,
@@ -58,7 +58,7 @@ class Plan:
         return np.flatnonzero(self.sequence.wall[0] == kinds.FLYING)
 
     def instants(self, unknowns: Array) -> Array:
-        """Return the instants of the events, s, which are the last of an orbit's unknowns."""
+        """Return the instants of the events, s: the last elements of an orbit's unknowns."""
         return unknowns[len(unknowns) - len(self.sequence.kind) :]
 
     @property
@@ -129,10 +129,10 @@ def derive_plan(
 ) -> tuple[Plan, Array]:
     """Derive the sequence of events from a simulated cycle.
 
-    `start`, `end`, shape (dampers,): modes at both ends of the cycle; `repetition`: number of its drive periods.
-    Returns the plan, and the indices of its events among the events of the cycle. Raises `UncoveredMotionError` if a
-    damper changes its contact at the instant of another damper's impact, with which a full mass matrix or a common body
-    couples it.
+    `start`, `end`, shape (dampers,): modes at both ends of the cycle; `repetition`: drive periods in the cycle. Returns
+    the plan, and the indices of its events among the events of the cycle. Raises `UncoveredMotionError` if a damper
+    changes its contact at the instant of an impact of another damper to which it is coupled by a full mass matrix or a
+    common body.
     """
     events: list[int] = []
     dampers: list[int] = []
@@ -180,10 +180,11 @@ def derive_plan(
 
 
 def _end_rebounds(events: list[int], own: list[int]) -> None:
-    """Replace the last of infinitely many rebounds with an impact after which the damper rests, in place.
+    """Replace, in place, the last of infinitely many rebounds with an impact after which the damper is at rest.
 
-    The simulation ends them when a rebound is within rounding error. The orbit has the same number of impacts. After
-    the last impact the damper leaves the wall, as it can only from rest. `own`: indices of the damper's events.
+    The simulation ends such a sequence when a rebound is within rounding error. The orbit has the same number of
+    impacts. A damper that separates from the wall next must have been at rest on it. `own`: indices of the damper's
+    events.
     """
     leaves = (kinds.SEPARATION, kinds.INDUCED_SEPARATION, kinds.SLIP_LOW, kinds.SLIP_HIGH)
     impact = {bounce: kind for kind, bounce in BOUNCE.items()}
@@ -193,7 +194,7 @@ def _end_rebounds(events: list[int], own: list[int]) -> None:
 
 
 def _finite_contact_kind(trajectory: Trajectory, event: int, system: HybridSystem) -> int:
-    """Return the kind of an event with finite-duration contact; a press event starts with overlap, a touch without."""
+    """Return the kind of an event of finite-duration contact; a press event begins with overlap, a touch without."""
     kind, damper = trajectory.event_kind[event], trajectory.event_damper[event]
     if kind == RELEASE:
         return kinds.RELEASE
@@ -230,7 +231,7 @@ def walls_from_modes(modes: NDArray[np.int64], system: HybridSystem) -> NDArray[
 
 
 def slides(system: HybridSystem) -> NDArray[np.bool_]:
-    """Return whether each element can stick away from its walls, because it slides with friction; shape (elements,)."""
+    """Return whether each element slides with friction, so that it can stick away from its walls; shape (elements,)."""
     laws = [element.law for element in system.elements]
     sticks = [any(mode.force is None and mode.wall == FLIGHT for mode in law.modes.values()) for law in laws]
     return np.array([each or law.has_memory for each, law in zip(sticks, laws, strict=True)], dtype=bool)

@@ -19,8 +19,8 @@ def exponential(matrix: Array, time: float, norm_bound: float) -> Array:
         norm *= 0.5
         halvings += 1
     x = matrix * (time * 0.5**halvings)
-    # Series to degree 12, in groups of three powers, by Horner's method in the cube. The sum excludes the identity to
-    # avoid cancellation at small times; squaring of 1 + s then maps s to 2 s + s s.
+    # Series to degree 12, in groups of three powers, by Horner's method in the cube. The sum s excludes the identity,
+    # to avoid cancellation at small times; the square of 1 + s is 1 + (2 s + s s).
     square = x @ x
     cube = square @ x
     total = x / 3628800.0 + square / 39916800.0 + cube / 479001600.0

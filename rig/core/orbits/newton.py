@@ -1,4 +1,4 @@
-"""Newton's iteration for the unknowns of an orbit, and its monodromy matrix."""
+"""Newton's iteration for the unknowns of an orbit, and the monodromy matrix of the orbit."""
 
 from __future__ import annotations
 

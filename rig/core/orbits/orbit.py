@@ -1,7 +1,7 @@
 """A periodic motion (orbit) of a scene, and the family of such motions over one free parameter.
 
 A *plan* is the sequence of contact events in one cycle. A *border* is a limit beyond which this sequence is impossible,
-for example where a damper hits the floor early. The *margin* is the distance to it, negative beyond the border.
+for example where a damper hits the floor early. The *margin* is the distance to the border, negative beyond it.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Orbit(Result):
     Attributes
     ----------
     setting : OperatingPoint
-        Operating point: frequency [Hz], level of the drive, and clearance and mass ratio if they were varied.
+        Operating point: frequency [Hz], level of the drive, and, if varied, clearance and mass ratio.
     repetition : int
         Length in periods of the drive.
     frf : ndarray of complex, shape (bodies,)
@@ -80,7 +80,7 @@ class Orbit(Result):
         Distance to the nearest border, beyond which the sequence of events is impossible: gaps in g/w^2,
         accelerations in g, times in 1/w. At most 1, negative beyond the border.
     residual : float
-        Relative difference between the states at start and end of the orbit.
+        Relative difference between the states at the start and the end of the orbit.
     closing : ndarray, shape (events,)
         Closing speed of each event of the plan [m/s].
     period_map : ndarray
@@ -259,7 +259,7 @@ class OrbitFamily:
         state = unknowns[: system.states]
         length = np.abs(state[:nq]).max(initial=0.0) + np.abs(state[nq : 2 * nq]).max(initial=0.0) / omega
         length += system.gravity / omega**2
-        # Other states, such as a coil current, may be zero.
+        # Further states, such as a coil current, may be zero.
         other_scales = np.abs(state[2 * nq :]) + 1e-3
         first_instant = unknowns.size - len(plan.sequence.kind)
         self.scale = scale = np.full(unknowns.size + 1, 1 / omega)  # scales of the instants

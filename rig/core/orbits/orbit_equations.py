@@ -15,7 +15,7 @@ from rig.core.base.arrays import Array
 from rig.core.numerics.jit import cached_njit
 
 IndexArray = NDArray[np.int64]
-#: Columns of `Equations.signals`: factors of the gap [m], of the speed [m/s], of the holding force per mass [m/s^2] and
+#: Columns of `Equations.signals`: factors of the gap [m], of the speed [m/s], of the holding force per mass [m/s²] and
 #: of the memory [m], and the limits. A row without factors is unused. A force with memory is divided by its stiffness.
 GAP, SPEED, HOLD, MEMORY, LOW, HIGH = range(6)
 
@@ -28,17 +28,17 @@ class Equations(NamedTuple):
     inverse_mass: Array  # shape (configurations, coordinates, coordinates)
     body_coordinate: IndexArray  # Coordinate of each element's body; int64, shape (elements,)
     mass: Array
-    restitution: Array  # mass, restitution: shape (elements,)
+    restitution: Array  # `mass` and `restitution`; shape (elements,)
     gap_coordinate: IndexArray
     """Coordinate of the gap of an element, -1 for a detached mass; int64, shape (elements,)."""
     base_coordinate: IndexArray
-    """Coordinate that is subtracted from that of the gap, -1 without one; int64, shape (elements,)."""
-    memory_coordinate: IndexArray  # Coordinate of the memory, -1 without one; int64, shape (elements,)
+    """Coordinate that is subtracted from the coordinate of the gap, -1 if none is; int64, shape (elements,)."""
+    memory_coordinate: IndexArray  # Coordinate of the memory, -1 without memory; int64, shape (elements,)
     wall_gap: Array  # Gap at floor and ceiling [m]; shape (elements, 2)
     hold_offset: Array
-    """Holding force per mass on floor and ceiling, minus the acceleration of the body [m/s^2]; shape (elements, 2)."""
+    """Holding force per mass on floor and ceiling, minus the acceleration of the body [m/s²]; shape (elements, 2)."""
     stiffness: Array
-    damping: Array  # stiffness, damping: of floor and ceiling for finite-duration contact; shape (elements, 2)
+    damping: Array  # `stiffness` and `damping` of floor and ceiling in finite-duration contact; shape (elements, 2)
     first_mode: IndexArray
     """Row in `signals` of the first mode of an element that slides with friction, otherwise -1; shape (elements,)."""
     signals: Array
@@ -68,7 +68,7 @@ class Sequence(NamedTuple):
     """The events of an orbit in order."""
 
     kind: IndexArray
-    damper: IndexArray  # kind, number of the element: int64, shape (events,)
+    damper: IndexArray  # kind of event and number of the element; int64, shape (events,)
     configuration: IndexArray
     """Index of the configuration in each segment: before the first event, between events, after the last; int64,
     shape (events + 1,)."""

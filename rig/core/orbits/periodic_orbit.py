@@ -164,7 +164,7 @@ def _distance(propagator: Propagator, orbit: Orbit) -> float:
 
 
 def _largest_difference(propagator: Propagator, unknowns: Array, frequency: float) -> float:
-    """Return the largest difference of displacement, or velocity over angular frequency, from an orbit's start, m."""
+    """Return the largest deviation of displacement, or of velocity over angular frequency, from an orbit's start, m."""
     nq = propagator.system.coordinates
     difference = propagator.state.z[: 2 * nq] - unknowns[: 2 * nq]
     difference[nq:] /= 2 * np.pi * frequency
@@ -217,7 +217,7 @@ def refine_orbit(
 def _refine_cycle(
     problem: OrbitProblem, plan: Plan, setting: OperatingPoint, unknowns: Array, limits: IterationLimits
 ) -> Orbit:
-    """Refine a simulated cycle to an exact orbit, of the shortest cycle."""
+    """Refine a simulated cycle to an exact orbit, and reduce it to its shortest cycle."""
     orbit = solve(problem, plan, setting, unknowns, limits)
     cycle = shortest_cycle(orbit)
     return orbit if cycle is None else solve(problem, *cycle)

@@ -48,12 +48,12 @@ class Axis:
 
     @property
     def column(self) -> str:
-        """Name of its column in tables, such as clearance_m."""
+        """Name of the parameter's column in tables, such as clearance_m."""
         return f"{self.name}_{self.kind.si}".replace("/", "_per_").replace("^", "").rstrip("_")
 
     @property
     def unit(self) -> str:
-        """Its SI unit, as it is displayed."""
+        """SI unit of the parameter, as displayed."""
         return self.kind.si.replace("^2", "²")
 
     def values(self, values: ArrayLike) -> Array:
@@ -66,7 +66,7 @@ class OperatingPoint:
     """Values of all continuation parameters."""
 
     frequency: float  # Hz
-    level: float  # of the drive, in the unit of the scene's test (N for a force)
+    level: float  # Level of the drive, in the unit of the scene's test (N for a force)
     clearance: float = np.nan  # Clearance of all dampers [m]; NaN: the clearances of the scene
     mass_ratio: float = 1.0  # Mass factor: ratio of the damper masses to the masses in the scene
 
@@ -86,11 +86,10 @@ def base_frequency(axis: Axis, frequency: float | str | None, first: float) -> f
 class _ConfigurationMatrices(NamedTuple):
     """Matrices of configurations; the first index of each array is the configuration.
 
-    `generator`: as in `Equations`, without drive, ceilings of finite-duration contacts and angular frequency.
-    `drive_input`: input matrix, the derivative of the state's time derivative with respect to the inputs.
-    `clearance_input`: derivative of the accelerations with respect to each damper's clearance, nonzero while the damper
-    is pressed on its ceiling.
-    `norm_bound`: upper bound of the norm of the state matrix, 1/s.
+    `generator`: as in `Equations`, but without drive, ceilings of finite-duration contacts and angular frequency.
+    `drive_input`: input matrix B of x' = A x + B u. `clearance_input`: derivative of the accelerations with respect to
+    each damper's clearance, nonzero while the damper is pressed on its ceiling. `norm_bound`: upper bound of the norm
+    of the state matrix, 1/s.
     """
 
     generator: Array
@@ -185,7 +184,7 @@ class OrbitProblem:
         return assemble(self.scene.replace(dampers=dampers))
 
     def amplitudes(self, setting: OperatingPoint) -> NDArray[np.complex128]:
-        """Return the complex amplitude of each input for a level that is a sine with zero phase at t = 0."""
+        """Return the complex amplitude of each input if the level is a sine with zero phase at t = 0."""
         amplitudes = np.zeros(len(self.system.inputs), dtype=np.complex128)
         gain = drive_per_level(self.scene, self.system, 2 * np.pi * setting.frequency)
         amplitudes[self._driven_input] = -1j * setting.level * gain
@@ -233,7 +232,7 @@ class OrbitProblem:
         if parameter == "mass_ratio":
             stiffness_derivative, damping_derivative, hold_offset_derivative = self._wall_derivatives(mass_factor)
         if parameter == "clearance":
-            # Both are linear in the clearance.
+            # Wall gaps and holding forces are linear in the clearance.
             wide, none = system.with_clearance(1.0), system.with_clearance(0.0)
             wall_gap_derivative = _finite_difference(wide.wall_gap, none.wall_gap)
             hold_offset_derivative = _finite_difference(wide.hold_offset, none.hold_offset)
@@ -367,8 +366,8 @@ class OrbitProblem:
     def _wall_derivatives(self, mass_factor: float) -> tuple[Array, Array, Array]:
         """Differentiate wall stiffness, wall damping and `hold_offset` with respect to the mass factor.
 
-        They have the shape (dampers, 2). They are not zero if the scene gives the contact duration instead of the
-        stiffness, or a spring that pushes a damper against a wall.
+        The shape is (dampers, 2). The derivatives are not zero if the scene specifies the contact duration instead of
+        the stiffness, or a spring pushes a damper against a wall.
         """
         if self.system.detached.all():
             return self._wall_zeros, self._wall_zeros, self._wall_zeros

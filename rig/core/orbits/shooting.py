@@ -52,10 +52,10 @@ class MotionState(NamedTuple):
 
     x: Array  # State; cos wt, sin wt; 1; shape (states + 3,)
     height: Array
-    velocity: Array  # height [m], velocity [m/s]: of the dampers; shape (dampers,)
+    velocity: Array  # `height` [m] and `velocity` [m/s] of the dampers; shape (dampers,)
     dx: Array  # shape (states, unknowns + 1)
     dheight: Array
-    dvelocity: Array  # dheight, dvelocity: shape (dampers, unknowns + 1)
+    dvelocity: Array  # `dheight` and `dvelocity`; shape (dampers, unknowns + 1)
 
 
 @cached_njit
@@ -130,7 +130,7 @@ def _contact_force_condition(
     equations: Equations, derivatives: EquationDerivatives, configuration: int, j: int, wall: int, motion: MotionState,
     time: float, row: int, jacobian: Array,
 ) -> float:  # fmt: skip
-    """Return the holding force of damper j per mass [m/s^2], zero at its separation; write its derivatives into a row.
+    """Return the holding force of damper j per mass [m/s²], zero at its separation; write its derivatives into a row.
 
     `wall`: wall state of the damper.
     """
@@ -220,7 +220,7 @@ def _apply_impact_of_coordinate(
     equations: Equations, derivatives: EquationDerivatives, configuration: int, kind: int, j: int,
     motion: MotionState, row: int, jacobian: Array,
 ) -> tuple[float, float]:  # fmt: skip
-    """Do the same as `_apply_impact` for a damper whose gap is a coordinate; an impulse acts on this coordinate."""
+    """Apply an impact as `_apply_impact` does, for a damper whose gap is a coordinate on which the impulse acts."""
     gap, nq, n_unknowns = equations.gap_coordinate[j], equations.inverse_mass.shape[1], motion.dx.shape[1] - 1
     x, dx, speed = motion.x, motion.dx, motion.x[nq + gap]
     is_ceiling = kind in (kinds.CEILING, kinds.CEILING_BOUNCE)
@@ -276,9 +276,9 @@ def _finite_contact_condition(
 
 @cached_njit
 def signal_of(signals: Array, kind: int) -> tuple[int, int]:
-    """Return signal and end of its interval (`LOW`, `HIGH`) whose limit is an event of a sliding mass.
+    """Return the signal and the end of its interval (`LOW`, `HIGH`) that an event of a sliding mass reaches.
 
-    `signals`: those of the mode; `kind`: of the event.
+    `signals`: signals of the mode; `kind`: kind of the event.
     """
     column = HOLD
     if kind in (kinds.STOP, kinds.REVERSE):
@@ -325,7 +325,7 @@ def _sliding_event(
         if base >= 0:
             jacobian[row] -= dx[nq + base]
         if memory >= 0:
-            # The force does not jump, so that the memory follows from the slip force and the gap.
+            # The force does not jump, so the memory follows from the slip force and the gap.
             sticking = equations.signals[modes[1], 0]
             x[memory] = (sticking[end] - sticking[GAP] * along_gap(equations, j, x)) / sticking[MEMORY]
             dx[memory] = -sticking[GAP] / sticking[MEMORY] * dx[equations.gap_coordinate[j]]
@@ -345,7 +345,7 @@ def _sliding_event(
 
 @cached_njit
 def _write_neutral_rows(equations: Equations, sequence: Sequence, residual: Array, jacobian: Array) -> None:
-    """Replace the rows of periodicity of gaps that the motion does not determine: Newton's iteration keeps them.
+    """Replace the periodicity rows of gaps that the motion does not determine; Newton's iteration then keeps them.
 
     The motion of a mass without suspension does not depend on its gap between two impacts on walls. The memory of a
     joint that always sticks is free, and the rate of change of a memory is zero.

@@ -1,8 +1,8 @@
 """Steady-state motion over a parameter such as frequency or force, computed as exact stable orbits (periodic motions).
 
 At each value the orbit is predicted from the previous orbits and corrected by Newton's iteration. Every orbit is
-checked for admissibility and stability. If a check fails, the motion is simulated as in a slow sweep, until it
-settles to another orbit or, if it is irregular, until it can be averaged.
+checked for admissibility and stability. If a check fails, the motion is simulated as in a slow sweep until it settles
+to another orbit. An irregular motion is averaged.
 
 A *setting* is an operating point: the values of all parameters. A *plan* is the sequence of contact events in a cycle.
 """
@@ -69,7 +69,7 @@ AVERAGED_PERIODS = 64
 
 @dataclass(frozen=True, repr=False)
 class OrbitResponse(Result):
-    """Steady-state motion over a parameter, in the order in which its values were visited.
+    """Steady-state motion over a parameter, in the order in which its values were computed.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class OrbitResponse(Result):
     labels : tuple of str, length bodies
         Display names of the bodies: their names, or body 1, body 2, ...
     elements : int
-        Number of dampers that move, and of joints.
+        Number of dampers that move, plus number of joints.
     reference : {"force", "table"}
         Force on the structure, or displacement of the table.
     """
@@ -373,7 +373,7 @@ class _Continuation:
         return _hermite(nodes, unknowns, np.array([point.slope for point in self.recent_points]), value)
 
     def _settle(self, value: float) -> _Point:
-        """Simulate from the previous motion until it settles to an orbit; average a motion that does not settle."""
+        """Simulate from the previous motion until it settles to an orbit; if it does not, average the motion."""
         setting = self.setting_at(value)
         propagator, _ = start_propagator(self.problem, setting)
         if self.recent_points:
@@ -403,8 +403,8 @@ def _orbit_point(orbit: Orbit) -> _Point:
 def _mean_period(initial: Array, states: Array, bodies: int) -> tuple[Array, Array]:
     """Return the mean of the states at each instant of a period, and half the range of each body's displacement.
 
-    `states`: at the ends of the intervals between the instants, shape (periods * instants, states); the first instant
-    is that of the state `initial`.
+    `states`: states at the ends of the intervals between the instants, shape (periods * instants, states); `initial`:
+    state at the first instant.
     """
     periods, size = states.shape[0] // INSTANTS_PER_PERIOD, states.shape[1]
     mean, lowest, highest = np.zeros((INSTANTS_PER_PERIOD, size)), states[0, :bodies].copy(), states[0, :bodies].copy()

@@ -19,7 +19,7 @@ from rig.core.orbits.orbit_equations import Equations, Sequence, along_gap
 # The product of the step between instants and the norm of the state matrix is at most this. The relative error of the
 # extremes of quintics is then 1e-9, and the harmonic is exact to rounding error.
 MAX_RATE_TIMES_STEP = 0.25
-# The limit of this product for the harmonic alone, which then has a relative error of 1e-11.
+# Limit of the same product if only the harmonic is computed, which then has a relative error of 1e-11.
 _MAX_RATE_TIMES_HARMONIC_STEP = 0.7
 # Maximum number of steps in a segment; it limits the memory for long flights in stiff structures.
 MAX_STEPS = 1500
@@ -36,7 +36,7 @@ class Track(NamedTuple):
     times: Array  # shape (segments, steps + 1)
     motion: Array  # shape (segments, steps + 1, states)
     # Guard of each damper, with first and second derivative; shape (segments, steps + 1, dampers, 3). It is the gap in
-    # flight [m], or the force at the wall divided by the damper mass [m/s^2].
+    # flight [m], or the force at the wall divided by the damper mass [m/s²].
     guards: Array
     extremes: Array  # Lowest and highest value of each coordinate; shape (coordinates, 2)
     harmonic: NDArray[np.complex128]

@@ -31,7 +31,7 @@ from rig.core.scene.shaker import at_shaker
 from rig.core.system.hybrid_system import Element, HybridSystem
 from rig.core.system.structural_model import StructuralModel, ground_connection, structural_model
 
-#: Maximum number of free dampers: configurations, two for each damper, are 64-bit integers.
+#: Maximum number of free dampers. A configuration is a 64-bit integer, with one bit for each damper.
 MAX_DAMPERS = 62
 #: A stiffness matrix has an inverse if its condition number is at most this; rounding limits it to about 1e16.
 MAX_CONDITION = 1e13
@@ -41,17 +41,18 @@ MAX_CONDITION = 1e13
 def assemble(scene: Scene) -> HybridSystem:
     """Return the hybrid linear system of a scene, in its initial state.
 
-    The coordinates are the bodies, then the tables (heads) of the shakers that have one, then the beds with
-    finite-duration contact and the masses on springs. Dampers that are locked or have no clearance are part of the mass
-    matrix; the others are free. Raises `SceneError` if there are more free dampers than `MAX_DAMPERS`, or the test
-    starts from the static equilibrium of a structure without support.
+    The coordinates are the displacements of the bodies, then of the tables (heads) of shakers, then of the beds with
+    finite-duration contact and of the masses on springs. Dampers that are locked or have no clearance are part of the
+    mass matrix; the others are free. Raises `SceneError` if there are more free dampers than `MAX_DAMPERS`, or if the
+    test starts from a static equilibrium that does not exist, because the structure has no support.
     """
     model = structural_model(scene)
     bodies = len(model.mass)
     masses, body, locked = model.bed_mass, model.bed_body, model.locked
     free = np.flatnonzero(~locked)
     finite_contact = any(scene.dampers[j].contact is not None for j in free)
-    # Finite-duration contact has three configurations: no contact, contact with the lower wall, and with the upper.
+    # With finite-duration contact a damper has three configurations: no contact, or contact with the lower or the upper
+    # wall.
     limit = MAX_DAMPERS // 2 if finite_contact else MAX_DAMPERS
     if scene.joints and len(free) + len(scene.joints) > MAX_DAMPERS // 2:
         raise SceneError(
@@ -108,9 +109,9 @@ def _without_free_beds(scene: Scene, model: StructuralModel, weight: Array) -> E
 
 
 def _element(equations: Equations, scene: Scene, number: int, mass: float, inverse_mass: float) -> Element:
-    """Return the element of a damper, after its bed was added to the equations if its gap must be a coordinate.
+    """Return the element of a damper; if its gap must be a coordinate, add the bed to the equations first.
 
-    `mass`: of the bed, kg; `inverse_mass`: diagonal element of the inverse mass matrix of its body, 1/kg.
+    `mass`: mass of the bed, kg; `inverse_mass`: diagonal element of the inverse mass matrix of its body, 1/kg.
     """
     damper, gap = scene.dampers[number - 1], -1
     if damper.spring is not None or damper.contact is not None:
@@ -123,7 +124,7 @@ def _element(equations: Equations, scene: Scene, number: int, mass: float, inver
         equations.weight[gap] = 0.0  # the gap is measured from the position in which the spring carries the weight
         declare = partial(spring_mass, declare, damper.clearance_below)
     if damper.friction is not None:
-        gap = _add_bed(equations, damper.body - 1, mass, gravity=0.0)  # the weight acts across
+        gap = _add_bed(equations, damper.body - 1, mass, gravity=0.0)  # the weight acts across the direction of motion
         declare = partial(sliding_mass, damper.friction * mass * scene.gravity, damper.restitution)
     return Element(
         declare, damper.body - 1, gap, mass, damper.clearance, damper.restitution, number, damper.grains is not None
@@ -147,14 +148,15 @@ def _joint(equations: Equations, joint: Stop | FrictionJoint, number: int) -> El
     clearance, memory = joint.gap, -1
     if joint.slip_force is not None:
         declare, clearance = partial(friction_joint, joint.stiffness), joint.slip_force / joint.stiffness
-        memory = equations.add_coordinate(1.0)  # no force acts on it, so that its mass is arbitrary
+        memory = equations.add_coordinate(1.0)  # no force acts on the memory, so its mass is arbitrary
     return Element(declare, gap, gap, accelerated_mass, clearance, 0.0, number, is_joint=True, base=base, memory=memory)
 
 
 def _with_joints_at_rest(scene: Scene, system: HybridSystem) -> HybridSystem:
     """Return the system with its joints at the start in the modes of the static equilibrium.
 
-    The equilibrium with a set of closed stops shows which of them are closed; this is repeated until the set remains.
+    The static equilibrium with an assumed set of closed stops determines which stops are closed. This is repeated until
+    the set no longer changes.
     """
     for _ in range(2 + 2 * len(scene.joints)):
         state = np.zeros(system.states)
@@ -250,7 +252,7 @@ def _initial_state(scene: Scene, system: HybridSystem) -> Array:
 
 
 def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
-    """Return the coordinates at rest under the weight of the dampers, m; joints with friction are without force.
+    """Return the coordinates at rest under the weight of the dampers, m; joints with friction exert no force.
 
     Raises `SceneError` if nothing supports the structure.
     """
@@ -263,7 +265,7 @@ def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
     if not load.any():
         return np.zeros(n)
     stiffness = -(system.force_state + force)[:, :n]
-    # Nothing holds a mass that slides freely; it remains in the middle.
+    # No spring acts on a mass that slides freely; it remains in the middle.
     free = {*system.gap_coordinate[: system.dampers].tolist(), *memories}
     supported = [i for i in range(n) if stiffness[i].any() or i not in free]
     stiffness, load = stiffness[np.ix_(supported, supported)], load[supported]
@@ -283,8 +285,8 @@ def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
 def _is_singular(stiffness: Array) -> bool:
     """Return whether a stiffness matrix is singular within rounding error.
 
-    Its diagonal is first scaled to 1, because a large ratio of springs makes the condition number of a regular matrix
-    large.
+    The diagonal of the matrix is first scaled to 1. Otherwise very different springs would give a regular matrix a
+    large condition number.
     """
     scale = np.sqrt(np.abs(np.diag(stiffness)))
     scale[scale == 0.0] = 1.0

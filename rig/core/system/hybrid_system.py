@@ -2,7 +2,7 @@
 
 A damper's *bed* is its particles, modeled as one mass. A damper *rides* while its bed is at rest on a wall of its
 cavity. An *element* is a contact law at one place (`rig.core.laws`): a damper, or a *joint* between two bodies or a
-body and the ground. A *configuration* states which of the forces of its law acts in each element: it determines the
+body and the ground. A *configuration* specifies for each element which of the forces of its law acts. It determines the
 equations of motion.
 """
 
@@ -21,7 +21,7 @@ from rig.core.base.errors import SceneError
 from rig.core.laws.landing import duration_and_restitution
 from rig.core.laws.law import Law, Row
 
-#: Name, before the damper's number, of the input that is the force of a bed of grains on its body.
+#: Name of the input for the force of a bed of grains on its body, without the number of the damper.
 FORCE_OF_BED = "grains"
 
 
@@ -31,11 +31,12 @@ class Element:
 
     `declare`: the law as a function of the clearance, m. `body`: coordinate of the body to which the gap is measured.
     `gap`: coordinate that is the gap; -1 for a *detached* mass, whose position is not a coordinate: its force is
-    constant while it is not held. `mass`: of the damper, kg; of a joint the mass that its force accelerates along the
-    gap. `clearance`: m, of a joint its gap or the displacement at which it slips; `restitution`: coefficient in the
-    scene. `number`: in the scene, from 1. `is_grains`: whether the damper is a bed of grains. `is_joint`: whether it is
-    a joint. `base`: coordinate that is subtracted from `gap`; -1 if `gap` alone is the gap. `start`: mode at the start;
-    empty: that of the law. `memory`: coordinate that is the memory of the law and remains at rest; -1 without one.
+    constant while it is not held. `mass`: mass of the damper, or the mass that the force of the joint accelerates along
+    the gap, kg. `clearance`: clearance of the damper, or the gap or slip displacement of the joint, m. `restitution`:
+    coefficient in the scene. `number`: number in the scene, from 1. `is_grains`: whether the damper is a bed of grains.
+    `is_joint`: whether it is a joint. `base`: coordinate that is subtracted from `gap`; -1 if `gap` alone is the gap.
+    `start`: mode at the start; empty: the start mode of the law. `memory`: coordinate that is the memory of the law and
+    remains at rest; -1 without memory.
     """
 
     declare: Callable[[float], Law]
@@ -58,12 +59,12 @@ class Element:
 
     @property
     def direction(self) -> tuple[tuple[int, float], ...]:
-        """Coordinates whose sum with these factors is the gap; empty for a detached mass."""
+        """Coordinates and factors whose sum of products is the gap; empty for a detached mass."""
         ends = ((self.gap, 1.0), (self.base, -1.0))
         return tuple((coordinate, factor) for coordinate, factor in ends if coordinate >= 0)
 
     def along_gap(self, coordinates: np.ndarray) -> Any:
-        """Return the gap for the coordinates in the last index of an array, or the speed for their velocities."""
+        """Return the gap from an array of coordinates (last index), or its rate from an array of velocities."""
         return sum(factor * coordinates[..., coordinate] for coordinate, factor in self.direction)
 
     @property
@@ -81,7 +82,7 @@ class Element:
 
     @property
     def key(self) -> tuple[object, ...]:
-        """All that determines the motion, which can be hashed."""
+        """All values that determine the motion of the element, as a hashable tuple."""
         return self.law.key, self.body, self.gap, self.base, self.memory, self.mass
 
 
@@ -93,18 +94,16 @@ class HybridSystem:
     every contact configuration (M + riding damper masses) q'' = F_x x + F_u u + F_1 - (riding dampers' weight) and
     r' = R_x x + R_u u.
 
-    `inputs`, `drive_units`, `drive_limit`: names, units and largest values of the inputs. `gravity`: m/s^2.
-    `mass`: M, without the dampers of instant contact that can move.
-    `force_state`, `force_drive`, `force_constant`: F_x (coordinates, states), F_u (coordinates, inputs) and F_1
-    (coordinates,).
-    `rate_state`, `rate_drive`: R_x (further states, states) and R_u (further states, inputs).
-    `state_energy`, `state_loss`, `state_power`: energy, loss and power of the drive of further states r are
-    r^2 state_energy / 2, r^2 state_loss and r state_power u; in SI, the last has the shape (further states, inputs).
-    `prescribed`, `reaction`: coordinates with prescribed motion, and rows (prescribed, states) whose product with the
-    state is the force of their actuator, N.
-    `elements`: the dampers that can move in their cavities, then the joints. A bed of grains is here one mass at rest;
-    `rig.extras.grains` computes its motion. Arrays of a value for each damper omit the joints.
-    `initial`: state at t = 0 without drive, with all dampers at rest.
+    `inputs`, `drive_units`, `drive_limit`: names, units and largest values of the inputs. `gravity`: m/s². `mass`: M,
+    without the dampers of instant contact that can move. `force_state`, `force_drive`, `force_constant`: F_x
+    (coordinates, states), F_u (coordinates, inputs) and F_1 (coordinates,). `rate_state`, `rate_drive`: R_x (further
+    states, states) and R_u (further states, inputs). `state_energy`, `state_loss`, `state_power`: energy, loss and
+    power of the drive of further states r are r^2 state_energy / 2, r^2 state_loss and r state_power u; in SI, the last
+    has the shape (further states, inputs). `prescribed`, `reaction`: coordinates with prescribed motion, and rows
+    (prescribed, states) whose product with the state is the force of their actuator, N. `elements`: the dampers that
+    can move in their cavities, then the joints. A bed of grains is here one mass at rest; `rig.extras.grains` computes
+    its motion. Arrays of a value for each damper omit the joints. `initial`: state at t = 0 without drive, with all
+    dampers at rest.
     """
 
     # names of the coordinates: "body 1" ... "body n", then "table" if the scene has one
@@ -128,7 +127,7 @@ class HybridSystem:
     initial: np.ndarray = field(repr=False)
 
     def __post_init__(self) -> None:
-        """Check that each array has an element for each input and further state; a part may add inputs."""
+        """Check that each array has an element for each input and each further state."""
         expected = {
             "drive_limit": (len(self.inputs),),
             "force_drive": (self.coordinates, len(self.inputs)),
@@ -230,7 +229,7 @@ class HybridSystem:
 
     @cached_property
     def hold_offset(self) -> np.ndarray:
-        """Holding force of each element per mass on both walls, its body at rest; shape (elements, 2)."""
+        """Holding force per mass of each element on both walls while its body is at rest; shape (elements, 2)."""
         offsets = [
             [-self.other_acceleration(element, gap) if np.isfinite(gap) else 0.0 for gap in gaps]
             for element, gaps in zip(self.elements, self.wall_gap.tolist(), strict=True)
@@ -263,7 +262,7 @@ class HybridSystem:
 
     @property
     def coupled(self) -> bool:
-        """Whether contacts are solved together: they interact, or the gap of a mass that can rest is a coordinate."""
+        """Whether contacts are solved together: impacts interact, or a gap of a mass that can rest is a coordinate."""
         return self.impacts_interact or any(
             element.gap >= 0 and None in element.law.forces for element in self.elements
         )
@@ -274,7 +273,8 @@ class HybridSystem:
         impacting = [element for element in self.elements if None in element.law.forces]
         coordinates = np.array([element.body for element in impacting], dtype=np.intp)
         gaps = sum(element.gap >= 0 for element in impacting)
-        # Otherwise each of these rows of the mass matrix belongs to one damper, and couples only its gap to its body.
+        # In the other case, each gap row of the mass matrix belongs to one damper, and couples only its gap to its
+        # body.
         return bool(np.count_nonzero(self.mass[coordinates]) > np.unique(coordinates).size + gaps)
 
     @property
@@ -294,7 +294,7 @@ class HybridSystem:
 
     @property
     def take_off_acceleration(self) -> np.ndarray:
-        """Acceleration of its body at which each damper starts to move in it, m/s^2; infinite if it is not at rest."""
+        """Acceleration of the body at which each damper starts to move in its cavity, m/s²; infinite if not at rest."""
         return np.array([self._take_off_acceleration(element) for element in self._damper_elements], dtype=np.float64)
 
     def _take_off_acceleration(self, element: Element) -> float:
@@ -319,7 +319,7 @@ class HybridSystem:
 
     @cached_property
     def strides(self) -> tuple[int, ...]:
-        """A configuration is the sum of each element's stride times the index of its force among `Law.forces`."""
+        """Strides of the elements: a configuration is the sum of stride times index of the force in `Law.forces`."""
         counts = [len(element.law.forces) for element in self.elements]
         return tuple(prod(counts[:j]) for j in range(len(counts)))
 
@@ -342,7 +342,7 @@ class HybridSystem:
     def joint_modes(self, state: np.ndarray) -> list[int]:
         """Return the number of each joint's mode at a state, shape (states,).
 
-        A joint with memory sticks. Its memory is changed in the state if the force would exceed the limits.
+        A joint with memory sticks. If its force would exceed the limits, its memory in `state` is changed.
         """
         modes = []
         for joint in self.elements[self.dampers :]:
@@ -374,7 +374,7 @@ class HybridSystem:
         return [j for j, (law, index) in enumerate(zip(laws, indices, strict=True)) if law.forces[index] is None]
 
     def contact_forces(self, configuration: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the forces of the elements along their gaps in a configuration, without those of held elements.
+        """Return the forces of the elements along their gaps in a configuration, without the forces that hold elements.
 
         Returns the matrix (coordinates, states) that multiplies the state, and constant forces (coordinates,), N.
         """
@@ -392,7 +392,7 @@ class HybridSystem:
         return force, constant
 
     def other_acceleration(self, element: Element, gap: float) -> float:
-        """Return the acceleration of a mass by its weight and suspension while it is held at a gap [m], m/s^2."""
+        """Return the acceleration of a mass due to its weight and suspension while it is held at a gap [m], m/s²."""
         if element.gap < 0:
             return -self.gravity
         return float(self.force_state[element.gap, element.gap] * gap + self.force_constant[element.gap]) / element.mass
@@ -415,8 +415,8 @@ class HybridSystem:
     def max_rate(self) -> float:
         """Largest rate (magnitude of a pole) of the system in any configuration, rad/s.
 
-        Held elements reduce the rates, so they are omitted. Forces increase them: each force alone, and the stiffest
-        forces of all elements together, are tried.
+        Held elements are omitted, because they reduce the rates. Forces increase the rates, which are computed for each
+        force alone and for the stiffest forces of all elements together.
         """
         changes = [
             [stride * index for index, row in enumerate(element.law.forces) if index and row is not None]
@@ -434,7 +434,7 @@ class HybridSystem:
 
 
 def hold_coordinates(mass: np.ndarray, coordinates: list[int]) -> None:
-    """Change a mass matrix so that it gives coordinates without a force the acceleration zero, in place."""
+    """Change a mass matrix in place, so that coordinates on which no force acts have no acceleration."""
     mass[coordinates], mass[:, coordinates] = 0.0, 0.0
     mass[coordinates, coordinates] = 1.0
 

@@ -8,19 +8,19 @@ import numpy as np
 
 from rig.core.system.hybrid_system import HybridSystem
 
-#: Peak response of a sensor without damping to a step, relative to the step.
+#: Peak of the step response of an undamped sensor, relative to the step.
 _STEP_OVERSHOOT = 2.0
 
 
 def impact_acceleration(
     system: HybridSystem, row: int, closing_speed: Sequence[float], resonance: float | None
 ) -> float:
-    """Compute the largest acceleration indicated by an accelerometer due to damper impacts, m/s^2.
+    """Compute the largest acceleration indicated by an accelerometer due to damper impacts, m/s².
 
-    An instantaneous impact causes a velocity jump of the body. The sensor then indicates that jump times 2 pi times
-    its resonance frequency; without a resonance the value is unbounded. In a finite-duration
-    contact, the force is estimated as the larger of the initial dashpot force, v c, and the peak of the spring force
-    without damping, v sqrt(k m).
+    An instantaneous impact causes a velocity jump of the body. The sensor then indicates the jump times 2 pi times the
+    resonance frequency of the sensor; without a resonance the value is unbounded. In a finite-duration contact, the
+    force is estimated as the larger of the initial dashpot force, v c, and the peak of the spring force without
+    damping, v sqrt(k m).
 
     `system`: the assembled system of the scene; `row`: coordinate of the sensor location; `closing_speed`, shape
     (dampers,): approach speed of each damper to a wall, m/s; `resonance`: resonance frequency of the sensor, Hz;

@@ -33,7 +33,7 @@ _MAX_HALVINGS = 20
 class ToneDrive:
     """A pure tone u(t) = Re(U e^{i omega t}) of the inputs, and the state at its start."""
 
-    amplitudes: ComplexArray  # U of each input, in its unit
+    amplitudes: ComplexArray  # U of each input, in the unit of the input
     frequency: float  # Hz
     omega: float  # rad/s
     state: Array  # initial state, SI units, shape (states,)
@@ -59,7 +59,7 @@ def tone_drive(scene: Scene, system: HybridSystem, frequency: float | None = Non
     amplitudes[system.inputs.index(scene.at_driven("shaker"))] = amplitude
     state = system.initial.copy()
     if scene.driven_shaker is not None and scene.driven_shaker.prescribed:
-        # The table follows the tone from the start, without the transient of its servo.
+        # The table moves with the tone from the start, without a transient of its servo.
         position = complex(amplitude / scene.driven_shaker.required_drive(np.asarray(1j * omega))[0])
         table = system.points.index(scene.at_driven("table"))
         state[table] = position.real
@@ -70,7 +70,7 @@ def tone_drive(scene: Scene, system: HybridSystem, frequency: float | None = Non
 def level_of(scene: Scene) -> float:
     """Return the level of the test: force [N], or drive in the unit of the input.
 
-    Raises `SceneError` if the scene has no shaker, or a test without a level.
+    Raises `SceneError` if the scene has no shaker, or the test has no level.
     """
     if scene.driven_shaker is None and scene.shakers:
         raise SceneError(
@@ -84,7 +84,7 @@ def level_of(scene: Scene) -> float:
         raise SceneError(f"scene {scene.name!r} has no test with a level. Add force or drive under test.")
     if test.held_motion is not None:
         raise SceneError(
-            f"test: the drive of a {test.kind} test follows from readings. Use daq.record, or give test: {{kind: "
+            f"test: the drive of a {test.kind} test depends on measured values. Use daq.record, or give test: {{kind: "
             "sine} with force or drive."
         )
     return float(test.levels[0])
@@ -110,7 +110,7 @@ def force_per_drive(scene: Scene, system: HybridSystem, omega: float | Array) ->
 
 
 def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float | Array) -> Array:
-    """Return the acceleration amplitude of each body per unit of level, m/s^2; shape (bodies,) + omega.shape.
+    """Return the acceleration amplitude of each body per unit of level, m/s²; shape (bodies,) + omega.shape.
 
     All dampers ride. `omega`: rad/s.
     """
@@ -121,7 +121,7 @@ def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float | A
 def gaps_per_level(scene: Scene, system: HybridSystem, omega: Array) -> tuple[Array, Array]:
     """Return the amplitude of the gap of each element that rests between walls, and its distance from the nearer wall.
 
-    Instead of a wall, a joint may have a displacement at which it slips. `omega`: rad/s, shape (frequencies,). Shapes:
+    For a joint with friction, the slip displacement replaces the wall. `omega`: rad/s, shape (frequencies,). Shapes:
     (elements, frequencies), in m per unit of level, and (elements,), m.
     """
     response = riding_response(system, scene.at_driven("shaker"), omega) * drive_per_level(scene, system, omega)
@@ -134,8 +134,8 @@ def gaps_per_level(scene: Scene, system: HybridSystem, omega: Array) -> tuple[Ar
 def with_ideal_force(scene: Scene) -> Scene:
     """Replace the driven shaker with an ideal force on its body, and omit the channels.
 
-    Then the spring force needs no controller. A scene does not change if its test has no force, or its shaker is an
-    ideal force.
+    The spring force is then exact without a controller. The scene is returned unchanged if the test has no force, or
+    the shaker is an ideal force.
     """
     shaker = scene.driven_shaker
     if shaker is None or shaker.drive_is_force or scene.level_key != "force":
@@ -225,7 +225,7 @@ def _chirp_drive(scene: Scene, system: HybridSystem, chirp: Chirp) -> Array:
 
 
 def _tabulate_gain(scene: Scene, system: HybridSystem, low: float, high: float) -> tuple[Array, ComplexArray]:
-    """Return frequencies (Hz) and the drive per level at each, finely spaced at resonances and antiresonances."""
+    """Return frequencies (Hz), closely spaced at resonances and antiresonances, and the drive per level at each."""
 
     def gain_at(frequency: Array) -> ComplexArray:
         gain = drive_per_level(scene, system, 2.0 * np.pi * frequency)

@@ -1,4 +1,4 @@
-"""The reference of a scene's steady responses: the first harmonic by which those of the displacements are divided."""
+"""The reference of a scene's steady responses: the force or table displacement to which displacements are related."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class Reference:
     row: Array | None
 
     def amplitude(self, level: float, harmonic: ComplexArray) -> complex:
-        """Return its complex amplitude at a level, N or m; `harmonic`: first harmonic of the states."""
+        """Return the complex amplitude of the reference at a level, N or m; `harmonic`: that of the states."""
         if self.row is None:
-            return -1j * level  # of a sine: Re(-i F e^{i w t}) = F sin(w t)
+            return -1j * level  # a sine: Re(-i F e^{i w t}) = F sin(w t)
         return complex(self.row @ harmonic)
 
 
@@ -45,7 +45,7 @@ def reference_of(scene: Scene, system: HybridSystem) -> Reference:
 
 
 def linear_response(scene: Scene, frequency: ArrayLike) -> ComplexArray:
-    """Return the displacement of each body over the default reference of a scene, linear, shape (bodies, frequencies).
+    """Return the linear response of each body over the default reference of a scene, shape (bodies, frequencies).
 
     It is the transmissibility if the table carries the structure, otherwise the receptance. `frequency`: Hz.
     """

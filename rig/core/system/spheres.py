@@ -13,8 +13,8 @@ from rig.core.scene.damper import Grains
 from rig.core.scene.scene import Scene
 from rig.core.system.structural_model import structural_model
 
-#: Default time step, relative to Rayleigh's time of the smallest grain. A step ten times as long is still stable; this
-#: step gives a rebound within 1 % of the restitution.
+#: Default time step, relative to Rayleigh's time of the smallest grain. A step ten times as long is still stable; with
+#: this step, the ratio of rebound to approach speed is within 1 % of the restitution.
 STEP_RATIO = 0.03
 #: Restitution below which the default time step is proportional to the restitution.
 _REDUCED_STEP_RESTITUTION = 0.2
@@ -29,10 +29,10 @@ class Spheres:
     """The grains of one bed."""
 
     settings: Grains
-    mass: float  # of the bed, kg
+    mass: float  # mass of the bed, kg
     clearance: float  # from the settled bed to the upper wall, m
     count: int  # number of grains
-    seed: int  # of the random diameters and positions
+    seed: int  # seed of the random diameters and positions
 
     def diameters(self) -> NDArray[np.float64]:
         """Draw the diameters, m; shape (count,)."""

@@ -26,13 +26,13 @@ from rig.core.scene.structure import Dashpots, ModalDamping, RayleighDamping, St
 
 # Maximum number of elements in the dynamic stiffness matrices that are solved in one call (16 MB).
 _MAX_ELEMENTS = 1_000_000
-# A squared frequency below this multiple of its rounding error is computed again by a method of small relative error.
+# A squared frequency below this multiple of its rounding error is computed again, by a more accurate method.
 _MAX_AMPLIFIED_ROUNDING = 1e6
 
 
 @dataclass(frozen=True, eq=False)
 class NaturalModes:
-    """Modes of the undamped structure, without the coupling of modes by damping.
+    """Modes of the undamped structure; coupling of modes by damping is neglected.
 
     `mass`, `damping`, shape (modes,): modal mass, kg, and the diagonal of the modal damping matrix, N s/m.
     """
@@ -49,12 +49,12 @@ class NaturalModes:
 
     @property
     def decay_rate(self) -> Array:
-        """Decay rate of each mode without coupling by damping, 1/s."""
+        """Decay rate of each mode, 1/s; coupling of modes by damping is neglected."""
         return np.asarray(self.damping / (2.0 * self.mass))
 
     @property
     def damping_ratio(self) -> Array:
-        """Damping ratio of each mode without coupling by damping."""
+        """Damping ratio of each mode; coupling of modes by damping is neglected."""
         return np.asarray(self.decay_rate / np.maximum(self.omega, 1e-9))
 
 
@@ -69,7 +69,7 @@ class TunedMass:
     damping: float
 
     def dynamic_stiffness(self, omega: Array) -> ComplexArray:
-        """Return the force on the body that its motion needs, per displacement, N/m; `omega`: rad/s."""
+        """Return the force on the body that is needed for its motion, per displacement, N/m; `omega`: rad/s."""
         spring = self.stiffness + 1j * omega * self.damping
         inertia = -(omega**2) * self.mass
         return np.asarray(spring * inertia / (spring + inertia))
@@ -77,7 +77,7 @@ class TunedMass:
 
 @dataclass(frozen=True, eq=False)
 class StructuralModel:
-    """M x'' + C x' + K x = f of the bodies, and the masses of the beds in them.
+    """The equation of motion M x'' + C x' + K x = f of the bodies, and the masses of the beds in them.
 
     `mass`, `damping`, `stiffness`, shape (bodies, bodies): in kg, N s/m and N/m; without the masses of beds.
 
@@ -187,8 +187,8 @@ def receptance(scene: Scene, frequencies_hz: ArrayLike, riding: Iterable[int] = 
     """Compute the receptance of each body for the force of the shaker or, without shaker, of the hammer.
 
     `frequencies_hz`: shape (frequencies,); `riding`: numbers of the dampers that ride, from 1. Their masses are added
-    to their bodies. The masses of dampers that are locked or have no clearance are always added, and masses on springs
-    vibrate on these.
+    to their bodies. The masses of dampers that are locked or have no clearance are always added. Masses on springs
+    vibrate on their springs.
 
     Returns X / F, complex, shape (bodies, frequencies), m/N. Raises `SceneError` if a frequency is negative, not finite
     or exactly an undamped resonance, a damper does not exist, or the scene has neither shaker nor hammer.
@@ -263,7 +263,7 @@ def driven_bodies(scene: Scene) -> list[int]:
 
 
 def coil_spring(scene: Scene) -> float:
-    """Return the stiffness of the driven shaker's coil spring, N/m; raises `SceneError` without one."""
+    """Return the stiffness of the driven shaker's coil spring, N/m; raises `SceneError` without a coil spring."""
     spring = None if scene.driven_shaker is None else scene.driven_shaker.coil_spring
     if spring is None:
         raise SceneError(f"scene {scene.name!r} has no coil spring. Use a shaker of kind table or electrodynamic.")

@@ -174,7 +174,7 @@ def test_missing_body_is_named() -> None:
 
 
 def test_level_is_no_open_loop_drive() -> None:
-    with pytest.raises(SceneError, match="follows from readings"):
+    with pytest.raises(SceneError, match="depends on measured values"):
         rig.frequency_response("held-response", [49.0])
     with pytest.raises(SceneError, match="generated during a recording"):
         rig.simulate("held-response", 0.1)

@@ -462,9 +462,9 @@ class Recording(Result):
             for first, stop in unmarked_ranges(self._series[name].missing_ranges(), self._marked_gaps(name)):
                 if self._has_our_layout:
                     raise RecordingError(
-                        f"{self.path}: samples {first} to {stop - 1} of {name} are missing without a marker, or are not "
-                        "valid readings: they were removed or overwritten, or later samples were moved. Use the other "
-                        "samples only."
+                        f"{self.path}: samples {first} to {stop - 1} of {name} are missing without a marker, or are "
+                        "not valid readings: they were removed or overwritten, or later samples were moved. Use the "
+                        "other samples only."
                     )
 
     def close(self) -> None:

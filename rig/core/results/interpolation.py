@@ -4,8 +4,8 @@ Around each frequency, two rational functions of type (2, 2) pass through five l
 are computed from the null vector of a Loewner matrix, in barycentric form [1]_. Their mean is the interpolated value.
 Their difference bounds the error due to the spacing of the lines: it is small only if the lines resolve all resonances.
 
-An error e of the values changes a rational interpolant r = P / Q at the frequency t by
-``sum(l_i(t) (Q(f_i) / Q(t))^2 e_i)``, with the Lagrange polynomials l_i of the lines f_i.
+Errors e_i of the values at the lines change a rational interpolant r = P / Q at the frequency t by ``sum(l_i(t) (Q(f_i)
+/ Q(t))^2 e_i)``, with the Lagrange polynomials l_i of the lines f_i.
 
 References
 ----------
@@ -27,17 +27,18 @@ SPACING = "spacing of the lines"
 # Lines of each rational function: of type (2, 2), or (1, 1) if there are few lines.
 _LINES = 5
 _FEW_LINES = 3
-# The limit of the error is this multiple of the difference of the two functions, whose errors may have the same sign.
+# The limit of error is this multiple of the difference of the two functions, because their errors may have the same
+# sign.
 _ERROR_FACTOR = 2.0
 # Lines resolve a response if the error of interpolation is at most this fraction of the nearby values, or if it is
 # at most this multiple of the uncertainty of these values, because noise disturbs interpolation, too.
 _MAX_ERROR_RATIO = 0.1
 _MAX_ERROR_IN_UNCERTAINTIES = 3.0
-# Recommended spacing: for this relative error of interpolation.
+# Relative error of interpolation with the recommended spacing.
 _GOOD_ERROR_RATIO = 0.01
 # The recommended spacing is at least this fraction of the present spacing.
 _MIN_SPACING_RATIO = 0.02
-# A frequency differs from that of a line if their relative difference exceeds this.
+# A frequency is not that of a line if their relative difference exceeds this.
 _SAME_FREQUENCY = 1e-9
 
 
@@ -47,17 +48,18 @@ class Interpolation:
 
     value: ComplexArray  # NaN outside the range of the lines
     uncertainty: UncertaintyBudget
-    spacing: Array  # of the lines around each frequency, Hz
+    spacing: Array  # spacing of the lines around each frequency, Hz
     needed_spacing: Array  # spacing that resolves the curve, Hz; infinite where the lines resolve it
 
 
 def interpolate_curve(
     frequency: Array, value: ComplexArray, uncertainty: UncertaintyBudget, at: Array
 ) -> Interpolation | None:
-    """Interpolate a curve with lines in ascending order; None if it has fewer than four different lines.
+    """Interpolate a curve with lines in ascending order; return None for fewer than four different lines.
 
     The uncertainty of the lines is propagated to first order. Errors of type A are independent, except for `shared`
-    neighbors. Errors of a sensor or clock change all lines alike; other limits of error add up.
+    neighbors. The error of a sensor or clock is the same at all lines. Errors with other limits are not assumed to be
+    related; their limits are added.
     """
     lines = np.flatnonzero(np.isfinite(value) & np.append(True, np.diff(frequency) > 0.0))
     count = lines.size
@@ -74,7 +76,7 @@ def interpolate_curve(
     weights = np.zeros(window.shape, dtype=complex)
     weights[:, :-1] += 0.5 * parts[0][1]
     weights[:, 1:] += 0.5 * parts[1][1]
-    # At a line, the value is that of the line.
+    # At the frequency of a line, the value of the line is returned.
     nearest, is_line = nearest_lines(f, at)
     weights[is_line] = window[is_line] == nearest[is_line, None]
     result = np.where(is_line, values[nearest], result)
@@ -94,7 +96,7 @@ def interpolate_curve(
 
 
 def nearest_lines(frequency: Array, at: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return the index of the line nearest to each frequency, and whether it is the same frequency; lines ascend."""
+    """Return the index of the line nearest to each frequency, and whether it has this frequency; lines ascend."""
     above = np.clip(np.searchsorted(frequency, at), min(1, frequency.size - 1), frequency.size - 1)
     below = np.maximum(above - 1, 0)
     nearest = np.where(at - frequency[below] < frequency[above] - at, below, above)
@@ -141,7 +143,7 @@ def _propagate(
     def add(cause: Contribution) -> Contribution:
         deviation = cause.deviation[window]
         if cause.evaluation == "A":
-            # Neighbors with a common error add up.
+            # Weights of neighbors with a common error are added.
             total = np.sqrt(budget.shared) * np.linalg.norm(sizes * deviation, axis=1)
             degrees = None if cause.degrees is None else cause.degrees[window].min(axis=1)
             return replace(cause, deviation=np.minimum(total, np.sum(sizes * deviation, axis=1)), degrees=degrees)

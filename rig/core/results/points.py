@@ -14,8 +14,8 @@ MOTIONS = ("displacement", "velocity", "acceleration")
 class Point:
     """Output or input of a response: channel, quantity and location.
 
-    `quantity`: ``"displacement"``, ``"velocity"``, ``"acceleration"``, ``"force"``, ``"table"`` (its displacement),
-    or ``"ratio"`` of two responses.
+    `quantity`: ``"displacement"``, ``"velocity"``, ``"acceleration"``, ``"force"``, ``"table"`` (displacement of the
+    table), or ``"ratio"`` (ratio of two responses).
     """
 
     name: str  # channel or body

@@ -17,7 +17,7 @@ _NAMES = {
     ("acceleration", "table"): ("acceleration per table displacement", "1/s²"),
 }
 _RATIO = ("ratio", "1")
-# By SI unit: the unit in which curves are drawn and printed, and the factor to it.
+# By SI unit: the unit in which curves are drawn and printed, and the factor from SI to this unit.
 _DISPLAY_UNITS = {"m/N": ("µm/N", 1e6), "m/(N s)": ("mm/(N s)", 1e3)}
 #: SI units of the references.
 REFERENCE_UNITS = {"force": "N", "table": "m"}
@@ -34,7 +34,7 @@ def display_unit(unit: str) -> tuple[str, float]:
 
 
 def frf_display(reference: str) -> tuple[str, str, float]:
-    """Return the name of displacements over a reference, the unit in which they are printed, and the factor to it."""
+    """Return the name of displacement over a reference, the unit in which it is printed, and the factor from SI."""
     name, unit = ratio_name("displacement", reference)
     return name, *display_unit(unit)
 

@@ -13,7 +13,7 @@ from rig.core.results.uncertainty import UncertaintyBudget
 
 # Number of frequencies between two lines at which a peak is sought, in each of two passes.
 _STEPS = 60
-# The minima on both sides are lower than a peak by at least this fraction of it.
+# The minima on both sides are lower than a peak by at least this fraction of the peak.
 _MIN_DEPTH = 0.05
 # Relative rounding error of an interpolated value.
 _ROUNDING = 1e-6
@@ -30,16 +30,16 @@ class Resonance:
     """A resonance peak of a curve, by local rational interpolation."""
 
     line: int  # index of the highest line, in the order of the curve
-    frequency: float  # of the peak, Hz
+    frequency: float  # frequency of the peak, Hz
     value: float  # magnitude at the peak, in the unit of the curve
     expanded: float  # expanded uncertainty of the value
     lines: int  # number of lines within the half-power width, at most `MIN_LINES` counted
     is_interpolated: bool  # whether the lines resolve the peak well enough for its interpolation
-    needed_spacing: float  # spacing of lines that resolves the peak, Hz; infinite if they resolve it
+    needed_spacing: float  # spacing of lines that would resolve the peak, Hz; infinite if the lines resolve it
 
 
 def find_resonances(frf: Response) -> list[Resonance]:
-    """Find and refine the local maxima of a curve that exceed the minima on both sides by more than noise."""
+    """Locate and refine the local maxima of a curve that exceed the minima on both sides by more than noise."""
     order = np.argsort(frf.frequency, kind="stable")
     order = order[np.isfinite(frf.value[order])]
     ordered = frf.at(order)
@@ -49,11 +49,11 @@ def find_resonances(frf: Response) -> list[Resonance]:
 
 
 def _significant_maxima(magnitude: Array, noise: Array) -> list[int]:
-    """Return the indices of local maxima, without ends, that exceed the minima on both sides by the noise of both."""
+    """Return the indices of interior local maxima that exceed the minima on both sides by more than the noise."""
     maxima = [k for k in range(1, magnitude.size - 1) if magnitude[k - 1] <= magnitude[k] > magnitude[k + 1]]
     significant = []
     for k in maxima:
-        # The minima are sought up to the next higher points.
+        # The minimum on a side is sought up to the next point that is higher than the maximum.
         higher = np.flatnonzero(magnitude > magnitude[k])
         first = higher[higher < k].max(initial=-1) + 1
         stop = higher[higher > k].min(initial=magnitude.size)
@@ -88,7 +88,7 @@ def _refine(frf: Response, k: int) -> tuple[float, float, float, int, bool, floa
     lines = int(outside[outside > k].min(initial=f.size) - outside[outside < k].max(initial=-1)) - 1
     lines -= int(is_below[k])
     needed = float(refined.needed_spacing[top])
-    # A rational function may miss a line of degenerate data (unattainable point).
+    # With degenerate data, a rational function may not pass through a line (unattainable point).
     is_interpolated = np.isinf(needed) and value >= (1.0 - _ROUNDING) * abs(frf.value[k])
     if not is_interpolated:
         frequency, value = float(f[k]), float(abs(frf.value[k]))

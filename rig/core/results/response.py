@@ -1,6 +1,6 @@
 """Frequency responses, measured, computed or read from a file: their summary, tables, files and drawings.
 
-The values are in `response_values`, what is computed from them in `response_arithmetic`.
+`response_values` contains the values, and `response_arithmetic` the computations with them.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Response(ResponseArithmetic, Sequence["Response"]):
     """
 
     def summary(self) -> str:
-        """Return the ratios in words; for a curve also its peak and the largest contribution there."""
+        """Return the ratios in words; for a curve also the peak, and the largest contribution to its uncertainty."""
         if not self.is_curve:
             return (
                 f"{self.label}: {self.name} of {self.response}{self._inputs_if_several()}, "
@@ -119,7 +119,7 @@ class Response(ResponseArithmetic, Sequence["Response"]):
         ]
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return frequency, value, 95 % bound and, for a curve, coherence."""
+        """Return frequency, value, bound (with 95 % coverage) and, for a curve, coherence."""
         if self.is_curve:
             return {
                 "frequency_Hz": self.frequency,
@@ -191,7 +191,7 @@ class Response(ResponseArithmetic, Sequence["Response"]):
         """Draw the magnitudes of this and other responses in the same axes: ``a.plot(b)`` or ``a.plot(ax, b)``."""
         if isinstance(ax, Response):
             others, ax = (ax, *others), None
-        # A comparison has the colors of recordings, with this response as the reference.
+        # Compared responses have the colors of recordings; this response has the color of the reference.
         colors = [{"color": color} for color, *_ in recording_styles([True, *(False for _ in others)])]
         if not others or not self.is_curve:
             colors = [{} for _ in colors]

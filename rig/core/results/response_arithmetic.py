@@ -17,10 +17,10 @@ from rig.core.results.text import format_frequencies
 from rig.core.results.uncertainty import BudgetTable, stack_budgets
 from rig.core.settings.quantities import FREQUENCY, number
 
-# The highest value counts as the peak if its expanded uncertainty is at most this fraction of it.
+# The highest value counts as the peak if its expanded uncertainty is at most this fraction of the value.
 MAX_PEAK_UNCERTAINTY_RATIO = 0.5
-# A curve between its lines is drawn with this number of points from line to line, where neighboring values differ by
-# more than this fraction. With fewer lines than this in all, the lines are joined.
+# Where neighboring values differ by more than this fraction, a curve is drawn with this number of points from line to
+# line. With fewer lines in all than the last number, the lines are joined.
 _POINTS_BETWEEN = 16
 _MAX_STEP = 0.1
 _MIN_CONTINUED = 12
@@ -58,8 +58,8 @@ class ResponseArithmetic(ResponseValues):
     def __truediv__(self, other: Self) -> Self:
         """Return the ratio to another response of the same elements, at the lines of this response.
 
-        The other response is interpolated; outside its frequency range the ratio is NaN. Errors that both responses
-        have in common cancel or add up: those of the same sensor, the same clock or the same readings.
+        The other response is interpolated; outside its frequency range the ratio is NaN. Errors of the same sensor, the
+        same clock or the same readings affect both responses; they cancel or add up in the ratio.
         """
         if not isinstance(other, ResponseArithmetic):
             return NotImplemented
@@ -104,8 +104,8 @@ class ResponseArithmetic(ResponseValues):
     def interpolated(self, frequency: ArrayLike) -> Self:
         """Return the response at one or several other frequencies, Hz or as ``"30 Hz"``; NaN outside its range.
 
-        Between lines it is a local rational function. The uncertainty contains the errors of the lines and the error
-        of the interpolation, which is the contribution "spacing of the lines".
+        Between lines the response is a local rational function. The uncertainty includes that of the lines, and that of
+        the interpolation (the contribution "spacing of the lines").
 
         Raises
         ------
@@ -169,8 +169,9 @@ class ResponseArithmetic(ResponseValues):
     def continued(self, is_shown: NDArray[np.bool_]) -> tuple[Array, ComplexArray]:
         """Return frequencies and values of the interpolated curve through the lines of an ordered curve, to draw it.
 
-        `is_shown`: flags of the lines that it contains; the value at other lines is NaN. There are points between
-        lines only where neighboring values differ; their value is NaN where the lines do not resolve the response.
+        `is_shown`: flags of the lines that the curve contains; at other lines its value is NaN. The curve has points
+        between lines only where neighboring values differ, with the value NaN where the lines do not resolve the
+        response.
         """
         f, value = self.frequency, np.where(is_shown, self.value, np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -75,12 +75,12 @@ class ResponseValues(Result):
         motion : {'displacement', 'velocity', 'acceleration'}
             Quantity of the output.
         output_at, input_at : str
-            Places of output and input.
+            Locations of output and input.
         error, degrees : ndarray, shape (n,), optional
-            Standard uncertainty of either quadrature component from the scatter (omitted: 0), and its degrees of
+            Standard uncertainty of the real and of the imaginary part from the scatter (omitted: 0), and its degrees of
             freedom (omitted: unknown).
         limits : mapping of str to ndarray, optional
-            Bounds of the systematic errors by name.
+            Limits of the systematic errors by name.
         uncertainty : UncertaintyBudget, optional
             Instead of `error`, `degrees` and `limits`.
         """
@@ -120,12 +120,12 @@ class ResponseValues(Result):
 
     @property
     def output_at(self) -> str:
-        """Place of the output."""
+        """Location of the output."""
         return self.outputs[0].place
 
     @property
     def input_at(self) -> str:
-        """Place of the input."""
+        """Location of the input."""
         return self.inputs[0].place
 
     @property
@@ -162,7 +162,7 @@ class ResponseValues(Result):
 
     @property
     def error(self) -> Array:
-        """Standard uncertainty of either quadrature component from the scatter; of the shape of `value`."""
+        """Standard uncertainty of real and imaginary part from the scatter; shape of `value`."""
         scatter = self.uncertainty.scatter
         return np.zeros(self.value.shape) if scatter is None else scatter.deviation
 
@@ -174,7 +174,7 @@ class ResponseValues(Result):
 
     @property
     def limits(self) -> dict[str, Array]:
-        """Bounds of the systematic errors by name."""
+        """Limits of the systematic errors by name."""
         return self.uncertainty.limits
 
     def bound(self, confidence: float = 0.95) -> Array:
@@ -186,7 +186,7 @@ class ResponseValues(Result):
         return np.broadcast_to(self.uncertainty.expanded(), self.value.shape).copy()
 
     def random_bound(self, confidence: float = 0.95) -> Array:
-        """Return the radius of the circle from the scatter alone."""
+        """Return the radius of the circle that contains the true value, from the scatter alone."""
         return np.broadcast_to(self.uncertainty.random_bound(confidence), self.value.shape).copy()
 
     def systematic_bound(self) -> Array:
@@ -202,7 +202,7 @@ class ResponseValues(Result):
         return self.uncertainty.largest_contributions()
 
     def covariance(self) -> Covariance:
-        """Return the covariance of the random errors over outputs and inputs (in C order), and from line to line."""
+        """Return the covariance of the random errors between outputs and inputs (in C order), and between lines."""
         return self.uncertainty.covariance(self.value.shape)
 
     def keys(self) -> tuple[str, ...]:
@@ -210,7 +210,7 @@ class ResponseValues(Result):
         return tuple(point.name for point in self.outputs)
 
     def items(self) -> tuple[tuple[str, Self], ...]:
-        """List each channel of the outputs with its response, which is a curve if there is one input."""
+        """List each channel of the outputs with its response; with one input, the response is a curve."""
         return tuple((name, self[name]) for name in self.keys())
 
     @cached_property
@@ -283,7 +283,7 @@ class ResponseValues(Result):
         return self.at(np.argsort(self.frequency, kind="stable"))
 
     def with_gaps(self) -> Self:
-        """Order the lines by increasing frequency; NaN at the omitted frequencies interrupts a drawn curve."""
+        """Order the lines by increasing frequency; add NaN at omitted frequencies, which interrupts a drawn curve."""
         curve = self.sorted()
         omitted = np.sort(self.omitted)
         positions = np.searchsorted(curve.frequency, omitted)

@@ -78,7 +78,7 @@ class Result(ABC):
         return ax
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return the columns as a pandas table, with the first one as index.
+        """Return the columns as a pandas table, with the first column as index.
 
         Raises
         ------
@@ -93,7 +93,7 @@ class Result(ABC):
         return pandas.DataFrame(dict(others), index=pandas.Index(abscissa, name=abscissa_name))
 
     def to_xarray(self) -> xarray.Dataset:
-        """Return the columns as an xarray data set over the first one.
+        """Return the columns as an xarray data set over the first column.
 
         Raises
         ------
@@ -114,7 +114,7 @@ def join_columns(tables: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDAr
 
 
 def complete_style(style: Mapping[str, Any], **defaults: Any) -> dict[str, Any]:
-    """Return a style, with defaults for what it does not specify."""
+    """Return a style, with defaults for properties that it does not specify."""
     return defaults | dict(style)
 
 

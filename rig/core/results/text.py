@@ -1,4 +1,4 @@
-"""Numbers, bounds (expanded uncertainties) and ranges of frequencies as text."""
+"""Numbers, expanded uncertainties (`bound`) and ranges of frequencies as text."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def format_decimals(value: float, decimals: int) -> str:
 
 
 def round_to_bound(value: float, bound: float) -> str:
-    """Write a number, rounded to the second significant digit of its bound, or of the number if that is smaller.
+    """Write a number with the digits of its expanded uncertainty: two, or two of the number if this is smaller.
 
     >>> round_to_bound(0.0123456, 0.00021), round_to_bound(1078.4, 134.0), round_to_bound(376.0, 7e4)
     ('0.01235', '1080', '380')
@@ -63,7 +63,7 @@ def round_to_bound(value: float, bound: float) -> str:
 
 
 def format_interval(value: float, bound: float) -> str:
-    """Write a number with its bound, for a table whose header gives the unit.
+    """Write a number with its expanded uncertainty, for a table whose header gives the unit.
 
     >>> format_interval(2.4213, 0.204), format_interval(935.21, float("inf")), format_interval(1.0, 0.0)
     ('2.42 ± 0.20', '935.2 (unbounded)', '1')
@@ -76,7 +76,7 @@ def format_interval(value: float, bound: float) -> str:
 
 
 def format_quantity(value: float, bound: float, unit: str) -> str:
-    """Write a number with its bound and unit: (2.42 ± 0.20) %, so that the bound is not read as relative.
+    """Write a number with expanded uncertainty and unit: (2.42 ± 0.20) %, so that both have the unit.
 
     >>> format_quantity(2.4213, 0.204, "%"), format_quantity(935.21, float("inf"), "µm/N")
     ('(2.42 ± 0.20) %', '935.2 µm/N (unbounded)')

@@ -1,13 +1,14 @@
 """Uncertainty as in the GUM, for all results, and the uncertainty budget of a frequency response.
 
-A contribution of type A has a standard uncertainty u with degrees of freedom. A contribution of type B is a limit of
+A contribution of type A has a standard uncertainty u and its degrees of freedom. A contribution of type B is a limit of
 error ±a with a rectangular distribution, ``u = a / sqrt(3)``. The combined standard uncertainty u_c is the root sum of
 squares; errors with the same source are added before they are squared. The expanded uncertainty of a real quantity is
-``U = k u_c`` with k = 2, or Student's 95 % quantile for fewer than 50 effective degrees of freedom. It is at most the
-sum of the largest limits and of the expanded uncertainty of the rest, because no error exceeds its limit.
+``U = k u_c`` with k = 2, or Student's 95 % quantile for fewer than 50 effective degrees of freedom. U is at most the
+sum of the largest limits and of the expanded uncertainty of the other contributions, because no error exceeds its
+limit.
 
-The true value of a complex quantity lies within a circle. Its radius has the coverage factor 2.45 for type A, and
-contains the limits of all tolerances of data sheets at the same time.
+The true value of a complex quantity lies within a circle. The radius is computed with the coverage factor 2.45 for type
+A. It includes the sum of the limits of all tolerances of data sheets.
 
 A line is one frequency of the response; an element is one output over one input.
 
@@ -33,7 +34,7 @@ from rig.core.base.errors import SceneError
 from rig.core.results.text import round_to_bound
 
 Lines = NDArray[np.bool_] | NDArray[np.intp]
-# Change of a response at the limit of error of each source, by the identity of the source; complex, shape (lines,).
+# Change of a response if an error source is at its limit, by the identity of the source; complex, shape (lines,).
 Sources = Mapping[str, ComplexArray]
 
 SCATTER = "scatter"
@@ -44,8 +45,9 @@ COVERAGE_FACTOR = 2.0
 _MIN_NORMAL_DEGREES = 50.0
 # Degrees of freedom above which Student's t and Fisher's F have their limits to four digits.
 _NORMAL_DEGREES = 1e6
-#: Names of contributions that are tolerances of data sheets, or contain them. In the radius of a complex value they are
-#: added linearly, because clock and sensors of a test may deviate by the full tolerance at the same time.
+#: Names of contributions that are tolerances of data sheets, or contain tolerances. In the radius of a complex value
+#: these contributions are added linearly, because clock and sensors of a test may deviate by the full tolerance at the
+#: same time.
 CLOCK, SENSITIVITY = "sample clock", "sensors' sensitivity"
 #: Name of the sum of all systematic errors, if a file gives no separate contributions.
 SYSTEMATIC = "systematic errors"
@@ -78,7 +80,7 @@ class Covariance(Protocol):
 
 
 class RandomErrors(Protocol):
-    """Random errors of a response's elements, computed from the errors of the readings, which elements may share."""
+    """Random errors of a response's elements, computed from the errors of the readings; elements may share readings."""
 
     def at(self, lines: Lines) -> RandomErrors:
         """Select some lines."""
@@ -100,16 +102,18 @@ class RandomErrors(Protocol):
 class Contribution:
     """One cause of uncertainty.
 
-    `deviation`, of the shape of the values. Type A: standard uncertainty of either quadrature component, NaN where a
-    single average has no scatter. Type B: limit of error a, infinite where it is unbounded.
+    `deviation`, with the shape of the values, is the standard uncertainty of real and imaginary part for type A (NaN
+    where there is a single average, without scatter), and the limit of error a for type B (infinite where it is
+    unbounded).
     """
 
     name: str
     evaluation: Literal["A", "B"]  # by statistics of the readings, or by other knowledge (GUM 4.2, 4.3)
     deviation: Array
     degrees: Array | None = None  # degrees of freedom of type A
-    # Of type B, for each element in C order: change of its value at the limit of each source (sensor or clock), by the
-    # identity of the source, which other responses may share; complex, shape (lines,). Empty: the source is unknown.
+    # Only type B, for each element in C order: change of its value if a source (sensor or clock) is at its limit, by
+    # the identity of the source; complex, shape (lines,). Other responses may have the same source. Empty: the source
+    # is unknown.
     sources: tuple[Sources, ...] = ()
 
     def standard(self) -> Array:
@@ -119,7 +123,8 @@ class Contribution:
     def limits(self) -> Array:
         """Return the limits of error of the independent sources of type B, (sources, *shape of the values).
 
-        Their sum is `deviation`, which is larger than the sum of `sources` where the effect is not linear.
+        The sum of the limits is `deviation`. It exceeds the sum of the changes in `sources` where the effect is not
+        linear.
         """
         if not any(self.sources):
             return self.deviation[None]
@@ -133,7 +138,7 @@ class Contribution:
         shares = np.where(is_known, sizes, 0.0) / np.where(is_known, total, 1.0)
         shares[0] += ~is_known
         shares = shares.reshape(count, *self.deviation.shape)
-        # A source without effect has the limit 0, also if the others are unbounded.
+        # A source without effect has the limit 0, even if the limits of other sources are infinite.
         return np.multiply(shares, self.deviation, where=shares > 0.0, out=np.zeros_like(shares))
 
     def changed(self, change: Callable[[NDArray[Any]], NDArray[Any]]) -> Contribution:
@@ -151,15 +156,16 @@ class UncertaintyBudget:
     """Contributions to the uncertainty of a response.
 
     `errors`: random errors of the elements, for their covariance; None: they are independent. `shared`: number of
-    adjacent lines that have the same error, because they are computed from the same samples. `clock`: bound of the
-    relative error of the sample clock, and so of all frequencies; its effect on the values is one of the contributions.
+    adjacent lines that have the same error, because they are computed from the same samples. `clock`: limit of the
+    relative error of the sample clock, and therefore of all frequencies; its effect on the values is one of the
+    contributions.
     """
 
     contributions: tuple[Contribution, ...] = ()  # empty if the response is exact
     errors: RandomErrors | None = None
     shared: float = 1.0
     clock: float = 0.0
-    scale: float = 0.0  # bound of the relative error of the reference's sensor, common to all values
+    scale: float = 0.0  # limit of the relative error of the reference's sensor, common to all values
 
     @classmethod
     def of(
@@ -170,7 +176,7 @@ class UncertaintyBudget:
         sources: Mapping[str, Sources] | None = None,
         **fields: Any,
     ) -> UncertaintyBudget:
-        """Make the budget of a curve from the scatter, and limits of error with their sources by name."""
+        """Make the budget of a curve from the scatter, and from limits of error with their sources by name."""
         by_name = sources or {}
         contributions = [
             Contribution(name, "B", limit, sources=(by_name[name],) if name in by_name else ())
@@ -189,7 +195,7 @@ class UncertaintyBudget:
         return next((cause for cause in self.contributions if cause.evaluation == "A"), None)
 
     def combined(self) -> Array | float:
-        """Return the combined standard uncertainty u_c of either component (GUM 5.1.2)."""
+        """Return the combined standard uncertainty u_c of real and imaginary part (GUM 5.1.2)."""
         standard = [cause.standard() for cause in self.contributions]
         return np.asarray(np.linalg.norm(standard, axis=0)) if standard else 0.0
 
@@ -204,7 +210,7 @@ class UncertaintyBudget:
     def random_bound(self, confidence: float = 0.95) -> Array | float:
         """Return the radius of the circle that contains the errors of type A.
 
-        The two components have equal, independent errors, so that the squared deviation of a complex mean is
+        Real and imaginary part have equal, independent errors, so the squared deviation of a complex mean is
         F-distributed with 2 and `degrees` degrees of freedom.
         """
         scatter = self.scatter
@@ -260,7 +266,7 @@ class UncertaintyBudget:
         return replace(self, contributions=tuple(map(multiply, self.contributions)), errors=errors)
 
     def with_limits(self, limits: Mapping[str, Array]) -> UncertaintyBudget:
-        """Add bounds of systematic errors by name, or replace those of the same name."""
+        """Add limits of systematic errors by name, or replace limits of the same name."""
         unchanged = tuple(cause for cause in self.contributions if cause.name not in limits)
         return replace(
             self, contributions=(*unchanged, *(Contribution(name, "B", bound) for name, bound in limits.items()))
@@ -277,7 +283,7 @@ class UncertaintyBudget:
     def with_arrays(
         self, change: Callable[[NDArray[Any]], NDArray[Any]], errors: RandomErrors | None
     ) -> UncertaintyBudget:
-        """Return the budget with a function applied to the lines of all arrays, and with other `errors`."""
+        """Return the budget with a function applied to the lines of all arrays, and with new `errors`."""
         contributions = tuple(cause.changed(change) for cause in self.contributions)
         return replace(self, contributions=contributions, errors=errors)
 
@@ -300,7 +306,7 @@ class UncertaintyBudget:
         """Return the budget of the ratio of two curves at the same lines.
 
         Relative changes by a common source, and random errors of common readings, are subtracted before they are
-        squared (GUM 5.2.2). Tolerances of unknown sources are added; all other errors are independent.
+        squared (GUM 5.2.2). Tolerances of unknown sources are added. All other errors are treated as independent.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             relative = self.scaled(1.0 / value), other.scaled(1.0 / other_value)
@@ -316,7 +322,7 @@ class UncertaintyBudget:
 
 
 def _common_random_error(first: UncertaintyBudget, second: UncertaintyBudget) -> Array | None:
-    """Return the standard uncertainty of the difference of two curves with errors of the same readings, or None."""
+    """Return the standard uncertainty of the difference of two curves from the same readings, otherwise None."""
     joined = None if first.errors is None or second.errors is None else first.errors.joined([second.errors])
     if joined is None or first.scatter is None or second.scatter is None:
         return None
@@ -327,7 +333,7 @@ def _common_random_error(first: UncertaintyBudget, second: UncertaintyBudget) ->
 
 
 def _ratio_of(causes: Sequence[Contribution]) -> Contribution:
-    """Return the relative contribution of one or two relative contributions of the same name to a ratio."""
+    """Combine the relative contributions of the same name from numerator and denominator of a ratio."""
     first, *others = causes
     if not others:
         return first
@@ -378,7 +384,7 @@ def _join_sources(by_curve: Sequence[Contribution | None]) -> tuple[Sources, ...
 
 @dataclass(frozen=True)
 class LineCovariance:
-    """A `Covariance` of errors that are independent from line to line, except for `shared`."""
+    """A `Covariance` of errors that are independent from line to line, except for `shared` adjacent lines."""
 
     lines: ComplexArray
     shared: float = 1.0
@@ -454,12 +460,12 @@ def expand(standard: ArrayLike, limits: Sequence[ArrayLike] = (), degrees: Array
 
     Examples
     --------
-    Ten readings, two limits of error, and a single limit, which is never exceeded:
+    The scatter of ten readings; two limits of error; and a single limit, which is never exceeded:
 
     >>> [round(float(expand(*of)), 3) for of in ((1.0, (), 9), (0.0, (1.0, 1.0)), (0.0, (1.0,)))]
     [2.262, 1.633, 1.0]
     """
-    # The quantile of a rectangular distribution is below its limit. The largest limits are therefore added, too.
+    # The 95 % quantile of a rectangular distribution is below its limit. The largest limits are therefore added, too.
     standard, *limits = np.broadcast_arrays(np.asarray(standard, dtype=float), *limits)
     descending = -np.sort([-limit for limit in limits], axis=0)
     whole: Array = np.zeros(standard.shape)
@@ -492,7 +498,7 @@ def coverage_factor(degrees: ArrayLike, confidence: float = 0.95) -> Array:
 
 
 def circle_factor(confidence: float, degrees: Array) -> Array:
-    """Return the coverage factor of a complex mean: radius of its circle relative to the standard uncertainty.
+    """Return the coverage factor of a complex mean: radius of the circle over standard uncertainty of a component.
 
     >>> circle_factor(0.95, np.array([0.0, 1.0, 30.0])).round(2).tolist()
     [2.45, 19.97, 2.58]
@@ -509,5 +515,5 @@ def _check_confidence(confidence: float) -> None:
 
 
 def known_degrees(degrees: Array) -> Array:
-    """Replace unknown degrees of freedom (0) with a number for which the distribution is normal (GUM G.3.4)."""
+    """Replace unknown degrees of freedom (0) with a number so large that the distribution is normal (GUM G.3.4)."""
     return np.where(degrees > 0.0, np.maximum(degrees, 1.0), _NORMAL_DEGREES)

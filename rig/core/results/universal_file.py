@@ -16,9 +16,10 @@ from rig.core.base.escaping import escape_terminal
 FRF, GENERAL = 4, 0
 #: Beginning of the text line that states the bandwidth of each frequency of a response.
 RESOLUTION_LINE = "shotrig: resolution"
-#: Beginning of the text line of a general function that contains the standard deviation of the response named next.
+#: Beginning of the text line of a general function that contains the standard deviation of a response; the name of the
+#: response follows.
 DEVIATION_LINE = "standard deviation of"
-#: Beginning of the text line of a general function that contains the bound of the systematic errors of the response.
+#: Beginning of the text line of a general function that contains the bound of the systematic errors of a response.
 BOUND_LINE = "systematic bound of"
 #: Written instead of an infinite bound, because the writer has no infinity.
 UNBOUNDED = 1e60
@@ -34,13 +35,13 @@ def write_curve(
 ) -> None:  # fmt: skip
     """Append a response to a force as a data set 58 of function type 4.
 
-    Its standard deviation and the bound of its systematic errors follow as general functions (type 0), which other
-    programs skip.
+    The standard deviation of the response and the bound of its systematic errors follow as general functions (type 0),
+    which other programs skip.
 
     `number`: number of the function in the file. `output_node`, `force_node`: nodes of the output and of the force,
     both in the direction +Z. `title`, `labels`: text lines 1, and 2 and 3, of the data set. `motion`: quantity of the
-    response. `resolution`: bandwidth of each frequency, Hz. `error`: standard uncertainty of either quadrature
-    component. `bound`: of the systematic errors; omitted if it is unknown.
+    response. `resolution`: bandwidth of each frequency, Hz. `error`: standard uncertainty of real and imaginary part.
+    `bound`: bound of the systematic errors; not written if it is unknown.
     """
     steps = np.diff(frequency)
     fields = {
@@ -96,7 +97,7 @@ def write_set(file: Any, data: dict[str, Any]) -> None:
     try:
         file.write_sets(data, mode="add")
     except Exception as error:
-        # pyuff replaces the error of the file system, which states the cause.
+        # pyuff raises another error instead of that of the file system, which states the cause.
         if isinstance(error.__context__, OSError):
             raise error.__context__ from None
         raise

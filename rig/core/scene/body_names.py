@@ -22,12 +22,12 @@ GROUND = "ground"
 RESERVED_NAMES = ("body", GROUND, *LOCATIONS)
 # Number of unknown names for which a similar name is suggested; each is compared with all names.
 _MAX_SUGGESTIONS = 20
-# Locations that contain no body name: a body by its number, or another location on the bench.
+# Locations that need no replacement: a body by its number, or another location on the bench.
 _LOCATION_WITHOUT_NAME = re.compile(r"(body \d+|hammer|(table|shaker|drive)( \d+)?)")
 
 
 def check_names(names: Sequence[str], n_bodies: int) -> Iterator[tuple[int | None, str]]:
-    """Yield the problems of the names: the index of the name (None: all names) and the message."""
+    """Yield the problems of the names: index of the name (None: the problem concerns all names) and message."""
     if len(names) != n_bodies:
         yield None, f"got {len(names)} names; expected {n_bodies}, one for each body"
     first: dict[str, int] = {}  # number of the first body of each name
@@ -85,7 +85,7 @@ def replace_names(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Proble
         if value in numbers:
             return numbers[value]
         if not n_bodies:
-            # The structure is invalid, which is reported elsewhere; any number avoids a second message.
+            # The structure is invalid, which is reported elsewhere. Any number here avoids a second message.
             return 1
         report_unknown(value, key_path)
         return value
@@ -100,7 +100,7 @@ def replace_names(scene: Mapping[str, Any]) -> tuple[dict[str, Any], list[Proble
             check_number(str(value).removeprefix("body "), key_path)
             return value
         if names is None:
-            return "body 1"  # for the reason in `replace_body`
+            return "body 1"  # any number avoids a second message, as in `replace_body`
         name = value.removeprefix("body ")
         if name in numbers:
             return f"body {numbers[name]}"
@@ -135,8 +135,8 @@ def missing_body_message(number: int, n_bodies: int) -> str:
 
 
 def body_problems(valid: Mapping[str, Any], body: int, key_path: KeyPath) -> Iterator[Problem]:
-    """Check the number of a body against the section `structure` in `valid`, if this section is valid."""
-    # `replace_names` reports most invalid numbers, but does not know the number of bodies in matrix files.
+    """Check that a body exists, if the section `structure` is valid; `valid`: the valid sections."""
+    # `replace_names` reports most invalid numbers, but does not read the number of bodies from matrix files.
     n_bodies = valid["structure"].bodies if "structure" in valid else body
     if body > n_bodies:
         yield Problem(key_path, missing_body_message(body, n_bodies))

@@ -38,7 +38,7 @@ class Change:
         return self._replace(content, self.steps)
 
     def _replace(self, node: Any, steps: KeyPath) -> Any:
-        # Content is copied, not changed in place: an alias in the file makes two places share one object.
+        # Content is copied, not changed in place, because an alias in the file makes two places share one object.
         if not steps:
             return self.value
         step, remaining = steps[0], steps[1:]

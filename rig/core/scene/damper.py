@@ -13,7 +13,7 @@ from rig.core.settings.settings import Settings
 
 
 class TimedContact(Settings):
-    """Wall contact given by its duration; the damper's restitution sets the rebound speed."""
+    """Wall contact given by its duration; the restitution of the damper determines the rebound speed."""
 
     duration: Annotated[float, Quantity(TIME, above=0.0)]
     """Contact duration of an isolated impact [s]; without loss, half the natural period of bed and body on the
@@ -45,7 +45,7 @@ Contact = Annotated[TimedContact | SpringDamper | Walls, Alternatives(by_key)]
 
 
 def walls_of(contact: TimedContact | SpringDamper | Walls | None) -> tuple[TimedContact | SpringDamper, ...]:
-    """Return the settings of floor and ceiling, or one item if both are the same; empty if contact is instantaneous."""
+    """Return the contact settings of floor and ceiling, one item if they are equal; empty for instantaneous contact."""
     if isinstance(contact, Walls):
         return contact.floor, contact.ceiling
     return () if contact is None else (contact,)
@@ -130,7 +130,7 @@ class Damper(Settings):
 
     @property
     def dashpot(self) -> float:
-        """Return the damping of the dashpot, N s/m; 0 without one."""
+        """Return the damping of the dashpot, N s/m; 0 without a dashpot."""
         return self.damping or 0.0
 
     @property
@@ -162,7 +162,7 @@ class Damper(Settings):
 
     @property
     def impacts(self) -> bool:
-        """Return whether the mass can hit a wall, or slide with friction; otherwise a damper is linear."""
+        """Return whether the mass can hit a wall, or slides with friction; otherwise the damper is linear."""
         return self.moves and (self.has_walls or self.friction is not None)
 
     @property
@@ -173,13 +173,13 @@ class Damper(Settings):
         return f"walls {' and '.join(finite)}" if finite else "no walls"
 
     def without_walls(self) -> Self:
-        """Return a mass on a spring without its walls: its linear motion before it reaches them."""
+        """Return the mass on its spring without walls, for the linear motion before the mass reaches a wall."""
         return self.replace(clearance=math.inf, clearance_below=None, restitution=0.0, contact=None)
 
     def check_consistency(self) -> Iterable[Problem]:
-        """Check that contact has walls, and that beds have one restitution, of one mass or of grains."""
+        """Check that contact settings have walls, and that the restitution is given once."""
         if self.spring is None and self.damping:
-            yield Problem(("damping",), "damping is that of a mass on a spring. Add the spring, or remove damping.")
+            yield Problem(("damping",), "damping requires a mass on a spring. Add the spring, or remove damping.")
         if self.spring is None and self.clearance_below is not None:
             yield Problem(
                 ("clearance_below",), "a bed rests on its floor. Remove clearance_below, or add the spring of a mass."

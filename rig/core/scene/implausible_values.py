@@ -21,14 +21,14 @@ from rig.core.settings.quantities import (
     parse,
 )
 
-# Limits of the mass ratio of real beds (damper to body), and for masses with a unit.
+# Limits of the mass ratio (damper to body) of real beds: for masses without and with a unit.
 _MAX_MASS_RATIO = 2.0
 _MAX_MASS_RATIO_WITH_UNIT = 50.0
-# Below this ratio, mg was probably not meant.
+# Below this mass ratio, the unit mg is probably a mistake.
 _MIN_MASS_RATIO = 1e-4
 # Lowest resonance of a body on its spring in real rigs, Hz.
 _MIN_RESONANCE_HZ = 0.1
-# Below this resonance, the value without a unit was probably not meant in SI if the other one has a unit, Hz.
+# Below this resonance, Hz, if only one of mass and stiffness has a unit, the other was probably not meant in SI.
 _MIN_BARE_RESONANCE_HZ = 1.0
 
 
@@ -56,7 +56,7 @@ _RANGES = (
     _Range(("dampers", None, "mass_ratio"), RATIO, _MAX_MASS_RATIO, "%", "a ratio", only_bare=True),
     _Range(("structure", "damping", "modal"), RATIO, 0.1, "%", _RATIO_TO_CRITICAL, only_bare=True),
     _Range(("structure", "damping", "modal", None), RATIO, 0.1, "%", _RATIO_TO_CRITICAL, only_bare=True),
-    # Hammer impacts and wall contacts last for milliseconds.
+    # Hammer impacts and wall contacts last some milliseconds.
     _Range(("test", "width"), TIME, 0.1, "ms", "seconds"),
     *(_Range((*_CONTACT, *wall, "duration"), TIME, 0.1, "ms", "seconds") for wall in ((), ("floor",), ("ceiling",))),
     # The most sensitive accelerometers and force sensors have 10 V/g and 0.1 V/N, the slowest resonate at 100 Hz.
@@ -111,7 +111,7 @@ def _springs(scene: Scene, content: Mapping[str, Any]) -> Iterator[Problem]:
             springs, masses, written_springs, written_masses, strict=True
         )
     ]
-    # Where one spring without a unit is plausible in SI, a soft one is meant in SI.
+    # If one spring without a unit is plausible in SI, then soft springs without a unit are meant in SI, too.
     is_si = any(resonance >= _MIN_BARE_RESONANCE_HZ and not _unit(spring) for resonance, _, spring, _, _ in rows)
     for (resonance, spring_path, spring, mass_path, body), stiffness, mass in zip(rows, springs, masses, strict=True):
         effect = f"a body of {mass:.3g} kg on a spring of {stiffness:.3g} N/m resonates at {resonance:.3g} Hz"

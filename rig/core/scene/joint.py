@@ -40,7 +40,7 @@ _Ends = Annotated[
 
 
 class _Joint(Settings):
-    """What all joints have in common."""
+    """Common part of all joints."""
 
     between: _Ends
     """The lower and the upper of two bodies, by number from 1 or name; one of them may be ground."""
@@ -84,7 +84,7 @@ class Stop(_Joint):
 
     @property
     def short_text(self) -> str:
-        """Text next to its drawing."""
+        """Text next to the drawing of the joint."""
         return f"{1e3 * self.gap:.4g} mm"
 
     def text(self, label: Callable[[int], str]) -> str:
@@ -108,7 +108,7 @@ class FrictionJoint(_Joint):
 
     @property
     def short_text(self) -> str:
-        """Text next to its drawing."""
+        """Text next to the drawing of the joint."""
         return f"slips at {self.slip_force:.4g} N"
 
     def text(self, label: Callable[[int], str]) -> str:

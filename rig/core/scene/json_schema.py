@@ -16,7 +16,7 @@ def schema_text() -> str:
 
 
 def _simplify(node: Any) -> Any:
-    """Remove what an editor does not need: derived titles, null as an alternative type, empty defaults."""
+    """Remove entries that an editor does not need: derived titles, null as an alternative type, empty defaults."""
     if isinstance(node, list):
         return [_simplify(item) for item in node]
     if not isinstance(node, dict):

@@ -146,8 +146,8 @@ def lowest_squared_frequency(mass: NDArray[np.float64], stiffness: NDArray[np.fl
 def fastest_growth(
     mass: NDArray[np.float64], stiffness: NDArray[np.float64], damping: NDArray[np.float64]
 ) -> tuple[float, float]:
-    """Return the largest growth rate of the free motion [1/s] and its frequency [Hz]; both 0 if no mode grows."""
-    # Without negative eigenvalues of the symmetric part, the damping adds energy in no motion.
+    """Return the largest growth rate of a free motion [1/s] and its frequency [Hz]; both are 0 if no mode grows."""
+    # If the symmetric part has no negative eigenvalues, the damping adds energy to no motion.
     damping_eigenvalues = np.linalg.eigvalsh((damping + damping.T) / 2.0)
     rounding = 10 * len(damping) * np.finfo(float).eps * np.abs(damping_eigenvalues).max()
     if damping_eigenvalues[0] >= -rounding:
@@ -175,7 +175,7 @@ def _from_file(name: str | Path, folder: Path | None) -> NDArray[Any]:
     if path.exists() and not path.is_file():
         raise validation_error(f"{path} is a folder or a device; expected a .npy file next to the scene file")
     try:
-        # Map the file: the size in its header is checked before the data are read.
+        # The file is mapped, so that the size in its header is checked before the data are read.
         mapped: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
     except FileNotFoundError:
         raise validation_error(f"{path}: the file does not exist; expected it next to the scene file") from None

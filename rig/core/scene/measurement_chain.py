@@ -183,7 +183,7 @@ class Channel(Settings):
 
     @classmethod
     def kinds_from_other_keys(cls, content: Mapping[str, Any]) -> Mapping[KeyPath, Kind]:
-        """Return the kind of the limits `alarm` and `abort`, which is that of the measured quantity."""
+        """Return the kind of the limits `alarm` and `abort`, which is the kind of the measured quantity."""
         kind = {"1": VELOCITY, "2": LENGTH}.get(str(value_at(content, ("integrator", "order"))), ACCELERATION)
         location = str(content.get("at")).partition(" ")[0]
         kind = FORCE if location in FORCE_LOCATIONS else VOLTAGE if location == VOLTAGE_LOCATION else kind
@@ -214,7 +214,7 @@ class Channel(Settings):
 
     @property
     def number(self) -> int | None:
-        """Number of its body or shaker, from 1; None if the location has no number."""
+        """Number of the body or shaker at the location, from 1; None if the location has no number."""
         number = self.at.partition(" ")[2]
         return int(number) if number else None
 
@@ -230,7 +230,7 @@ class Channel(Settings):
 
     @property
     def body(self) -> int | None:
-        """The body it is mounted on, from 1; None elsewhere."""
+        """Number of the body on which the sensor is mounted, from 1; None at other locations."""
         return self.number if self.place_kind == "body" else None
 
 
@@ -318,7 +318,7 @@ class Converter(Settings):
         if self.preset is None:
             return self.rate
         hardware = module(self.preset)
-        assert hardware.inputs is not None  # its data sheet has figures for a converter
+        assert hardware.inputs is not None  # the data sheet of a module specifies its inputs
         try:
             return hardware.inputs.rates.at_least(self.rate)
         except SceneError as error:

@@ -41,7 +41,7 @@ def complete_from_preset(settings: Device) -> Device:
 
 
 def preset_note(settings: Accelerometer | Hammer | None, key: str) -> str:
-    """Return which preset supplies a value, and whether the value lacks a source; empty if the scene gives the value.
+    """Return the name of the preset that supplies a value, and whether the value has no source; empty for given values.
 
     >>> preset_note(Accelerometer(preset="PCB 352C33"), "sensitivity")
     ' from preset PCB 352C33'

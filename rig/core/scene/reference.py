@@ -118,7 +118,7 @@ def _keys_below(schema: Any, node: Any, path: str, kinds: tuple[str, ...]) -> It
     node = _resolve(schema, node)
     for choice in node.get("anyOf", ()):
         is_list = choice.get("type") == "array"
-        # If a single item is allowed as well as a list, both have the same keys.
+        # If a single item and a list are allowed, both have the same keys.
         if not (is_list and len(node["anyOf"]) > 1):
             yield from _keys_below(schema, choice, path, kinds)
     if node.get("type") == "array":
@@ -262,7 +262,7 @@ def _key_of_kind(dotted_key: str, by_name: Mapping[str, list[Key]]) -> list[Key]
 
 
 def _default_note(key: Key) -> str:
-    """Return whether a key is required, or its default if it has one."""
+    """Return a note that a key is required, or its default."""
     if "required" in key.default:
         return f"   ({key.default})"
     return "" if key.default in ("none", _DEFAULTS_OF_INNER_KEYS) else f"   (default: {key.default})"
@@ -287,7 +287,8 @@ def _describe_key(key: Key, dotted_name: str) -> Iterator[str]:
 
 
 def _key_line(key: Key, name: str, note: str | None = None) -> str:
-    # A full stop may be part of a name, and the text after a colon is the meaning of the key.
+    # The first sentence ends at a full stop followed by a space, because a full stop may be part of a name. The text
+    # after a colon is the meaning of the key.
     first_sentence = re.split(r"(?<=[\w\])%`])[.;](?:\s|$)", key.meaning)[0]
     note = _kinds_note(key) if note is None else note
     return fill(f"{first_sentence}{note}", _WIDTH, initial_indent=f"  {name:{18}} ", subsequent_indent=" " * 21)

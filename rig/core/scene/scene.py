@@ -58,7 +58,7 @@ class Scene(Settings):
 
     @classmethod
     def kinds_from_other_keys(cls, content: Mapping[str, Any]) -> Mapping[KeyPath, Kind]:
-        """Return the quantity of the drive (length, voltage or force), which follows from the type of the shaker."""
+        """Return the quantity of the drive (length, voltage or force), which follows from the kind of the shaker."""
         shaker, number = content.get("shaker"), str(value_at(content, ("test", "shaker")))
         if isinstance(shaker, list | tuple):
             driven = int(number) if number.isdecimal() else 0
@@ -73,7 +73,7 @@ class Scene(Settings):
 
     @property
     def tables(self) -> tuple[tuple[str, Shaker], ...]:
-        """Names of the shakers' tables, each with its shaker, in their order."""
+        """Names of the shaker tables, each with its shaker, in the order of the shakers."""
         return tuple(
             (at_shaker("table", number, len(self.shakers)), shaker)
             for number, shaker in enumerate(self.shakers, 1)
@@ -99,7 +99,7 @@ class Scene(Settings):
 
     @property
     def controlled_terms(self) -> dict[str, float]:
-        """Locations whose readings a controller uses, as `KindOfTest.controlled_terms`; empty in open loop."""
+        """Locations whose measured values a controller uses, as `KindOfTest.controlled_terms`; empty in open loop."""
         if self.test is None or self.driven_shaker is None:
             return {}
         table, cell = self.at_driven("table"), self.at_driven("shaker")
@@ -145,7 +145,7 @@ class Scene(Settings):
         return self.replace(channels=None, test=None if names_channels else self.test, **changes)
 
     def at_driven(self, name: str) -> str:
-        """Return the name of "shaker", "table" or "drive" of the driven shaker, with a number if there are several."""
+        """Return "shaker", "table" or "drive" with the number of the driven shaker, if there are several."""
         return at_shaker(name, self.driven or 1, len(self.shakers) or 1)
 
     def check_consistency(self) -> Iterable[Problem]:

@@ -103,7 +103,7 @@ class Structure(Settings):
         return ("masses", *(list(masses)[key] if isinstance(key, int) else key for key in key_path[1:]))
 
     def label(self, location: str | int) -> str:
-        """Return the display name of a body, given its number or a channel's location: its own name if it has one.
+        """Return the display name of a body, its own name if it has one, from its number or a channel's location.
 
         >>> Structure(masses={"base": 4.2, "arm": 1.1}, springs=[1e3, 1e3]).label("body 2")
         'arm'
@@ -137,7 +137,7 @@ class Structure(Settings):
         return len(self.matrices.mass) if self.matrices is not None else 0
 
     def check_consistency(self) -> Iterable[Problem]:
-        """Check that the lists have one value for each body, and that nothing is given twice."""
+        """Check that the lists have one value for each body, and that no quantity is given twice."""
         n_bodies = self.bodies
         for k, message in check_names(self.names, n_bodies) if self.names is not None else ():
             yield Problem(("names",) if k is None else ("names", k), message)

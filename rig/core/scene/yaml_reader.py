@@ -16,7 +16,7 @@ import yaml
 
 from rig.core.settings.problems import KeyPath, Problem
 
-# Text after a decimal comma. In a list, where a comma may also separate two numbers, it must have a unit.
+# Text after a decimal comma. In a list, where a comma may also separate two numbers, this text must have a unit.
 _FRACTION = re.compile(r"\d+(\s*[^\d\s.,].*)?")
 _FRACTION_WITH_UNIT = re.compile(r"\d+\s*[^\d\s.,eE].*")
 # Maximum number of characters of a scene file.
@@ -39,14 +39,14 @@ class Document:
     problems: list[tuple[int, Problem]] = field(default_factory=list)
 
     def line(self, key_path: KeyPath) -> int:
-        """Return the line of a key path, or of the innermost enclosing key in the file; from 1."""
+        """Return the line of a key path in the file, from 1, or else of the innermost key around it."""
         while key_path and key_path not in self.lines:
             key_path = key_path[:-1]
         return self.lines.get(key_path, 1)
 
 
 class _Unreadable(Exception):
-    """Error that ends the reading, with its line."""
+    """Error that ends the reading, with the line of its cause."""
 
     def __init__(self, line: int, message: str) -> None:
         super().__init__(message)
@@ -104,7 +104,7 @@ def _parser_message(error: yaml.MarkedYAMLError, lines: Sequence[str]) -> tuple[
     if "expected key" in detail or "expected <block end>" in detail or "'-' indicator" in detail:
         return (line, "the indentation does not match any line above. Align the keys of one section.")
     if "nesting depth" in detail:
-        return line, _TOO_DEEP  # the parser's own limit, reached before an event of that depth
+        return line, _TOO_DEEP  # limit of the parser, which ends before it reports an event of this depth
     if "unexpected end of stream" in detail:
         return start_line, "a quotation mark is not closed; expected another one at the end of the text"
     return line, f"invalid YAML: {detail}{f' ({context})' if context else ''}"

@@ -20,7 +20,7 @@ from rig.core.settings.settings import Settings, quantity_at
 def write(settings: Settings, structure: Structure | None = None) -> str:
     """Write the given values in the units in which they were given, with the structure's names of bodies.
 
-    A computed quantity has the unit of the value that it replaces, otherwise the unit in which it needs the fewest
+    A computed quantity is written in the unit of the value that it replaces, or else in the unit with the fewest
     digits. Every written value loads as the identical double.
     """
     return _dump(_given_values(settings, structure, {}))
@@ -72,7 +72,7 @@ _Dumper.add_representer(str, lambda dumper, value: dumper.represent_scalar("tag:
 
 
 def _given_values(settings: Settings, structure: Structure | None, kinds: Mapping[KeyPath, Kind]) -> dict[str, Any]:
-    """Return the explicitly set values by key; `kinds`: those of the quantities whose kind depends on another key."""
+    """Return the explicitly set values by key; `kinds`: kinds of the quantities whose kind depends on another key."""
     values = {name: getattr(settings, name) for name in type(settings).model_fields}
     kinds = {**kinds, **type(settings).kinds_from_other_keys(values)}
     result: dict[str, Any] = {}
@@ -138,6 +138,6 @@ def _si_value(value: Any, quantity: Quantity | None) -> Any:
     if isinstance(value, tuple):
         return [_si_value(item, quantity) for item in value]
     if isinstance(value, float) and quantity is not None:
-        # If another key decides the kind of the quantity, a number without a unit is read in SI.
+        # If another key determines the kind of the quantity, a number without a unit is in SI.
         return si_text(value, quantity.kinds[0]) if len(quantity.kinds) == 1 and quantity.kinds[0].si else value
     return value

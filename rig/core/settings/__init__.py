@@ -1,5 +1,5 @@
-"""Settings with units: what all keys of a scene have in common. This package knows no key of a scene.
+"""Settings with units: the common behavior of all keys of a scene. No key of a scene is defined here.
 
 Start with `settings`, the base class; `quantities` converts text with a unit to SI, and `quantity_field` is the field
-type for it; `problems` holds what is reported about invalid settings.
+type for it; `problems` contains the messages about invalid settings.
 """

@@ -68,7 +68,7 @@ def _selecting_keys(classes: Classes) -> str:
 
 
 def _own_keys(classes: Classes) -> dict[str, type[Settings]]:
-    """Return the classes by the first key of each that no other class has."""
+    """Return the classes by key: the first key of each class that no other class has."""
     keys = [cls.keys() for cls in classes]
     return {
         next(key for key in own if sum(key in others for others in keys) == 1): cls
@@ -77,7 +77,7 @@ def _own_keys(classes: Classes) -> dict[str, type[Settings]]:
 
 
 def _name_other_kinds(problem: Problem, chosen: type[Settings], classes: Classes) -> Problem:
-    """Add to the problem of an unknown key the other kinds that have this key."""
+    """Extend the message about an unknown key by the kinds that have this key."""
     key, own_keys = str(problem.key_path[0]) if len(problem.key_path) == 1 else "", list(chosen.keys())
     kinds = [
         str(kind.default)

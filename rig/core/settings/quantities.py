@@ -64,8 +64,8 @@ ppm = 1e-6
 class Kind:
     """Kind of a quantity: its name in messages with an article, its SI unit, and an example as in a scene file.
 
-    A nonzero magnitude must be between `minimum` and `maximum`, in SI. Outside these limits, powers and products in
-    the model overflow or underflow, or the computation does not end.
+    A nonzero magnitude must be between `minimum` and `maximum`, in SI. Outside these limits, powers and products in the
+    model overflow or underflow, or the computation takes too long.
     """
 
     noun: str
@@ -125,8 +125,8 @@ _NUMBER = re.compile(
     r"(?![\d.])\s*(.*)",
     re.DOTALL | re.IGNORECASE,
 )
-# A product of units and bracketed products with short powers. Other text does not reach Pint, whose parser evaluates
-# expressions.
+# A product of units and bracketed products with short powers. Other text is not passed to Pint, because its parser
+# evaluates expressions.
 _POWER = r"(?:(?:\^|\*\*)(?:-?\d|0\.5))?"
 _NAME = rf"[A-Za-zΩ]+{_POWER}"
 _JOIN = r"(?:\s*[*/]\s*|\s+)"
@@ -222,7 +222,7 @@ def _similar_unit(value: Any, kinds: Sequence[Kind]) -> str:
     other_units = {unit for pair in COMMON_FACTORS for unit in pair if unit.isalpha()}
     if match is None or match[2] in (*units, *other_units):
         return ""
-    # A wrong case is frequent, and changes half of the characters of a short unit: hz, Kg.
+    # Wrong upper or lower case is frequent, and changes half of the characters of a short unit: hz, Kg.
     return suggestion({unit.casefold(): unit for unit in units}.get(match[2].casefold(), match[2]), units)
 
 
@@ -376,7 +376,7 @@ def _shortest_decimal(value: float, unit: str, kind: Kind) -> str:
     return f"{decimal} {unit}".rstrip()
 
 
-# Numbers with at least this many digits are equally long notations: they were computed, and no unit makes them short.
+# Numbers with at least this many digits count as equally long: they were computed, and no unit makes them short.
 _MAX_DIGITS = 13
 
 

@@ -78,7 +78,7 @@ class Quantity:
             if not kind.supports(number):
                 raise unexpected_value_error(value, f"{kind.noun} {kind.range}")
             if self._is_within_bounds(number):
-                # Convert minus zero to zero: the two are equal but have different notations.
+                # Convert minus zero to zero: both are equal, but have different notations.
                 return number + 0.0
             raise unexpected_value_error(value, self.bounded_description)
         raise unexpected_value_error(value, expected_quantity(value, self.kinds))
@@ -104,7 +104,7 @@ class Quantity:
 
 
 def quantity_of(annotation: Any) -> Quantity | None:
-    """Return the quantity in a field's type, None if it has none."""
+    """Return the `Quantity` in a field's type, or None."""
     if isinstance(annotation, Quantity):
         return annotation
     for part in (*getattr(annotation, "__metadata__", ()), *get_args(annotation)):
@@ -151,7 +151,7 @@ def unexpected_value_message(value: Any, expected: str) -> str:
 
 
 def validation_error(message: str, absent: str = "") -> PydanticCustomError:
-    """Return a pydantic error with a message and the key of the absent part that caused it."""
+    """Return a pydantic error with a message, and with the absent key that caused the problem."""
     return PydanticCustomError("problem", "{message}", {"message": message, "absent": absent})
 
 

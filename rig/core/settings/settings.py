@@ -84,7 +84,7 @@ class Settings(_Model):
 
     @cached_property
     def written(self) -> Mapping[str, Any]:
-        """Quantities as the user wrote them, by field; they affect only how the settings are written."""
+        """Quantities as the user wrote them, by field; used only when the settings are written."""
         return {}
 
     def check_consistency(self) -> Iterable[Problem]:
@@ -99,7 +99,7 @@ class Settings(_Model):
     def discard_notation(self) -> None:
         """Discard the user's notation, and treat values equal to their defaults as not given.
 
-        This is for scenes from recordings, which contain every value in SI.
+        This is used for scenes from recordings, which contain every value in SI.
         """
         self.__dict__.pop("written", None)
         for name, field in type(self).model_fields.items():
@@ -113,7 +113,7 @@ class Settings(_Model):
 
     @classmethod
     def prepare(cls, content: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Problem]]:
-        """Convert short forms in a file to the form of the fields; return the content, and problems in short forms."""
+        """Convert short forms in a file to the form of the fields; return the content, and the problems detected."""
         return content, []
 
     @classmethod
@@ -189,7 +189,7 @@ class Settings(_Model):
 
     @classmethod
     def _explain(cls, item: Any) -> Problem:
-        """Convert a pydantic error to a problem with this package's message."""
+        """Convert a pydantic error to a `Problem` with a message of this package."""
         key_path, value = item["loc"], item["input"]
         if item["type"] == "extra_forbidden" and len(key_path) == 1:
             return Problem(key_path, unknown_key_message(str(key_path[0]), cls.keys()))
@@ -302,7 +302,7 @@ def _is_text(value: Any) -> bool:
 
 
 def _is_misspelled(item: Any, intended: set[str | None]) -> bool:
-    """Return whether a key or part is missing only because it is misspelled, which is reported separately.
+    """Return whether a key or part is missing only because it is misspelled; the misspelled key is reported.
 
     `intended` are the keys that are nearest to unknown keys.
     """

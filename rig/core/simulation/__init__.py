@@ -1,4 +1,4 @@
-"""A run of a scene: `simulate()` open loop, `Plant` block by block under drive samples, and the energy balance.
+"""Simulation of a scene: `simulate()` for an open loop, `Plant` for drive samples block by block, energy balance.
 
 This package does not depend on the engine's time steps or on sensors. Start with `simulate`.
 """

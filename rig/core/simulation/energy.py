@@ -2,7 +2,7 @@
 
 Power and dissipation are quadratic forms of the state. Both are integrated over every interval between samples and
 breaks (contact events) by Gauss-Legendre quadrature of the exact flow. Losses in impacts are the jumps of kinetic
-energy. No term is computed as the difference of the others, so that the residual is a test of the engine.
+energy. No term is computed as the difference of the other terms, so the residual is a test of the engine.
 
 A table index is the position of a contact configuration (which dampers are in contact with which wall) in the flow
 tables. A segment is a time interval under one drive, such as a sample interval.
@@ -41,7 +41,7 @@ class Energy:
     that are still compressed at release.
     """
 
-    work: float  # work of the drive: of the force, of the table on the coil spring, or of the amplifier on the coil
+    work: float  # work of the drive: by the force, by the table on the coil spring, or by the amplifier on the coil
     stored: float
     stored_before: float
     dissipated: float  # energy dissipated in structural damping, tuned mass dampers, friction, suspension, coil
@@ -70,9 +70,9 @@ class QuadraticForms:
     """Quadratic forms of the augmented state z (states, then drive), as symmetric matrices (size, size)."""
 
     stored: Array  # z' stored z: energy, J
-    dissipated: Array  # the others: power, W
-    power: Array  # of the drive
-    to_grains: Array  # into beds of grains
+    dissipated: Array  # dissipated power, W
+    power: Array  # power of the drive, W
+    to_grains: Array  # power into beds of grains, W
 
 
 def quadratic_forms(system: HybridSystem, output: Array) -> QuadraticForms:
@@ -85,7 +85,7 @@ def quadratic_forms(system: HybridSystem, output: Array) -> QuadraticForms:
     mass = system.mass.copy()
     stiffness = -system.force_state[:, :n]
     damping = -system.force_state[:, n : 2 * n]
-    # A prescribed coordinate has no mass of its own. Its actuator does work against the structure.
+    # A coordinate with prescribed motion has no mass. Its actuator does work on the structure.
     prescribed = system.prescribed
     mass[prescribed] = 0.0
     stiffness[prescribed], damping[prescribed] = system.reaction[:, :n], system.reaction[:, n : 2 * n]
@@ -130,8 +130,8 @@ def energy_balance(
 ) -> Energy:
     """Compute the energy balance of a simulated motion.
 
-    `tables`: the flow tables of its simulation; `start`, `end`: states before and after the
-    motion; `segment_states`: states at the starts of the segments; `durations`: durations of the segments, s.
+    `tables`: flow tables of the simulation; `start`, `end`: states before and after the motion; `segment_states`:
+    states at the starts of the segments; `durations`: durations of the segments, s.
     """
     forms = quadratic_forms(tables.system, tables.drive.output)
     intervals = _intervals(tables, trajectory, segment_states, durations)
@@ -228,7 +228,7 @@ def _integrate(
     lengths: Array,
     starts: Array,
 ) -> tuple[float, float, dict[str, float]]:
-    """Return work of the drive, energy transferred to grains, and losses in structure and elements by entry, J."""
+    """Return work of the drive, energy transferred to grains, and losses in structure and in each element, J."""
     work = to_grains = 0.0
     lost = {"dissipated": 0.0, "contacts": 0.0}
     system = tables.system
@@ -286,7 +286,7 @@ def _force_numbers(tables: FlowTables) -> NDArray[np.int64]:
 
 
 def _spring_energy(system: HybridSystem, numbers: NDArray[np.int64], states: Array) -> Array:
-    """Return the energy in the springs of the elements, J; `numbers`, shape (states, elements): of their forces."""
+    """Return the energy in the springs of the elements, J; `numbers`, shape (states, elements): force numbers."""
     energy = np.zeros(len(states))
     for element, number in zip(system.elements, numbers.T, strict=True):
         if element.gap < 0:
@@ -360,8 +360,8 @@ def _stored_energy(tables: FlowTables, forms: QuadraticForms, state: State) -> f
 def _impact_losses(system: HybridSystem, trajectory: Trajectory) -> float:
     """Return the kinetic energy lost at the breaks, J.
 
-    It is the sum over jumps of velocity: the difference of the total energies before and after the breaks would have a
-    rounding error proportional to the number of breaks, also of those without a jump.
+    The loss is summed over the jumps of velocity. The difference of the total energies before and after each break
+    would add a rounding error for every break, even without a jump.
     """
     n = system.coordinates
     before, after = trajectory.state_before[:, n : 2 * n], trajectory.state_after[:, n : 2 * n]

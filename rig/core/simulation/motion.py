@@ -22,7 +22,7 @@ class Motion:
     first : int
         Index of the first sample, counted from the start of the run.
     displacement, velocity, acceleration : ndarray, shape (points, samples)
-        m, m/s and m/s^2; at a sample that coincides with a break, the value just after the break.
+        m, m/s and m/s²; at a sample that coincides with a break, the value just after the break.
     gap : ndarray, shape (dampers, samples)
         Height of each damper of the scene above its floor, m: 0 if it is locked; for a bed of grains, rise of its
         center of mass.
@@ -35,7 +35,7 @@ class Motion:
     break_displacement : ndarray, shape (points, breaks)
         m.
     break_velocity, break_acceleration : ndarray, shape (2, points, breaks)
-        Before and after the break, m/s and m/s^2.
+        Before and after the break, m/s and m/s².
     events : structured ndarray
         Impacts and separations, as `rig.simulate` lists them.
     """
@@ -54,12 +54,13 @@ class Motion:
     events: NDArray[Any]
 
     def decimated(self, step: int, interval: float) -> Self:
-        """Return the same motion at every sample whose number is a multiple of `step`.
+        """Return the motion at the samples whose numbers are multiples of `step`.
 
         The block must end at a multiple of `step`. `interval`: sample interval of this motion, s.
         """
         selected = slice(-self.first % step, None, step)
-        # Number of the last retained sample before each break, and the time from it to the last original sample.
+        # Number of the last retained sample before each break, and the time from this sample to the last original
+        # sample.
         last_before = -(-self.break_sample // step) - 1  # rounded up
         skipped = (self.break_sample - 1 - last_before * step) * interval
         return replace(

@@ -1,4 +1,4 @@
-"""The rig as a plant, in the sense of control engineering: drive samples in, motion out, block by block."""
+"""The rig as a plant in the sense of control engineering: drive samples are its input, motion its output."""
 
 from __future__ import annotations
 

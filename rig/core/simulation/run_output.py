@@ -41,7 +41,7 @@ def simulate_to_file(
     frequency: float | None,
     progress: CountProgress,
 ) -> Run:
-    """Simulate a scene and write the run; a run with grains has a checkpoint next to the file until it is written.
+    """Simulate a scene and write the run; with grains, a checkpoint is kept next to the file until it is written.
 
     `output`: file for `write_run`; None: no file and no checkpoint are written. Raises `ShotrigError` if `simulate`
     raises an error, or a file cannot be written.
@@ -56,7 +56,7 @@ def simulate_to_file(
     except KeyboardInterrupt as interrupt:
         if checkpoint is not None and checkpoint.exists():
             interrupt.add_note(
-                f"{checkpoint} contains the part computed so far. To continue from it, give the same command again."
+                f"{checkpoint} contains the part computed so far. To continue from there, give the same command again."
             )
         raise
     if output is not None and checkpoint is not None:
@@ -78,7 +78,7 @@ def summary(run: Run) -> str:
             events = run.events[run.events[noun] == number]
             counts = Counter(str(kind) for kind in events["kind"])
             event_counts = [f"{kind} {counts[kind]}" for kind in dict.fromkeys(EVENT_NAMES.tolist()) if counts[kind]]
-            fastest = events["speed"].max()  # slips and stops are no impacts: their speed is zero
+            fastest = events["speed"].max()  # slips and stops are no impacts, and have the speed zero
             impact = f"; fastest impact {fastest:.4g} m/s" if fastest else ""
             lines.append(f"{noun} {number}: {', '.join(event_counts)}{impact}")
     lines.append(f"events: {len(run.events)}; contacts decided by rounding errors: {run.ambiguous}")

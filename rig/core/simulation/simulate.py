@@ -55,9 +55,8 @@ class Run(Result):
     events : structured ndarray
         `time` [s], `damper` (1-based position in the scene's list), `kind` ("separation", "floor", "ceiling"; with
         finite-duration contact "touch" and "release"), `speed` (closing speed at an impact or touch, m/s).
-        Grains have no events. In a scene with joints also `joint`, the number of the joint, where `damper` is 0; it is
-        0 for an event of a damper.
-        `events.dtype.metadata` also contains `ambiguous`.
+        Grains have no events. In a scene with joints also `joint`, the number of the joint from 1; `joint` is 0 for an
+        event of a damper, and `damper` is 0 for an event of a joint. `events.dtype.metadata` also contains `ambiguous`.
     ambiguous : int
         Number of contact decisions within rounding error; each was decided as no contact.
     """
@@ -232,11 +231,12 @@ def _segment_times(
 ) -> tuple[NDArray[np.longdouble], NDArray[np.bool_], NDArray[np.bool_]]:
     """Return the ends of all segments in order, s, and flags for samples and for period starts among them.
 
-    They are the times of samples, the period starts, and the end of the run.
+    Segments end at samples, at period starts, and at the end of the run.
     """
     sample_times = np.arange(samples, dtype=np.longdouble) / np.longdouble(rate)
     end = max(np.longdouble(duration), sample_times[-1])
-    # Computed from the frequency in Hz: the rounding of omega would cause a phase error over a million periods.
+    # Period starts are computed from the frequency in Hz. The rounding of omega would cause a phase error over a
+    # million periods.
     period = 1 / np.longdouble(frequency)
     periods = np.arange(1, int(end / period) + 1, dtype=np.longdouble) * period
     times, positions = np.unique(np.concatenate([sample_times, periods, [end]]), return_inverse=True)
@@ -273,8 +273,9 @@ def _assemble_run(
 ) -> Run:  # fmt: skip
     """Return the run from its initial state and a trajectory; row k of the trajectory is the end of segment k.
 
-    `sample_rows`: rows that are samples; `segment_starts`, `durations`: of the segments, s; `segment_states`: at their
-    starts; `started`: elements that change their mode at t = 0, and kinds of these events, shape (2, events).
+    `sample_rows`: rows that are samples; `segment_starts`, `durations`: starts and durations of the segments, s;
+    `segment_states`: states at the starts; `started`: elements that change their mode at t = 0, and kinds of these
+    events, shape (2, events).
     """
     system, end = propagator.system, propagator.snapshot()
     n, points = system.coordinates, len(system.points)

@@ -41,13 +41,13 @@ LEVEL_TOLERANCE = 1e-6
 MAX_LEVEL_TRIALS = 25
 #: Number of periods over which a motion without repetition is averaged.
 IRREGULAR_PERIODS = 16
-#: Two computations have the same motion if their responses differ by at most this fraction of the largest response.
+#: Two computed motions are the same if their responses differ by at most this fraction of the largest response.
 SAME_MOTION_TOLERANCE = 1e-5
 
 
 @dataclass(frozen=True, repr=False)
 class SteadyResponse(Result):
-    """Steady response over frequency, in the order in which the frequencies were visited.
+    """Steady response over frequency, in the order in which the frequencies were computed.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ class SteadyResponse(Result):
 
     @property
     def force(self) -> Array:
-        """`reference_amplitude` of a force, N; raises `SceneError` with another reference."""
+        """`reference_amplitude` if the reference is a force, N; raises `SceneError` with another reference."""
         return per_force(self.reference_amplitude, self.reference)
 
     @property
@@ -198,9 +198,9 @@ def draw_frf(
 class SteadyMotion:
     """Steady-state motion at one frequency, over one repetition.
 
-    `end_state`: initial state for the next frequency; `trajectory`, `initial_states`: see `integrate_cycle`, whose
-    segments last `interval` s; of each element, `types`: motion type, `impacts`: impacts per period of the drive,
-    `closing_speed`: as in `SteadyResponse`.
+    `end_state`: initial state for the next frequency; `trajectory`, `initial_states`: see `integrate_cycle`;
+    `interval`: duration of its segments, s. For each element: `types`: motion type; `impacts`: impacts per period of
+    the drive; `closing_speed`: as in `SteadyResponse`.
     """
 
     steady: SteadyState
@@ -307,7 +307,7 @@ def frequency_response(
             else:
                 points = _compute_in_two_sections(pool, continuation, compute_section, tasks[0])
         except BaseException:
-            # Leaving the pool waits for the other section, so stop it first.
+            # The end of the pool's context waits for the other section, so this section is stopped first.
             continuation.stopped.set()
             raise
     return _join_points(points, continuation, scene.structure.names)
@@ -320,14 +320,15 @@ def _compute_in_two_sections(
     order: Array,
 ) -> list[SteadyPoint]:
     """Compute two halves of the frequencies in parallel, and let the second continue the motion of the first."""
-    # The first point of the second section is always recomputed, so that sections of up to two points save no time.
+    # The first point of the second section is always recomputed, so sections of up to two points save no time.
     if len(order) < 4:
         return compute_section(order)
     middle = len(order) // 2
     pending = pool.submit(compute_section, order[middle:])
     first = compute_section(order[:middle])
     second = pending.result()
-    # The second section started from rest, so its first points may have another motion than the first section.
+    # The second section started from rest, so the motion at its first points may differ from a continuation of the
+    # first section.
     previous = first[-1]
     for k, estimate in enumerate(second):
         point = continuation.point(estimate.frequency, previous)
@@ -474,7 +475,7 @@ def _next_level(trials: list[tuple[float, float]]) -> float:
         previous_level, previous_error = trials[-2]
         change = log_level - previous_level
         secant = (log_error - previous_error) / change if change else 1.0
-        # If the force hardly rises with the level (or falls, near a jump), the step would be too large.
+        # If the force hardly rises with the level (or falls, near a jump), a full secant step would be too large.
         slope = secant if secant > 0.1 else 1.0
     step = -log_error / slope
     return log_level + float(np.clip(step, -np.log(2.0), np.log(2.0)))

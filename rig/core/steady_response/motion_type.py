@@ -10,7 +10,8 @@ from rig.core.engine.trajectory import Trajectory
 from rig.core.laws.events import CEILING, CEILING_IMPACT, CEILING_TOUCH, FLOOR_IMPACT, FLOOR_TOUCH, SEPARATION, SLIP
 from rig.core.system.hybrid_system import HybridSystem
 
-#: A contact with the upper wall is a stay if it is longer than this multiple of the duration of an isolated contact.
+#: The damper stays at the upper wall if the contact is longer than this multiple of the duration of an isolated
+#: contact.
 MIN_STAY_RATIO = 2.0
 
 
@@ -22,9 +23,9 @@ def motion_types(trajectory: Trajectory, system: HybridSystem, n_periods: int, s
 
     Returns one of these types for each element: "riding" (at rest on its wall, or sticking, throughout), "linear" (not
     at rest at the start, and no impacts), "k slips per n" (no impacts), "I" (one impact on the lower wall per period),
-    "II" (one impact on each wall per period, no stay at the upper wall), "III" (the same with a stay), "k per n" (k
-    impacts in n periods), "irregular" (no repetition). The start of finite-duration contact is an impact. Types I to
-    III are those of dampers; the contacts of a joint are "k per n".
+    "II" (one impact on each wall per period, no stay at the upper wall), "III" (as "II", but with a stay), "k per n" (k
+    impacts in n periods), "irregular" (no repetition). The start of a finite-duration contact is an impact. Only
+    dampers have types I to III; contacts of a joint are "k per n".
     """
     times = trajectory.event_segment * segment_duration + trajectory.event_offset
     cycle = len(trajectory.state) * segment_duration

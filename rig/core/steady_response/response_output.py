@@ -16,7 +16,7 @@ from rig.core.scene.scene import Scene
 from rig.core.settings.quantities import count
 from rig.core.steady_response.frequency_response import SteadyResponse
 
-# A relative uncertainty of interpolation below this is not printed.
+# The uncertainty of an interpolated peak is printed if it exceeds this fraction of the peak.
 _NEGLIGIBLE_ERROR = 1e-4
 # Maximum number of listed peaks with few frequencies.
 _MAX_LISTED = 8
@@ -78,7 +78,7 @@ def csv_rows(response: SteadyResponse) -> tuple[list[str], list[list[str]]]:
 
 
 def directions(frequency: NDArray[np.float64]) -> list[str]:
-    """Return the sweep direction, "up" or "down", at each frequency in the order visited.
+    """Return the sweep direction, "up" or "down", at each frequency in the order of computation.
 
     >>> directions(np.array([10.0, 11.0, 12.0, 12.0, 11.0]))
     ['up', 'up', 'up', 'down', 'down']
@@ -141,7 +141,7 @@ def _peak_table(response: SteadyResponse, motion: list[str]) -> list[str]:
             sweep = curve.at(points)
             for peak in find_resonances(sweep):
                 k = points[peak.line]
-                # Between two frequencies at which dampers are at rest, they may move.
+                # Dampers that are at rest at two neighboring frequencies may move between them.
                 if response.motion_type[k] == "linear" and peak.is_interpolated:
                     error = peak.expanded if peak.expanded > _NEGLIGIBLE_ERROR * peak.value else 0.0
                     row = format_decimals(peak.frequency, 4), format_interval(factor * peak.value, factor * error)

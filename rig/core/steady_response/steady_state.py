@@ -1,7 +1,7 @@
 """Steady-state motion under a sinusoidal drive: integration until the estimated distance from steady state is small.
 
 At intervals, the state at the start of a period is compared with the states 1, 2, ... periods before. If the change r
-over p periods decays with the ratio q per p periods, the distance from the steady state is r q / (1 - q). A motion is
+over p periods decreases by the factor q in p periods, the distance from the steady state is r q / (1 - q). A motion is
 steady when this distance is below the tolerance, relative to the motion. A motion that never repeats is irregular.
 """
 
@@ -28,7 +28,7 @@ MAX_REPETITION = 8
 COMPARED_PERIODS = 40
 #: Maximum number of periods between two comparisons.
 MAX_SKIPPED_PERIODS = 400
-#: The motion is assumed to converge to a repetition if its change per repetition is below this multiple of the
+#: The motion is assumed to become periodic with a repetition if its change per repetition is below this multiple of the
 #: tolerance.
 SETTLING_TOLERANCES = 1e4
 #: Relative changes below this value are rounding errors.
@@ -63,9 +63,9 @@ def settle(
 ) -> SteadyState:
     """Integrate the motion from the start of a period until it is steady.
 
-    `propagator`: at the start of a period; `steps`: period of the drive in steps of the propagator; `level`: factor of
-    the drive; `tolerance`: largest distance from the steady state, relative to the motion. `is_stopped` is called at
-    intervals; `RunError` is raised if it returns true.
+    `propagator`: propagator at the start of a period; `steps`: period of the drive in steps of the propagator; `level`:
+    factor of the drive; `tolerance`: largest distance from the steady state, relative to the motion. `is_stopped` is
+    called at intervals; `RunError` is raised if it returns true.
     """
     completed, state_scales = 0, _state_scales(propagator)
     while True:
@@ -76,7 +76,7 @@ def settle(
         completed += count
         changes, distances = _distances(comparison, state_scales)
         steady = np.flatnonzero(distances < tolerance)
-        # A motion that settles to a short repetition satisfies the tolerance for a longer repetition first.
+        # A motion that settles to a short repetition is within the tolerance for a multiple of this repetition first.
         settling = np.flatnonzero(changes < SETTLING_TOLERANCES * tolerance)
         if len(steady) and steady[0] == settling[0]:
             return SteadyState(True, int(steady[0]) + 1, float(distances[steady[0]]), completed)
@@ -127,8 +127,8 @@ def _distances(comparison: StateSamples, state_scales: Array) -> tuple[Array, Ar
 def _changes(vectors: Array, contacts: NDArray[np.int8]) -> Array:
     """Compute changes over 1, 2, ... periods at the end and middle of a comparison; infinite if contacts differ.
 
-    Returns shape (MAX_REPETITION, 2). Their ratio reveals a slow decay, which faster decays mask in the changes
-    from period to period.
+    Returns shape (MAX_REPETITION, 2). The ratio of the changes at end and middle reveals a slow decay, which faster
+    decays mask in the changes from period to period.
     """
     changes = np.zeros((MAX_REPETITION, 2))
     rows = vectors.shape[0]
@@ -151,7 +151,7 @@ def _state_scales(propagator: Propagator) -> Array:
     n, state_scales = system.coordinates, np.ones(system.states)
     state_scales[n : 2 * n] = step
     if system.states > 2 * n:
-        # A coil current is scaled to the displacement that its force on the armature causes in one step.
+        # A coil current is scaled to the displacement of the armature that the force of the current causes in one step.
         force = np.abs(system.force_state[:, 2 * n :]).max(axis=0) / np.diag(system.mass).min()
         state_scales[2 * n :] = force * step**2
     return state_scales

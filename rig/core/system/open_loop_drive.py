@@ -1,7 +1,7 @@
 """The drive of a scene's test without a controller (open loop), and the validation of a sampled drive.
 
 The *level* of a test is its force, or its drive in the unit of the shaker's input. The drive per level is computed for
-the linear structure with all dampers *riding*: their particles are at rest in their cavities, as an added mass.
+the linear structure with all dampers *riding*: the particles are at rest in their cavities, and act as an added mass.
 """
 
 from __future__ import annotations

@@ -71,7 +71,7 @@ def test_frequencies_with_attached_coil_spring_are_listed() -> None:
     one_body = rig.Scene(structure=structure, shaker=bench)
     # sqrt(1 kN/m / 1 kg) and sqrt(4 kN/m / 1 kg), over 2 pi
     assert "1 body on springs, 5.033 Hz" in str(rig.explain(one_body))
-    assert "with it and the table at rest 10.07 Hz" in str(rig.explain(one_body))
+    assert "with this spring and the table at rest 10.07 Hz" in str(rig.explain(one_body))
 
 
 def test_next_rate_of_module_is_stated() -> None:

@@ -1,4 +1,4 @@
-"""Settings of a test: kind, level and duration of the excitation. Each kind has a module of its name."""
+"""Settings of a test: kind, level and duration of the excitation. Each kind has a module with the name of the kind."""
 
 from typing import Annotated, get_args
 
@@ -39,5 +39,5 @@ Test = Annotated[
     | SineControl,
     Alternatives(by_kind),
 ]
-#: The classes of all kinds.
+#: The classes of all kinds of test.
 KINDS: tuple[type[KindOfTest], ...] = get_args(get_args(Test)[0])

@@ -25,7 +25,7 @@ def location_problems(valid: Mapping[str, Any], at: str) -> Iterable[Problem]:
 
 
 class ConstantResponse(SteppedTest):
-    """A series of tones; at each, a controller brings a motion to the level, also where a stepped sine jumps."""
+    """A series of tones; at each, a controller brings a motion to the level, even where a stepped sine would jump."""
 
     level_keys: ClassVar = ("displacement", "velocity", "acceleration")
     one_of: ClassVar = (level_keys, ("frequencies", "points"))
@@ -56,7 +56,7 @@ class ConstantResponse(SteppedTest):
 
     @property
     def tone(self) -> None:
-        """None: the drive depends on readings."""
+        """None, because the drive depends on measured values."""
 
     def references(self, valid: Mapping[str, Any]) -> Iterable[Problem]:
         """Check the shaker and the body."""

@@ -1,4 +1,4 @@
-"""A tone that follows the response at constant force through its folds, also where the motion is unstable."""
+"""A tone that follows the response at constant force through its folds, even where the motion is unstable."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Continuation(KindOfTest):
     """Measurement time of a point in steady state."""
 
     def check_consistency(self) -> Iterable[Problem]:
-        """Check that the band has a width."""
+        """Check that the ends of the band differ."""
         if self.from_ == self.to:
             yield Problem(("to",), f"got {self.to:g} Hz, which is also from. Give the other end of the band.")
 

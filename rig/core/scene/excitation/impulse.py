@@ -112,7 +112,7 @@ class Impulse(KindOfTest):
         return self.double_hit is not None and (self.double_hit.hits is None or hit in self.double_hit.hits)
 
     def pulses(self, rate: float) -> list[Array]:
-        """Return the force of each impact with its bounce, N, from its first sample; `rate`: samples per second."""
+        """Return the force of each impact with its bounce, N, from the first sample of the impact; `rate`: Hz."""
         shape = half_sine(1.0, self.width, rate)
 
         def pulse(peak: float, is_double: bool) -> Array:
@@ -154,7 +154,7 @@ def half_sine(peak: float, width: float, rate: float) -> Array:
     from scipy.optimize import brentq
 
     target_sum = 2 * width * rate / np.pi  # area of the pulse, in samples times its peak
-    if target_sum < 1.2:  # 4 / pi for two samples, with a tolerance for a width rounded as in the message
+    if target_sum < 1.2:  # 4 / pi for two samples; 1.2 accepts a width that is rounded as in the message
         raise SceneError(
             f"test.width: a pulse of {width * 1e3:g} ms is shorter than two samples at {rate:g} Hz; expected at least "
             f"{2.0 / rate * 1e3:.3g} ms. Widen the pulse (a softer tip) or raise the sample rate (converter.rate)."

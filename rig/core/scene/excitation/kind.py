@@ -1,6 +1,7 @@
-"""Base class of all kinds of test: the facts that other modules use, with the values that most kinds share.
+"""Base class of all kinds of test: the properties that other modules use, with the values that most kinds share.
 
-The class of a kind states its own facts. Other modules never ask which kind of test a scene has.
+The class of a kind defines the properties of this kind. Other modules use the properties, and do not depend on the
+kind.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -55,7 +56,7 @@ class Pulses(NamedTuple):
 
 
 class Rest(NamedTuple):
-    """Open-loop drive: none."""
+    """Open loop without a drive."""
 
 
 class Settle(Settings):
@@ -70,10 +71,11 @@ class Settle(Settings):
 class KindOfTest(Settings):
     """A kind of test. Subclasses are the sections `test` of a scene; this class has no keys.
 
-    `recorded_as`: how recordings of this kind are evaluated, a value of `daq.core.recording.recorded_test.TestKind`.
-    `level_keys`: keys of which one is the level of the test. `level_name`: what the level is, after its unit.
-    `uses_shaker`: whether a shaker is driven. `single_tone`: whether the drive is one tone at a time.
-    `controls_by_cell`: whether a force cell at the shaker replaces the motion of both ends of its spring.
+    `recorded_as`: kind of evaluation of the recordings, a value of `daq.core.recording.recorded_test.TestKind`.
+    `level_keys`: keys of which one is the level of the test. `level_name`: quantity of the level, as text after its
+    unit. `uses_shaker`: whether a shaker is driven. `single_tone`: whether the drive is one tone at a time.
+    `controls_by_cell`: whether the controller uses a force cell at the shaker, if there is one, instead of the motion
+    of both ends of the spring.
     """
 
     recorded_as: ClassVar[str]
@@ -105,17 +107,17 @@ class KindOfTest(Settings):
         return self.kind_name().replace("_", " ")
 
     def level_text(self, shaker: Shaker | None) -> str:
-        """Return the level with its unit, or the range of the levels; `shaker`: the driven one."""
+        """Return the level with its unit, or the range of the levels; `shaker`: the driven shaker."""
         unit, levels = self.level_unit(shaker).replace("^2", "²"), self.levels
         return f"{range_text(levels, unit)} {self.level_name}".rstrip() if levels else ""
 
     @property
     def details(self) -> tuple[str, ...]:
-        """What else the test prescribes, in few words."""
+        """Further settings of the test, in few words."""
         return ()
 
     def sentence(self, shaker: Shaker | None) -> str:
-        """Describe the test in words; `shaker`: the driven one."""
+        """Describe the test in words; `shaker`: the driven shaker."""
         band, duration = self.band, getattr(self, "duration", None)
         parts = (
             self.title, "" if band is None else range_text(band, "Hz"), self.level_text(shaker), *self.details,
@@ -128,17 +130,17 @@ class KindOfTest(Settings):
         return self.replace(**{self.level_key: level})
 
     def level_unit(self, shaker: Shaker | None) -> str:
-        """Return the unit of the level; `shaker`: the driven one."""
+        """Return the unit of the level; `shaker`: the driven shaker."""
         return shaker.drive_unit if self.level_key == "drive" and shaker is not None else "N"
 
     @property
     def held_motion(self) -> tuple[str, int] | None:
-        """Location of the motion whose amplitude is the level, and the order of its time derivative; None without."""
+        """Location, and order of time derivative, of the motion whose amplitude is the level; None without one."""
         return None
 
     @property
     def held_phase(self) -> tuple[str, float] | None:
-        """Location of the displacement whose phase relative to the force is held, and the phase, rad; None without."""
+        """Location of the displacement whose phase relative to the force is constant, and this phase, rad; or None."""
         return None
 
     @property
@@ -164,7 +166,7 @@ class KindOfTest(Settings):
 
     @property
     def given_frequencies(self) -> dict[KeyPath, float]:
-        """Frequencies by key path: of the keys `from` and `to`, or else of `frequencies` or `frequency`, Hz."""
+        """Frequencies by key path, Hz: of the keys `from` and `to`, otherwise of `frequencies` or `frequency`."""
         first, last = getattr(self, "from_", None), getattr(self, "to", None)
         if first is not None and last is not None:
             return {("to",): last, ("from",): first}
@@ -180,7 +182,7 @@ class KindOfTest(Settings):
 
     @property
     def sweep_direction(self) -> Literal["up", "down", "both"]:
-        """Order in which the frequencies are visited."""
+        """Order of the frequencies in the test."""
         return "up"
 
     @property
@@ -229,7 +231,7 @@ class KindOfTest(Settings):
         return self.dwells[0] if self.dwells else None
 
     def wave(self, samples: int, rate: float) -> Chirp | Pulses | Rest | None:
-        """Return the open-loop drive, if it is not one tone; None if it depends on readings. `rate`: Hz.
+        """Return the open-loop drive, if it is not one tone; None if it depends on measured values. `rate`: Hz.
 
         With a level of force this is possible only where the drive is a force (`KindOfShaker.drive_is_force`).
         """
@@ -248,9 +250,10 @@ class KindOfTest(Settings):
         return None
 
     def controlled_terms(self, shaker: Shaker, table: str) -> dict[str, float]:
-        """Return the controlled quantity: its amount per meter of displacement at each location; {} in open loop.
+        """Return the controlled quantity per meter of displacement at each location; {} in open loop.
 
-        By default it is the motion at the level, or the force of the driven shaker, whose table has the name `table`.
+        By default the controlled quantity is the motion whose amplitude is the level, or the force of the driven
+        shaker, whose table has the name `table`.
         """
         if self.held_motion is not None:
             return {self.held_motion[0]: 1.0}
@@ -264,14 +267,14 @@ class KindOfTest(Settings):
         return ()
 
     def pulse(self, time: Array) -> tuple[Array, float] | None:
-        """Return the prescribed acceleration of a shock and its tolerance, m/s^2; None without one.
+        """Return the prescribed acceleration of a shock and its tolerance, m/s²; None without a prescribed pulse.
 
         `time`: from the middle of the pulse, s.
         """
         return None
 
     def shock_spectrum(self) -> tuple[Array, Array, float] | None:
-        """Return frequencies (Hz), prescribed shock response spectrum (m/s^2) and tolerance (dB); None without one."""
+        """Return frequencies (Hz), prescribed shock response spectrum (m/s²) and tolerance (dB), or None."""
         return None
 
     @property
@@ -291,7 +294,7 @@ class KindOfTest(Settings):
             message = f"{self.kind_name()} requires a shaker. Add a shaker to the scene."
             yield Problem(("kind",), message, absent="shaker")
         elif n_shakers > 1 and self.driven is None:
-            message = f"the scene has {n_shakers} shakers, but the test does not name the driven one."
+            message = f"the scene has {n_shakers} shakers, but the test does not name the driven shaker."
             yield Problem((), f"{message} Add shaker: N to the test, with N from 1 to {n_shakers}.")
         elif number > n_shakers:
             yield Problem(("shaker",), f"shaker {number} does not exist; expected 1 to {n_shakers}")

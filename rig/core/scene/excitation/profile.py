@@ -28,7 +28,7 @@ _UNITS = {"density": "(m/s²)²/Hz", "acceleration": "m/s²", "velocity": "m/s",
 
 
 class Breakpoints(Settings):
-    """Frequencies with a value each; subclasses have the keys of the values."""
+    """Frequencies with one value each; the subclasses define the keys of the values."""
 
     value_keys: ClassVar[tuple[str, ...]]
     frequencies: Frequencies
@@ -82,7 +82,7 @@ class MotionProfile(Breakpoints):
     """Instead of `acceleration`: amplitude of the displacement [m]."""
 
     def at(self, frequency: Array) -> Array:
-        """Return the amplitude of the acceleration, m/s^2, at frequencies in Hz; beyond the breakpoints NaN."""
+        """Return the amplitude of the acceleration, m/s², at frequencies in Hz; beyond the breakpoints NaN."""
         order = 2 - self.value_keys.index(self.key)
         return super().at(frequency) * (2.0 * np.pi * np.asarray(frequency)) ** order
 
@@ -135,7 +135,7 @@ def range_text(values: Sequence[float], unit: str) -> str:
 
 
 class Prescription(NamedTuple):
-    """What a test with profile control prescribes: densities with a resolution in Hz, otherwise amplitudes."""
+    """Prescription of a test with profile control: densities with a resolution in Hz, or amplitudes."""
 
     control: Control
     profile: Breakpoints
@@ -145,7 +145,7 @@ class Prescription(NamedTuple):
     resolution: float | None
 
     def required(self, values: Array, frequency: Array) -> Array:
-        """Return required over measured values: of the control, and of each limited channel; infinite without a bound.
+        """Return required over measured values, for the control and for each limited channel; infinite without a limit.
 
         The drive follows the smallest of these ratios. `values`: densities or amplitudes of the channels as in
         `KindOfTest.named_channels`, shape (channels, n); `frequency`: Hz, shape (n,). Returns shape (1 + limits, n).

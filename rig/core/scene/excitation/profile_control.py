@@ -1,4 +1,4 @@
-"""What tests with profile control have in common: control and limited channels, tolerance and abort line."""
+"""Common part of tests with profile control: control and limited channels, tolerance and abort line."""
 
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
@@ -8,7 +8,7 @@ from rig.core.settings.problems import KeyPath, Problem
 
 
 class ProfileControl:
-    """Control of channels at a profile; a subclass has the keys."""
+    """Control of channels at a profile; the subclasses define the keys."""
 
     if TYPE_CHECKING:
         control: Control

@@ -99,6 +99,6 @@ class RandomControl(ProfileControl, KindOfTest):
         return (self.band[1] - self.band[0]) / self.lines
 
     def rms(self, level: float = 0.0) -> float:
-        """Return the root mean square acceleration of the profile at a level in dB, m/s^2."""
+        """Return the root mean square acceleration of the profile at a level in dB, m/s²."""
         frequency = np.linspace(*self.band, 10 * self.lines + 1)
         return from_decibels(level) * float(np.sqrt(np.trapezoid(self.profile.at(frequency), frequency)))

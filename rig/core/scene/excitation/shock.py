@@ -20,9 +20,9 @@ Acceleration = Annotated[float, Quantity(ACCELERATION, above=0.0)]
 COMPENSATION = 0.1
 #: Position of the middle of a pulse in its interval.
 PULSE_POSITION = 0.4
-# Widths of the half sine that an interval contains at least: a compensated pulse takes eleven.
+# Shortest interval between pulses, in widths of the half sine: a compensated pulse takes eleven widths.
 _MIN_WIDTHS = 20.0
-# Periods of the lowest frequency of a spectrum that an interval contains at least.
+# Shortest interval between pulses, in periods of the lowest frequency of a spectrum.
 _MIN_PERIODS = 20.0
 # Number of shock frequencies per octave of a spectrum.
 _PER_OCTAVE = 6
@@ -39,7 +39,7 @@ class HalfSine(Settings):
     """Largest deviation from the pulse, relative to its peak."""
 
     def wave(self, time: Array) -> Array:
-        """Return the compensated pulse, m/s^2, with its middle at t = 0; `time`: s."""
+        """Return the compensated pulse, m/s², with its middle at t = 0; `time`: s."""
         long = self.width / (2.0 * COMPENSATION)
         center = (self.width + long) / 2.0
         return self.peak * (
@@ -134,12 +134,12 @@ class Shock(KindOfTest):
         return f"{shock} at {self.control}", repeats
 
     def pulse(self, time: Array) -> tuple[Array, float] | None:
-        """Return the half sine and its tolerance, m/s^2."""
+        """Return the half sine and its tolerance, m/s²."""
         pulse = self.half_sine
         return None if pulse is None else (pulse.wave(time), pulse.tolerance * pulse.peak)
 
     def shock_spectrum(self) -> tuple[Array, Array, float] | None:
-        """Return frequencies (Hz), prescribed spectrum (m/s^2) and its tolerance (dB)."""
+        """Return frequencies (Hz), prescribed spectrum (m/s²) and its tolerance (dB)."""
         spectrum = self.spectrum
         return None if spectrum is None else (spectrum.lines, spectrum.at(spectrum.lines), spectrum.tolerance)
 

@@ -22,7 +22,7 @@ from rig.core.settings.problems import Problem
 
 
 class FrequencySweep:
-    """The frequency of a test whose tone sweeps from one end to the other; a subclass has the keys."""
+    """The frequency of a test whose tone sweeps from one end to the other; the subclasses define the keys."""
 
     if TYPE_CHECKING:
         from_: float
@@ -60,7 +60,7 @@ class FrequencySweep:
         return float(frequency * np.log(self.to / self.from_) / self.duration)
 
     def wave(self, samples: int, rate: float) -> Chirp:
-        """Return the tone at its momentary frequency; after the sweep, the last phase."""
+        """Return the tone at its instantaneous frequency; after the end of the sweep, its phase is constant."""
         progress = np.minimum(np.arange(samples) / rate / self.duration, 1.0)
         return Chirp(2.0 * np.pi * self.periods_at(progress), self.frequency_at(progress))
 

@@ -1,4 +1,4 @@
-"""Settings of shakers. Each kind has a module of its name."""
+"""Settings of shakers. Each kind has a module with the name of the kind."""
 
 from typing import Annotated, get_args
 

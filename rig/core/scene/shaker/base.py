@@ -44,7 +44,7 @@ class BaseShaker(KindOfShaker):
         equations.prescribe(row, self.centering)
 
     def required_drive(self, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return the acceleration, with the compensation of the centering; the force on the table has no effect."""
+        """Return the acceleration, with compensation of the centering; it does not depend on the force on the table."""
         return np.asarray(np.square(s + 2.0 * np.pi * self.centering)), np.zeros_like(s)
 
     def effects(self, bodies: str, modes_at_rest: Callable[[], str]) -> Iterable[ShakerEffect]:

@@ -7,7 +7,7 @@ from rig.core.scene.shaker.kind import KindOfShaker
 
 
 class CoilSpringShaker(KindOfShaker):
-    """A shaker whose table drives body `body` through the spring `spring`; the keys belong to the subclasses."""
+    """A shaker whose table drives body `body` through the spring `spring`; the subclasses define the keys."""
 
     points: ClassVar = ("table", "shaker", "drive")
 

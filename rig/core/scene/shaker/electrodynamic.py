@@ -61,7 +61,7 @@ class ElectrodynamicShaker(CoilSpringShaker):
 
     @property
     def power_amplifier(self) -> AmplifierOutput:
-        """Current or voltage of the coil."""
+        """The amplifier, which sets the current or the voltage of the coil."""
         return AmplifierOutput("A" if self._sets_current else "V", self.amplifier.gain, self.amplifier.limit)
 
     @property
@@ -72,7 +72,7 @@ class ElectrodynamicShaker(CoilSpringShaker):
 
     @property
     def loads(self) -> tuple[Load, ...]:
-        """Travel, the coil's current where the amplifier does not set it, and other quantities with a limit."""
+        """Travel, current of the coil unless the amplifier sets it, and other quantities with a limit."""
         armature, limits, factor = self.armature, self.limits, self.coil.force_factor
         stiffness = armature.stiffness + self.spring
 
@@ -100,7 +100,7 @@ class ElectrodynamicShaker(CoilSpringShaker):
             equations.add_current(Current(row, column, coil.resistance, coil.inductance, coil.force_factor, gain))
 
     def required_drive(self, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return the current, or the voltage at the coil."""
+        """Return the drive: the current, or the voltage at the coil."""
         coil, armature = self.coil, self.armature
         force = armature.mass * s**2 + armature.damping * s + armature.stiffness
         if self._sets_current:

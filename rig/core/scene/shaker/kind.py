@@ -1,6 +1,7 @@
-"""Base class of all kinds of shaker: the facts that other modules use, with the values that most kinds share.
+"""Base class of all kinds of shaker: the properties that other modules use, with the values that most kinds share.
 
-The class of a kind states its own facts. Other modules never ask which kind of shaker a scene has.
+The class of a kind defines the properties of this kind. Other modules use the properties, and do not depend on the
+kind.
 """
 
 from collections.abc import Callable, Iterable
@@ -16,11 +17,11 @@ from rig.core.settings.settings import Settings
 
 
 class Glyph(NamedTuple):
-    """How a shaker is drawn."""
+    """Drawing of a shaker."""
 
     title: str
     shape: Literal["arrow", "box", "cylinder"]
-    table: str = "table"  # name of its moving part
+    table: str = "table"  # name of the moving part of the shaker
 
 
 class AmplifierOutput(NamedTuple):
@@ -34,8 +35,8 @@ class AmplifierOutput(NamedTuple):
 class Load(NamedTuple):
     """A quantity that loads a shaker, with its limit in the data sheet.
 
-    It is the sum of displacement, velocity and acceleration of the shaker's table and the displacement of its body,
-    times the `weights`.
+    The quantity is a sum with the factors `weights`: displacement, velocity and acceleration of the shaker's table, and
+    displacement of the driven body.
     """
 
     place: str  # part of the shaker
@@ -56,11 +57,11 @@ class ShakerEffect(NamedTuple):
 class KindOfShaker(Settings):
     """A kind of shaker. Subclasses are the sections `shaker` of a scene; this class has no keys.
 
-    `drive_quantity`: quantity of its drive. `level_keys`: keys of a test's level that it permits; `level_remark`: why
-    it permits no other. `points`: locations at it at which a channel can measure. `prescribed`: whether its table has a
-    prescribed motion. `carries_structure`: whether its table is the ground of the structure. `drive_is_force`: whether
-    its drive is the force on the structure. `references`: denominators of responses, the default first. `glyph`: how it
-    is drawn.
+    `drive_quantity`: quantity of the drive. `level_keys`: permitted keys of a test's level; `level_remark`: reason why
+    others are not permitted. `points`: locations at the shaker where a channel can measure. `prescribed`: whether the
+    table has a prescribed motion. `carries_structure`: whether the table is the ground of the structure.
+    `drive_is_force`: whether the drive is the force on the structure. `references`: denominators of responses, the
+    default first. `glyph`: drawing.
     """
 
     drive_quantity: ClassVar[Kind]
@@ -85,7 +86,7 @@ class KindOfShaker(Settings):
 
     @property
     def bodies(self) -> tuple[int, ...]:
-        """The bodies on which it acts, from 1."""
+        """The bodies on which the shaker acts, from 1."""
         return ()
 
     @property
@@ -96,22 +97,22 @@ class KindOfShaker(Settings):
 
     @property
     def first_body(self) -> int:
-        """The first body on which it acts, from 1; body 1 of a structure that it carries."""
+        """The first body on which the shaker acts, from 1; body 1 if the table carries the structure."""
         return self.bodies[0] if self.bodies else 1
 
     @property
     def coil_spring(self) -> float | None:
-        """Stiffness of the spring between its table and its body, N/m; None without one."""
+        """Stiffness of the spring between the table and the driven body, N/m; None without a spring."""
         return None
 
     @property
     def corner(self) -> float:
-        """Corner frequency of the servo of its table, Hz; 0 without a servo."""
+        """Corner frequency of the servo of the table, Hz; 0 without a servo."""
         return 0.0
 
     @property
     def power_amplifier(self) -> AmplifierOutput | None:
-        """Its power amplifier, if it has one."""
+        """The power amplifier of the shaker, or None."""
         return None
 
     @property
@@ -122,7 +123,7 @@ class KindOfShaker(Settings):
 
     @property
     def loads(self) -> tuple[Load, ...]:
-        """The quantities that a prediction shows."""
+        """The loads that a prediction compares with their limits."""
         return (Load("table", "travel", "m", (1.0, 0.0, 0.0, 0.0), np.inf),) if "table" in self.points else ()
 
     @property
@@ -131,41 +132,41 @@ class KindOfShaker(Settings):
         raise NotImplementedError
 
     def add_to(self, equations: Equations, drive: str, table: str) -> None:
-        """Add it to the equations of motion; `drive`, `table`: names of its input and of its table."""
+        """Add the shaker to the equations of motion; `drive`, `table`: names of its input and of its table."""
         raise NotImplementedError
 
     def force_terms(self, drive: str, table: str) -> dict[str, float]:
-        """Return the locations of the channels from which its force on the structure follows, and their weights.
+        """Return the locations of the channels from which the force on the structure follows, and their weights.
 
-        `drive`, `table`: locations of its force and of its table. The weights are 1 for a force, otherwise N per m of
+        `drive`, `table`: locations of the force and of the table. The weight is 1 for a force, otherwise N per m of
         displacement.
         """
         return {}
 
     def force_row(self, states: int, table: int | None) -> Array:
-        """Return the row whose product with the state is its force on the structure, N, shape (states,).
+        """Return the row whose product with the state is the force on the structure, N, shape (states,).
 
-        `table`: row of its table. The row is zero if no state gives the force.
+        `table`: row of the table. The result is zero if the force does not depend on the state.
         """
         return np.zeros(states)
 
     def required_drive(self, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         """Return the drive, per meter of table motion and per newton on the table; `s` = iω.
 
-        Without a prescribed motion, the drive is known up to a constant gain.
+        Without a prescribed motion, the drive is known except for a constant gain.
         """
         raise NotImplementedError
 
     def effects(self, bodies: str, modes_at_rest: Callable[[], str]) -> Iterable[ShakerEffect]:
-        """Yield its effects; `bodies`: names of its bodies; `modes_at_rest`: modes with the table at rest, as text."""
+        """Yield the effects; `bodies`: names of the bodies; `modes_at_rest`: modes with the table at rest, as text."""
         raise NotImplementedError
 
     def output_text(self, suffix: str, bodies: str) -> str:
-        """Describe what an output drives, and its value per volt; `suffix`: " 2" for the second of several shakers."""
+        """Describe the driven quantity, and its value per volt; `suffix`: " 2" for the second of several shakers."""
         raise NotImplementedError
 
     def force_hint(self, table: str) -> str:
-        """Return why no channel measures its force, and what to measure instead; `table`: location of its table."""
+        """Return why no channel measures the force, and what to measure instead; `table`: location of the table."""
         raise NotImplementedError
 
 

@@ -50,12 +50,12 @@ class TableShaker(CoilSpringShaker):
         equations.prescribe(row, self.corner)
 
     def required_drive(self, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return the command of the servo; the force on the table has no effect."""
+        """Return the drive: the command of the servo. The force on the table has no effect."""
         return servo_inverse(self.corner, s), np.zeros_like(s)
 
     def effects(self, bodies: str, modes_at_rest: Callable[[], str]) -> Iterable[ShakerEffect]:
         """Yield spring and table; an impact test excites the modes at rest, because the spring remains attached."""
-        modes = f"with it and the table at rest {modes_at_rest()}"
+        modes = f"with this spring and the table at rest {modes_at_rest()}"
         detail = f"spring of {self.spring:.4g} N/m to {bodies}, {modes}; position servo of {self.bandwidth:.4g} Hz"
         yield ShakerEffect("coil spring and table", 2, detail)
 

@@ -362,23 +362,24 @@ def map_(
     """
     import rig
     from rig.core.base.output_files import allow_overwriting, prepare_outputs
+    from rig.core.base.study import unfinished_file
     from rig.core.settings.quantities import FREQUENCY
     from rig.studies.motion_map.grid import vertical_axis
-    from rig.studies.motion_map.motion_map import output_stem, summarize_map, write_map
+    from rig.studies.motion_map.motion_map import STUDY, output_stem, summarize_map, write_map
 
     loaded_scene = load_scene(scene, changes)
     over, kind = vertical_axis(loaded_scene, over)
     band = _quantity(first, FREQUENCY, "--from"), _quantity(last, FREQUENCY, "--to")
     limits = _quantity(lowest, kind, "--least"), _quantity(highest, kind, "--most")
     stem = output_stem(loaded_scene, over, output)
-    finished_points = stem.with_suffix(".csv.kept")
-    with resumable(), allow_overwriting(overwrite):
+    table = stem.with_suffix(".csv")
+    with resumable(), allow_overwriting(overwrite), STUDY.reserve(table):
         prepare_outputs(*_figure_and_table(stem))
         with count_progress("computing the motion") as progress:
-            result = rig.map(loaded_scene, over, *limits, rows, *band, points, cluster, finished_points, progress)
+            result = rig.map(
+                loaded_scene, over, *limits, rows, *band, points, cluster, unfinished_file(table), progress
+            )
         files = write_map(result, output)
-    # The same command at the same time may have removed it.
-    finished_points.unlink(missing_ok=True)
     print(summarize_map(result))
     report_written(*files)
 
@@ -476,6 +477,7 @@ def design(
     from rig.core.base.extensions import test_predictions
     from rig.core.base.output_files import allow_overwriting, file_stem, prepare_outputs
     from rig.studies.design.design import design as choose_dampers
+    from rig.studies.design.evaluator import STUDY
     from rig.studies.design.figure import describe_check, summary, write
 
     loaded_scene = load_scene(scene, changes)
@@ -484,6 +486,7 @@ def design(
     with (
         resumable(),
         allow_overwriting(overwrite),
+        STUDY.reserve(table),
         progress("evaluating designs") as report_progress,
     ):
         prepare_outputs(*(stem.with_suffix(suffix) for suffix in (".yaml", ".png", ".svg")))

@@ -144,7 +144,9 @@ def test_temporary_file_of_a_killed_process_is_removed(tmp_path: Path) -> None:
         "with atomic_write(Path(sys.argv[1]), True) as temporary:\n"
         "    temporary.write_text('half'); os.kill(os.getpid(), 9)"
     )
-    subprocess.run([sys.executable, "-c", code, path], check=False)
+    killed = subprocess.Popen([sys.executable, "-c", code, path])
+    # A parent may be slow to collect the exit code.
+    os.waitid(os.P_PID, killed.pid, os.WEXITED | os.WNOWAIT)
     (left,) = tmp_path.iterdir()
     with atomic_write(path, True) as temporary, atomic_write(path, True) as other:
         temporary.write_text("new")
@@ -152,6 +154,7 @@ def test_temporary_file_of_a_killed_process_is_removed(tmp_path: Path) -> None:
         # The files of running processes stay.
         assert temporary.exists() and other.exists() and not left.exists()
     assert list(tmp_path.iterdir()) == [path]
+    killed.wait()
 
 
 @pytest.mark.parametrize("answer", [True, False])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -9,15 +10,16 @@ import numpy as np
 import pytest
 
 from rig.core.base.errors import RunError
-from rig.core.base.study import StoredValues, Study, code_digest, digest, read_rows
+from rig.core.base.output_files import allow_overwriting
+from rig.core.base.study import StoredValues, Study, code_digest, digest, read_rows, unfinished_file
 
 HEADER = ("level", "gap, m", "result")
+GAPS: Study[Any, Any] = Study("gaps", HEADER, str, tuple, lambda key, _: key, lambda row: (tuple(row), row))
 
 
 def add_rows(path: Path, *added: object) -> list[list[str]]:
     """Open a table, add rows (a string is a row of its characters), and return all its rows."""
-    study: Study[Any, Any] = Study("gaps", HEADER, str, tuple, lambda key, _: key, lambda row: (tuple(row), row))
-    values = StoredValues(study, path)
+    values = StoredValues(GAPS, path)
     for row in added:
         values.add(row, row)
     return [list(key) for key in values.values]
@@ -114,10 +116,37 @@ def test_code_digest_follows_every_source(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_removed_table_gets_its_heading_again(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
-    study: Study[Any, Any] = Study("gaps", HEADER, str, tuple, lambda key, _: key, lambda row: (tuple(row), row))
-    values = StoredValues(study, path)
+    values = StoredValues(GAPS, path)
     values.add("123", "123")
     # Another process with the same study has finished.
     path.unlink()
     values.add("456", "456")
     assert add_rows(path) == [["4", "5", "6"]]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no locks")
+def test_table_is_computed_by_one_command(tmp_path: Path) -> None:
+    table = tmp_path / "table.csv"
+    with GAPS.reserve(table):
+        add_rows(unfinished_file(table), "123")
+        with pytest.raises(RunError, match=r"table.csv: another command .*table.csv.kept"), GAPS.reserve(table):
+            pytest.fail("a second command started")
+        assert read_rows(unfinished_file(table), HEADER, "gaps")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("rows", [[], ["123"]])
+def test_only_stored_results_remain_after_an_interruption(tmp_path: Path, rows: list[str]) -> None:
+    with pytest.raises(KeyboardInterrupt), GAPS.reserve(tmp_path / "table.csv"):
+        add_rows(tmp_path / "table.csv.kept", *rows)
+        raise KeyboardInterrupt
+    assert len(list(tmp_path.iterdir())) == len(rows)
+
+
+def test_unfinished_file_of_other_columns_is_replaced(tmp_path: Path) -> None:
+    table = tmp_path / "table.csv"
+    unfinished_file(table).write_bytes(b"other,columns\n1,2\n")
+    with pytest.raises(RunError, match="exists"), GAPS.reserve(table):
+        pytest.fail("the study started")
+    with allow_overwriting(True), GAPS.reserve(table):
+        assert add_rows(unfinished_file(table), "123") == [["1", "2", "3"]]

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import IO
 
 from rig.core.base.errors import RecordingError, RunError
+from rig.core.base.file_lock import lock
 from rig.core.base.output_files import rename_complete, resolve_output
 
 # Number of byte strings that are joined for one write. Joining all strings would double the memory for thousands of
@@ -221,12 +222,5 @@ def remove_unfinished(path: Path, ending: str) -> None:
 
 def _lock(file: IO[bytes], path: Path) -> None:
     """Lock the file against other recorders; raise `RecordingError` if it is locked already."""
-    try:
-        import fcntl
-
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise RecordingError(f"{path}: another process is recording to it. Choose another name.") from None
-    except (ImportError, OSError):
-        # Some operating systems and disks do not support locks; the file is then not locked.
-        return
+    if not lock(file):
+        raise RecordingError(f"{path}: another process is recording to it. Choose another name.")

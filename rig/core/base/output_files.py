@@ -177,7 +177,13 @@ def _digest(text: str) -> str:
 def _is_running(process: int) -> bool:
     import psutil
 
-    return bool(psutil.pid_exists(process))
+    try:
+        # The parent of a killed process may be slow to collect its exit code.
+        return bool(psutil.Process(process).status() != psutil.STATUS_ZOMBIE)
+    except psutil.NoSuchProcess:
+        return False
+    except psutil.AccessDenied:
+        return True
 
 
 def rename_complete(temporary: Path, file: Path, overwrite: bool) -> None:

@@ -8,7 +8,9 @@ from __future__ import annotations
 import csv
 import functools
 import hashlib
+import sys
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
@@ -18,7 +20,8 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from rig.core.base.errors import RunError
-from rig.core.base.output_files import atomic_write, create_folder, csv_text
+from rig.core.base.file_lock import lock
+from rig.core.base.output_files import atomic_write, create_folder, csv_text, prepare_outputs
 from rig.core.base.progress import CountProgress
 from rig.core.base.workers import Workers
 
@@ -59,6 +62,47 @@ class Study(Generic[Piece, Value]):
     key: Callable[[Piece], Any]  # returns the identity of a piece, which includes all its inputs
     encode: Callable[[Any, Value], Sequence[object]]  # returns the table row for a key and a value
     decode: Callable[[list[str]], tuple[Any, Value]]
+
+    def is_table(self, path: Path) -> bool:
+        """Return whether a file is a table of this study, or is missing or empty."""
+        if not path.exists() or not path.stat().st_size:
+            return True
+        try:
+            read_rows(path, self.columns, self.name)
+        except RunError:
+            return False
+        return True
+
+    @contextmanager
+    def reserve(self, table: Path) -> Iterator[None]:
+        """Lock `unfinished_file` during the body, and remove it unless it contains values of an interrupted run.
+
+        Raises `RunError` if another command computes the same table, or `unfinished_file` belongs to another study and
+        may not be replaced.
+        """
+        file, is_complete = unfinished_file(table), False
+        create_folder(table.parent, RunError)
+        with ExitStack() as open_files:
+            try:
+                # Windows cannot replace an open file.
+                if sys.platform != "win32" and not lock(open_files.enter_context(file.open("ab"))):
+                    raise RunError(
+                        f"{table}: another command is computing this table, and has locked {file.name}. Wait until it "
+                        "ends, or choose another folder with -o."
+                    )
+                if not self.is_table(file):
+                    prepare_outputs(file, error_type=RunError)
+                    file.write_bytes(b"")
+            except OSError as error:
+                raise RunError(
+                    f"{file}: cannot be written ({error.strerror}). Remove it, or choose another folder with -o."
+                ) from None
+            try:
+                yield
+                is_complete = True
+            finally:
+                if is_complete or (file.exists() and not file.stat().st_size):
+                    file.unlink(missing_ok=True)
 
     def run(
         self, pieces: Sequence[Piece], table: Path | None = None, cluster: str | None = None,
@@ -115,7 +159,6 @@ class StoredValues(Generic[Piece, Value]):
             raise RunError(
                 f"{path}: cannot write this table ({error.strerror}). Choose another name or folder with -o."
             ) from None
-        self._append()
         for row in rows:
             try:
                 key, value = study.decode(row)
@@ -158,6 +201,11 @@ class StoredValues(Generic[Piece, Value]):
         if self._path is not None:
             with self._path.open("a", newline="", encoding="utf-8") as file:
                 file.write(csv_text([*([] if file.tell() else [self.study.columns]), *rows]))
+
+
+def unfinished_file(table: Path) -> Path:
+    """Return the file that stores results until a table is complete."""
+    return table.with_name(f"{table.name}.kept")
 
 
 def read_rows(path: Path, header: Sequence[str], name: str) -> list[list[str]]:

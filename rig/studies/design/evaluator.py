@@ -12,8 +12,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from rig.core.base.errors import RunError
+from rig.core.base.output_files import prepare_outputs
 from rig.core.base.progress import CountProgress
-from rig.core.base.study import StoredValues, Study
+from rig.core.base.study import StoredValues, Study, unfinished_file
 from rig.core.base.workers import Workers
 from rig.studies.design.choice import Choice, Objective, Trial
 from rig.studies.design.worst_peak import Peak
@@ -31,13 +33,18 @@ class Evaluator:
 
     `table`: CSV file with a row for each job. Workers compute the jobs that are missing in the table. Each result is
     added to the table at once. `total`: approximate number of jobs, for `progress`. Raises `RunError` if the table
-    cannot be written.
+    cannot be written, or is another file that may not be replaced.
     """
 
     def __init__(self, workers: Workers, table: Path | None, progress: CountProgress | None, total: int) -> None:
         self._workers, self._progress = workers, progress
         self._finished, self._total = 0, total
-        self._stored = StoredValues(STUDY, table)
+        self._table = self._unfinished = table
+        if table is not None and not STUDY.is_table(table):
+            # Another file that may be replaced remains until the new table is complete.
+            prepare_outputs(table, error_type=RunError)
+            self._unfinished = unfinished_file(table)
+        self._stored = StoredValues(STUDY, self._unfinished)
 
     def trial(self, objective: Objective, choice: Choice) -> Trial | None:
         """Return the trial of a choice, or None if one of its peaks is not computed yet."""
@@ -92,6 +99,8 @@ class Evaluator:
     def sort(self) -> None:
         """Sort the table, so that the file does not depend on the order in which results arrived."""
         self._stored.sort()
+        if self._table is not None and self._unfinished is not None:
+            self._unfinished.replace(self._table)
 
 
 def _compute(job: Job) -> Peak:

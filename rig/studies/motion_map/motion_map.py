@@ -238,7 +238,7 @@ def map_motion(
     report_points = (
         None if progress is None else lambda n_completed, total: progress(n_completed * row_points, total * row_points)
     )
-    points = _STUDY.run(rows, table_path, cluster, report_points)
+    points = STUDY.run(rows, table_path, cluster, report_points)
     return MotionMap(
         scene=scene,
         over=over,
@@ -303,7 +303,8 @@ def _compute(row: _Row) -> list[_Point]:
     return computed
 
 
-_STUDY: Study[_Row, list[_Point]] = Study(
+#: The rows of a map.
+STUDY: Study[_Row, list[_Point]] = Study(
     "rows of a map",
     ("row", "points"),
     _compute,

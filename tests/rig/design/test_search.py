@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 
 import rig
 from rig.core.base.errors import RunError
+from rig.core.base.output_files import allow_overwriting
 from rig.studies.design.choice import Choice, Objective, SearchSpace, Trial
 from rig.studies.design.evaluator import Evaluator
 from rig.studies.design.ranking import pareto_front
@@ -144,6 +145,25 @@ def test_killed_search_continues_with_identical_results(
         search_with(ShuffledWorkers(seed, max_tasks), resumed_table)
     assert search_with(ShuffledWorkers(seed + 1), resumed_table) == expected
     assert resumed_table.read_bytes() == uninterrupted_table.read_bytes()
+
+
+def test_other_file_remains_until_its_replacement_is_complete(tmp_path: Path) -> None:
+    objective = QuadraticOptimum((rig.load("fig9"),), (1.0,), (40.0, 60.0), (1,))
+    choices = [Choice((1,), (mass,), (1e-3,)) for mass in (0.03, 0.06)]
+    table = tmp_path / "table.csv"
+    table.write_bytes(b"mine")
+    with pytest.raises(RunError, match="exists"):
+        Evaluator(ShuffledWorkers(0), table, None, 1)  # type: ignore[arg-type]
+    with allow_overwriting(True):
+        killed = Evaluator(ShuffledWorkers(0, 1), table, None, 1)  # type: ignore[arg-type]
+        with pytest.raises(RunError, match="killed"):
+            killed.compute(objective, choices)
+        assert table.read_bytes() == b"mine"
+        resumed = Evaluator(ShuffledWorkers(0, 1), table, None, 1)  # type: ignore[arg-type]
+        resumed.compute(objective, choices)
+        resumed.sort()
+    assert len(table.read_text(encoding="utf-8").splitlines()) == 3
+    assert [file.name for file in tmp_path.iterdir()] == ["table.csv"]
 
 
 def test_trials_of_larger_mass_are_not_reused(tmp_path: Path) -> None:

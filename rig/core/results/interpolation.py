@@ -150,6 +150,11 @@ def _propagate(
         if cause.sources:
             changes = {key: np.sum(weights * change[window], axis=1) for key, change in cause.sources[0].items()}
             total = np.linalg.norm(list(changes.values()), ord=1, axis=0)
+            # The limits of large tolerances exceed their first-order changes, by about the same factor at neighbors.
+            first_order = np.linalg.norm(list(cause.sources[0].values()), ord=1, axis=0)
+            excess = np.divide(cause.deviation, first_order, out=np.ones(first_order.size), where=first_order > 0.0)
+            with np.errstate(invalid="ignore"):
+                total = total * np.sum(sizes * excess[window], axis=1) / sizes.sum(axis=1)
             return replace(cause, deviation=total, sources=(changes,))
         return replace(cause, deviation=np.sum(sizes * deviation, axis=1))
 

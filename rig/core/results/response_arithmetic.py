@@ -123,7 +123,10 @@ class ResponseArithmetic(ResponseValues):
         """
         if isinstance(frequency, str):
             frequency = number(frequency, FREQUENCY, "frequency")
-        result, needed = self._interpolated(np.atleast_1d(np.asarray(frequency, dtype=float)))
+        at = np.atleast_1d(np.asarray(frequency, dtype=float))
+        if not np.isfinite(at).all():
+            raise SceneError(f"frequency: got {frequency}; expected one or several frequencies in Hz, such as 30.5")
+        result, needed = self._interpolated(at)
         if np.isfinite(needed).any():
             raise SceneError(
                 f"{self.label or self.ratio}: the lines do not resolve the response at "

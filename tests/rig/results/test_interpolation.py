@@ -9,6 +9,7 @@ from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
 from rig.core.results.interpolation import SPACING
 from rig.core.results.response import Response, stack
+from rig.core.results.uncertainty import SENSITIVITY, UncertaintyBudget
 
 MODES = ((30.49, 0.0045, 1.0), (48.1, 0.006, -0.7), (68.5, 0.005, 0.5))
 
@@ -61,6 +62,21 @@ def test_frequency_may_have_its_unit() -> None:
     assert frf.interpolated("30.49 Hz").value == frf.interpolated(30.49).value
     with pytest.raises(SceneError, match="frequency: "):
         frf.interpolated("30.49 m")
+    with pytest.raises(SceneError, match="frequency: got None"):
+        frf.interpolated(None)  # type: ignore[arg-type]
+
+
+def test_interpolated_tolerance_is_that_of_lines() -> None:
+    lines = np.arange(20.0, 90.0, 0.3)
+    limit = 0.1 / 0.9 * abs(exact(lines))  # a reading that is 10 % too low
+    budget = UncertaintyBudget.of(
+        np.zeros(lines.size),
+        np.full(lines.size, np.inf),
+        {SENSITIVITY: limit},
+        {SENSITIVITY: {"sensor": 0.1 * exact(lines)}},
+    )
+    frf = Response.curve(lines, exact(lines), "board", uncertainty=budget).interpolated([40.1, 50.0])
+    assert frf.limits[SENSITIVITY] == pytest.approx(0.1 / 0.9 * abs(frf.value), rel=1e-3)
 
 
 @pytest.mark.parametrize("confidence", [95, 1.0, 0.0])

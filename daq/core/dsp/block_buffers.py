@@ -9,20 +9,23 @@ from rig.core.numerics.simd import LANES, aligned_zeros
 
 
 class SharedScratch:
-    """A working array for all channels, one after another; separate arrays would not stay in the processor's cache."""
+    """A working array that all channels use one after another.
+
+    Separate arrays would not stay in the processor's cache.
+    """
 
     def __init__(self) -> None:
         self._rows = aligned_zeros(0, LANES)
 
     def rows(self, count: int) -> Array:
-        """Return at least `count` rows of `LANES` numbers (those of a SIMD register) with arbitrary content."""
+        """Return at least `count` rows of `LANES` numbers (the size of a SIMD register) with arbitrary content."""
         if len(self._rows) < count:
             self._rows = aligned_zeros(count, LANES)
         return self._rows
 
 
 class Overlap:
-    """Keeps the last `length` samples of the previous block for a filter of the next block; at first they are zero.
+    """Keeps the last `length` samples of the previous block for filtering the next block; initially they are zero.
 
     >>> overlap = Overlap(2)
     >>> for block in ([1.0, 2.0, 3.0], [4.0]):

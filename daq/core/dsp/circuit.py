@@ -23,13 +23,13 @@ RECOVERY = "overload recovery"
 class Section:
     """A linear circuit ``x' = a x + b u``, ``y = c x + d u``, also given by zeros, poles and gain."""
 
-    name: str  # name in the terms of the field
+    name: str  # name of the effect, such as "low cut-off"
     # State space. Every state is a voltage, so that it can have a voltage limit.
     a: Array  # (states, states)
     b: Array  # (states,)
     c: Array  # (states,)
     d: float  # direct feedthrough
-    zeros: tuple[complex, ...]  # of the transfer function, rad/s
+    zeros: tuple[complex, ...]  # zeros of the transfer function, rad/s
     poles: tuple[complex, ...]  # rad/s
     gain: float  # factor of ``prod(s - zeros) / prod(s - poles)``
 
@@ -74,7 +74,7 @@ def integration(corner: float, gain: float) -> Section:
 
 
 def recovery(time: float) -> Section:
-    """Zero shift after an overload, which decays with a time constant in s independently of the signal."""
+    """Zero shift after an overload; it decays with a time constant in s, independently of the signal."""
     return _first_order(RECOVERY, 1.0 / time, b=0.0, c=-1.0, d=1.0, gain=1.0)
 
 
@@ -88,10 +88,10 @@ class Circuit:
     """
 
     a: Array  # state matrix; (states, states)
-    # Row i: from an input in front of section i to the states. The last row, an input after the last section, is zero;
-    # (sections + 1, states).
+    # Row i: weights in the states of an input in front of section i. The last row, for an input after the last section,
+    # is zero; (sections + 1, states).
     b: Array
-    c: Array  # from the states to the output; (states,)
+    c: Array  # weights of the states in the output; (states,)
     d: Array  # feedthrough from each of these inputs to the output; the last is 1; (sections + 1,)
     sections: tuple[int, ...]  # first state of each section, and the number of states
 

@@ -29,7 +29,7 @@ class Decimator:
         # Moments of the last intervals of the previous block; the moments of the next block follow them.
         self._history = aligned_zeros(length * self._oversampling + delay - 1, moments)
         self._moments = self._history
-        self._intervals = 0  # filtered so far
+        self._intervals = 0  # number of samples filtered so far
         self._samples = aligned_zeros(0)
 
     def moments_buffer(self, count: int) -> Array:
@@ -43,8 +43,9 @@ class Decimator:
         return self._moments[begin:]
 
     def filter(self, count: int) -> Array:
-        """Return the samples that end in the next `count` intervals (their moments: `moments_buffer`)."""
-        # Index of the first interval that ends a sample and, in `_moments`, of the first interval of its sum.
+        """Return the samples that end in the next `count` intervals, whose moments are in `moments_buffer`."""
+        # Index of the first interval that ends a sample, and index in `_moments` of the first interval of this sample's
+        # sum.
         first_end = -self._intervals % self._oversampling
         samples = max(0, -(-(count - first_end) // self._oversampling))  # rounded up
         if self._samples.size < samples + SUM_BLOCK:
@@ -58,7 +59,7 @@ class Decimator:
 def _lane_weights(taps: Array, delay: int) -> Array:
     """Return the weights of the moments in `LANES` successive samples; (intervals * moments, LANES).
 
-    `LANES` is the number of values in a processor register: these samples are computed at once.
+    `LANES` is the number of values in a processor register; this number of samples is computed at once.
     """
     oversampling, moments, _ = taps.shape
     # taps[p, :, j] are the weights of the interval that is j samples and p intervals before the sample.

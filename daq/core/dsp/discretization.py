@@ -26,7 +26,7 @@ from rig.core.numerics.simd import LANES, aligned_zeros, padded_length
 
 # Number of coarse steps in a sample interval, and of fine steps in a coarse step.
 SUBDIVISIONS = 64
-# The Taylor series is used up to this norm of the generator times a fine step.
+# Largest norm of the generator times a fine step for which the Taylor series is used.
 MAX_GENERATOR_NORM = 50.0
 # Matrix from start, end, mean and moment of a cubic (see `CubicInput`) to its value and three derivatives at the start,
 # for a segment as long as the unit of time.
@@ -71,12 +71,12 @@ class DiscreteCircuit(NamedTuple):
     coarse_exponentials: Array
     fine_exponentials: Array
     generator: Array  # rate of change of the vector; (1, size, padded size)
-    taylor_terms: int  # number of terms after which the Taylor series over 1/4096 is exact
+    taylor_terms: int  # number of terms after which the Taylor series over 1/4096 is exact within rounding
     integrals_to_moments: Array  # (integrals, integrals)
 
 
 def generator_matrix(circuit: Circuit, gain: float, rate: float, integrals: int) -> Array:
-    """Return the matrix that yields the rate of change of the propagated vector, per interval; shape (size, size).
+    """Return the matrix from the propagated vector to its rate of change per interval; shape (size, size).
 
     `gain`: V per unit of the input; `rate`: sample rate, Hz; `integrals`: number of integrals of the output.
     """
@@ -124,7 +124,7 @@ def extend_by_disturbances(
 def discretize(circuit: Circuit, gain: float, rate: float, integrals: int, entries: Sequence[Entry]) -> DiscreteCircuit:
     """Return the matrices of a circuit after a gain in V per unit of the input.
 
-    `integrals`: number of moments of the output; with 1, only its mean. Raises `SceneError` if a pole is too fast.
+    `integrals`: number of moments of the output; 1 yields only its mean. Raises `SceneError` if a pole is too fast.
     """
     states = circuit.c.size
     width = states + integrals

@@ -16,7 +16,7 @@ from rig.core.numerics.jit import unfused_kernel
 
 
 class Disturbance(Protocol):
-    """A source of a voltage for every sample, in order."""
+    """A source of disturbance voltages, one for each successive sample."""
 
     def fill(self, samples: Array) -> None:
         """Fill in the next samples, V, shape (samples,)."""
@@ -35,7 +35,7 @@ class Offset:
 
     def __init__(self, level: float, time_constant: float | None, rate: float) -> None:
         self._level = level
-        # Relative decrease per sample interval of the deviation from the final level.
+        # Relative decrease of the deviation from the final level in a sample interval.
         self._decay = 1.0 if time_constant is None else float(-np.expm1(-1.0 / (time_constant * rate)))
         self._deviation = np.array([0.0 if time_constant is None else level])
 
@@ -47,8 +47,8 @@ class Offset:
 class OffsetPolynomial:
     """A Legendre coefficient of an `Offset` over the interval before each sample, V; 0 before sample 0.
 
-    `degree`: 0 to 2. The coefficients of these degrees give the rise with an error of at most
-    (interval / time constant)^3 / 100 of the level; its mean over an interval has no error.
+    `degree`: 0 to 2. The coefficients of these degrees represent the rise with an error of at most (interval / time
+    constant)^3 / 100 of the level; the mean over an interval is exact.
 
     >>> samples = np.empty(4)
     >>> OffsetPolynomial(10.0, 2.0, 1.0, 0).fill(samples)
@@ -97,8 +97,8 @@ class Disturbances:
     """All disturbances of a channel, each a voltage times a Legendre polynomial over the interval before a sample.
 
     `direct`: direct feedthrough of each disturbance to the output; `degrees`: degrees of the polynomials;
-    `oversampling`: number of intervals in a sample interval. Of each noise, degrees 0, 1 and 2 follow one another.
-    `has_direct`: whether any feedthrough is not 0.
+    `oversampling`: number of intervals in a sample interval. The disturbances of degrees 0, 1 and 2 of each noise
+    follow one another. `has_direct`: whether any feedthrough is not 0.
     """
 
     def __init__(

@@ -2,9 +2,10 @@
 
 The simulation gives the motion at nodes: at the samples, and at breaks. A break is an instant between samples at which
 velocity or acceleration jumps. A segment extends from a node to the next node. Over a segment, acceleration is the
-cubic that matches four given values: acceleration at both ends, change of velocity, change of displacement. Its second
-integral is therefore exact at every node, and its error in between falls with the fourth power of the segment's length.
-A jump of velocity at a break is an impulse of acceleration. A force is interpolated linearly between its samples.
+cubic that matches four given values: acceleration at both ends, change of velocity, change of displacement. The second
+integral of the cubic is therefore exact at every node. Between nodes, its error falls with the fourth power of the
+segment's length. A jump of velocity at a break is an impulse of acceleration. A force is interpolated linearly between
+its samples.
 """
 
 from __future__ import annotations
@@ -41,13 +42,13 @@ class CubicInput(NamedTuple):
     interval_cubics: Array
     # Intervals with breaks: index of the interval of each segment, ascending; (segments,).
     segment_interval: NDArray[np.int64]
-    # Start, end, mean and moment of each segment; its length as a fraction of the interval; the impulse at its end
-    # divided by the sample interval; (segments, 6).
+    # For each segment: start, end, mean and moment; length as a fraction of the interval; impulse at the end divided by
+    # the sample interval; (segments, 6).
     segments: Array
 
 
 class MotionInterpolator:
-    """Interpolates the motion of points, rows of `Motion`, block after block; `rate`: samples per second."""
+    """Interpolates the motion of points (rows of `Motion`), block after block; `rate`: samples per second."""
 
     def __init__(self, rows: Sequence[int], rate: float) -> None:
         self._rows = np.array(rows, dtype=np.int64)
@@ -184,7 +185,10 @@ def _hermite_cubics(begin: Array, end: Array, lengths: Array) -> Array:
 
 
 def cubic_coefficients(start: Any, end: Any, mean: Any, moment: Any) -> tuple[Any, Any, Any]:
-    """Return the coefficients of t, t^2 and t^3 of a cubic over a segment, t from 0 to 1; that of 1 is `start`."""
+    """Return the coefficients of t, t^2 and t^3 of a cubic over a segment, t from 0 to 1.
+
+    The constant term is `start`.
+    """
     return (
         -9.0 * start + 3.0 * end - 24.0 * mean + 60.0 * moment,
         18.0 * start - 12.0 * end + 84.0 * mean - 180.0 * moment,
@@ -197,7 +201,7 @@ def parabola_moment(start: Any, end: Any, mean: Any) -> Any:
     return (start - end) / 12.0 + 0.5 * mean
 
 
-#: The same functions for kernels.
+#: The same functions, compiled for use in other compiled functions.
 cubic_coefficients_kernel = unfused_kernel(cubic_coefficients)
 _parabola_moment = unfused_kernel(parabola_moment)
 
@@ -251,7 +255,8 @@ def _describe_intervals(
 ) -> None:
     """Fill in `interval_cubics` as if no interval had breaks; then copy the block's last sample to `last`.
 
-    `at_samples`: acceleration, velocity and displacement of the point; `last`: at the sample before the block.
+    `at_samples`: acceleration, velocity and displacement of the point; `last`: their values at the sample before the
+    block.
     """
     acceleration, velocity, displacement = at_samples
     end = acceleration.size

@@ -42,9 +42,9 @@ MIN_CHECKS = 8
 # Indices of the two step sizes. Coarse steps are sufficient for an integrator; a sensor requires fine steps.
 COARSE = 0
 FINE = 1
-# Number of coarse and of fine steps per period of the fastest pole of the circuit.
+# Number of coarse steps and of fine steps per period of the fastest pole of the circuit.
 STEPS_PER_PERIOD = (32, 128)
-# Minimum number of coarse and of fine steps in an interval.
+# Minimum number of coarse steps and of fine steps in an interval.
 MIN_STEPS = (8, 32)
 # If a voltage is below this fraction of the limit at all checks, the voltage is below the limit between the checks.
 NEAR_LIMIT = float(np.cos(np.pi / CHECKS_PER_PERIOD))
@@ -63,7 +63,7 @@ class Limits(NamedTuple):
     # Each limited voltage at each check in an interval is a weighted sum of input, disturbances and states, in the
     # order of `DiscreteCircuit.state_weights`. These are the weights; (checks, 4 + disturbances + states).
     check_weights: Array
-    check_limits: Array  # if the magnitudes of these voltages are below these values, no limit is reached, V; (checks,)
+    check_limits: Array  # no limit is reached if the magnitudes of these voltages are below these values, V; (checks,)
     # If the sum of these weights times the magnitudes of input, disturbances and states is below 1, no check reaches a
     # limit; (4 + disturbances + states,).
     bound_weights: Array

@@ -16,14 +16,14 @@ from rig.core.numerics.simd import aligned_zeros, padded_length
 # Variance of uniform random numbers between -1/2 and 1/2. They represent the variation of noise within an interval. A
 # filter sums many of them, so that its output is practically normally distributed.
 _UNIFORM_VARIANCE = 1.0 / 12.0
-# Lowest frequency of 1/f noise, Hz. At lower frequencies, with periods of hours, the noise is white.
+# Lowest frequency of 1/f noise, Hz. At lower frequencies (periods of hours), the noise is white.
 LOWEST = 1e-4
 # First-order sections approximate 1/f noise if successive corner frequencies have at most this ratio.
 _MAX_CORNER_RATIO = 4.0
 
 
 def generator(seed: int, channel: str, stage: str) -> np.random.Generator:
-    """Return the random number generator of one source of noise (`stage`) of one channel.
+    """Return the random number generator of a source of noise (`stage`) of a channel.
 
     Its numbers do not depend on the other channels and settings of the scene.
 
@@ -37,7 +37,7 @@ def generator(seed: int, channel: str, stage: str) -> np.random.Generator:
 class Noise:
     """Noise with a one-sided density in V/sqrt(Hz); each sample is the mean over its sample interval.
 
-    At the corner frequency in Hz the 1/f part is as strong as the white part. Without a corner, noise is white.
+    At the corner frequency in Hz, the 1/f part is as strong as the white part. Without a corner, the noise is white.
 
     >>> source = Noise(1e-6, None, 5120.0, generator(1, "body1", "noise"))
     >>> samples = np.empty(100_000)
@@ -91,11 +91,12 @@ class FastNoise:
 def flicker_filter(corner: float, rate: float) -> tuple[Array, Array, float]:
     """Return the filter that multiplies the density of white noise by ``sqrt(1 + corner / f)``.
 
-    Returns the loss of each first-order state per sample (its pole is ``1 - loss``), its weight in the output, and the
-    gain. The 1/f spectrum is approximated by a sum of first-order low-pass spectra with logarithmically spaced corners,
-    and the filter is its spectral factor. As functions of y = 4 sin^2(pi f / rate), all spectra are rational with real
-    poles, and the sum has real zeros between the poles. The density is accurate to 0.3 % for corners up to a hundredth
-    of the rate. For corners up to twice the rate, it is accurate to 3 % below 0.45 of the rate, and to 6 % at 0.5.
+    Returns for each first-order state the loss per sample (the pole is ``1 - loss``) and the weight in the output, and
+    the gain. The 1/f spectrum is approximated by a sum of first-order low-pass spectra with logarithmically spaced
+    corners, and the filter is its spectral factor. As functions of y = 4 sin^2(pi f / rate), all spectra are rational
+    with real poles, and the sum has real zeros between the poles. The density is accurate to 0.3 % for corners up to a
+    hundredth of the rate. For corners up to twice the rate, it is accurate to 3 % below 0.45 of the rate, and to 6 % at
+    0.5.
     """
     # Imported here, because the import is slow and few scenes have 1/f noise.
     from scipy.optimize import brentq, nnls

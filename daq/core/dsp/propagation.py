@@ -26,8 +26,8 @@ class CircuitWorkspace(NamedTuple):
     """Working arrays of `propagate`."""
 
     segments: SegmentWorkspace
-    # Input, disturbances and states at the start of each interval of a stretch, and at its end; (4 + disturbances +
-    # states, STRETCH + LANES).
+    # Input, disturbances and states at the start of each interval of a stretch, and at the end of the stretch; (4 +
+    # disturbances + states, STRETCH + LANES).
     sources: Array
     magnitudes: Array  # magnitudes of `sources`
     sums: Array  # contributions to the states of a section; (2, STRETCH)
@@ -48,7 +48,7 @@ def propagate(
     cubics: CubicInput,
     discrete: DiscreteCircuit,
     limits: Limits | None,
-    state: Array,  # (states,) at the last sample; updated
+    state: Array,  # state at the last sample, updated; (states,)
     disturbances: Array,  # V; (disturbances, intervals)
     state_rows: Array,  # weights of the states in each output; (outputs, states)
     input_weights: Array,  # weight of the input in each output; (outputs,)

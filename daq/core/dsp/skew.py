@@ -48,15 +48,15 @@ def delays(skew: float | tuple[float, ...] | None, channels: int, rate: float) -
 class Delay:
     """Delays the input of a channel by a fraction (`tail_length`) of a sample interval, block after block.
 
-    Delayed interval i consists of the tail of input interval i - 1 and the head of input interval i. One cubic (see
-    `CubicInput`) describes it, whose second integral is exact at the delayed sampling instants. If one of the two input
-    intervals has breaks, segments describe the delayed interval.
+    Delayed interval i consists of the tail of input interval i - 1 and the head of input interval i. It is described by
+    one cubic (see `CubicInput`), whose second integral is exact at the delayed sampling instants. If one of the two
+    input intervals has breaks, segments describe the delayed interval.
     """
 
     def __init__(self, tail_length: float) -> None:
         self._tail_length = tail_length
         self._matrix = _delay_matrix(tail_length)
-        # The cubic of the previous input interval; the segments of its tail if it has breaks.
+        # The cubic of the previous input interval, and the segments of its tail if the interval has breaks.
         self._previous_cubic = np.zeros(4)
         self._tail = np.zeros((0, 6))
 
@@ -179,7 +179,7 @@ def _shift(
             elapsed += length
             segment += 1
         if elapsed == 0.0:
-            # A segment of length 0 identifies sample 0, at which a run begins. Before it the input is zero.
+            # A segment of length 0 identifies sample 0, at which a run begins; before it, the input is zero.
             tail[0, :LENGTH] = 0.0
             tail[0, LENGTH] = tail_length
             segment_interval[count] = i

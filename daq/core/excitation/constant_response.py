@@ -1,7 +1,8 @@
 """Response-controlled stepped sine: at each frequency, hold the amplitude of a motion and measure.
 
-Far from modes the amplitude of the drive is controlled, as in a stepped sine with constant force; near a mode its
-envelope (`envelope_control`). (T. Karaagacli, H. N. Ozguven, Mech. Syst. Signal Process. 146 (2021) 107023.)
+Far from modes, the amplitude of the drive is controlled, as in a stepped sine with constant force. Near a mode, the
+complex envelope of the drive is controlled (`envelope_control`). (T. Karaagacli, H. N. Ozguven, Mech. Syst. Signal
+Process. 146 (2021) 107023.)
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ if TYPE_CHECKING:
 
 # The first drive is this fraction of the force that moves the mass of the structure by the level.
 _FIRST_FORCE_RATIO = 0.05
-# The amplitude is controlled for at most this time, s; then the envelope is, if the mode is known by then.
+# The amplitude is controlled for at most this time, s. After it, the envelope is controlled if the mode is known.
 _AMPLITUDE_WAIT_S = 15.0
-# A remaining time shorter than this does not suffice, s.
+# No further attempt begins if the remaining time is shorter than this, s.
 _MIN_WAIT_S = 1.0
-# A drive above this fraction of the amplifier's limit is at the limit.
+# A drive above this fraction of the amplifier's limit counts as limited.
 AT_LIMIT_RATIO = 0.99
 # Number of points of a test on the bench page.
 _FORM_POINTS = 40
@@ -44,9 +45,9 @@ class HeldMotion(EnvelopeTone):
         assert quantity is not None
         super().__init__(station, test.order[0], quantity)
         self._settle, self._order, self._level, self.target = test.settle, test.held_motion[1], 0.0, 0.0
-        # Points at the limit of the amplifier, and the largest amplitude there relative to the level; Hz.
+        # Frequencies at which the amplifier is at its limit, Hz, and the largest amplitude there relative to the level.
         self.limited: dict[float, float] = {}
-        # Open-loop growth (1/s) and dead time (s) of orbits that the control lost.
+        # Open-loop growth rate (1/s) and dead time (s) of the orbits that the control lost.
         self.lost: list[tuple[float, float]] = []
 
     def start(self, level: float) -> float:
@@ -60,13 +61,13 @@ class HeldMotion(EnvelopeTone):
         return min(super().start(1.0) * force, self.station.drive_limit)
 
     def _displacement(self, frequency: float) -> float:
-        """Return the displacement at the level, m."""
+        """Return the displacement amplitude that corresponds to the level, m."""
         return float(self._level / (2.0 * np.pi * frequency) ** self._order)
 
     def settle(
         self, frequency: float, drive: float, tolerance: float, max_wait_s: float
     ) -> Generator[Array, Array, bool]:
-        """Change to a frequency in Hz and bring the motion to the level; return whether it did."""
+        """Change to a frequency in Hz and bring the motion to the level; return whether the level was reached."""
         self.target = self._displacement(frequency)
         settled, end = False, self.station.now + max_wait_s * self.rate
         while not settled and (remaining_s := (end - self.station.now) / self.rate) > _MIN_WAIT_S:

@@ -2,16 +2,17 @@
 
 A resonance curve of a nonlinear structure can turn back in frequency (fold). Between two folds the motion is unstable
 at constant force, and an open-loop test jumps past it. Here feedback holds the displacement amplitude
-(`envelope_control`). In steady state its drive is constant, so that the held motion is also a motion at constant force.
+(`envelope_control`). In steady state the drive of the feedback is constant, so that the held motion is also a motion at
+constant force.
 
 A point of the curve has two unknowns, frequency and displacement amplitude, and one equation: the measured force equals
-the level. The next point is predicted along the curve from the last two chords. Holds at points on the normal to this
-direction, by the secant method, correct it until the force is right.
+the level. The next point is predicted along the curve from the last two chords. It is corrected by the secant method:
+the motion is held at points on the normal to this direction until the force equals the level.
 
 Distances along the curve are relative changes of the response: the change of the angular frequency divided by |l|, and
-that of the logarithm of the amplitude. l is the pole of the nearest mode relative to the frequency of the tone, 1/s.
-(J. Sieber et al., Phys. Rev. Lett. 100 (2008) 244101; L. Renson, D. A. W. Barton, S. A. Neild, Int. J. Bifurc. Chaos 27
-(2017) 1730002.)
+the change of the logarithm of the amplitude. l is the pole of the nearest mode minus the imaginary angular frequency of
+the tone, 1/s. (J. Sieber et al., Phys. Rev. Lett. 100 (2008) 244101; L. Renson, D. A. W. Barton, S. A. Neild, Int. J.
+Bifurc. Chaos 27 (2017) 1730002.)
 """
 
 from __future__ import annotations
@@ -46,26 +47,28 @@ if TYPE_CHECKING:
     from rig.core.scene.excitation.kind import KindOfTest
     from rig.core.scene.scene import Scene
 
-# Feedback starts where the product of |l| and dead time is below this fraction of its limit, and stops above the limit.
+# Feedback starts where the product of |l| and dead time is below this fraction of its stability limit, and stops above
+# the limit.
 _BEGIN_RATIO = 0.8
 # The input gain is estimated from this number of points measured without feedback.
 _FLANK_POINTS = 3
 # Largest relative deviation of the force from the level.
 _TOLERANCE = 0.002
-# Largest number of holds that correct a point with feedback, and of drives of a point without feedback.
+# Largest number of holds to correct a point with feedback, and of drives to correct a point without feedback.
 _MAX_CORRECTIONS = 8
-# Smallest assumed slope of ln(force) along the normal: it limits the distance of the next hold.
+# Smallest assumed slope of ln(force) along the normal; it limits the distance to the next hold.
 _MIN_SLOPE = 0.05
-# A step that fails is repeated with this fraction of its length, down to the smallest fraction.
+# A failed step is repeated with this fraction of its length, down to the smallest fraction of `test.step`.
 _SHORTER = 0.5
 _SHORTEST = 1.0 / 16.0
-# A step with feedback that turns by more than this angle from the last one is repeated with a shorter length, rad, down
-# to this fraction: over shorter steps, the direction is that of the noise.
+# A step with feedback whose direction differs by more than this angle, rad, from that of the last step is repeated with
+# a shorter length, down to this fraction: the direction of shorter steps is determined by noise.
 _MAX_TURN = 0.5
 _SHORTEST_TURN = 0.25
-# The frequency changes by at most this fraction of the band, and by half of that before the mode is known.
+# The frequency changes in a step by at most this fraction of the band, and by half of the fraction before the mode is
+# known.
 _MAX_BAND_RATIO = 0.05
-# A change of the frequency by less than this number of periods per dead time is made within one window.
+# A change of the frequency (in Hz) of less than this number divided by the dead time (in s) is made within one window.
 _SMALL_TURN = 0.05
 # Without feedback, a response that changes by more than this factor has jumped to another branch.
 _JUMP_RATIO = 2.0
@@ -78,18 +81,18 @@ class Point(NamedTuple):
 
     frequency: float  # Hz
     motion: float  # displacement amplitude, m
-    level: float  # amplitude of force or drive
+    level: float  # amplitude of the force or drive
     pole: complex  # of the mode relative to the tone, 1/s; 0 before it is known
 
 
 class Lost(Exception):
-    """The curve was lost, for the stated reason."""
+    """The controller lost the curve, for the stated reason."""
 
 
 class _CurveTone(EnvelopeTone):
     """A tone that settles at points of a curve."""
 
-    # The shorter the windows, the faster an unstable motion may grow.
+    # Shorter windows permit control of unstable motions that grow faster.
     periods = 2.0
 
     def __init__(self, station: Station, test: Continuation) -> None:
@@ -102,7 +105,7 @@ class _CurveTone(EnvelopeTone):
     def forget_mode(self) -> None:
         """Discard the model of the mode."""
         super().forget_mode()
-        self._flank = deque[tuple[float, complex]](maxlen=_FLANK_POINTS)  # angular frequency and X / U of points
+        self._flank = deque[tuple[float, complex]](maxlen=_FLANK_POINTS)  # angular frequency and ratio X / U of points
 
     def _add(self, motion: complex, drive: complex, samples: int) -> None:
         """Do nothing: the mode depends on the amplitude, so that transients do not determine it (see `_learn_gain`)."""
@@ -126,7 +129,7 @@ class _CurveTone(EnvelopeTone):
         return level if self._force is None else level * self.station.cautious_drive
 
     def amplitudes(self, readings: Array, phase: float) -> ComplexArray:
-        """Return the complex amplitudes in a window, and store that of the force."""
+        """Return the complex amplitudes in a window, and store the amplitude of the force."""
         if self._force is not None:
             amplitudes = lock_in(readings, self.frequency, self.rate, phase)
             self._forces.append(float(abs(self._force.weights(self.frequency) @ amplitudes)))
@@ -166,12 +169,12 @@ class _CurveTone(EnvelopeTone):
         return self.point() if settled else None
 
     def is_holdable(self, point: Point, ratio: float) -> bool:
-        """Return whether feedback is stable at a point: |l| times the dead time is below this fraction of its limit."""
+        """Return whether |l| times the dead time at a point is below a fraction of its stability limit."""
         return 0.0 < abs(point.pole) * self.dead_time <= ratio * MAX_POLE_TIMES_DEAD_TIME
 
 
 class _Curve:
-    """The curve of a level: its points so far, and the steps from one to the next."""
+    """The curve of a level: its points so far, and the steps from point to point."""
 
     def __init__(self, station: Station, test: Continuation, tone: _CurveTone, level: float) -> None:
         self._station, self._test, self._tone, self._level = station, test, tone, level
@@ -284,13 +287,13 @@ class _Curve:
     def _held(self, length: float) -> Generator[Array, Array, Point | None]:
         """Measure the next point along the curve with feedback; return None if the corrections do not converge."""
         last, direction = self.points[-1], complex(*self._tangent)
-        # The next chord turns as much as the last one, for the distance of their centers.
+        # The next chord is assumed to turn as much as the last chord, in proportion to the distance of their centers.
         direction *= cmath.exp(0.5j * self._bend * (self._chord + length))
         along, up = direction.real, direction.imag
         rate = self._rate(last)
-        # Expected slope of ln(force) along the normal, from those over w / |l| and over ln |X|. The former is that of a
-        # mode. The latter is 1 for a mode; where the curve is steep, it follows from the tangent, on which the force is
-        # constant.
+        # Expected slope of ln(force) along the normal, from its slopes over w / |l| and over ln |X|. The slope over w /
+        # |l| is that of a mode. The slope over ln |X| is 1 for a mode; where the curve is steep, it follows from the
+        # tangent, along which the force is constant.
         over_frequency = -last.pole.imag / abs(last.pole)
         over_motion = -over_frequency * along / up if abs(up) > 0.5 else 1.0
         slope = over_motion * along - over_frequency * up
@@ -313,13 +316,16 @@ class _Curve:
         return None
 
     def _turn(self, point: Point) -> float:
-        """Return the angle from the last chord to that to a new point, rad."""
+        """Return the angle from the last chord to the chord to a new point, rad."""
         x, y = self._scaled(self.points[-1], point)
         along, up = self._tangent
         return math.atan2(along * y - up * x, along * x + up * y)
 
     def _growth(self) -> Generator[Array, Array, float]:
-        """Return the rate at which the motion leaves the last point without feedback, 1/s; 0 if it is not reached."""
+        """Return the rate at which the motion leaves the last point without feedback, 1/s.
+
+        The result is 0 if the point is not reached.
+        """
         last = self.points[-1]
         if (yield from self._tone.hold_at(last.frequency, last.motion)) is None:
             return 0.0
@@ -327,13 +333,16 @@ class _Curve:
         return (yield from self._tone.hold_envelope(samples, last.motion, feedback=False)).growth
 
     def _limitation(self) -> str:
-        """Describe that the amplifier limits the drive; empty if it does not."""
+        """Describe that the amplifier limits the drive; empty if the drive is below the limit."""
         if self._tone.amplitude < AT_LIMIT_RATIO * self._station.drive_limit:
             return ""
         return f"the amplifier is at its limit at {self._tone.frequency:.4g} Hz. Lower the level"
 
     def _reason(self, growth: float = 0.0) -> str:
-        """Describe why no further point was measured; `growth`: of the last motion without feedback, 1/s."""
+        """Describe why no further point was measured.
+
+        `growth`: growth rate of the last motion without feedback, 1/s.
+        """
         if limitation := self._limitation():
             return limitation
         if not self.points:
@@ -358,9 +367,9 @@ class _Curve:
 
 
 def _next_position(visited: Sequence[tuple[float, float]], slope: float, length: float) -> float | None:
-    """Return the next position along a normal by the secant method; None if the curve is farther than the length.
+    """Return the next position along a normal by the secant method; None if the curve is farther away than `length`.
 
-    `visited`: pairs of position and error, in the order of the measurements; `slope`: expected one of the error.
+    `visited`: pairs of position and error, in the order of the measurements; `slope`: expected slope of the error.
     """
     position, error = visited[-1]
     if len(visited) > 1:
@@ -370,7 +379,8 @@ def _next_position(visited: Sequence[tuple[float, float]], slope: float, length:
     ordered = sorted(visited)
     for (low, before), (high, after) in pairwise(ordered):
         if before * after < 0.0:
-            # The curve lies between; where it is not smooth, the secant can lead out of the interval.
+            # The curve lies between the two positions. Where the error is not smooth, the secant can leave this
+            # interval.
             return candidate if low < candidate < high else (low + high) / 2.0
     return None if any(candidate == other for other, _ in visited) else candidate
 
@@ -404,7 +414,7 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
         return excite(station, test)
 
     def waits(self, test: Continuation, scene: Scene) -> float:
-        """Return the expected time of all points, s: those of the linear modes in the band."""
+        """Return the expected time of all points, s; the number of points follows from the linear modes in the band."""
         from rig.core.system.structural_model import structural_model
 
         modes, count = structural_model(scene).modes, 1.0

@@ -11,7 +11,7 @@ from daq.core.excitation.station import Station
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
 
-# The names of both quantities in messages, and what to give if no channel measures them.
+# The names of both quantities in messages, and the alternative settings if no channel measures them.
 _FORCE = "the spring force k0 (x0 - x1)", "test.drive instead of test.force (open loop)"
 _MOTION = "the motion", "a test of kind stepped_sine"
 

@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
 
-# Recording time before the first impact, s, which shows offsets and noise.
+# Recording time before the first impact, s; it shows offsets and noise.
 BASELINE_S = 0.25
 # Length of the windows in which the drive is output, s.
 _WINDOW_S = 0.1
-# Maximum wait for the settling of sensors, in time constants and in s.
+# Maximum wait for the settling of sensors, in time constants and in s; the shorter wait applies.
 _MAX_TIME_CONSTANTS, _MAX_SETTLING_S = 10.0, 60.0
 # Length of the window in which a drift is detected, s.
 _DRIFT_WINDOW_S = 0.5
@@ -42,7 +42,7 @@ def excite(station: Station, test: Impulse) -> Excitation:
         force = np.zeros(interval)
         force[: pulse.size] = pulse
         first = station.now
-        # The first window contains the whole pulse, so that it is marked immediately after its end.
+        # The first window contains the whole pulse, so that the pulse is marked immediately after its end.
         edges = [0, *range(max(window, pulse.size), interval, window), interval]
         for start, stop in pairwise(edges):
             yield station.drive(force[start:stop], "hammer")
@@ -83,8 +83,8 @@ def settling_time(info: ChannelInfo) -> float:
     bias_settling = next(
         (parse(text, TIME) for key, text in info.sensor.items() if key.endswith(".bias_settling")), 0.0
     )
-    # The step at power-on decays with the poles of the high-pass filters. There are as many as zeros
-    # at 0 Hz, and they are the slowest poles.
+    # The step at power-on decays with the poles of the high-pass filters. These are the slowest poles; their number
+    # equals the number of zeros at 0 Hz.
     high_pass_rates = sorted(abs(pole.real) for pole in info.poles if pole)[: sum(zero == 0 for zero in info.zeros)]
     return min(_MAX_TIME_CONSTANTS * (bias_settling + sum(1.0 / rate for rate in high_pass_rates)), _MAX_SETTLING_S)
 
@@ -104,7 +104,7 @@ def _is_drifting(readings: Array) -> bool:
 def _with_hits(test: Impulse, repeats: int, interval: float) -> Impulse:
     """Return the test with another number of impacts and interval between them, s; missing impacts do not bounce.
 
-    If impacts are missing, all have the highest peak.
+    If impacts are missing, all remaining impacts have the highest peak.
     """
     peak = test.peak if repeats == test.repeats else max(test.levels)
     double_hit = test.double_hit
@@ -129,7 +129,7 @@ class ImpulseProcedure(Procedure["Impulse"]):
         return BASELINE_S + max((settling_time(info) for info in channels), default=0.0)
 
     def part(self, test: Impulse, seconds: float, scene: Scene) -> Impulse:
-        """Return the test with the first impacts, as many as fit into `seconds`, at least one; later ones are equal."""
+        """Return the test with as many impacts as fit into `seconds`, at least one; the omitted impacts are equal."""
         delay = 0.0 if test.double_hit is None else test.double_hit.after
         interval = test.interval if test.interval < seconds else max(seconds, 2.0 * (test.width + delay))
         return _with_hits(test, max(1, int(seconds / test.interval)), interval)

@@ -34,7 +34,7 @@ _TOLERANCE = 1e-4
 # Maximum wait for the steady state, s and periods; the longer of the two applies.
 _MAX_WAIT_S = 60.0
 _MAX_WAIT_PERIODS = 8
-# Expected duration of the iterations that shape the drive of a controlled force, s.
+# Expected duration of the iterations that shape the drive for a controlled force, s.
 _EQUALIZING_S = 8.0
 # If the difference of successive periods exceeds this multiple of the smallest earlier difference, the difference is
 # noise, not a transient.
@@ -64,7 +64,7 @@ def excite(station: Station, test: Multisine) -> Excitation:
                 [sum_of_tones(lines, amplitudes, phase + phase_step * k, period) for k, phase in enumerate(phases)]
             )
             factor = min(limit_factor(station, wave) for wave in waves)
-            experiment_fields: dict[str, object] = {}  # of the marker
+            experiment_fields: dict[str, object] = {}  # fields of the marker
             message = f"realization {realisation} of {test.realisations}"
             if len(shakers) > 1:
                 experiment_fields = {"experiment": experiment, "shakers": list(shakers)}
@@ -102,7 +102,7 @@ def excite(station: Station, test: Multisine) -> Excitation:
 
 
 def _settle(station: Station, waves: Array) -> Generator[Array, Array, bool]:
-    """Output periods until successive readings agree, or differ only by noise; return whether this was reached."""
+    """Output periods until successive readings agree or differ only by noise; return whether they do."""
     end = station.now + _max_wait(station, waves.shape[1])
     previous = yield station.drives(waves)
     min_change, noise_count = np.inf, 0
@@ -128,7 +128,7 @@ def _max_wait(station: Station, period: int) -> int:
 class MultisineProcedure(Procedure["Multisine"]):
     """A periodic sum of tones."""
 
-    # The extremes in a part of the test vary by 10 % from part to part.
+    # The extremes of different parts of the test differ by about 10 %.
     budget = 4.0
 
     def excite(self, station: Station, test: Multisine) -> Excitation:
@@ -143,7 +143,7 @@ class MultisineProcedure(Procedure["Multisine"]):
 
     def waits(self, test: Multisine, scene: Scene) -> float:
         """Return the expected time of crossfades and waits for periodic responses, s."""
-        # Each realization takes 3 periods more: a crossfade, and at least two until successive periods agree.
+        # Each realization takes three further periods: a crossfade, and at least two until successive periods agree.
         return 3.0 * test.realisations * test.period_s + (_EQUALIZING_S if scene.controlled_terms else 0.0)
 
     def stored(self, test: Multisine) -> float:

@@ -26,15 +26,16 @@ if TYPE_CHECKING:
     from rig.core.scene.excitation.kind import KindOfTest
     from rig.core.scene.scene import Scene
 
-# The phase is locked if it is within the tolerance in this number of windows, over which the frequency is averaged.
+# The phase is locked if it is within the tolerance in this number of successive windows. The frequency is averaged over
+# these windows.
 _LOCKED_WINDOWS = 8
-# The phase is locked if its mean deviates by less than this fraction of the tolerance.
+# In addition, the mean phase must deviate by less than this fraction of the tolerance.
 _LOCKED_RATIO = 0.7
-# Largest number of locks of a level: the phase can leave the tolerance while the frequency is constant.
+# Largest number of locks at a level: the phase can leave the tolerance again while the frequency is constant.
 _MAX_LOCKS = 4
-# Largest number of changes of the drive of a level.
+# Largest number of changes of the drive at a level.
 _MAX_DRIVES = 12
-# Smallest force, counts of the converter, whose phase is determined.
+# Smallest force whose phase is determined, counts of the converter.
 _MIN_COUNTS = 2.0
 # The expected wait at a level, periods, measured with the bundled scenes.
 _PERIODS_OF_LOCK = 400.0
@@ -70,7 +71,7 @@ class _PhaseTone(SteadyTone):
     def lock(self) -> Generator[Array, Array, tuple[bool, complex]]:
         """Control the frequency until the phase is locked and the motion is steady.
 
-        Returns whether it is, and the amplitude of the force. At the end the frequency is constant.
+        Returns whether both hold, and the amplitude of the force. At the end the frequency is constant.
         """
         detector, test = Settling(self._test.settle.tolerance), self._test
         windows, frequencies = deque[_Window](maxlen=_LOCKED_WINDOWS), deque[float](maxlen=_LOCKED_WINDOWS)
@@ -82,7 +83,8 @@ class _PhaseTone(SteadyTone):
             windows.append(window)
             frequencies.append(self.frequency)
             if window.force:
-                # The phase of the amplitudes is that of a tone whose frequency changes: only the ratio is steady.
+                # The frequency of the tone changes, so the phases of the amplitudes change; only the ratio of the
+                # amplitudes is steady.
                 detector.add(np.array([window.motion / window.force * abs(window.force), abs(window.force) + 0j]))
             mean_error = float(np.mean([loop.error(each.phase) for each in windows]))
             if (

@@ -41,8 +41,8 @@ class FormValues:
 class Form:
     """How the bench page offers a kind of test.
 
-    `fields`: names of the `FormValues` of the test; without any, the page offers the test of the scene unchanged.
-    `adjustable`: the operator can change frequency and level of a tone while it runs.
+    `fields`: names of the `FormValues` of the test; without fields, the page offers the test of the scene unchanged.
+    `adjustable`: the operator can change frequency and level of the tone during the test.
     """
 
     title: str
@@ -53,11 +53,11 @@ class Form:
 class Procedure(Generic[TestT]):
     """The procedure of a kind of test; subclasses override what differs from a drive of fixed duration.
 
-    `detection`: what an import searches in the samples: impacts, steps of constant frequency, the start of a decay, or
-    only the band of the test. `rehearsal`: whether a long test is represented by its first part, or by steps about the
-    peaks of the linear response. `budget`: multiple of the CPU time for a rehearsal. `duration_ratio`: ratio by which
-    the duration may differ from `seconds`; more than 1 if the waits at other levels or points differ from those of the
-    part. `form`: how the bench page offers the test; None if it does not.
+    `detection`: the features that an import detects in the samples: impacts, steps of constant frequency, the start of
+    a decay, or only the band of the test. `rehearsal`: whether a long test is represented by its first part, or by
+    steps about the peaks of the linear response. `budget`: multiple of the CPU time for a rehearsal. `duration_ratio`:
+    ratio by which the duration may differ from `seconds`; more than 1 if the waits at other levels or points differ
+    from the waits in the part. `form`: form of the test on the bench page; None if the page does not offer it.
     """
 
     detection: ClassVar[Literal["hits", "steps", "start", "band"]] = "band"
@@ -83,14 +83,14 @@ class Procedure(Generic[TestT]):
         return [(0.0, test.shortest, {})]
 
     def check(self, test: TestT, scene: Scene, channels: Sequence[ChannelInfo]) -> Iterable[str]:
-        """Return lines about the test that follow from the scene before it runs; `channels`: those of the bench."""
+        """Return lines of text that follow from the scene before the test runs; `channels`: channels of the bench."""
         return ()
 
     def noise_gain(self, test: TestT, frequency: Array) -> Array | None:
         """Return the ratio of amplitude to noise of a measurement for a level and a noise density of 1, sqrt(s).
 
-        The noise density is per sqrt(Hz); `frequency`: any frequencies, also others than those of the test, Hz, shape
-        (n,), as the result. None if it is not defined.
+        The noise density is per sqrt(Hz). `frequency`: frequencies in Hz, in the test or not; shape (n,), like the
+        result. None if the ratio is not defined for this kind of test.
         """
         return None
 
@@ -115,7 +115,7 @@ class Procedure(Generic[TestT]):
         return test.replace(duration=min(test.shortest, seconds))
 
     def extension(self, test: TestT, seconds: float) -> float:
-        """Return the ratio of the largest value in the whole test to that in its first `seconds`."""
+        """Return the ratio of the largest value in the whole test to the largest value in its first `seconds`."""
         return 1.0
 
     def seconds(self, test: TestT, part: TestT, part_seconds: float) -> float:
@@ -127,7 +127,7 @@ class Procedure(Generic[TestT]):
         return 5
 
     def frequency_at(self, test: TestT, fraction: float) -> float | None:
-        """Return the frequency of the tone at a fraction, 0 to 1, of the measurement, Hz; None if it is marked."""
+        """Return the frequency of the tone at a fraction, 0 to 1, of the measurement, Hz; None if markers state it."""
         return None
 
     def from_form(self, values: FormValues, test: KindOfTest | None) -> KindOfTest | dict[str, Any]:

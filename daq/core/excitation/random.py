@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 # Length of the shaping filter, s; its frequency resolution is therefore 0.25 Hz.
 _FILTER_S = 4.0
-# Length of a block, s; it contains one burst.
+# Length of a block, s; a block contains one burst.
 _BLOCK_S = 8.0
-# Duration of the rise at the start, and of the fall at the end, of a burst and of the test, s.
+# Duration of the rise at the start and of the fall at the end of a burst, and of the test, s.
 _EDGE_S = 0.02
 
 
@@ -117,7 +117,7 @@ def _burst_envelope(block: int, burst: float | None, edge: int) -> Array:
 class RandomProcedure(Procedure["Random"]):
     """Gaussian noise in a band."""
 
-    # The extremes in a part of the test vary by 10 % from part to part.
+    # The extremes of different parts of the test differ by about 10 %.
     budget = 4.0
     form = Form("random", ("level", "low", "high", "duration"))
 

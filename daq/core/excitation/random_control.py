@@ -1,4 +1,4 @@
-"""Random test with profile control: noise at rising levels, whose spectrum is corrected from averaged densities.
+"""Random test with profile control: noise at rising levels; its spectrum is corrected from averaged densities.
 
 The terms are those of IEC 60068-2-64. Limits of other channels reduce the drive in their bands (notching).
 """
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
 
-# Number of averaged spectra of the first update of a level, and of the levels of the ramp.
+# Number of averaged spectra for the first update at a level, and for the levels of the ramp.
 _FIRST_AVERAGES = 16
 # The ramp continues when this fraction of the lines is within the tolerance.
 _MIN_WITHIN = 0.9
@@ -37,7 +37,7 @@ _SIGMAS = 2.0
 
 
 class SpectrumControl:
-    """Drive density of a test, and its corrections; all densities are those at full level."""
+    """Drive density of a test, and its corrections; all densities refer to the full level."""
 
     def __init__(self, station: Station, test: RandomControl) -> None:
         self.station, self.test, rate = station, test, station.rate
@@ -74,7 +74,7 @@ class SpectrumControl:
             )
 
     def run(self, level: float, averages: int) -> Generator[Array, Array, Array]:
-        """Output noise at a level in dB for a number of spectra; return the densities at full level."""
+        """Output noise at a level in dB for a number of spectra; return the densities, scaled to full level."""
         gain = 10.0 ** (level / 10.0)
         rms = float(np.sqrt(np.sum(self.drive) * gain * self.station.rate / self.period))
         limit = min(self.test.clip * rms, self.station.output_limit)
@@ -168,7 +168,7 @@ def _step(control: SpectrumControl, level: float, averages: int) -> Generator[Ar
 class RandomControlProcedure(Procedure["RandomControl"]):
     """Noise with profile control."""
 
-    # The extremes in a part of the test vary by 10 % from part to part.
+    # The extremes of different parts of the test differ by about 10 %.
     budget = 4.0
     form = Form("random control of the scene", ())
 

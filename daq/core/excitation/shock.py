@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
 
-# Number of practice pulses after which the test gives up, if the scene does not give more.
+# The test gives up after this number of practice pulses, unless the scene specifies more.
 _MAX_PRACTICE = 3
 # Highest frequency of the drive, as a fraction of the sample rate.
 _BAND_RATIO = 0.4
 # Smallest number of samples in a half sine.
 _MIN_SAMPLES = 6
-# Time without drive after the last pulse, as a fraction of the interval.
+# Time without drive after the last pulse, as a fraction of the interval between pulses.
 _REST = 0.25
 
 
@@ -125,7 +125,7 @@ class ShockProcedure(Procedure["Shock"]):
         return test.interval
 
     def part(self, test: Shock, seconds: float, scene: Scene) -> Shock:
-        """Return the test with one shock: all are equal."""
+        """Return the test with one shock: all shocks are equal."""
         return test.replace(repeats=1)
 
 

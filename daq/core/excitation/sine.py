@@ -45,7 +45,7 @@ def excite(station: Station, test: Sine) -> Excitation:
         yield from tone.measure(station.samples(test.duration), settled, fields)
         yield tone.end()
         return
-    # Open loop: the level is the amplitude of the drive.
+    # In open loop, the level is the amplitude of the drive.
     tone.amplitude = level
     detector = Settling(_TOLERANCE)
     window = whole_periods(test.frequency, station.rate, WINDOW_S)

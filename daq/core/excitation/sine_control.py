@@ -43,22 +43,24 @@ if TYPE_CHECKING:
 
 # The drive changes at the earliest after this number of samples.
 _MIN_WINDOW_SAMPLES = 4
-# Largest change of the logarithmic drive per gain: steps down are larger than steps up.
+# Largest decrease and increase of the logarithmic drive, divided by the gain: steps down are larger than steps up.
 _MAX_DECREASE, _MAX_INCREASE = log(4.0), log(1.5)
 # Period of the identification, s and periods of the lowest frequency.
 _IDENTIFICATION_S, _IDENTIFICATION_PERIODS = 2.0, 8.0
-# Outside the band, the identification ends at this fraction of the sample rate: the converter's filter begins above.
+# Above the band, the identification ends at this fraction of the sample rate: the converter's filter attenuates higher
+# frequencies.
 _HIGHEST_RATIO = 0.45
-# The sweep begins when the amplitudes have been within this tolerance, dB, for a number of windows, and at the latest
-# after this time, s.
+# The sweep begins when the amplitudes have been within this tolerance, dB, for this number of windows, and at the
+# latest after this time, s.
 _START_DB, _START_WINDOWS, _MAX_START_S = 0.5, 6, 30.0
 # Time in which the drive rises at the start and falls at the end, s.
 _RISE_S = 0.25
-# An oscillation of the logarithmic error above this reduces the gain by a factor; it recovers with a power.
+# If the logarithmic error changes sign and by more than this value, the gain is multiplied by this factor. Otherwise,
+# the total reduction recovers by this exponent.
 _OSCILLATION, _REDUCTION, _RECOVERY = 0.05, 0.7, 0.95
 # The smallest factor.
 _SMALLEST = 0.02
-# An error above this fraction of the last swing is a swing.
+# An error above this fraction of the last swing counts as the next swing.
 _MIN_SWING = 0.25
 # CPU time of each period, s, measured on one core of 2 GHz.
 _PERIOD_CPU_S = 0.3e-3
@@ -70,7 +72,7 @@ class Observation(NamedTuple):
     first: int
     stop: int
     frequency: float  # Hz
-    deviation: float  # of the control from the profile, dB
+    deviation: float  # deviation of the control channels from the profile, dB
     limiting: int  # index of the limit that determines the drive; -1: the profile
 
 
@@ -114,7 +116,8 @@ class SineSweep:
         self._recent, self._phases = np.zeros((len(self.rows), 0)), np.zeros(0)
         self.limited = False  # whether the output limited the drive
         self._caution = Caution()
-        # Frequencies of the identification, Hz, and the drives that profile and limits require there, one row each.
+        # Frequencies of the identification, Hz, and the drives that the profile and each limit require there, a row
+        # each.
         self._frequencies, self._required = np.ones(1), np.ones((1 + len(test.limits), 1))
 
     def first_drive(self, found: Identified, period: int) -> float:
@@ -144,11 +147,14 @@ class SineSweep:
         self._phases = np.concatenate([self._phases, phase[:-1]])[-length:]
 
     def observe(self, frequency: float) -> Array | None:
-        """Return the amplitudes of the accelerations in the last periods, m/s^2; None if they are not complete."""
+        """Return the amplitudes of the accelerations in the last periods, m/s^2.
+
+        The result is None until enough periods are available.
+        """
         length, latency = _observation_samples(frequency, self.station.rate), self.station.latency
         if self._phases.size < length + latency:
             return None
-        # The readings are earlier than the drive.
+        # The readings are earlier than the drive by the latency.
         phases = self._phases[self._phases.size - length - latency : self._phases.size - latency]
         amplitudes = estimate_amplitudes(self._recent[:, -length:], phases, self.station.rate)[0]
         return np.array([
@@ -184,7 +190,7 @@ class SineSweep:
 
 
 def excite(station: Station, test: SineControl) -> Excitation:
-    """Run the sweep; it is marked `measure`, its deviations `tolerance`, and the bands of the limits `notch`."""
+    """Run the sweep. Markers: `measure` for the sweep, `tolerance` for deviations, `notch` for bands of the limits."""
     warning = check_sweep(test, station.scene, station.channels, station.latency / station.rate).warning
     if warning:
         station.warn(warning)
@@ -194,7 +200,7 @@ def excite(station: Station, test: SineControl) -> Excitation:
     lines = lines_between(low, highest, period, station.rate)
     frequency = lines * station.rate / period
     inside = in_band(test, frequency)
-    # Together, the tones in the band are as large as the profile.
+    # The sum of the tones in the band is as large as the profile.
     required = np.where(inside, test.profile.at(frequency), 0.0) / np.sqrt(np.sum(inside))
     largest = [np.nanmin(limit.at(frequency[inside]), initial=np.inf) / np.sqrt(2.0) for limit in test.limits]
     limits = np.array(

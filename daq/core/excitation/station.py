@@ -47,7 +47,7 @@ class Station:
     now: int = 0  # index of the first sample of the next window
 
     def samples(self, seconds: float) -> int:
-        """Return the nearest number of samples in a time, at least 1."""
+        """Return the number of samples in a time in s, rounded, at least 1."""
         return max(1, round(seconds * self.rate))
 
     def generator(self, purpose: str) -> np.random.Generator:
@@ -120,7 +120,10 @@ class Station:
         return min(self.drive_limit, volts * DRIVE_PER_VOLT[shaker.drive_unit])
 
     def check_output(self, drive: float, requiring: str, remedy: str) -> None:
-        """Raise `GivenUp` if a drive exceeds `output_limit`; `requiring`: what requires the drive."""
+        """Raise `GivenUp` if a drive exceeds `output_limit`.
+
+        `requiring`: subject of the message, which requires the drive.
+        """
         shaker = self.scene.driven_shaker
         assert shaker is not None
         if drive > self.output_limit:

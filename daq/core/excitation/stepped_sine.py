@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 SteadyT = TypeVar("SteadyT", bound="SteppedTest | PhaseResonance | Continuation")
 StepsT = TypeVar("StepsT", bound="SteppedTest")
 
-# The drive is extrapolated by at most this, as the natural logarithm of its ratio.
+# The drive is extrapolated by at most this natural logarithm of its ratio to the last drive.
 _MAX_LOG_CHANGE = 0.2
 # The wait at a step (one tone) has this fixed part, s, measured with the bundled scenes.
 _FIXED_WAIT_S = 1.4

@@ -3,9 +3,9 @@
 In sweeps from 10 to 55 Hz (one body: to 40 Hz) in 60 to 300 s, up or down, the force stays within 5 % of its level
 through modes with damping ratios of 0.5 to 2 %, and within 10 % for a table without damping. With dampers it stays
 within 10 %, except for at most 1 % of the time, when their motion jumps or becomes irregular, or in the first second,
-before a mode near the first frequency is identified. Deviations above 10 % have a ``level`` marker, and the run warns
-of them. Sweeps from 10 to 55 Hz in 20 s have larger deviations at some frequencies, because the time before a resonance
-then contains fewer periods than the identification of its mode requires.
+before a mode near the first frequency is identified. Deviations above 10 % have a ``level`` marker, and the run reports
+them in a warning. Sweeps from 10 to 55 Hz in 20 s have larger deviations at some frequencies, because the time before a
+resonance then contains fewer periods than the identification of its mode requires.
 """
 
 from __future__ import annotations
@@ -152,9 +152,10 @@ class LevelMonitor:
     def __init__(self, station: Station, level: float) -> None:
         self._station, self._level = station, level
         self.lowest = self.highest = 1.0
-        # Present interval: first sample, stop, largest deviation as force / level, and its frequency in Hz.
+        # Present interval: first sample, sample after the last, largest deviation as force / level, and its frequency,
+        # Hz.
         self._interval: tuple[int, int, float, float] | None = None
-        self._worst = (1.0, 0.0)  # force / level and frequency of the largest deviation of all intervals
+        self._worst = (1.0, 0.0)  # largest deviation of all intervals as force / level, and its frequency, Hz
         self._samples = self._intervals = 0  # total length and number of the marked intervals
 
     def add(self, first: int, stop: int, frequency: float, force: float) -> None:
@@ -213,9 +214,9 @@ def _displacements(
 
 
 def _phase(test: SweptSine, start_phase: float, completed: int, window: int, total: int) -> Array:
-    """Return the phase of the tone, rad, at the next `window` samples of the sweep, which has `total` samples.
+    """Return the phase of the tone, rad, at the next `window` samples of a sweep of `total` samples.
 
-    `start_phase`: phase at the start of the sweep, rad; `completed`: number of samples before these.
+    `start_phase`: phase at the start of the sweep, rad; `completed`: number of samples before this window.
     """
     return start_phase + 2 * np.pi * test.periods_at(np.arange(completed, completed + window) / total)
 

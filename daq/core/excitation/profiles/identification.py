@@ -1,6 +1,7 @@
 """Frequency responses of control channels to the drive, from a weak multisine of increasing level.
 
-The responses are accelerations per unit of drive; sensor, integrator and converter are removed, their delay is not.
+The responses are accelerations per unit of drive. The responses of sensor, integrator and converter are removed, but
+their delay is included.
 """
 
 from __future__ import annotations
@@ -16,15 +17,15 @@ from rig.core.base.arrays import Array, ComplexArray
 
 #: Lines with a lower coherence are not used.
 MIN_COHERENCE = 0.9
-# The response is raised to this fraction of that in the test.
+# The level is raised until the response has this fraction of the response in the test.
 _RESPONSE_RATIO = 0.1
-# The first level is this fraction of the level that a table requires, or a structure of 1 kg.
+# The first level is this fraction of the level that a table, or a structure of 1 kg, requires.
 _FIRST_RATIO = 0.1
 # Largest change of a line, or of all lines, in one step.
 _MAX_STEP = 10.0
-# Largest number of steps until there is a response, and of steps that shape the spectrum.
+# Largest number of steps until a response is detected, and of steps that shape the spectrum.
 _MAX_SEARCHES, _MAX_SHAPINGS = 10, 3
-# Below this multiple of the noise, there is no response.
+# A response is detected above this multiple of the noise.
 _MIN_SIGNAL_TO_NOISE = 4.0
 # Part of the range of the output that the peak of the drive may use.
 _OUTPUT_RATIO = 0.3
@@ -60,12 +61,12 @@ def identify(
 ) -> Generator[Array, Array, Identified]:
     """Identify the responses of channels.
 
-    `rows`: their rows, that of a control channel first; `period`: samples; `required`: amplitude of the first channel
+    `rows`: rows of the channels, a control channel first; `period`: samples; `required`: amplitude of the first channel
     at each line in the test, m/s^2; `limits`: largest root mean square of each channel in the test, m/s^2; `purpose`:
-    of the random phases.
+    name for the generator of the random phases.
     """
     phases, first = station.generator(purpose).uniform(0.0, 2.0 * np.pi, lines.size), station.now
-    # Lines without power in the test are measured, too.
+    # Lines without power in the test are measured too.
     floor = 0.1 * float(np.sqrt(np.mean(required**2)))
     desired = _RESPONSE_RATIO * np.sqrt(required**2 + floor**2)
     amplitudes, wave, shapings = _first_drive(station, lines, period, desired), np.zeros(period), 0
@@ -90,7 +91,7 @@ def identify(
             break
         shapings += 1
         ratio = desired / np.maximum(response[0], np.finfo(float).tiny)
-        # No channel may exceed its part of the limit.
+        # No channel may exceed this fraction of its limit.
         excess = float(np.max(_rms(np.asarray(response * ratio)) / (_RESPONSE_RATIO * limits)))
         amplitudes = amplitudes * np.clip(ratio / max(excess, 1.0), 1.0 / _MAX_STEP, _MAX_STEP)
     station.report(0.0, "identifying the responses to the drive")

@@ -30,7 +30,7 @@ _DECAY_S = 1.0
 _BAND_MARGIN = 1.3
 # The drive of the burst is at most this multiple of the cautious drive for the level of the test.
 _MAX_DRIVE_RATIO = 5.0
-# The amplitudes of the tones are proportional to 1 / frequency to this power.
+# The amplitudes of the tones are proportional to (1 / frequency) to this power.
 _SPECTRUM_EXPONENT = 1.0
 # Number of coefficients of the polynomial P for the table motion (see `ShakerLaw`).
 _MOTION_TERMS = 4
@@ -51,7 +51,7 @@ class ShakerLaw:
     motion: Array  # coefficients of P, drive/m, ascending powers of s
     force: Array  # coefficients of Q, drive/N, ascending powers of s
     spring: float  # stiffness of the coil spring, N/m
-    delay: float  # of the channels relative to the drive, s
+    delay: float  # delay of the channels relative to the drive, s
     misfit: float  # relative RMS residual of the drive in the pretest
 
     def at(self, s: complex) -> tuple[complex, complex]:
@@ -80,7 +80,8 @@ def pretest(
     """Output a short burst of weak tones and estimate the drive of the shaker, for a band in Hz and a level in N."""
     period = station.samples(max(_MIN_BURST_S, _MIN_BURST_PERIODS / lowest))
     lines = lines_between(lowest / _BAND_MARGIN, min(_BAND_MARGIN * highest, 0.45 * station.rate), period, station.rate)
-    # Random phases avoid a high peak. The lowest tones have the largest amplitudes, because noise affects them most.
+    # Random phases avoid a high peak. The tones of the lowest frequencies have the largest amplitudes, because noise
+    # affects them most.
     phases = station.generator("pretest").uniform(0.0, 2 * pi, lines.size)
     wave = sum_of_tones(lines, np.asarray(lines**-_SPECTRUM_EXPONENT, dtype=np.float64), phases, period)
     edge = station.samples(_EDGE_S)

@@ -1,13 +1,13 @@
-"""Check of a sine test with profile control before it runs: deviations from the profile, and bands of the limits.
+"""Check of a sine test with profile control before the test: deviations from the profile, and bands of the limits.
 
 The drive amplitude d is changed after each window by ln d += gain * ln(required / measured amplitude). An integrator
 with a delay of m windows is stable for a gain below 2 sin(pi / (2 (2m + 1))). The changing drive has sidebands about
-the tone. At an anti-resonance, or where a resonance is near, the structure amplifies them by a ratio R relative to the
-tone: where R is large, the gain of the loop, gain R / (2 sin(pi T f)) at the distance f of the sidebands, must be
-below 1. In a sweep, the deviation at a resonance with the damping ratio D and the decay rate d is
-S (T / gain + 1 / d) / (2 D) in ln, for the relative sweep rate S and the window T. The check uses the slope of the
-required drive, whose largest value is 1 / (2 D). Sidebands of a tone at an end of the band lie outside it, so that the
-response is also needed there.
+the tone. At an anti-resonance, or near a resonance, the structure amplifies the sidebands by a ratio R relative to the
+tone. Where R is large, the loop gain, gain R / (2 sin(pi T f)) at the distance f of the sidebands, must be below 1. In
+a sweep, the logarithmic deviation at a resonance with the damping ratio D and the decay rate d is S (T / gain + 1 / d)
+/ (2 D), for the relative sweep rate S and the window T. The check uses the slope of the required drive, whose largest
+value is 1 / (2 D). Sidebands of a tone at an end of the band lie outside the band, so that the response is also needed
+there.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ if TYPE_CHECKING:
 
 # The drive changes after this number of periods.
 WINDOW_PERIODS = 1.0
-# An observation takes four periods: free vibrations at lower resonances then hardly change it.
+# An observation takes four periods, so that free vibrations at lower resonances hardly change it.
 OBSERVATION_PERIODS = 4.0
 # Distances of the sidebands from the tone, in cycles of the drive amplitude per window.
 _SIDEBANDS = np.arange(1, 101) / 200.0
-# A maximum of the amplification below this is not a resonance.
+# A maximum of the amplification below this value is not a resonance.
 _PEAK = 1.25
-# The largest slope within this relative distance gives the damping.
+# The largest slope within this relative distance yields the damping ratio.
 _NEAR = 0.05
 # Number of frequencies at which the slope of the drive is computed.
 _FREQUENCIES = 2000
@@ -49,7 +49,8 @@ _WIDER = 1.15
 def loop_gain(speed: float, delay: float, amplification: Array | None = None) -> float:
     """Return the gain for a delay in windows.
 
-    `speed`: relative to the limit of stability; `amplification`: of the sidebands at distances `_SIDEBANDS`.
+    `speed`: gain relative to the stability limit; `amplification`: amplification of the sidebands at the distances
+    `_SIDEBANDS`.
 
     >>> [round(loop_gain(1.0, delay), 2) for delay in (1, 2, 3)]
     [1.0, 0.62, 0.45]
@@ -58,7 +59,7 @@ def loop_gain(speed: float, delay: float, amplification: Array | None = None) ->
     limit = 2.0 * sin(pi * oscillation)
     if amplification is not None:
         relevant = oscillation <= _SIDEBANDS
-        # A resonance at a smaller distance.
+        # At smaller distances, only a resonance (a maximum of the amplification) limits the gain.
         relevant[1:-1] |= (amplification[1:-1] > np.maximum(amplification[:-2], amplification[2:])) & (
             amplification[1:-1] > _PEAK
         )
@@ -68,7 +69,7 @@ def loop_gain(speed: float, delay: float, amplification: Array | None = None) ->
 
 
 def sideband_amplification(required: float, frequency: float, drives: Array, frequencies: Array) -> Array:
-    """Return how much more the structure amplifies the sidebands of a changing drive than the tone.
+    """Return the amplification of the sidebands of a changing drive by the structure, relative to the tone.
 
     `required`: drive at the frequency in Hz; `drives`: required drives at `frequencies`, Hz.
     """
@@ -92,23 +93,23 @@ def in_band(test: SineControl, frequency: Array) -> NDArray[np.bool_]:
 def required_drives(test: SineControl, motion: Array, frequency: Array) -> Array:
     """Return the drives that profile and limits require, shape (1 + limits, n).
 
-    Outside the band they are those of its ends. `motion`: amplitudes of the channels per unit of drive, m/s^2, shape
-    (channels, n); `frequency`: Hz, shape (n,).
+    Outside the band, the drives are those at its ends. `motion`: amplitudes of the channels per unit of drive, m/s^2,
+    shape (channels, n); `frequency`: Hz, shape (n,).
     """
     return test.prescription.required(motion, np.clip(frequency, *test.band))
 
 
 def loop_delay(frequency: float, latency: float) -> float:
-    """Return the delay of the loop in windows: an observation, and the latency, s."""
+    """Return the delay of the loop in windows: an observation plus the latency in s."""
     return (OBSERVATION_PERIODS + latency * frequency) / WINDOW_PERIODS
 
 
 def sweep_deviation(
     test: SineControl, frequency: float, slope: float, latency: float = 0.0, amplification: Array | None = None
 ) -> float:
-    """Return the deviation in dB where the drive has a slope d ln(drive) / d ln(frequency).
+    """Return the deviation in dB for a slope d ln(drive) / d ln(frequency) of the drive.
 
-    `latency`: s; `amplification`: of the sidebands. The largest slope at a resonance is 1 / (2 D).
+    `latency`: s; `amplification`: amplification of the sidebands. The largest slope at a resonance is 1 / (2 D).
     """
     gain = loop_gain(test.speed, loop_delay(frequency, latency), amplification)
     lag = WINDOW_PERIODS / frequency / gain + slope / (pi * frequency)
@@ -119,9 +120,9 @@ class SweepCheck(NamedTuple):
     """Expected deviation of a sweep from its profile, and the bands in which a limit determines the drive."""
 
     test: SineControl
-    frequency: float  # of the largest deviation, Hz
+    frequency: float  # frequency of the largest deviation, Hz
     deviation: float  # dB
-    damping: float  # damping ratio of the resonance with this slope of the drive
+    damping: float  # damping ratio of a resonance with this slope of the drive
     notches: tuple[tuple[str, float, float], ...]  # channel, lowest and highest frequency, Hz
 
     @property

@@ -1,9 +1,9 @@
 """Control of the power spectral density of noise: averages, update of the drive spectrum, and Gaussian noise with it.
 
 The update of the drive density D per line is ln D += speed * min(ln R/C, ln L/Y) with the profile R, the density C of
-the control channels, and the limits L of the densities Y of other channels (notching). With the slope
-s = d ln C / d ln D, an update multiplies the error by 1 - speed s, which is stable for speed s < 2. The noise of N
-averages would make the true density scatter by 4.34 sqrt(speed / ((2 - speed) N)) dB; it is less, because deviations
+the control channels, and the limits L of the densities Y of other channels (notching). With the slope s = d ln C / d ln
+D, an update multiplies the error by 1 - speed s, which is stable for speed s < 2. The noise of N averages would make
+the true density scatter by 4.34 sqrt(speed / ((2 - speed) N)) dB. The actual scatter is smaller, because deviations
 within the noise are corrected less.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 from daq.core.excitation.profiles.spectrum_shaping import Lines
 from rig.core.base.arrays import Array
 
-#: Standard deviation of a density of one spectrum, dB.
+#: Standard deviation of a density from a single spectrum, dB.
 SCATTER_DB = 4.34
 # Largest change of the density of a line in one update, dB.
 _MAX_STEP_DB = 6.0

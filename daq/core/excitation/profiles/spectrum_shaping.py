@@ -30,7 +30,7 @@ _LEVEL_TOLERANCE = 0.03
 
 
 def lines_between(first: float, last: float, period: int, rate: float) -> Lines:
-    """Return the numbers of the lines from `first` to `last` in Hz, for a period in samples and a sample rate in Hz."""
+    """Return the numbers of the lines from `first` to `last`, Hz, for a period in samples and a sample rate in Hz."""
     low = np.ceil(first * period / rate - 1e-9)
     high = np.floor(min(last * period / rate + 1e-9, (period - 1) // 2))
     lines = np.arange(max(1, int(low)), int(high) + 1)

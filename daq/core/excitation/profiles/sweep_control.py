@@ -19,15 +19,16 @@ _MIN_PERIODS = 2.0
 _MIN_SAMPLES = 6
 # An observation has at least this number of periods of the beat between the tone and the Nyquist frequency.
 _MIN_BEATS = 1.5
-# The memory of the mode estimate is the time after which the weight of an observation has decreased to 1 / e. The
-# memory is this factor times 1 / sqrt(sweep rate), the time in which a sweep passes a lightly damped mode.
+# The memory of the mode estimate is the time after which the weight of an observation has decreased to 1 / e. It is
+# this factor times 1 / sqrt(sweep rate in Hz/s), the time in which a sweep passes a lightly damped mode.
 _MEMORY_FACTOR = 0.5
 # The memory is at least this number of periods.
 _MIN_MEMORY_PERIODS = 6.0
 # The memory is at most this number of periods. A longer memory does not improve a slow sweep, and the motion with
 # dampers may change.
 _MAX_MEMORY_PERIODS = 20.0
-# Number of integration steps from the middle of an observation to its end, which compensate its delay.
+# Number of integration steps from the middle of an observation to its end. The integration compensates the delay of the
+# observation.
 _STEPS = 6
 # The drive changes between windows by at most this fraction of the largest of the stored drive amplitudes.
 _MAX_CHANGE_RATIO = 0.5
@@ -88,10 +89,10 @@ class SweepControl:
         This interval has the length `window` in s, and begins at the end of the observation.
         """
         if not observation.force:
-            # Readings within one converter count do not determine the drive.
+            # Readings that vary by less than one converter count do not determine the drive.
             return self._drives[-1][1]
         if self._target_force is None:
-            # The phase of the force is arbitrary; the present phase requires the smallest change.
+            # The phase of the force is arbitrary; the present phase requires the smallest change of the drive.
             self._target_force = self._level * observation.force / abs(observation.force)
         memory_periods = _MEMORY_FACTOR * observation.frequency / max(abs(observation.sweep_rate), 1e-9) ** 0.5
         memory = min(max(memory_periods, _MIN_MEMORY_PERIODS), _MAX_MEMORY_PERIODS) / observation.frequency
@@ -106,9 +107,9 @@ class SweepControl:
         return self._limit_drive(self._target_drive(observation, window, envelope, force), abs(observation.force))
 
     def _present_envelopes(self, observation: Observation) -> tuple[complex, complex]:
-        """Return the envelopes of mode (m) and force (N) at the end of the observation.
+        """Return the envelopes of the mode (m) and of the force (N) at the end of the observation.
 
-        They are simulated from the middle of the observation on, with the drive that was output since then.
+        The envelopes are simulated from the middle of the observation on, with the drive that was output since then.
         """
         mode, law, force = self._mode, self._law, observation.force
         center = 1j * observation.angular_frequency(observation.middle)
@@ -128,7 +129,7 @@ class SweepControl:
             decay_factor = exp(relative_pole * step)
             forced_gain = mode.gain * step * mean_exponential(relative_pole * step)
             free_envelope = decay_factor * envelope + forced_gain * force
-            # X = c F + x, by backward Euler for the force, which may change fast within a step.
+            # X = c F + x is integrated by backward Euler, because the force may change fast within a step.
             motion_coefficient = per_motion + frequency_offset * motion_slope
             force_coefficient = (
                 per_force

@@ -2,8 +2,8 @@
 
 The drive of a period is U = A / H at spectral lines, for the target A and the response H to the drive. After a pulse
 with the error E, U is corrected by a part of E / H, which converges if |1 - part H_true / H| < 1 at all lines. A target
-with a prescribed shock response spectrum is a sum of wavelets (D. O. Smallwood, A. R. Nord, Shock Vib. Bull. 44 (1974)
-43), which end with zero velocity and displacement.
+with a prescribed shock response spectrum is a sum of wavelets, which end with zero velocity and displacement (D. O.
+Smallwood, A. R. Nord, Shock Vib. Bull. 44 (1974) 43).
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ from rig.core.scene.excitation.shock import PULSE_POSITION, HalfSine, ShockProfi
 
 # Part of the error that a correction removes.
 _CORRECTION = 0.7
-# Number of half periods of a wavelet, an odd number: so many that its bandwidth is less than the distance of the lines.
+# Odd number of half periods of a wavelet, so large that the bandwidth of the wavelet is less than the distance of the
+# lines.
 _HALF_PERIODS = 25
-# The amplitudes of the wavelets are adjusted until the spectrum agrees within this, dB.
+# The amplitudes of the wavelets are adjusted until the spectrum agrees within this tolerance, dB.
 _SYNTHESIS_DB = 0.5
 _MAX_SYNTHESIS_STEPS = 200
 # Exponent of the adjustment.
@@ -47,7 +48,7 @@ class Replication:
         self._envelope[: ramp.size], self._envelope[target.size - ramp.size :] = ramp, ramp[::-1]
 
     def drive(self, level: float) -> Array:
-        """Return the drive of a pulse at a level relative to the target, shape (period,)."""
+        """Return the drive of a pulse at a level (1: the target), shape (period,)."""
         return level * self.to_wave(self._drive) * self._envelope
 
     def to_wave(self, amplitudes: ComplexArray) -> Array:
@@ -65,7 +66,7 @@ class Pulse(Protocol):
     """A pulse to replicate."""
 
     target: Array  # acceleration of one period, m/s^2, shape (period,)
-    band: tuple[float, float]  # lowest and highest frequency of its drive, Hz
+    band: tuple[float, float]  # lowest and highest frequency of the drive, Hz
     tolerance: float  # largest deviation
     unit: str  # of the deviation
 
@@ -90,7 +91,7 @@ class HalfSinePulse:
 
 
 class SpectrumPulse:
-    """A sum of wavelets with a shock response spectrum; the deviation is that of the spectrum in dB."""
+    """A sum of wavelets with a given shock response spectrum; the deviation is the deviation of the spectrum in dB."""
 
     unit = "dB"
 
@@ -113,7 +114,8 @@ class SpectrumPulse:
             amplitudes = amplitudes * ratio**_SYNTHESIS_EXPONENT
         if smallest > settings.tolerance:
             raise SceneError(
-                f"test.spectrum: no sum of wavelets has it; of the best sum, {self.deviation(self.target)[1]}. Give a "
+                f"test.spectrum: no sum of wavelets has this spectrum; for the best sum, "
+                f"{self.deviation(self.target)[1]}. Give a "
                 "spectrum that changes less steeply, or a wider tolerance."
             )
 
@@ -137,7 +139,7 @@ def _time(period: int, rate: float) -> Array:
 
 
 def _wavelet(time: Array, frequency: float) -> Array:
-    """Return a wavelet of a frequency in Hz with a length of some half periods, about t = 0."""
+    """Return a wavelet of a frequency in Hz, centered at t = 0; its length is a number of half periods."""
     length = _HALF_PERIODS / (2.0 * frequency)
     t = time + length / 2.0
     omega = 2.0 * np.pi * frequency

@@ -5,8 +5,8 @@ Im(U e^{i phase}). Near a mode with the decay rate d = zeta w0 they obey
 
     X' = l X + b U,    l = -d + i (w0(|X|) - w)
 
-In steady state U is constant, so that the drive is a pure tone whatever the harmonics of the motion: the control does
-not change the motion that it holds. (J. Sieber, B. Krauskopf, Nonlinear Dynamics 51 (2008) 365.)
+In steady state U is constant, so that the drive is a pure tone even if the motion has harmonics: the control does not
+change the motion that it holds. (J. Sieber, B. Krauskopf, Nonlinear Dynamics 51 (2008) 365.)
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from daq.core.excitation.tones.steady_tone import MAX_TOLERANCE, TRANSITION_S, S
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.scene.excitation import FORCE_TOLERANCE
 
-# Largest product of |l| and dead time at which the control is used: errors of the stability limit begin at 0.54.
+# Largest product of |l| and dead time at which the control is used. From 0.54 on, the stability limit is in error.
 MAX_POLE_TIMES_DEAD_TIME = 0.5
 # Largest product of open-loop growth and dead time that the control stabilizes: with the scene `continuation`, 0.28 was
 # held and 0.31 lost.
 MAX_GROWTH_TIMES_DEAD_TIME = 0.3
 # An observation updates the model of the mode if motion or drive changed by more than this fraction.
 _MIN_CHANGE = 0.01
-# Number of latest drives, from which their limits follow.
+# Number of latest drives that determine the limit of the next drive.
 _LATEST_DRIVES = 12
 # The drive changes between windows by at most this fraction of the largest of the latest drives.
 _MAX_CHANGE_RATIO = 0.5
@@ -44,15 +44,15 @@ _MEMORY_WINDOWS = 100.0
 _MAX_EXCESS = 1.5
 # The control is lost above this multiple of the target: the model of the mode is wrong.
 _LOST_RATIO = 3.0
-# If an alternating error grows from one to the next group of so many updates, the gain is too high.
+# The gain is too high if an alternating error grows from one group of this number of updates to the next.
 _COMPARED_ERRORS = 5
 # The gain is then reduced to this fraction of the initial gain, which still holds most unstable orbits.
 _REDUCED_GAIN = 0.5
 # Number of last windows over which the drive is averaged in steady state.
 AVERAGED_WINDOWS = 12
-# In steady state, these drives have at most this relative standard deviation.
+# In steady state, the drives of these windows have at most this relative standard deviation.
 _MAX_SCATTER = 0.01
-# The motion has left its target if it deviates by more than this multiple of the tolerance of the level.
+# The motion has left its target if it deviates by more than this multiple of the level's tolerance.
 _LEFT_RATIO = 2.0
 
 
@@ -60,8 +60,8 @@ class EnvelopeControl:
     """PI control of an envelope: the SIMC rules for an integrating plant with dead time.
 
     The gain margin is 3, the phase margin 47 degrees (S. Skogestad, J. Process Control 13 (2003) 291). `target`:
-    required envelope; `drive`: its present drive; `window`: time from one update to the next, s; `dead_time`: s;
-    `limit`: largest drive.
+    required envelope; `drive`: present envelope of the drive; `window`: time from one update to the next, s;
+    `dead_time`: s; `limit`: largest drive.
 
     >>> control, motion, drive = EnvelopeControl(1.0, 0j, 0.1, 0.15), 0j, 0.1j
     >>> for _ in range(200):
@@ -100,7 +100,7 @@ class EnvelopeControl:
         if abs(self._drive) > limit:
             self._drive *= limit / abs(self._drive)
         self._latest.append(self._drive)
-        # Without the part beyond a limit, the integral does not wind up.
+        # The part of the drive beyond the limit is not integrated, so that the integral does not wind up.
         self._integral += step + self._drive - requested
         return self._drive
 
@@ -111,13 +111,13 @@ class Held(NamedTuple):
     motion: complex  # mean envelope, m
     drive: complex  # mean envelope
     invasive: float  # root mean square of the changes of the drive by the control, relative to the drive
-    growth: float  # rate at which the motion left its target with a constant drive, 1/s; 0 if it did not
+    growth: float  # rate at which the motion left its target with a constant drive, 1/s; 0 if it stayed
 
 
 class EnvelopeTone(SteadyTone):
     """A tone with a complex amplitude, and a model of the mode nearest to it (`NearestMode`)."""
 
-    # Length of a control window, periods: three contain impacts of several cycles.
+    # Length of a control window, periods. Three periods contain the impacts of several cycles.
     periods = 3.0
 
     def __init__(self, station: Station, frequency: float, controlled: Controlled) -> None:
@@ -172,7 +172,7 @@ class EnvelopeTone(SteadyTone):
         return envelopes
 
     def _steered(self, samples: int, drive: complex) -> Array:
-        """Return the drive of a change to an envelope along half a cosine, shape (samples,)."""
+        """Return the drive during a change to an envelope along half a cosine, shape (samples,)."""
         target = drive / self.direction
         phase = self.phase + 2.0 * np.pi * np.fmod(self.frequency / self.rate * np.arange(samples + 1), 1.0)
         amplitude = self.amplitude + (target - self.amplitude) * half_cosine(samples)[1]
@@ -206,7 +206,9 @@ class EnvelopeTone(SteadyTone):
         max_wait_s: float,
         transition_s: float = TRANSITION_S,
     ) -> Generator[Array, Array, bool]:
-        """Change to a frequency in Hz and bring the motion to an amplitude in m by feedback; return whether it did.
+        """Change to a frequency in Hz and bring the motion to an amplitude in m by feedback.
+
+        Return whether this succeeded.
 
         `drive`: amplitude of the drive after the transition, which lasts at least a window. At the end the drive is
         constant.
@@ -238,7 +240,7 @@ class EnvelopeTone(SteadyTone):
         return False
 
     def _control_to(self, target: complex) -> EnvelopeControl:
-        """Return the control to an envelope of the motion."""
+        """Return the controller whose target is an envelope of the motion."""
         return EnvelopeControl(target, self.envelope, self.window / self.rate, self.dead_time, self.station.drive_limit)
 
     def _next_drive(self, control: EnvelopeControl) -> complex:
@@ -262,7 +264,7 @@ class EnvelopeTone(SteadyTone):
         return Held(motion, drive, invasive, _growth(np.array(motions), target, window / self.rate))
 
     def mark_measured(self, first: int, held: Held, settled: bool, **fields: Any) -> None:
-        """Mark the measurement from a sample to the present."""
+        """Mark the measurement from a given sample to the present sample."""
         self.station.mark(
             "measure", first, self.station.now, drive=abs(held.drive),
             force=abs(held.drive) if self.station.force_is_drive else None,
@@ -271,7 +273,7 @@ class EnvelopeTone(SteadyTone):
 
 
 def _growth(motions: ComplexArray, target: float, window: float) -> float:
-    """Return the rate at which a motion leaves its target amplitude, 1/s; 0 if it remains there. `window`: s."""
+    """Return the rate at which a motion leaves its target amplitude, 1/s; 0 if the motion stays. `window`: s."""
     deviation = abs(abs(motions) / target - 1.0)
     if deviation[-1] < _LEFT_RATIO * FORCE_TOLERANCE or deviation.size < 3:
         return 0.0

@@ -1,4 +1,4 @@
-"""Complex amplitudes of channels at one frequency (lock-in), by least squares over nearly whole periods."""
+"""Complex amplitudes of channels at one frequency (lock-in), by least squares over a nearly whole number of periods."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from rig.core.base.arrays import Array, ComplexArray
 _MIN_PERIODS = 2
 # A window has at least this number of samples: more than the six fitted terms of a tone without harmonics.
 _MIN_SAMPLES = 8
-# A window has at least this number of beats: near half the sample rate the samples of a tone beat, and a shorter part
-# of a beat does not separate amplitude and phase.
+# A window has at least this number of beats. Near half the sample rate, the samples of a tone beat, and amplitude and
+# phase cannot be separated in a shorter part of a beat.
 _MIN_BEATS = 0.5
 # Order of the highest harmonic that is fitted with the tone.
 _MAX_HARMONIC = 6
@@ -62,8 +62,8 @@ def whole_periods(frequency: float, rate: float, shortest_s: float) -> int:
 def lock_in_weights(frequency: float, rate: float, samples: int) -> Array:
     """Return the least-squares weights of the samples for real and imaginary part of the amplitude, (2, samples)."""
     model = _model(frequency, rate, samples, 0, samples)
-    # Over two periods or more the terms are nearly orthogonal, so that the normal equations are accurate. Sums use
-    # einsum: for matrices of this size, BLAS threads would only add overhead.
+    # Over two periods or more, the fitted terms are nearly orthogonal, so that the normal equations are accurate. Sums
+    # use einsum: for matrices of this size, BLAS threads would only add overhead.
     normal = np.einsum("in,jn->ij", model, model)
     return np.einsum("ki,in->kn", np.linalg.inv(normal)[:2], model)
 
@@ -76,7 +76,8 @@ def _model(frequency: float, rate: float, samples: int, first: int, stop: int) -
     np.cos(phase, out=model[0])
     np.negative(np.sin(phase), out=model[1])
     # Integrated channels drift and dampers shift the mean: Legendre polynomials up to the third degree model this
-    # drift. Without harmonics in the model, they would also fit part of the harmonics, which would bias the tone.
+    # drift. Without harmonics in the model, the polynomials would also fit part of the harmonics, which would bias the
+    # amplitude of the tone.
     u = np.linspace(-1.0, 1.0, samples)[first:stop]
     quadratic = (3 * (u * u) - 1) / 2
     model[2], model[3], model[4], model[5] = 1.0, u, quadratic, (5 * (quadratic * u) - 2 * u) / 3

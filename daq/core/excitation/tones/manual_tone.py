@@ -13,8 +13,8 @@ from daq.core.excitation.tones.lock_in import whole_periods
 from daq.core.excitation.tones.steady_tone import TRANSITION_S, WINDOW_S, SteadyTone
 from rig.core.base.errors import SceneError
 
-# The steady state is reached within this fraction of the amplitude. The tolerance is coarse, because an operator does
-# not wait for a smaller transient.
+# The steady state is reached when the transient is below this fraction of the amplitude. The tolerance is coarse,
+# because an operator does not wait for a smaller transient.
 _TOLERANCE = 0.01
 # Maximum wait for the steady state, s.
 _MAX_WAIT_S = 60.0
@@ -40,7 +40,7 @@ class ToneControls:
         self.set(frequency, force)
 
     def set(self, frequency: float, force: float) -> None:
-        """Change both; raises `SceneError` if a value is out of range."""
+        """Change frequency and force; raise `SceneError` if a value is out of range."""
         if not 0.0 < frequency <= self.highest:
             raise SceneError(
                 f"frequency: {frequency:g} Hz is out of range. Give a frequency above 0 and up to {self.highest:g} Hz."
@@ -59,7 +59,7 @@ class ManualTone:
 
     def excite(self, station: Station) -> Excitation:
         """Output the tone until the run ends; mark steady intervals as a stepped sine does."""
-        # Raises `SceneError` without a shaker, before the channels of the spring force are checked.
+        # This raises `SceneError` without a shaker, before the channels of the spring force are checked.
         station.drive(np.zeros(1))
         tone = SteadyTone(station, self.controls.settings[0], controlled(station))
         while True:

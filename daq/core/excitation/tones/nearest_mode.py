@@ -13,16 +13,15 @@ from rig.core.base.arrays import Array, ComplexArray
 _MIN_OBSERVATIONS = 6
 # Observations older than this multiple of the memory (time constant of their weights) are discarded.
 _MAX_AGE_RATIO = 3.0
-# Number of observations from one search for a different mode to the next.
+# Number of observations between two searches for a different mode.
 _SEARCH_INTERVAL = 4
 # Frequencies of the search for a different mode, relative to the tone.
 _SEARCH_FREQUENCIES = np.geomspace(0.6, 1.7, 24)
 # Damping ratios of the search for a different mode.
 _SEARCH_DAMPING = np.array([0.005, 0.03])
-# The different mode becomes the nearest mode if its residual, relative to the residual of the present mode, is below
-# this.
+# A different mode replaces the present mode if the ratio of their residuals is below this value.
 _MAX_RESIDUAL_RATIO = 0.7
-# The search around the present mode begins with this frequency step, relative to the frequency of the mode.
+# The search around the present mode begins with this frequency step, relative to the mode's frequency.
 _INITIAL_STEP = 0.01
 # Limits of the relative frequency step.
 _MIN_STEP = 1e-4
@@ -31,14 +30,15 @@ _MAX_STEP = 0.03
 _STEP_DECREASE = 0.6
 # The frequency step is multiplied by this factor if another frequency is better.
 _STEP_INCREASE = 1.5
-# The search changes the damping ratio by this fraction in a step.
+# The search changes the damping ratio by this fraction per step.
 _DAMPING_STEP = 0.2
 # Limits of the damping ratio.
 _DAMPING_LIMITS = (0.002, 0.2)
-# Below this exponent the mean of the exponential is approximated linearly, because the exact formula rounds.
+# Below this exponent the mean of the exponential is approximated linearly, because rounding errors dominate the exact
+# formula.
 _MIN_EXPONENT = 1e-6
-# Relative regularization (ridge) of both coefficients g and c towards zero. It matters only if the observations do not
-# determine both.
+# Relative regularization (ridge) of the coefficients g and c towards zero. It has an effect only if the observations do
+# not determine both.
 _RIDGE = 1e-4
 
 
@@ -95,7 +95,7 @@ class NearestMode:
             best = best_local
         if best >= local_poles.size:
             self._step = _INITIAL_STEP
-        elif best // 3 == 1:  # the present frequency, with any of its three damping ratios
+        elif best // 3 == 1:  # the present frequency, with one of its three damping ratios
             self._step = max(_MIN_STEP, _STEP_DECREASE * self._step)
         else:
             self._step = min(_MAX_STEP, _STEP_INCREASE * self._step)

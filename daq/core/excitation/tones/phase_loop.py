@@ -1,9 +1,9 @@
 """Control of the phase between a displacement and a force by the frequency of the tone: a phase-locked loop.
 
 At constant force the phase obeys e' = -d sin e - (w - w0(|X|)) with the decay rate d: a plant of first order at every
-amplitude, also where the resonance curve overhangs. Without a proportional part, the loop suits a coil spring, with
-which the phase follows the frequency at once. (S. Peter, R. I. Leine, Mech. Syst. Signal Process. 96 (2017) 139;
-tuning by the SIMC rules for a plant of first order with dead time: S. Skogestad, J. Process Control 13 (2003) 291.)
+amplitude, also where the resonance curve overhangs. With a coil spring, the phase follows the frequency at once; the
+loop then has no proportional part. (S. Peter, R. I. Leine, Mech. Syst. Signal Process. 96 (2017) 139; tuning by the
+SIMC rules for a plant of first order with dead time: S. Skogestad, J. Process Control 13 (2003) 291.)
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 
 from daq.core.excitation.tones.phase_plant import LoopSettings
 
-# The loop is slowed down if the scatter of the deviation does not decay by this ratio from one to the next group of so
-# many windows: a coil spring or another mode adds dynamics to the force.
+# The loop is slowed down if the scatter of the deviation does not decay by this ratio from one group of this number of
+# windows to the next: a coil spring or another mode adds dynamics to the force.
 _COMPARED_ERRORS = 25
 _BEFORE, _LATEST = slice(_COMPARED_ERRORS), slice(_COMPARED_ERRORS, None)
 _MIN_DECAY = 0.7
@@ -27,9 +27,9 @@ _MAX_CHANGE_RATIO = 0.02
 class PhaseLoop:
     """PI control of the angular frequency by the deviation of the phase.
 
-    `frequency`: first frequency, Hz; `lowest`, `highest`: its limits, Hz; `phase`: required phase of the displacement
-    relative to the force, rad; `tolerance`: its permitted deviation, rad; `settings`: of the loop, which raises the
-    slowness where the phase scatters.
+    `frequency`: first frequency, Hz; `lowest`, `highest`: limits of the frequency, Hz; `phase`: required phase of the
+    displacement relative to the force, rad; `tolerance`: permitted deviation of the phase, rad; `settings`: initial
+    settings; the loop is slowed down where the phase scatters.
 
     >>> loop = PhaseLoop(10.3, 5.0, 20.0, -math.pi / 2, 0.02, LoopSettings(0.4, 1.0, 1.0))
     >>> omega, error = 2 * math.pi * 10.3, 0.0
@@ -74,12 +74,12 @@ class PhaseLoop:
         requested = self._integral + proportional * correction
         change = max(-_MAX_CHANGE_RATIO, min(_MAX_CHANGE_RATIO, requested / self._omega - 1.0))
         self._omega = max(self._lowest, min(self._highest, self._omega * (1.0 + change)))
-        # Without the part beyond a limit, the integral does not wind up.
+        # The part of the frequency beyond a limit is not integrated, so that the integral does not wind up.
         self._integral += self._omega - requested
         return self._omega / (2.0 * math.pi)
 
 
 def _scatter(errors: list[float]) -> float:
-    """Return the standard deviation about a straight line: a deviation that decays slowly does not scatter."""
+    """Return the standard deviation about a straight line, so that a slow decay does not count as scatter."""
     place = np.arange(len(errors))
     return float(np.std(errors - np.polyval(np.polyfit(place, errors, 1), place)))

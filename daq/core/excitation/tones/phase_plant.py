@@ -1,9 +1,9 @@
 """Settings of the phase loop from the linear structure with its shaker, whose dynamics change the force.
 
 At the frequency w, a small modulation of the frequency with the angular frequency v adds sidebands at w + v and w - v.
-The phase of an amplitude H changes by the mean of H(w + v) / H(w) and the conjugate of H(w - v) / H(w), times the
-modulation of the phase of the drive. With a coil spring, the force nearly vanishes at a resonance of the structure. Its
-sidebands do not, and are largest where the structure resonates on the spring.
+The phase of an amplitude H then changes by the mean of H(w + v) / H(w) and the conjugate of H(w - v) / H(w), multiplied
+by the phase modulation of the drive. With a coil spring, the force nearly vanishes at a resonance of the structure. The
+sidebands of the force do not vanish; they are largest where the structure resonates on the spring.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 # Largest factor by which the loop amplifies errors: the SIMC rules give 1.6 for a plant of first order.
 _MAX_SENSITIVITY = 2.5
-# Factors on the length of the windows.
+# Factors on the length of the windows that are tried.
 _SLOWNESSES = (1.0, 2.0, 4.0, 8.0, 16.0)
 # Numbers of frequencies at which the phase of the structure and the loop are evaluated.
 _FREQUENCIES, _MODULATIONS = 2001, 400
@@ -30,13 +30,13 @@ _FREQUENCIES, _MODULATIONS = 2001, 400
 class LoopSettings(NamedTuple):
     """Settings of a `PhaseLoop`."""
 
-    slope_rate: float  # inverse of the slope of the phase over the angular frequency, 1/s
+    slope_rate: float  # inverse of the slope of the phase over angular frequency, 1/s
     proportional: float  # weight of the proportional part
     slowness: float  # factor on the length of the windows
 
 
 def loop_settings(scene: Scene, latency: float) -> LoopSettings:
-    """Return the settings of the fastest stable loop; `latency`: of the readings, s."""
+    """Return the settings of the fastest stable loop; `latency`: latency of the readings, s."""
     modulation = np.geomspace(1e-2, np.pi / WINDOW_S, _MODULATIONS)
     plant = _plant(scene, modulation)
     slope_rate = 1.0 / float(abs(plant[0]))
@@ -49,7 +49,7 @@ def loop_settings(scene: Scene, latency: float) -> LoopSettings:
         average_and_hold = np.sinc(modulation * window / (2.0 * np.pi)) ** 2
         loop = gain * plant * np.exp(-1j * modulation * dead_time) * average_and_hold
         distance = 1.0 + loop[modulation < np.pi / window]
-        # Nyquist: the curve does not go around -1.
+        # Nyquist criterion: the curve of the open loop does not encircle -1.
         is_stable = abs(np.unwrap(np.angle(distance))[-1]) < np.pi / 2.0
         if is_stable and np.min(abs(distance)) > 1.0 / _MAX_SENSITIVITY:
             break

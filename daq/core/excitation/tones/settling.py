@@ -18,18 +18,18 @@ from rig.core.base.arrays import Array, ComplexArray
 _N_DIFFERENCES = 6
 # Minimum number of observations for this estimate: two pairs of successive differences.
 MIN_OBSERVATIONS = 4
-# The decay factor is the ratio of successive changes. If the decay factor deviates from 1 by less than this, it is not
-# measurable: the transient is longer than the observed time.
+# The decay factor is the ratio of successive changes. If it differs from 1 by less than this, it cannot be measured:
+# the transient is longer than the observed time.
 _MIN_FACTOR_DEVIATION = 1e-3
 # The final amplitude is extrapolated if the magnitude of the decay factor is at most this.
 _MAX_EXTRAPOLATED_FACTOR = 0.995
-# If the coherence of successive changes is below this value, they are noise instead of a decaying transient.
+# If the coherence of successive changes is below this value, the changes are noise, not a decaying transient.
 _MIN_COHERENCE = 0.8
-# The scatter in both halves of this number of observations is compared, to distinguish noise from decaying beats.
+# Noise is distinguished from decaying beats by comparing the scatter in both halves of this number of observations.
 _NOISE_OBSERVATIONS = 24
-# The scatter of noise does not decrease below this ratio from the first to the second half.
+# The observations are noise if the scatter in the second half exceeds this fraction of the scatter in the first half.
 _MIN_SCATTER_RATIO = 0.75
-# If the scatter is below this multiple of the tolerance, half of `_NOISE_OBSERVATIONS` suffices, because the
+# If the scatter is below this multiple of the tolerance, half of `_NOISE_OBSERVATIONS` is sufficient, because the
 # measurement averages such small beats.
 _SCATTER_FOR_HALF = 3.0
 # Number of observations that must agree within the tolerance.
@@ -44,7 +44,7 @@ class TransientLaw(NamedTuple):
     changes: ComplexArray  # the last changes, (changes, quantities)
     magnitudes: Array  # their magnitudes
     factor: ComplexArray  # decay factor: ratio of successive changes, by least squares; (quantities,)
-    coherent: NDArray[np.bool_]  # whether the changes follow the law; (quantities,)
+    coherent: NDArray[np.bool_]  # whether the changes follow the law of decay; (quantities,)
 
     @classmethod
     def of(cls, observations: ComplexArray) -> TransientLaw:
@@ -64,7 +64,7 @@ class TransientLaw(NamedTuple):
     def remaining_magnitude(self) -> Array:
         """Return an upper estimate of the magnitude of the remaining change, shape (quantities,).
 
-        It uses the larger of the last two changes.
+        The estimate uses the larger of the last two changes.
         """
         change = np.maximum(self.magnitudes[-1], self.magnitudes[-2])
         return change * abs(self.factor) / np.maximum(abs(1.0 - self.factor), _MIN_FACTOR_DEVIATION)
@@ -93,10 +93,10 @@ class Settling:
 
     def __init__(self, tolerance: float) -> None:
         self.tolerance = tolerance
-        # The observations since the last restart that are still required, in order of time.
+        # Latest observations since the restart, in order of time.
         self._observations: ComplexArray = np.zeros((0, 0), dtype=complex)
         self.count = 0
-        # Of the first quantity.
+        # Predicted final amplitudes of the first quantity.
         self._predictions: list[complex] = []
         self._law: TransientLaw | None = None
         self._was_steady = False
@@ -129,7 +129,8 @@ class Settling:
             return
         self._law = TransientLaw.of(self._observations[-_N_DIFFERENCES - 1 :])
         self._predictions.extend(self._predict_final(self._law)[:1])
-        # Two successive observations must be steady, because one may pass by chance, at the turning point of a beat.
+        # Two successive observations must be steady, because one observation may pass by chance at the turning point of
+        # a beat.
         is_steady = self._is_steady(self._law)
         self.settled, self._was_steady = is_steady and self._was_steady, is_steady
 
@@ -143,7 +144,10 @@ class Settling:
         return (max(magnitudes) - min(magnitudes)) / max(magnitudes[-1], sys.float_info.min)
 
     def phase_change(self) -> float:
-        """Phase change of the first quantity's transient between observations, rad; infinite without a law."""
+        """Phase change of the first quantity's transient between observations, rad.
+
+        The result is infinite if no law was determined.
+        """
         if self._law is None or not self._law.coherent[0]:
             return np.inf
         return max(float(abs(np.angle(self._law.factor[0]))), 1e-9)  # never 0, because it is a divisor
@@ -161,7 +165,8 @@ class Settling:
 
     def _predict_final(self, law: TransientLaw) -> ComplexArray:
         """Return the predicted amplitudes in the steady state, shape (quantities,); see `predicted_final`."""
-        # The first quantity decides; without force control and motion channels there is none.
+        # The prediction is that of the first quantity; without force control and motion channels, there are no
+        # quantities.
         if all(law.coherent[:1]) and all(abs(law.factor[:1]) < _MAX_EXTRAPOLATED_FACTOR):
             return self._observations[-1] + law.remaining_change()
         return _mean(self._observations[-_NOISE_OBSERVATIONS // 2 :])
@@ -170,7 +175,7 @@ class Settling:
         """Return whether all quantities are steady in the latest observation."""
         limit = self.tolerance * self._magnitude()
         steady = law.coherent & (law.remaining_magnitude() < limit)
-        # The following tests are slower.
+        # The following tests take more computing time.
         if not all(steady) and self.count >= _N_AGREEING:
             steady |= self._agree_within_tolerance(law, limit)
         # Noise is tested when every quantity that follows the law is steady.
@@ -182,16 +187,16 @@ class Settling:
         return all(steady)
 
     def _magnitude(self) -> Array:
-        """Amplitudes of the latest observation, at least the smallest number, so that they can be divisors."""
+        """Amplitudes of the latest observation, at least the smallest positive number, so that they can be divisors."""
         return np.maximum(abs(self._observations[-1]), sys.float_info.min)
 
     def _agree_within_tolerance(self, law: TransientLaw, limit: Array) -> NDArray[np.bool_]:
         """Return whether the latest observations agree within the tolerance, with a steady mean; (quantities,).
 
-        This test is for beating modes, which have no common factor. Changes that follow the law must agree within 1 %
-        of the tolerance. In a transient with a time constant of up to thirty observations, the means of the two halves
-        differ by at least 10 % of the remaining change, hence the limit of the drift. `limit`: tolerance in the unit of
-        each quantity.
+        This test is for beating modes, whose changes have no common decay factor. Changes that follow the law must
+        agree within 1 % of the tolerance. In a transient with a time constant of up to thirty observations, the means
+        of the two halves differ by at least 10 % of the remaining change; the limit of the drift follows from this.
+        `limit`: tolerance in the unit of each quantity.
         """
         latest = self._observations[-_N_AGREEING:]
         spread = _LARGEST(abs(latest - _mean(latest)), axis=0)

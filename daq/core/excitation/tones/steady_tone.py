@@ -20,7 +20,8 @@ from daq.core.excitation.tones.settling import MIN_OBSERVATIONS, Settling
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.scene.excitation import FORCE_TOLERANCE
 
-# Duration of a transition to a new frequency, s: so slow that it does not excite modes more than a few hertz away.
+# Duration of a transition to a new frequency, s. It is so slow that it does not excite modes more than a few hertz
+# away.
 TRANSITION_S = 0.4
 # A transition to a new amplitude lasts at most this time, s.
 _MAX_TRANSITION_S = 3.0
@@ -28,7 +29,7 @@ _MAX_TRANSITION_S = 3.0
 WINDOW_S = 0.1
 # Above this multiple of the force level, the drive is reduced before the steady state, to protect the rig.
 _MAX_FORCE_RATIO = 3.0
-# Largest sudden change of the drive, as ln(new / old), whose transient is negligible.
+# Largest sudden change of the drive with a negligible transient, as ln(new / old).
 _MAX_SUDDEN_CHANGE = 0.03
 # The drive is changed as soon as the predicted force changed over the last observations by less than this fraction of
 # its deviation from the level.
@@ -69,7 +70,8 @@ class Tone:
     def _advance(self, elapsed: Array) -> Array:
         """Return the phases of a window, rad, and move `phase` to the next window.
 
-        `elapsed`: phase since the start of the window, at each of its samples and at the first sample of the next.
+        `elapsed`: phase since the start of the window, at each of its samples and at the first sample of the next
+        window.
         """
         phase = self.phase + elapsed
         self.phase = math.fmod(phase[-1], 2 * math.pi)
@@ -77,22 +79,22 @@ class Tone:
 
 
 def _phases(periods: Array) -> Array:
-    """Return the phases, rad, of numbers of periods, without whole periods."""
+    """Return the phases, rad, that correspond to numbers of periods; whole periods are removed."""
     return 2 * np.pi * np.fmod(periods, 1.0)
 
 
-# Most transitions have one of a few lengths.
+# Cached, because most transitions have one of a few lengths.
 @lru_cache(maxsize=4)
 def half_cosine(samples: int) -> tuple[Array, Array, Array]:
     """Return relative times from 0 to 1, a rise from 0 to 1 along half a cosine, and the integral of the rise, samples.
 
-    The relative times and the integral have a value more, at the end.
+    The relative times and the integral have one more value, at the end.
     """
     u = np.arange(samples + 1) / samples
     return u, (1 - np.cos(np.pi * u[:-1])) / 2, samples * (u / 2 - np.sin(np.pi * u) / (2 * np.pi))
 
 
-# The windows in which a tone settles have the same length.
+# Cached, because all windows in which a tone settles have the same length.
 @lru_cache(maxsize=2)
 def _elapsed_phases(frequency: float, samples: int) -> Array:
     """Return the phases since the start of a window and at its end, rad; `frequency`: in periods per sample."""
@@ -100,9 +102,9 @@ def _elapsed_phases(frequency: float, samples: int) -> Array:
 
 
 class SteadyTone(Tone):
-    """A tone that drives a shaker, and the complex amplitudes that it causes.
+    """A tone that drives a shaker, and the complex amplitudes of the response.
 
-    These are the spring force in N, if it is controlled, and the displacements in m at the motion channels.
+    The amplitudes are the spring force in N, if it is controlled, and the displacements in m at the motion channels.
     """
 
     def __init__(self, station: Station, frequency: float, controlled: Controlled | None) -> None:
@@ -162,7 +164,8 @@ class SteadyTone(Tone):
             if new_drive is not None:
                 transition_samples = window
                 if abs(np.log(new_drive / self.amplitude)) >= _MAX_SUDDEN_CHANGE:
-                    # The transient of a mode beats with the drive. A transition of two beat periods hardly excites it.
+                    # The transient of a mode beats with the drive. A transition of two beat periods hardly excites the
+                    # mode.
                     two_beats = round(window * 4 * np.pi / detector.phase_change())
                     transition_samples = max(window, min(station.samples(_MAX_TRANSITION_S), two_beats))
                 detector.restart()
@@ -191,7 +194,8 @@ class SteadyTone(Tone):
         `settled` and `fields` are fields of the marker.
         """
         first, samples = self.station.now, max(samples, min_samples(self.frequency, self.rate))
-        # The tone is generated in blocks to limit the memory. Their amplitudes matter only if the force is controlled.
+        # The tone is generated in blocks to limit the memory. The amplitudes in the blocks are used only if the force
+        # is controlled.
         block_samples, remaining = whole_periods(self.frequency, self.rate, _BLOCK_SAMPLES / self.rate), samples
         amplitude: complex = 0.0
         while remaining:
@@ -210,7 +214,7 @@ class SteadyTone(Tone):
 
 
 def _new_drive(control: AmplitudeControl, detector: Settling, drive: float) -> float | None:
-    """Return a new drive amplitude; None if the present drive is right, or the force is not yet predictable."""
+    """Return a new drive amplitude; None if the present drive is correct or the force is not yet predictable."""
     force = float(abs(detector.predicted_final()))
     if detector.count < MIN_OBSERVATIONS + 1:
         latest_force = float(abs(detector.latest))
@@ -228,15 +232,15 @@ def _new_drive(control: AmplitudeControl, detector: Settling, drive: float) -> f
 
 #: If the force scatters, its relative tolerance is twice its standard error, up to this value.
 MAX_TOLERANCE = 0.02
-# The slope d log(force) / d log(drive) is assumed to be at least this. When dampers begin to impact, the force can rise
-# slowly or even fall with the drive.
+# Smallest assumed slope d log(force) / d log(drive). When dampers begin to impact, the force can rise slowly or even
+# fall with the drive.
 _MIN_SLOPE = 0.3
-# The slope is assumed to be at most this. When dampers begin to impact, the force can also rise steeply.
+# Largest assumed slope. When dampers begin to impact, the force can also rise steeply.
 _MAX_SLOPE = 3.0
-# A slope is computed if log(drive) differs by at least this.
+# A slope is computed only from drives whose logarithms differ by at least this.
 _MIN_LOG_DIFFERENCE = 1e-3
-# The bracket in log(drive) has at least this width. In a narrower bracket that does not contain the level, the force
-# jumps or has changed; the bracket is then discarded.
+# Smallest width of the bracket in log(drive). In a narrower bracket that does not contain the level, the force jumps or
+# has changed; the bracket is then discarded.
 _MIN_BRACKET = 2e-3
 # The next drive is at least this fraction of the width of the bracket from both ends.
 _BRACKET_MARGIN = 0.1
@@ -244,9 +248,9 @@ _BRACKET_MARGIN = 0.1
 _MAX_LOG_STEP = math.log(3.0)
 # `_MAX_LOG_STEP` is multiplied by this factor if the slope is below `_MIN_SLOPE`.
 _FLAT_STEP_FACTOR = 0.5
-# If the force is still too large after a drive reduction to this fraction, the drive is not the cause.
+# If the force is still too large after the drive was reduced to this fraction, the drive is not the cause.
 _MIN_REDUCTION_RATIO = 1e-4
-# A smaller force than this fraction of the level is replaced with this value, so that its logarithm is finite.
+# A force below this fraction of the level is replaced by this value, so that its logarithm is finite.
 _MIN_FORCE_RATIO = 1e-9
 
 

@@ -1,6 +1,7 @@
-"""Effect of dampers on resonance peaks: height and frequency without and with dampers, with 95 % bounds.
+"""Effect of dampers on resonance peaks: height and frequency without and with dampers, with 95 % intervals.
 
-The *bare* structure is the structure without dampers. Its modes define a frequency band for each peak.
+The *bare* structure is the structure without dampers. Its modes define a frequency band for each peak. The interval of
+a height is asymmetric where the points may miss the top of the peak; an end of the interval may be unbounded.
 """
 
 from __future__ import annotations
@@ -17,24 +18,26 @@ from rig.core.results.resonances import MIN_LINES, Resonance, find_resonances
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import CLOCK, COVERAGE_FACTOR, SENSITIVITY, SYSTEMATIC, expand
 
-# Width of the band of a peak below the natural frequency of the bare structure, relative to that frequency. The band
-# above is half as wide.
+# A band extends below the natural frequency of the bare structure by this fraction of the frequency, and above it by
+# half as much.
 _BAND_BELOW_RATIO = 0.15
-# The curve has a jump at a point if the prediction from the neighboring points has a larger relative error than this.
+# The curve has a jump at a point if the point deviates from the prediction of its neighbors by more than this fraction.
 _MAX_LEAVE_ONE_OUT_ERROR = 0.2
 # Number of frequencies of the interpolated curve between the neighbors of the highest point.
 _GRID_POINTS = 801
-# Number of its frequencies that are drawn.
+# Number of frequencies of the interpolated curve that are drawn.
 _DRAWN_POINTS = 41
-# Largest relative difference between tolerances at different frequencies that counts as a rounding error.
+# Tolerances at different frequencies are equal if their relative difference is at most this (rounding).
 _SAME_TOLERANCE = 1e-6
-# An acceleration is divided by the square of its frequency, so that its error is this multiple of a clock error.
+# Acceleration is divided by the square of frequency, so the relative error of the displacement is this multiple of that
+# of the clock.
 _CLOCK_ERRORS_IN_HEIGHT = 2.0
-# The height of a peak is stated if its relative bound is at most this.
+# The height of a peak is stated if its relative expanded uncertainty is at most this.
 _MAX_PEAK_UNCERTAINTY = 0.5
-# An interval whose lower part is a smaller fraction of its upper part is stated by its ends.
+# An interval is stated by its ends if its lower part is less than this fraction of its upper part.
 _MIN_SYMMETRY = 0.9
-# Stands for an unbounded error, m/N: products of the largest floating-point number would overflow.
+# Represents an unbounded uncertainty, m/N: products with infinity would be undefined, and with the largest float
+# overflow.
 _UNBOUNDED = 1e100
 # If the relative interpolation error at a peak exceeds this value, a smaller frequency step is recommended.
 _MAX_INTERPOLATION_ERROR = 0.01
@@ -42,16 +45,16 @@ _MAX_INTERPOLATION_ERROR = 0.01
 
 @dataclass(frozen=True)
 class Peak:
-    """A resonance peak of a measured receptance."""
+    """A resonance peak of a measured compliance."""
 
-    value: float  # height, m/N; a lower bound of the height if `bound` is infinite
-    # 95 % bound of the height without errors that are common to all frequencies, m/N; infinite if the curve has a jump
-    # or few points, or if a point next to the highest was omitted
+    value: float  # height, m/N; a lower limit of the height if `bound` is infinite
+    # expanded uncertainty of the height (95 %) without errors that are common to all frequencies, m/N; infinite if the
+    # curve has a jump or few points, or if a point next to the highest was omitted
     own_bound: float
     frequency: float  # Hz
-    lowest_frequency: float  # lower bound of the frequency, Hz
-    highest_frequency: float  # upper bound of the frequency, Hz
-    lower_limit: float = 0.0  # lower 95 % bound of the highest measured point, m/N
+    lowest_frequency: float  # lower end of the 95 % interval of the frequency, Hz
+    highest_frequency: float  # upper end of the 95 % interval of the frequency, Hz
+    lower_limit: float = 0.0  # lower end of the 95 % interval of the highest measured point, m/N
     interpolation_bound: float = 0.0  # part of `own_bound` due to interpolation between the points, m/N
     step: float = 0.0  # largest frequency step next to the highest point, Hz; 0 if there is no interpolation
     at_end: bool = False  # whether the highest point is at an end of the band, on the flank of another peak
@@ -61,12 +64,12 @@ class Peak:
 
     @property
     def bound(self) -> float:
-        """95 % bound of the height with all errors, m/N."""
+        """Expanded uncertainty of the height (95 %) with all errors, m/N."""
         return self._expanded(self.own_bound)
 
     @property
     def low(self) -> float:
-        """Lower 95 % bound of the height, m/N."""
+        """Lower end of the 95 % interval of the height, m/N."""
         if self.at_end:
             return 0.0
         return self.value if isinf(self.own_bound) else self.value - self._expanded(self.value - self._own_low)
@@ -78,17 +81,17 @@ class Peak:
 
     @property
     def _own_low(self) -> float:
-        """Lower 95 % bound of the height without errors that are common to all frequencies, m/N."""
+        """Lower end of the 95 % interval of the height without errors that are common to all frequencies, m/N."""
         return max(self.value - self.own_bound, self.lower_limit)
 
     def _expanded(self, own_bound: float) -> float:
-        """Combine a bound of the height with the errors that are common to all frequencies: of sensors and clock."""
+        """Add the errors common to all frequencies (sensors, clock) to an expanded uncertainty of the height."""
         limits = (*self.tolerances, _CLOCK_ERRORS_IN_HEIGHT * self.clock)
         return float(expand(own_bound / COVERAGE_FACTOR, [self.value * limit for limit in limits]))
 
     @property
     def decibel_range(self) -> tuple[float, float]:
-        """Lower and upper 95 % bound of the deviation of the height, without errors of sensors and clock; dB, >= 0."""
+        """Distances of the ends of the 95 % interval from the height, in dB, without errors of sensors and clock."""
         if isinf(self.own_bound):
             return inf if self.at_end else 0.0, inf
         low, high = self._own_low, self.value + self.own_bound
@@ -98,7 +101,7 @@ class Peak:
         )
 
     def height_text(self, factor: float) -> str:
-        """Write the height times a factor with its interval, or its lower bound if the upper bound is infinite.
+        """Write the height times a factor with its interval, or only the lower end if the upper end is infinite.
 
         >>> Peak(1e-3, 2e-3, 10.0, 9.9, 10.1).height_text(1e6)
         'not determined'
@@ -118,17 +121,17 @@ class Peak:
 
 
 def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
-    """Estimate the peak of a receptance between two frequencies.
+    """Estimate the peak of a compliance between two frequencies.
 
-    Around a resonance the inverse 1/H of the receptance is nearly quadratic in frequency (k - m w^2 + i c w for one
+    Around a resonance the inverse 1/H of the compliance is nearly quadratic in frequency (k - m w^2 + i c w for one
     mode). Therefore 1/H is interpolated through the three points around the highest point, and through five points as a
     check. The errors of these points are propagated to height and frequency of the maximum to first order, the random
     errors with their covariance over frequency (GUM, section 5.2.2). They are combined (root sum of squares) with twice
     the difference of the two interpolations and the leave-one-out error of the points, because widely spaced points may
     miss the top of a peak with dampers. In a test on computed curves with dampers, with one to nine points in the
-    half-power bandwidth, the bound contained the true peak in 98 % of cases. The frequency is also limited to those at
-    which the curve is within the bound of its peak, and its limits enclose all points that may be the highest. A
-    tolerance of the sensors that is common to all frequencies changes the height only.
+    half-power bandwidth, the interval contained the true peak in 98 % of cases. The interval of the frequency is
+    limited to frequencies at which the curve is within the uncertainty of its peak, and includes all points that may be
+    the highest. A tolerance of the sensors that is common to all frequencies changes the height only.
 
     `frf`: FRF with respect to force; `band_low`, `band_high`: limits of the band, Hz. Returns None for fewer than three
     points in the band.
@@ -194,7 +197,7 @@ def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
 
 
 def local_model(frf: Response, found: Peak) -> tuple[np.ndarray, np.ndarray]:
-    """Return the interpolated receptance of a `peak` between the points next to its highest: Hz and m/N, to draw it."""
+    """Return the interpolated curve of a `peak` between the neighbors of its highest point, to draw it: Hz and m/N."""
     curve = frf.to("displacement").sorted()
     curve = curve.at(np.isfinite(curve.value) & (abs(curve.value) > 0))
     f, magnitude = curve.frequency, abs(curve.value)
@@ -214,7 +217,8 @@ def resonance_peak(frf: Response, band_low: float, band_high: float) -> Peak | N
     cancel on one flank of the peak.
     """
     if SYSTEMATIC in frf.limits:
-        # Tolerances are usually the largest part of the systematic errors, whose sum alone a file gives.
+        # Tolerances are usually the largest part of the systematic errors. A file contains only the sum of these
+        # errors.
         frf = frf.without(SYSTEMATIC).with_limits({SENSITIVITY: frf.limits[SYSTEMATIC]})
     estimate = peak(frf, band_low, band_high)
     if estimate is None or estimate.at_end or estimate.tolerances or SENSITIVITY not in frf.limits:
@@ -231,12 +235,13 @@ def resonance_peak(frf: Response, band_low: float, band_high: float) -> Peak | N
 
 
 def resonance_peaks(frf: Response) -> list[tuple[Resonance, Peak]]:
-    """Return every resonance of a receptance with its `resonance_peak`, or its rational interpolation if better."""
+    """Return every resonance of a compliance with its `resonance_peak`, or its rational interpolation if better."""
     receptance = frf.without(SENSITIVITY, SYSTEMATIC, CLOCK).to("displacement")
     resonances = sorted(find_resonances(receptance), key=lambda resonance: resonance.frequency)
     frequency = np.array([resonance.frequency for resonance in resonances])
     between = np.sqrt(frequency[1:] * frequency[:-1])
-    # A band has at least three lines on either side of a resonance, so that lines far apart are enough for a bound.
+    # A band has at least three lines on either side of a resonance, so that an uncertainty exists for widely spaced
+    # lines, too.
     lines = np.sort(frf.frequency)
     position = np.searchsorted(lines, frequency)
     near = lines[np.maximum(position - 3, 0)], lines[np.minimum(position + 2, lines.size - 1)]
@@ -249,7 +254,7 @@ def resonance_peaks(frf: Response) -> list[tuple[Resonance, Peak]]:
 
 def _better(frf: Response, resonance: Resonance, estimate: Peak) -> Peak:
     """Return the interpolated resonance as a peak if its uncertainty is smaller than that of an estimate."""
-    # Between few lines, dampers may move at the peak although they are at rest at the lines around it.
+    # With few lines, dampers may move at the peak although they are at rest at the lines on both sides.
     is_known = resonance.is_interpolated and resonance.lines >= MIN_LINES
     is_known &= not is_next_to_omitted(frf, float(frf.frequency[resonance.line]))
     if not is_known or estimate.own_bound <= resonance.expanded:
@@ -261,7 +266,7 @@ def _better(frf: Response, resonance: Resonance, estimate: Peak) -> Peak:
 
 
 def _common_tolerances(frf: Response) -> tuple[float, ...]:
-    """Return the tolerances of the sensors of output and reference, relative to the response, if they are common.
+    """Return the tolerances of the sensors of output and reference, relative to the response, if equal at all lines.
 
     They are empty if the effect of the tolerances depends on frequency, as with a reference of several channels.
     """
@@ -294,10 +299,10 @@ def _peak_sensitivity(f: np.ndarray, inverse_frf: np.ndarray, frequency: float) 
 
 
 def _propagated_bounds(points: Response, sensitivity: np.ndarray) -> np.ndarray:
-    """Return the 95 % bounds of height and frequency of a peak due to the errors of its points, shape (2,)."""
+    """Return the expanded uncertainties of height and frequency of a peak due to its points, shape (2,)."""
     variance = np.diag(points.covariance().of_sums(np.conj(sensitivity).T[:, None]))
     random_bound = expand(np.sqrt(np.maximum(np.nan_to_num(variance), 0.0)), degrees=points.degrees.min())
-    # Equal relative errors of all points add up in the height, and cancel in the frequency.
+    # Equal relative errors of all points change the height, but not the frequency.
     in_height, in_frequency = abs(sensitivity) * np.nan_to_num(points.systematic_bound(), posinf=_UNBOUNDED)
     return np.hypot(random_bound, [in_height.sum(), np.linalg.norm(in_frequency)])
 
@@ -306,7 +311,7 @@ def _highest_local_maximum(magnitude: np.ndarray, random_bound: np.ndarray) -> i
     """Return the index of the highest point, or of the highest significant local maximum if that point is at an end.
 
     Without such a maximum, return the highest point. A maximum is significant if it exceeds the minima on both sides by
-    more than their random bounds.
+    more than the random uncertainty of both.
     """
     highest, best_maximum = int(np.argmax(magnitude)), -1
     if 0 < highest < magnitude.size - 1:
@@ -322,9 +327,9 @@ def _highest_local_maximum(magnitude: np.ndarray, random_bound: np.ndarray) -> i
 
 
 def _leave_one_out_error(f: np.ndarray, inverse_frf: np.ndarray, random_bound: np.ndarray, highest: int) -> float:
-    """Estimate the relative error, beyond the random bounds, with which neighbors predict the three points at the peak.
+    """Estimate the relative error, beyond random errors, with which neighbors predict the three points at the peak.
 
-    `inverse_frf`, `random_bound`: 1/H and its random 95 % bound at f; `highest`: index of the highest point.
+    `inverse_frf`, `random_bound`: 1/H and its random expanded uncertainty at f; `highest`: index of the highest point.
     """
     errors = [0.0]
     for k in (highest - 1, highest, highest + 1):
@@ -339,7 +344,7 @@ def _leave_one_out_error(f: np.ndarray, inverse_frf: np.ndarray, random_bound: n
 
 
 def _interpolate(f: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Interpolate complex values, given at the frequencies f, by the polynomial through all of them."""
+    """Interpolate complex values at the frequencies f by the polynomial through all values."""
     middle, scale = f.mean(), np.ptp(f)
     powers = np.polynomial.polynomial.polyvander((f - middle) / scale, f.size - 1)
     return np.polynomial.polynomial.polyval((at - middle) / scale, np.linalg.solve(powers, values))
@@ -351,7 +356,7 @@ class PeakChange:
 
     response: str
     mode: float  # natural frequency of the mode of the bare structure, Hz
-    damping: float  # damping ratio of that mode
+    damping: float  # damping ratio of this mode
     bare: Peak  # without dampers
     damped: Peak  # with dampers
     # both peaks without the sensitivity errors, which cancel in the change if the same sensors measured both
@@ -404,7 +409,7 @@ class PeakChange:
 
     @property
     def equivalent_damping(self) -> float:
-        """Viscous damping ratio of the bare structure that would lower its peak by the same amount."""
+        """Viscous damping ratio with which the peak of the bare structure would be as low as that with dampers."""
         return self.damping * self.bare.value / self.damped.value
 
 
@@ -455,7 +460,7 @@ def peak_changes(
 
 
 def by_name(curves: Sequence[Response]) -> dict[str, Response]:
-    """Return curves by the name of the response or, if there are several inputs, of response and input."""
+    """Return curves by the name of the response, or by the names of response and input if there are several inputs."""
     several = len({curve.input for curve in curves}) > 1
     return {curve.ratio if several else curve.response: curve for curve in curves}
 
@@ -466,7 +471,7 @@ def covers(curve: Response, frequency: float) -> bool:
 
 
 def is_next_to_omitted(curve: Response, frequency: float) -> bool:
-    """Return whether the test left out frequencies between a line and one of its neighbors; `frequency`: of the line.
+    """Return whether the test left out frequencies next to a line; `frequency`: frequency of the line, Hz.
 
     If the curve is highest at this line, its peak may be among the omitted frequencies.
     """

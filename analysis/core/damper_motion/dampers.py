@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
     from rig.core.scene.damper import Damper
 
-#: What channels can show of a mass that does not fall freely, by whether it can hit a wall.
+#: Note on a mass that does not fall freely, by whether the mass can hit a wall.
 _IMPACT_TEXTS = (
     "{} has no impacts.",
     "channels cannot show the impacts of {} in this body, because it does not fall freely.",
@@ -112,7 +112,7 @@ class Dampers(Result):
 
 
 def _impact_text(damper: Damper) -> str:
-    """Return what channels can show of the impacts of a mass that does not fall freely."""
+    """Return the note on the impacts of a mass that does not fall freely."""
     name = "a mass on a spring" if damper.friction is None else "a sliding mass"
     return _IMPACT_TEXTS[damper.has_walls].format(name)
 
@@ -125,7 +125,7 @@ def dampers_in(rec: Recording, label: str | None = None, progress: CountProgress
     """
     other = [damper for damper in rec.scene.dampers if not damper.falls_freely and damper.moves]
     unknown_impacts = {damper.body for damper in other if damper.has_walls}
-    # The force of a joint changes the motion of its bodies as fast as an impact.
+    # The force of a joint changes as fast as that of an impact, so impacts on its bodies cannot be detected.
     unknown_impacts |= {end + 1 for joint in rec.scene.joints for end in joint.ends if end is not None}
     beds = [damper for damper in rec.scene.dampers if not damper.locked and damper.falls_freely]
     bodies_with_dampers = sorted({damper.body for damper in beds} - unknown_impacts)

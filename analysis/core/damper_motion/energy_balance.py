@@ -42,8 +42,8 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
 
     The supplied work follows from the force and the motion of the driven body, including harmonics. The energy
     dissipated in the structure follows from the motion of all bodies and the damping matrix of the scene. Both are
-    quadratic forms of the complex amplitudes a of the channels. An error da therefore changes their difference by
-    ``2 Re(g^H da)`` to first order, with the gradient g.
+    quadratic forms of the complex amplitudes a of the channels. An error da of the amplitudes therefore changes the
+    difference of both energies by ``2 Re(g^H da)`` to first order, with the gradient g.
 
     `rec`: recording of a stepped-sine test with a channel on every body; `sweep`: result of
     `analysis.core.responses.stepped_sine.sweeps`.
@@ -65,7 +65,8 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
             f"no channel on {rec.scene.structure.listed(missing)}, but the energy balance needs the motion of all "
             f"{count} bodies. Mount a motion sensor there."
         )
-    # `driven_bodies` of the structural model rejects several coil springs; here the driven shaker alone counts.
+    # `driven_bodies` of the structural model would reject several coil springs; here only the driven shaker is
+    # relevant.
     shaker = rec.scene.driven_shaker
     driven = [0] if shaker is None else [body - 1 for body in shaker.bodies]
     supplied, structure, gradients, force_shares = [], [], [], []
@@ -79,7 +80,7 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
         )
         force = np.sum(force_row * tone.amplitude, axis=0)
         motion = np.sum(motion_rows * tone.amplitude, axis=1)
-        # A force that acts on several bodies works on the sum of their motions.
+        # The work of a force that acts on several bodies follows from the sum of their motions.
         driven_motion, driven_row = motion[driven].sum(axis=0), motion_rows[driven].sum(axis=0)
         dissipation_factor = 2 * np.pi**2 * tone.frequency * orders**2
         damping_force = damping @ motion

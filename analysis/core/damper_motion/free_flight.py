@@ -29,23 +29,23 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
 
-# Part of the segment that is excluded at each end, relative to its length: the correction mirrors the samples there.
+# This fraction of the segment is excluded at each end, because the correction mirrors the samples there.
 _EXCLUDED_END_RATIO = 0.05
 # The restitution is estimated from at least this number of flights that are consistent with the impacts.
 _MIN_FLIGHTS = 6
 # At least this fraction of the intervals between impacts must be flights.
 _MIN_FLIGHT_RATIO = 0.25
-# A flight is consistent if its computed end deviates from the wall by at most this fraction of its height.
+# A flight is consistent if the computed position at its end deviates from the wall by at most this fraction of its
+# height.
 _MAX_HEIGHT_ERROR = 0.05
 # A flight is used if the uncertainty of the restitution from this flight is at most this.
 _MAX_UNCERTAINTY = 0.1
-# For normal errors: ratio of standard deviation to median absolute deviation, times ratio of the standard deviations
-# of median and mean.
+# Standard uncertainty of a median over the median absolute deviation of the values, for normal errors.
 _MEDIAN_ERROR = 1.4826 * 1.2533
 # A flight may reach the ceiling if its distance from the ceiling is at most this fraction of the clearance. The
 # accuracy of the height is limited by the motion between samples and by the band limit, which blurs the impact.
 _CEILING_DISTANCE_RATIO = 0.03
-# The band limit blurs this number of samples around an impact.
+# The band limit distorts this number of samples around an impact.
 _BLURRED_SAMPLES = 2
 
 
@@ -88,7 +88,7 @@ class BodyMotion:
         """Return position and speed of a wall at a time, s.
 
         `wall`: height of the wall above the floor, m; `added_speed`: half the jump of an impact at this time, m/s,
-        because the band-limited velocity has its mean value there.
+        because the band-limited velocity there is the mean of the velocities before and after the jump.
         """
         sample = min(int(time * self.rec.rate), self.samples.size - 2)
         fraction = time * self.rec.rate - sample
@@ -101,7 +101,7 @@ class BodyMotion:
 
 @dataclass(frozen=True)
 class Restitution:
-    """Coefficient of restitution (ratio of separation to approach speed) and its standard deviation."""
+    """Coefficient of restitution (ratio of separation to approach speed) and its standard uncertainty."""
 
     value: float
     error: float
@@ -112,8 +112,8 @@ class _WallContact(NamedTuple):
 
     time: float  # s
     wall: float  # height of the wall above the floor, m
-    position: float  # of the wall, m
-    speed: float  # of the wall, m/s
+    position: float  # position of the wall, m
+    speed: float  # speed of the wall, m/s
 
     @property
     def inward(self) -> float:
@@ -129,9 +129,9 @@ def restitution(motion: BodyMotion, damper: Damper) -> Restitution | None:
     the body falls away from the damper, or with a rebound. The velocity jump of the body is ``(1 + e) w m / (m + M)``
     with the masses m of the damper and M of the body. Masses and clearance are taken from the scene.
 
-    Unresolved rebounds, which end before the channel resolves them from their impact, increase the apparent ``1 + e``
-    to at most ``(1 + e) / (1 - e)``. The estimate is the middle of this range, and its error covers the range and all
-    rebounds shorter than the resolution of the channel.
+    Rebounds that are too short to be resolved from their impact increase the apparent ``1 + e`` to at most ``(1 + e) /
+    (1 - e)``. The estimate is the middle of this range; its uncertainty includes the range, and all rebounds that the
+    channel does not resolve.
 
     The result is None if too few flights are consistent with the impacts, or if the value is impossible. The result is
     also None for finite-duration contact, because the release is not observed and the pulse that detects the impact
@@ -165,7 +165,7 @@ def restitution(motion: BodyMotion, damper: Damper) -> Restitution | None:
         return None
     value, uncertainty = np.median(consistent, axis=0)
     scatter = _MEDIAN_ERROR * float(np.median(abs(consistent[:, 0] - value))) / np.sqrt(len(consistent))
-    # The residual of a jump is a bound, taken as two standard deviations.
+    # The residual ratio limits the error of a jump; the limit is taken as two standard deviations.
     jump_error = 0.5 * RESIDUAL_RATIO * (1.0 + value)
     error = float(np.sqrt(scatter**2 + uncertainty**2 + jump_error**2))
     # A value outside 0 to 1 is impossible, so the detected jumps are not impacts of this damper.
@@ -173,7 +173,7 @@ def restitution(motion: BodyMotion, damper: Damper) -> Restitution | None:
 
 
 def inelastic_closing_speeds(scene: Scene, detected: Impacts, damper: Damper) -> Array:
-    """Return the closing speeds for zero restitution if a body has one damper, m/s; infinite for a massless damper."""
+    """Return the closing speeds for zero restitution on a body with one damper, m/s; infinite for a massless damper."""
     return np.asarray(abs(detected.jump) * _speed_per_jump(scene, damper))
 
 
@@ -203,8 +203,9 @@ def _restitution_after_rest(
 ) -> tuple[float, float] | None:
     """Estimate the restitution from a flight that began when the body fell away from a damper at rest.
 
-    `inelastic_speed`: closing speed of the arrival for zero restitution; `unresolved_rebound`: largest rebound speed
-    that is not resolved, m/s. Returns value and uncertainty, or None if the flight is not consistent.
+    `inelastic_speed`: closing speed of the impact at the end of the flight for zero restitution; `unresolved_rebound`:
+    largest rebound speed that is not resolved, m/s. Returns value and uncertainty, or None if the flight is not
+    consistent.
     """
     rate, gravity = motion.rec.rate, motion.rec.scene.gravity
     between = slice(int(departure.time * rate) + 2, int(arrival.time * rate) - 1)
@@ -236,12 +237,12 @@ def _restitution_after_rebound(
 ) -> tuple[float, float] | None:
     """Estimate the restitution from the speed of the rebound that begins a flight, and from the next closing speed.
 
-    `inelastic_speed`: closing speeds of departure and arrival for zero restitution. Returns as
-    `_restitution_after_rest`.
+    `inelastic_speed`: closing speeds, for zero restitution, of the impacts at the start and the end of the flight.
+    Returns as `_restitution_after_rest`.
     """
     gravity = motion.rec.scene.gravity
     time, height_error, closing_speed = _flight(gravity, departure, arrival)
-    # The rebound speed that removes the height error.
+    # The rebound speed with which the flight ends exactly at the wall.
     rebound = -height_error / time
     closing_speed -= arrival.inward * rebound
     rebound_ratio = departure.inward * rebound / inelastic_speed[0]
@@ -261,8 +262,8 @@ def may_reach_ceiling(motion: BodyMotion, damper: Damper) -> bool:
     After an instant impact the damper is at rest on the floor while the body's acceleration exceeds -g. The damper is
     then in free fall, so that its height above the floor follows from the motion of the body. For finite-duration
     contact the release is unknown; the flight is then computed backward from the closing speed of the next impact. The
-    height is the largest that the sensor tolerance allows. Its median over the segment is compared with the clearance
-    of the scene.
+    computed height is the largest within the sensor tolerance. The median of these heights over the segment is compared
+    with the clearance of the scene.
     """
     if not np.isfinite(damper.clearance) or not np.any(motion.impacts.jump < 0.0):
         return False
@@ -304,7 +305,7 @@ class _FloorMotion:
     def height_from_rest(self, sample: int, last: int) -> float:
         """Return the maximum height, m, of a damper that is at rest on the floor at `sample` and does not rebound.
 
-        The flights until sample `last` are computed one after the other.
+        Several flights until sample `last` are computed one after another.
         """
         highest = 0.0
         while sample < last and (falling := np.flatnonzero(self.apparent_gravity[sample:last] < 0.0)).size:
@@ -325,7 +326,7 @@ class _FloorMotion:
 
     def height_before(self, first: int, end_sample: float, closing_speed: float) -> float:
         """Return the maximum height, m, of a flight after `first` that ends at `end_sample` with a closing speed."""
-        # The backward computation starts at the last sample that is not blurred by the impact.
+        # The backward computation starts at the last sample that the band-limited impact does not distort.
         last = int(end_sample) - _BLURRED_SAMPLES
         remaining_time = (end_sample - last) / self.rate
         height = remaining_time * closing_speed - 0.5 * self.apparent_gravity[last] * remaining_time**2

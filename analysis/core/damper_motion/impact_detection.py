@@ -44,23 +44,24 @@ _MIN_VALID_RATIO = 0.5
 RELEASE_DURATIONS = 1.6
 # A jump after an impact may be its release if it is below this fraction of the impact.
 _MAX_RELEASE_RATIO = 0.5
-# A jump below this fraction of a finite-duration impact may be its fit residual while the sensor still rings.
+# A jump below this fraction of a finite-duration impact may be the residual of the fit of this impact, while the sensor
+# rings.
 _CONTACT_RESIDUAL_RATIO = 0.15
 # Model error of a finite-duration impact, relative to the largest impact near it.
 _CONTACT_JUMP_ERROR = 0.03
-# Time error due to the largest impact nearby, relative to the time to 90 % of the pulse.
+# Uncertainty of the time due to the largest impact nearby, relative to the time to 90 % of the pulse.
 _CONTACT_TIME_ERROR = 0.04
-# Additional time error due to that impact, relative to a sample interval.
+# Additional uncertainty of the time due to the same impact, relative to a sample interval.
 _CONTACT_SAMPLE_ERROR = 0.05
 # Number of samples until 90 % of an impact pulse; samples at a higher rate are averaged to this number.
 _PULSE_SAMPLES = 8
 # Lowest frequency of the band in which the motion of a body is determined.
 _LOW_HZ = 2.0
-# Highest frequency of that band, relative to the sample rate.
+# Highest frequency of this band, relative to the sample rate.
 _HIGH_RATE_RATIO = 0.4
 # Time on either side of an impact whose samples determine the polynomial for the acceleration at the impact.
 _SIDE_TIME_S = 2e-3
-# Minimum number of these samples.
+# Minimum number of these samples on either side.
 _MIN_SIDE_SAMPLES = 8
 # After the impact, this number of decay times of the sensor resonance is skipped.
 _DECAY_TIMES = 4.0
@@ -80,27 +81,32 @@ class Impacts:
     time: Array
     """Times of the impacts after sample 0, s; shape (n,)."""
     time_error: Array
-    """Standard deviation of `time`, s; shape (n,). For finite-duration contact it includes the uncertain release and
-    the effect of larger impacts nearby."""
+    """Standard uncertainty of `time`, s; shape (n,). For finite-duration contact it includes the uncertain release and
+    the effect of larger impacts nearby.
+    """
     jump: Array
     """Velocity jump of the body, m/s: negative at the floor, positive at the ceiling; shape (n,). The impulse is the
-    jump times the mass of the body. For finite-duration contact it is proportional to the contact duration of the
-    scene."""
+    jump times the mass of the body. For finite-duration contact the estimated jump is proportional to the contact
+    duration of the scene.
+    """
     jump_error: Array
-    """Standard deviation of `jump`, m/s, without the sensitivity error of the sensor; shape (n,)."""
+    """Standard uncertainty of `jump`, m/s, without the tolerance of the sensor's sensitivity; shape (n,)."""
     acceleration: Array
     """Smooth acceleration of the body at the impact, m/s²; NaN too close to the ends of the segment; shape (n,)."""
     noise: float
-    """Standard deviation of the estimated jump without an impact, m/s: 95th percentile over the segment."""
+    """Standard deviation of the estimated jump where there is no impact, m/s: 95th percentile over the segment."""
     resolution: float
     """Shortest interval between two impacts that the channel resolves, s."""
     ringing: float
-    """Time for which the channel rings around an impact, s. Another impact within this time may be missed if it is
-    below `masked_share` of the first."""
+    """Time for which the channel rings around an impact, s. A second impact within this time may be missed if it is
+    below `masked_share` of the first impact.
+    """
     threshold: float
     """Detection limit: smallest jump that is reliably detected, m/s; higher near a larger impact (see `ringing`)."""
     contact_duration: float
-    """Duration of contact in an impact, s; 0: instant. A jump after a finite-duration impact may be its release."""
+    """Duration of contact in an impact, s; 0: instant. A jump after a finite-duration impact may be the release of this
+    impact.
+    """
     searched_duration: float
     """Duration of the segment without its ends and without `unsearched`, s."""
     unsearched: Array
@@ -114,7 +120,7 @@ class Impacts:
 
     @property
     def masked_share(self) -> float:
-        """An impact below this fraction of another may be missed while the channel rings from the other."""
+        """An impact below this fraction of a previous impact may be missed while the channel still rings."""
         return _CONTACT_RESIDUAL_RATIO if self.contact_duration else RESIDUAL_RATIO
 
     @property
@@ -300,7 +306,7 @@ def _acceleration(samples: Array, impact_samples: Array, info: ChannelInfo, dura
     time = (indices - impact_samples[evaluable, None] - 0.5 * info.average) / (side + excluded)
     columns = [time**power for power in range(integrations + _SIDE_ORDER + 1)]
     if integrations:
-        # The jump of the velocity, or the kink of the displacement.
+        # The regressor of the jump of the velocity, or of the kink of the displacement.
         columns.append(np.maximum(time, 0.0) ** (integrations - 1) * (time > 0))
     basis, factor = np.linalg.qr(np.stack(columns, axis=2))
     coefficients = np.linalg.solve(factor, basis.mT @ samples[indices, None])[:, integrations, 0]

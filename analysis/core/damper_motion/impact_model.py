@@ -42,8 +42,8 @@ _MIN_INSTANTS_PER_SAMPLE = 8
 _RESONANCE_STRIDE = 8
 # The search uses every fourth sub-sample time with a decimation filter.
 _FILTER_STRIDE = 4
-# Poles above this angular frequency, rad per sample, affect the response to a jump; slower poles cause a slow curvature
-# after it, which the polynomial represents.
+# Poles above this angular frequency, rad per sample, affect the response to a jump. Slower poles cause only a slow
+# curvature after the jump, which the polynomial represents.
 _FAST_POLE = 0.3
 # Number of decay times after which the response of a resonance has decayed to 1e-6.
 _DECAY_TIMES = 14.0
@@ -73,8 +73,8 @@ class ImpactModel:
     """Responses to unit velocity jump, acceleration step and acceleration kink, and the filters that estimate them.
 
     All arrays are differences of successive samples, so that the response to a jump is short. The order of the
-    differences is two higher than the number of integrations in the channel. The fit itself is least squares in the
-    readings, whose noise is white.
+    differences is two higher than the number of integrations in the channel. The fit itself is a least-squares fit of
+    the readings, because the noise of the readings is white.
 
     The arrays have one row for each of 2 `MAX_SHIFT` `instants_per_sample` times. Row g is for a jump
     (g + 1/2) / `instants_per_sample` - `MAX_SHIFT` samples after sample 0 of a window.
@@ -85,7 +85,7 @@ class ImpactModel:
     instants_per_sample: int
     """Number of sub-sample times in a sample interval."""
     search_stride: int
-    """Distance of the sub-sample times that the search uses; 1: it uses all."""
+    """The search uses every n-th sub-sample time, with this n; 1: all."""
     filters: Array
     """Filters for the kink, for the step orthogonal to the kink, and for the jump orthogonal to both, each with unit
     noise gain; shape (rows, 3, window)."""
@@ -106,7 +106,7 @@ class ImpactModel:
     def search_basis(self) -> tuple[Array, Array]:
         """Orthonormal basis of the search's jump filters and their weights; shapes (rank, window), (filters, rank).
 
-        The numerical rank of a few dozen filters is about ten.
+        The basis is small, because the numerical rank of a few dozen filters is about ten.
         """
         first = MAX_SHIFT * self.instants_per_sample + self.search_stride // 2
         filters = self.filters[first : first + self.instants_per_sample : self.search_stride, 2]
@@ -148,7 +148,7 @@ class ImpactModel:
 
     @cached_property
     def noise_gain(self) -> float:
-        """Largest standard deviation of a jump over the sub-sample times, for readings with unit noise, m/s."""
+        """Largest standard uncertainty of a jump over the sub-sample times, m/s, for readings with unit noise."""
         middle = slice(MAX_SHIFT * self.instants_per_sample, (MAX_SHIFT + 1) * self.instants_per_sample)
         return float(1.0 / abs(self.r_factors[middle, 2, 2]).min())
 
@@ -206,7 +206,7 @@ class ImpactModel:
         """Fit the jump that best explains a window of differences; `noise`: standard deviation of a reading.
 
         Returns `time`, time of the jump after the window's sample 0, samples; `amplitudes`, shape (3,), jump [m/s],
-        step [m/s²], kink [m/s³]; `error`, standard deviation of the jump, m/s; `explained`, reduction of the sum of
+        step [m/s²], kink [m/s³]; `error`, standard uncertainty of the jump, m/s; `explained`, reduction of the sum of
         squares by jump, step and kink, in noise variances.
         """
         stride = self.search_stride
@@ -330,7 +330,7 @@ def _acceleration_responses(
     # High-pass filters have no effect in the short time around a jump, so the response at zero frequency is set to 1.
     response[0] = 1.0
     if info.filter:
-        # The filter blocks these frequencies, and its tabulated response ends there.
+        # The decimation filter blocks these frequencies, and its tabulated response ends below them.
         response[frequency > info.rate] = 0.0
     if pulse is not None:
         # Velocity change within half a sub-sample interval on either side.
@@ -342,7 +342,8 @@ def _acceleration_responses(
         # The mean of interval averages is an average over a longer interval; point samples are summed explicitly.
         delays = np.exp(-2j * np.pi * np.outer(np.arange(decimation), frequency) / info.rate)
         response *= delays.mean(axis=0)
-    # A jump occurs in the middle of a sub-sample interval. Each running sum delays by half an interval too little.
+    # A jump occurs in the middle of a sub-sample interval. This phase corrects the delays, because the running sum over
+    # an interval lacks half a sub-sample interval of delay.
     response *= np.exp(2j * np.pi * frequency * 0.5 * (1 - interval_averages) / (rate * instants))
     jump = fft.irfft(response, n_samples * instants) * rate * instants
     for _ in range(interval_averages):

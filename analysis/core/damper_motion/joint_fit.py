@@ -20,7 +20,7 @@ from rig.core.base.arrays import Array
 ITERATIONS = 4
 # The time of a jump changes by at most this in one iteration, samples.
 _MAX_CHANGE_SAMPLES = 0.5
-# Added to the diagonal of the normalized normal equations, so that they stay positive definite despite rounding.
+# Added to the diagonal of the normalized normal equations, which would otherwise be indefinite due to rounding.
 _DIAGONAL_LOADING = 1e-11
 # Maximum distance of a fitted jump from its initial time, samples; beyond it, the jump could merge with a neighbor.
 _MAX_DISTANCE_SAMPLES = 2.0
@@ -35,11 +35,11 @@ class Jump:
     amplitudes: Array
     """Jump [m/s], step [m/s²], kink [m/s³]; shape (3,)."""
     error: float
-    """Standard deviation of the jump, m/s, which includes the uncertainty of the jointly fitted quantities."""
+    """Standard uncertainty of the jump, m/s, including the uncertainty of the jointly fitted quantities."""
     explained: float
     """Reduction of the sum of squares by this jump, in units of the noise variance."""
     time_error: float = np.inf
-    """Standard deviation of `time`, samples."""
+    """Standard uncertainty of `time`, samples."""
 
     @property
     def velocity_jump(self) -> float:
@@ -76,7 +76,7 @@ def add_jump(residual: Array, model: ImpactModel, jump: Jump, factor: float) -> 
 def fit_group(
     residual: Array, model: ImpactModel, group: Sequence[Jump], noise: Deviations
 ) -> tuple[list[Jump], float]:
-    """Fit jumps jointly to the differenced readings around them; return them with the residual sum of squares.
+    """Fit jumps jointly to the differenced readings around the jumps; return jumps and residual sum of squares.
 
     `residual`: differenced readings, from which all other jumps are subtracted.
     """
@@ -123,7 +123,7 @@ def fit_within(
 def estimate_errors(
     residual: Array, model: ImpactModel, jumps: Sequence[Jump], noise: Array, prior: tuple[float, float]
 ) -> list[Jump]:
-    """Estimate the standard deviations of jumps from the noise, or from the residual if that is larger.
+    """Estimate the standard uncertainties of jumps from the noise, or from the residual if this is larger.
 
     `residual`: differenced readings, from which all jumps are subtracted; `noise`, shape (jumps,): standard deviation
     of the readings at each jump; `prior`: prior standard deviations of steps and kinks.

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _MAX_INSTANT_RATIO = 0.25
 # Two pulses are equal if they differ by at most this fraction of the velocity change.
 _MAX_PULSE_DIFFERENCE = 0.02
-# Offset from critical damping, at which both roots coincide and the closed form is singular.
+# The closed form is evaluated at least this far from critical damping, where it is singular.
 _CRITICAL_OFFSET = 1e-6
 # Number of times at which pulses are compared.
 _INSTANTS = 200

@@ -49,7 +49,8 @@ RESIDUAL_RATIO = 0.02
 # An impact on a neighboring body causes a slightly curved kink of the acceleration, which the fit can mistake for a
 # jump. Jumps below this multiple of the velocity change due to the kink within one sample are rejected.
 _KINK_JUMP_RATIO = 1.0
-# For finite-duration contact, this fraction of the contact duration replaces the sample interval in the limit above.
+# For finite-duration contact, this fraction of the contact duration replaces the sample interval in the rejection
+# above.
 _KINK_DURATION_RATIO = 1.0 / 6.0
 # Maximum number of searches of the residual.
 _MAX_ROUNDS = 12
@@ -65,7 +66,8 @@ _MAX_RESOLVED_ERROR_RATIO = 1.1
 _GROUP_SEARCH_RATIO = 3.0
 # Maximum number of windows in such a segment.
 _MAX_WINDOWS = 4
-# That search ends at this residual sum of squares, relative to the sum of squares of a jump at the detection limit.
+# The search for groups ends at this residual sum of squares, relative to the sum of squares of a jump at the detection
+# limit.
 _SUFFICIENT_RATIO = 0.1
 # A segment is unresolved if its residual exceeds this multiple of the detection limit ...
 _UNRESOLVED_LIMIT_RATIO = 10.0
@@ -163,7 +165,7 @@ class MatchingPursuit:
         self.window_model = self.model
 
     def run(self) -> list[Jump]:
-        """Detect the jumps; return them in chronological order, with standard deviations."""
+        """Detect the jumps; return them in chronological order, with standard uncertainties."""
         for _ in range(_MAX_ROUNDS):
             if not self._subtract_jumps():
                 break
@@ -180,7 +182,7 @@ class MatchingPursuit:
         for first, last in self._unexplained_segments(_GROUP_SEARCH_RATIO * limit):
             self._search_jointly(first, last, limit)
         self.jumps.sort(key=lambda jump: jump.time)
-        # With finite-duration contact, kinks also have this duration: the bed is pressed or released.
+        # With finite-duration contact, a bed that is pressed or released causes kinks of the same duration.
         contact = self.model.contact_samples
         kink_time = max(1.0, _KINK_DURATION_RATIO * contact) / self.rate
         accepted = [
@@ -286,7 +288,7 @@ class MatchingPursuit:
     def detection_limit(self, noise: float, largest: float) -> float:
         """Return the smallest jump that is reliably detected, m/s, except next to a larger jump.
 
-        It is limited by noise, by model errors and, for finite-duration contact, by the prior of steps.
+        The limit follows from noise, model errors and, for finite-duration contact, the prior of steps.
         """
         duration = self.model.contact_samples / self.rate
         model_error = _CONTACT_MODEL_ERROR if duration else MODEL_ERROR
@@ -309,7 +311,7 @@ class MatchingPursuit:
         return first[first % (self.model.window_length // 2) == 0]
 
     def _residual_squares(self, order: int) -> Array:
-        """Return the residual sum of squares of each of `_windows` after a polynomial of this order is subtracted."""
+        """Return the residual sum of squares of each of `_windows` without the best polynomial of an order."""
         if order not in self._cache:
             if "readings" not in self._cache:
                 windows = np.lib.stride_tricks.sliding_window_view(self.residual, self.model.window_length)
@@ -353,7 +355,7 @@ class MatchingPursuit:
         return self.model.contact_samples > 0 and abs(jump.step) > _MAX_STEP_SIGMAS * self.prior[0]
 
     def _search_jointly(self, first: int, last: int, limit: float) -> None:
-        """Search for all jumps between two windows jointly; use the set of lower cost, the old or the new."""
+        """Search for all jumps between two windows jointly; keep the new set of jumps if its cost is lower."""
         model = self.window_model
         half = model.window_length // 2
         if last - first > _MAX_WINDOWS * model.window_length:
@@ -367,7 +369,7 @@ class MatchingPursuit:
         for jump in old_jumps:
             self._add(jump, 1.0)
         sufficient = _SUFFICIENT_RATIO * (limit * model.template_norm) ** 2
-        # The tolerated residual is included in the noise; otherwise steps and kinks would have to explain it.
+        # The tolerated residual is included in the noise; otherwise steps and kinks would be fitted to it.
         noise = max(float(self.noise()[first]), (sufficient / model.window_length) ** 0.5)
 
         def fit(jumps: list[Jump], iterations: int) -> tuple[list[Jump], float]:
@@ -381,12 +383,12 @@ class MatchingPursuit:
         self._replace(old_jumps, new_jumps)
 
     def _prior_deviations(self, readings: Array) -> tuple[float, float]:
-        """Estimate prior standard deviations of steps and kinks: a share of the acceleration, or of its rounding."""
+        """Estimate prior standard deviations of steps and kinks from the acceleration, or from rounding of readings."""
         integrations = self.model.difference_order - 2
         acceleration = np.diff(readings, integrations) * self.rate**integrations
         acceleration = acceleration - _quantile(acceleration, 0.5)
         acceleration = np.convolve(acceleration, np.full(_SMOOTHING_SAMPLES, 1.0 / _SMOOTHING_SAMPLES), "valid")
-        # If the reading is constant, the acceleration is at most the acceleration that rounding hides.
+        # If the readings are constant, the acceleration is at most that which the rounding of the readings can hide.
         large_acceleration = float(_quantile(abs(acceleration), 0.9))
         step = _STEP_PRIOR_RATIO * max(large_acceleration, self.noise_floor * self.rate**integrations)
         return step, step * 2 * np.pi * _KINK_PRIOR_HZ

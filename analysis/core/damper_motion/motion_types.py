@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 _COUNT_TOLERANCE = 0.15
 # Maximum number of periods after which a pattern of impacts must recur.
 _MAX_PATTERN_PERIODS = 4
-# A restitution differs significantly from zero above this number of standard deviations.
+# A restitution differs significantly from zero above this number of standard uncertainties.
 _RESTITUTION_SIGMAS = 3.0
 # Maximum number of samples searched in a window, to limit memory.
 _MAX_SEARCHED_SAMPLES = 1 << 20
@@ -64,12 +64,13 @@ class DamperMotion:
     threshold: float
     """Detection limit: smallest velocity jump that is reliably detected, m/s."""
     stays_on_floor: bool
-    """Whether the body's acceleration stays above -g by more than the channel's errors, so that all dampers stay at
-    rest on the floor."""
+    """Whether the body's acceleration stays above -g by more than its uncertainty, so that all dampers stay at rest on
+    the floor.
+    """
     restitution: Restitution | None = None
     """Coefficient of restitution, if the body has a single damper and its impacts determine it."""
     pattern_periods: int = 1
-    """Number of periods after which all impacts recur within the time resolution of the channel; 0: they do not."""
+    """Number of periods after which all impacts recur within the time resolution of the channel; 0: no recurrence."""
     may_reach_ceiling_unseen: bool = False
     """Whether the damper may reach the ceiling with impacts that are too weak to be detected."""
 
@@ -197,7 +198,7 @@ def _recurrence_periods(detected: Impacts, frequency: float, begin: float, end: 
 def _stays_at_ceiling(apparent_gravity: Array, error: float, rebound_speed: float, push_time: float) -> bool | None:
     """Return whether a damper stays at the ceiling after impacts; None if undetermined.
 
-    `apparent_gravity`: acceleration of the body plus g at each impact, m/s²; `error`: its largest error, m/s². The
+    `apparent_gravity`: acceleration of the body plus g at each impact, m/s²; `error`: limit of its error, m/s². The
     ceiling pushes for `push_time` s. After a rebound of at most `rebound_speed` m/s the damper stays if it returns in
     this time. If the acceleration falls linearly from a to 0 in a time t, a rebound slower than a t / 3 returns.
     """
@@ -235,7 +236,8 @@ def _fastest_rebound(motion: BodyMotion, dampers: list[Damper], estimate: Restit
 def _push_time(acceleration: Array, amplitude: float, gravity: float, frequency: float) -> float:
     """Return a lower bound of the time for which the ceiling pushes after impacts, s, for a sinusoidal acceleration.
 
-    `acceleration`: acceleration of the body at the impacts, m/s². The ceiling pushes until it rises to -g.
+    `acceleration`: acceleration of the body at the impacts, m/s². The ceiling pushes until this acceleration rises to
+    -g.
     """
     finite = acceleration[np.isfinite(acceleration)]
     at_impact = float(np.median(finite)) if finite.size else 0.0

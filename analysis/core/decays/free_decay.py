@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 # Lower limit of the frequency range that is searched for modes.
 LOWEST_MODE_HZ = 2.0
-# Upper limit of this range; it is raised if the scene's structure has higher modes.
+# Upper limit of this range. The limit is raised if the scene's structure has higher modes.
 HIGHEST_MODE_HZ = 200.0
 # Minimum number of samples in a decay.
 _MIN_SAMPLES = 256
@@ -122,7 +122,7 @@ class Decay(Result):
         ax.set(xlabel="time after the impact / s", ylabel="acceleration / (m/s²)")
 
     def time_below(self, amplitude: float) -> float:
-        """Return the time in s from which the acceleration stays below an amplitude; NaN if it never does."""
+        """Return the time in s from which the acceleration stays below an amplitude; NaN if it does not."""
         above = np.flatnonzero(abs(self.acceleration) >= amplitude)
         if not above.size:
             return 0.0
@@ -195,7 +195,7 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     if fault := faulty_hits(rec.markers, ()).get(hit):
         warnings.append(f"Impact {hit} was {fault}. Choose another impact, or record again.")
     max_modes = modes if modes is not None else rec.scene.structure.bodies
-    # At least an octave above the highest mode of the scene.
+    # The search range ends at least an octave above the highest mode of the scene.
     highest_mode = max(HIGHEST_MODE_HZ, 2.0 * float(structural_model(rec.scene).modes.frequency.max()))
     lowest_mode = max(LOWEST_MODE_HZ, rec.rate / (decay_stop - decay_start))
     upper_limit = min(0.4 * rec.rate, 4.0 * highest_mode)
@@ -265,7 +265,7 @@ def _read_samples(rec: Recording, info: ChannelInfo, hit: int, start: int, stop:
 
 
 def _overload_warnings(rec: Recording, info: ChannelInfo, hit: int, start: int, stop: int) -> list[str]:
-    """Return a warning if the channel was overloaded in a decay; raise `RecordingError` if for too long."""
+    """Return a warning if the channel was overloaded in a decay; raise `RecordingError` if too much of it."""
     # First sample that the decay affects, with the delay of the converter's filter.
     first = arrival(info, start, start)[0]
     overloads = [marker for marker in rec.overloads if marker.fields.get("channel") == info.name]
@@ -285,7 +285,7 @@ def _overload_warnings(rec: Recording, info: ChannelInfo, hit: int, start: int, 
 
 
 def _energy_decay(acceleration: Array) -> Array:
-    """Return the backward-integrated energy, dB relative to its initial value; 0 if the motion is not a free decay."""
+    """Return the backward-integrated energy, dB relative to its start; 0 dB if the motion is not a free decay."""
     backward_energy = np.cumsum(acceleration[::-1] ** 2)[::-1]
     energy_after_end = _energy_after_end(acceleration)
     if np.isinf(energy_after_end):
@@ -305,7 +305,7 @@ def _energy_after_end(acceleration: Array) -> float:
     previous_energy = float(np.sum(acceleration[-2 * tenth : -tenth] ** 2))
     last_energy = float(np.sum(acceleration[-tenth:] ** 2))
     if previous_energy > last_energy:
-        # Sum of the geometric series of all later tenths.
+        # Sum of the geometric series of the energies of all later tenths.
         return last_energy * last_energy / (previous_energy - last_energy)
     return np.inf if last_energy > _MAX_FINAL_ENERGY_FRACTION * float(np.sum(acceleration**2)) else 0.0
 

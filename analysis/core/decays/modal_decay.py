@@ -20,18 +20,19 @@ if TYPE_CHECKING:
 _SAME_MODE_RATIO = 0.1
 # Maximum relative standard uncertainty, due to noise, of a reported damping ratio.
 MAX_RELATIVE_ERROR = 0.05
-# The damping ratio at an amplitude is the slope of the logarithmic envelope over a fall by 6 dB around that amplitude.
-# This constant is half of the fall. The amplitudes are 1.5 dB apart.
+# The damping ratio at an amplitude is the slope of the logarithmic envelope over a fall by 6 dB around this amplitude.
+# This constant is half of the fall, in nepers. The amplitudes are 1.5 dB apart.
 _HALF_FALL_NEPERS = 3.0 / 20.0 * np.log(10.0)
 # The band-pass and the fit over 6 dB average a damping ratio that depends on amplitude. The bias is estimated by two
 # more fits. In the first fit, the impulse response of the band-pass is longer by this factor.
 _RESPONSE_RATIO = 2.0**0.5
 # In the second fit, the fall is larger by this factor.
 _FALL_RATIO = 1.5
-# The bias grows with the square of the length of the impulse response for a smooth change, and linearly for a kink.
-# In the linear case the bias is the observed difference times 1 / (sqrt(2) - 1), rounded up.
+# The bias grows with the square of the length of the impulse response if damping changes smoothly with amplitude, and
+# linearly if it has a kink. In the linear case the bias is the observed difference times 1 / (sqrt(2) - 1), rounded up.
 _RESPONSE_BIAS_FACTOR = 2.5
-# If the fall has a kink in its middle, the error of the slope is this multiple of the rms residual of the parabola.
+# If the envelope has a kink in the middle of the fall, the error of the slope is this multiple of the rms residual of
+# the parabola.
 _KINK_ERROR_FACTOR = 8.0
 # Number of neighboring amplitudes on either side that a change of damping affects.
 _AFFECTED_LEVELS = 2
@@ -50,14 +51,14 @@ class ModalDecay(Result):
     frequency: float
     frequency_error: float  # Hz; NaN if no amplitude determines the frequency
     center: float  # center frequency of the band-pass, Hz: the peak of the spectrum
-    time: Array  # after the impact, s
+    time: Array  # time after the impact, s
     envelope: Array  # amplitude of the acceleration, m/s²
     noise: float  # noise of the band-passed acceleration, rms, m/s²
     # acceleration amplitudes in descending order, m/s²; noise causes a relative uncertainty below `MAX_RELATIVE_ERROR`
     amplitude: Array
     damping: Array  # damping ratio at those amplitudes
     damping_error: Array
-    damping_smear: Array  # bound of the bias of `damping` due to averaging over neighboring amplitudes
+    damping_smear: Array  # limit of the bias of `damping` due to averaging over neighboring amplitudes
     natural: Array  # natural frequency at those amplitudes, Hz
     natural_error: Array  # Hz
 
@@ -145,8 +146,8 @@ def spectral_peaks(acceleration: Array, rate: float, max_peaks: int, low: float,
 def band_width(frequencies: Array, index: int) -> float:
     """Return the standard deviation of the Gaussian band-pass for one of several modes, Hz.
 
-    It is a quarter of the distance to the nearest other mode, which is then attenuated by a factor of exp(-8), and at
-    most a quarter of the natural frequency.
+    The width is a quarter of the distance to the nearest other mode, which is then attenuated by a factor of exp(-8),
+    but at most a quarter of the natural frequency.
     """
     others = np.delete(frequencies, index)
     nearest = np.min(abs(others - frequencies[index])) if others.size else np.inf
@@ -160,14 +161,14 @@ def modal_decay(
     width: float,  # standard deviation of the band-pass, Hz
     begin: int,  # sample at which the free decay begins
     amplitudes: Array | None = None,  # m/s²; omitted: every 1.5 dB down to the noise
-    clock: float = 0.0,  # bound of the relative error of the sample rate
+    clock: float = 0.0,  # limit of the relative error of the sample rate
 ) -> ModalDecay:
     """Estimate the envelope of one mode, and its damping ratio against amplitude.
 
-    A Gaussian band-pass over positive frequencies yields the analytic signal directly. It multiplies an exponential
-    decay by a constant factor. The slope of the envelope is therefore unbiased from three standard deviations of the
-    impulse response after the impact. The damping ratio at an amplitude is the slope of the logarithm of the envelope
-    while it falls by 6 dB around that amplitude.
+    A Gaussian band-pass over positive frequencies yields the analytic signal directly. The band-pass multiplies an
+    exponential decay by a constant factor. The slope of the envelope is therefore unbiased from three standard
+    deviations of the impulse response after the impact. The damping ratio at an amplitude is the slope of the logarithm
+    of the envelope while it falls by 6 dB around that amplitude.
     """
     analytic, affected = _band_pass(acceleration, rate, frequency, width)
     envelope = np.abs(analytic)
@@ -180,7 +181,7 @@ def modal_decay(
     # fall is independent.
     amplitude = np.exp(levels)
     noise_of_fall = np.hypot(np.exp(-_HALF_FALL_NEPERS), np.exp(_HALF_FALL_NEPERS)) * noise / np.sqrt(2.0)
-    noise_error = noise_of_fall / amplitude / (2.0 * _HALF_FALL_NEPERS)  # of the damping ratio, relative
+    noise_error = noise_of_fall / amplitude / (2.0 * _HALF_FALL_NEPERS)  # relative uncertainty of the damping ratio
     narrower, affected = _band_pass(acceleration, rate, frequency, width / _RESPONSE_RATIO)
     narrower = narrower[begin + affected : max(acceleration.size - affected, begin + affected)]
     damping_narrower, natural_narrower, _ = _damping(narrower, levels, _HALF_FALL_NEPERS)
@@ -199,7 +200,7 @@ def modal_decay(
     reported = np.ones(levels.size, dtype=bool)
     if amplitudes is None:
         reported = np.isfinite(damping) & (damping > 0) & (noise_error < MAX_RELATIVE_ERROR)
-    to_hz = rate / (2.0 * np.pi)  # from rad/sample
+    to_hz = rate / (2.0 * np.pi)  # converts rad per sample to Hz
     natural, natural_error = to_hz * natural[reported], to_hz * natural_error[reported]
     # At small amplitudes an unresolved neighboring mode with less damping may dominate; its frequency is rejected.
     plausible = np.flatnonzero(np.isfinite(natural_error) & (abs(natural / frequency - 1.0) < _SAME_MODE_RATIO))
@@ -243,7 +244,7 @@ def _noise(analytic: ComplexArray, rate: float, frequency: float, width: float) 
 
 
 def _log_decay_envelope(envelope: Array) -> Array:
-    """Return the logarithm of the largest later amplitude, which is monotonic, so that it crosses each level once."""
+    """Return the logarithm of the largest later amplitude; this curve is monotonic, so it crosses each level once."""
     return np.log(np.maximum(np.maximum.accumulate(envelope[::-1])[::-1], 1e-300))
 
 
@@ -302,20 +303,20 @@ def _decay_rate(logarithm: Array, first: float, last: float, level: float) -> tu
 
 
 def _bias_bound(values: Array, narrower: Array, larger_fall: Array, kink_error: Array) -> Array:
-    """Bound the bias of values at each level by their change with a narrower band-pass and with a larger fall."""
+    """Estimate a limit of the bias at each level from the changes with a narrower band-pass and with a larger fall."""
     bias = np.nan_to_num(kink_error * values)
     for alternative, factor in ((narrower, _RESPONSE_BIAS_FACTOR), (larger_fall, 1.0)):
         difference = abs(alternative - values)
         determined = np.flatnonzero(np.isfinite(difference))
         if determined.size:
-            # The fits over a larger fall are undetermined at the first and last levels. The nearest known difference is
-            # used there.
+            # The fits over a larger fall are undetermined at the first and last levels. At these levels, the difference
+            # at the nearest level is used.
             bias += factor * np.interp(np.arange(difference.size), determined, difference[determined])
     return np.asarray(scipy.ndimage.maximum_filter1d(bias, 2 * _AFFECTED_LEVELS + 1) if bias.size else bias)
 
 
 def _crossings(curve: Array, levels: Array) -> Array:
-    """Interpolate the sample index at which a falling curve crosses each level; NaN if it does not."""
+    """Interpolate the sample index at which a falling curve crosses each level; NaN without a crossing."""
     after = curve.size - np.searchsorted(curve[::-1], levels, side="left")
     inside = (after > 0) & (after < curve.size)
     after = np.clip(after, 1, curve.size - 1)

@@ -19,10 +19,11 @@ class CorrectedMotion:
 
     The samples are mirrored at both ends before the Fourier transform, so that the periodic continuation has no step
     between the last sample and the first. If the samples are differentiated, the mirror image is also inverted (odd
-    extension), which removes the kink at the ends. This changes the mean value, which differentiation removes.
+    extension), which removes the kink at the ends. The inversion changes the mean value, but differentiation removes
+    the mean.
 
     `samples`, shape (n,): uncorrected samples in the channel's unit, evenly spaced; `low`, `high`: limits of the
-    pass band, Hz. The correction is exact inside and fades out over half an octave outside.
+    pass band, Hz. The correction is exact inside the pass band, and fades out over half an octave outside.
     """
 
     def __init__(self, info: ChannelInfo, samples: Array, low: float, high: float) -> None:

@@ -26,9 +26,10 @@ from rig.core.results import format_number
 from rig.core.scene.structure import Dashpots, ModalDamping
 from rig.core.system.structural_model import structural_model
 
-# Largest ratio of the variance of the residuals to the stated one: stated errors may be too small by a factor of 2.
+# Largest accepted ratio of the variance of the residuals to the stated variance: stated uncertainties may be too small
+# by a factor of 2.
 _MAX_NOISE_VARIANCE = 4.0
-# The ratio is multiplied by the reduced chi-square that noise exceeds with this probability.
+# The ratio is multiplied by the reduced chi-square that is exceeded by noise with this probability.
 _NOISE_PROBABILITY = 1e-4
 # Common mistakes in a channel: the ratio of its reading to the true value, and the cause.
 _SCALE_MISTAKES = {
@@ -50,14 +51,15 @@ _FORCE_MISTAKES = {
     4.44822: "newtons instead of pounds",
     1.0 / 4.44822: "pounds instead of newtons",
 }
-# Number of derivatives in a reading that the scene does not state, and the cause.
+# Number of time derivatives between the stated quantity and the quantity of the reading, and the cause.
 _DERIVATIVE_MISTAKES = {
     1: "it is the derivative of the stated quantity, such as acceleration instead of velocity",
     -1: "it is the integral of the stated quantity, such as velocity instead of acceleration",
     2: "it is the second derivative of the stated quantity, such as acceleration instead of displacement",
     -2: "it is the second integral of the stated quantity, such as displacement instead of acceleration",
 }
-# Of the mistakes of a sensor and of the swapped pairs, this number with the smallest initial cost are fitted.
+# Of the mistakes of a sensor and of the swapped pairs, only this number are fitted: those with the smallest initial
+# cost.
 _MAX_FITTED_MISTAKES = 4
 # Model error in the initial cost, as a fraction of the local peak.
 _MODEL_ERROR = 0.1
@@ -66,8 +68,8 @@ _MAX_SQUARE = 900.0
 # The structure is fitted several times, with these model errors in turn.
 _MODEL_ERRORS = (0.1, 0.01, 0.0)
 # An explanation is nearly as likely as the best one if its sum of squares exceeds the smallest by at most this number
-# of mean squares: a likelihood ratio of 90. A free factor adds an unknown: it is preferred only if its sum of squares
-# is smaller by more than this number of mean squares.
+# of mean squares: a likelihood ratio of 90. A free factor adds an unknown, so it is preferred only if its sum of
+# squares is smaller by more than this number of mean squares.
 _CLOSE_SQUARE = 9.0
 # A fitted factor indicates a unit error if the relative difference from the factor of the unit error is at most this.
 _UNIT_TOLERANCE = 0.06
@@ -76,7 +78,7 @@ _NO_UNIT_ERROR = (
 )
 # Delays of a channel that are tried for the first estimate, s.
 _TRIAL_DELAYS = np.arange(-1.2e-3, 1.21e-3, 2e-5)
-# The first estimate of a delay has an error of at most this, s.
+# The error of the first estimate of a delay is at most this, s.
 _MAX_DELAY_ERROR = 1e-4
 # A shorter delay than this is not reported, s.
 _MIN_DELAY = 5e-6
@@ -91,7 +93,7 @@ _MIN_RESPONSES = 2
 
 
 def find_cause(problem: Problem, x: Array) -> tuple[bool, str]:
-    """Return whether a single mistake explains the misfit, and a text with the mistake or else with the next steps.
+    """Return whether a single mistake explains the misfit, and a text with this mistake or with the next steps.
 
     Only the recordings without moving dampers are searched. `x`: the fitted unknowns.
     """
@@ -175,7 +177,7 @@ class _Mistake(NamedTuple):
 
     factor: float
     derivatives: int
-    text: str  # with a field for the name of the channel
+    text: str  # text with a field for the name of the channel
 
     def gain(self, frequency: Array) -> ComplexArray:
         """Return the ratio of the reading to the true value, shape (n,)."""
@@ -183,7 +185,7 @@ class _Mistake(NamedTuple):
 
 
 def _most_likely(explanations: list[_Explanation]) -> tuple[bool, str]:
-    """Return whether the most likely explanation is a known mistake, and a text with it and the second if close."""
+    """Return whether the most likely explanation is a known mistake, and a text with the most likely explanations."""
     best, *others = sorted(explanations, key=_square)
     text = f"{best.text}. If this is corrected, the scene fits."
     limit = best.square + best.margin
@@ -336,7 +338,7 @@ def _sensors(linear_curves: list[Curves]) -> list[Sensor]:
 def _multiply(curves: Curves, factor: float | ComplexArray | Array) -> Curves:
     """Multiply responses and their errors by factors, shape (responses, n) or broadcastable to it.
 
-    The covariance `errors`, which affects intervals but no fit, is unchanged.
+    The covariance `errors` is unchanged, because it affects intervals but not the fit.
     """
     factors = np.broadcast_to(np.asarray(factor, dtype=complex), curves.value.shape)
     return replace(
@@ -395,7 +397,7 @@ def _omit_sensor(linear_curves: list[Curves], sensor: Sensor) -> list[Curves]:
 
 
 def _has_enough_responses(linear_curves: list[Curves]) -> bool:
-    """Return whether a fit to these curves can fail."""
+    """Return whether the curves have enough responses to contradict a scene."""
     return bool(linear_curves) and min(len(curves.sensors) for curves in linear_curves) >= _MIN_RESPONSES
 
 
@@ -419,7 +421,7 @@ def list_omitted_points(curves: Curves, is_fitted: NDArray[np.bool_], uncovered:
 
 @dataclass(frozen=True)
 class _Refit:
-    """The structure fitted to curves that are corrected for a supposed mistake."""
+    """A fit of the structure to curves that are corrected for a supposed mistake."""
 
     problem: Problem
     x: Array  # unknowns
@@ -436,7 +438,7 @@ class _Refit:
 
     @property
     def cost(self) -> float:
-        """Sum of squares with a model error, each limited: it ranks initial values."""
+        """Sum of squared residuals with a model error, each limited; used to rank initial values."""
         residual = self.problem.residual(self.x, self.problem.groups, _MODEL_ERROR)
         return float(np.sum(np.minimum(residual**2, _MAX_SQUARE)))
 
@@ -473,7 +475,7 @@ class _Refit:
 
 
 def _start(uncorrected: _Refit, curves: list[Curves]) -> _Refit:
-    """Return initial values for the structure: from the modes of curves, or those of the uncorrected fit if better."""
+    """Return initial values of the structure from the modes of curves, or from the uncorrected fit if better."""
     moved = uncorrected.moved(curves)
     return min(_start_from_modes(moved.problem), moved, key=lambda start: start.cost)
 

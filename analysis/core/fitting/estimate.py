@@ -39,8 +39,8 @@ _MAX_STRUCTURE_VARIANCE = 4.0
 _MIN_INFLATED_VARIANCE = 1.3
 # The first fits of the dampers use these model errors in turn.
 _DAMPER_MODEL_ERRORS = (0.2, 0.05)
-# A negligible model error that selects the Cauchy loss. With it, a point where rig and model have different orbits has
-# little effect.
+# A negligible model error that selects the Cauchy loss, with which points where rig and model have different orbits
+# have little effect.
 _ROBUST_MODEL_ERROR = 1e-6
 # If the parameters of the scene lead to no solution, the initial masses and clearances of all dampers are multiplied by
 # these factors in turn.
@@ -48,8 +48,8 @@ _MASS_FACTORS = (1.0, 0.7, 0.4, 1.5)
 _CLEARANCE_FACTORS = (0.6, 1.7, 0.3)
 # With clearances multiplied by this factor, no damper reaches its ceiling.
 _UNREACHED_CLEARANCE_FACTOR = 30.0
-# The orbits explain the curves if the mean square of the residuals is at most this; noise alone leaves slightly below
-# 1.
+# The orbits explain the curves if the mean square of the residuals is at most this; with noise alone it is slightly
+# below 1.
 _MAX_EXPLAINED_SQUARE = 1.5
 # In the robust cost, each squared residual is limited to this value.
 _MAX_SQUARE = 9.0
@@ -76,14 +76,14 @@ class Estimate:
     n_random: int
 
     def expanded(self, derivatives: Array | None = None) -> Array:
-        """Return the expanded uncertainties of the unknowns, or of values with these derivatives (values, unknowns)."""
+        """Return the expanded uncertainties of the unknowns, or of values from their derivatives (values, unknowns)."""
         columns = self.factor if derivatives is None else derivatives @ self.factor
         limits = abs(columns[:, self.n_random :].T) / standard_of_limit(1.0)
         return expand(np.linalg.norm(columns[:, : self.n_random], axis=1), list(limits))
 
     @property
     def deviation(self) -> Array:
-        """Standard deviations of the unknowns, shape (unknowns,)."""
+        """Standard uncertainties of the unknowns, shape (unknowns,)."""
         return np.asarray(np.linalg.norm(self.factor, axis=1))
 
     @property
@@ -114,7 +114,7 @@ def _estimate_dampers(
     `x_structure`: unknowns with the fitted structure, if it is known from linear recordings, and the initial dampers.
     """
     best, lowest_cost, orbit_states = x_structure, np.inf, [group.orbit_state() for group in damper_groups]
-    # "" for the unknowns that do not belong to a damper.
+    # Names of the quantities of dampers; "" for other unknowns.
     quantities = ["" if parameter.damper is None else parameter.quantity for parameter in problem.parameters]
     quantities += [""] * (problem.size - len(quantities))
     has_ceiling = "clearance" in quantities
@@ -131,7 +131,7 @@ def _estimate_dampers(
         factors = {"mass": mass_factor, "mass_ratio": mass_factor, "clearance": clearance_factor}
         initial = best if is_unreached else x_structure
         x = initial + np.log([factors.get(quantity, 1.0) for quantity in quantities])
-        # The prior would return an unreached clearance to its initial value, so it is fixed.
+        # A clearance that is not reached is fixed, because the prior would return it to its initial value.
         active = [k for k, quantity in enumerate(quantities) if not is_unreached or quantity != "clearance"]
         # The first fits keep the structure fixed if linear recordings determine it.
         first_active = [k for k in active if quantities[k] or not structure_known]
@@ -291,7 +291,7 @@ def _covariance(problem: Problem, x: Array) -> tuple[Array, float, int]:
 
 
 def _systematic_errors(group: Group) -> Iterator[Array]:
-    """Yield the residuals, in standard deviations, of errors that are correlated over all lines: gain and phase."""
+    """Yield the effects on the residuals, in standard deviations, of errors that are correlated over all lines."""
     curves, is_fitted = group.curves, group.is_fitted
 
     def whiten(errors: ComplexArray) -> ComplexArray:
@@ -304,7 +304,7 @@ def _systematic_errors(group: Group) -> Iterator[Array]:
         whitened = whiten(errors)
         yield np.concatenate([whitened.real, whitened.imag])
         yield np.concatenate([-whitened.imag, whitened.real])
-    # Noise adds to the power of the reference: all responses are too small, without a phase error.
+    # Noise adds to the power of the reference. All responses are therefore too small, but have no phase error.
     whitened = whiten(standard_of_limit(curves.reference_noise_bound) * curves.value)
     yield np.concatenate([whitened.real, whitened.imag])
 

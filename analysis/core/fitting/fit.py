@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 STATUS_TEXTS = {"roughly": "roughly determined"}
 # Usual relative tolerance of the quartz of a sample clock.
 _USUAL_CLOCK_TOLERANCE = 20e-6
-# A value is roughly determined if the relative half-width of its 95 % interval is below this.
+# A value is roughly determined if the half-width of its 95 % interval, relative to the value, is below this.
 _MAX_HALF_WIDTH = 0.5
 # A damper does not reach its ceiling if the clearance (free height above the damper at rest) is at least this multiple
 # of the largest gap between damper and floor.
 _UNREACHED_RATIO = 1.2
-# The errors of the curves explain the residuals if the mean square of the normalized residuals is at most this.
+# The uncertainties of the curves explain the residuals if the mean square of the normalized residuals is at most this.
 _MAX_NOISE_VARIANCE = 4.0
 # The scene does not describe the measured structure if the relative residual exceeds this.
 _MAX_RESIDUAL_RATIO = 0.02
@@ -56,7 +56,7 @@ class Fitted:
     """Fitted value of the scene.
 
     `status`: 'determined' within a few per cent, 'roughly' within 50 %, or 'undetermined'. No value is 'determined' if
-    the residuals exceed the errors of the curves.
+    the residuals exceed the uncertainties of the curves.
     """
 
     key: str  # as in `--set`
@@ -88,11 +88,12 @@ class Comparison:
     """Measured curves of one sweep or test, compared with the prediction of the fitted scene."""
 
     curves: Curves  # measured
-    # Response that the sensors would read; NaN where the model has no steady-state motion, shape (responses, n).
+    # Predicted response, as the sensors would read it; NaN where the model has no steady-state motion, shape
+    # (responses, n).
     predicted: ComplexArray
     is_fitted: NDArray[np.bool_]  # fitted points, shape (n,)
     normalized_residuals: Array  # residuals in standard deviations, shape (responses, n)
-    # rms residual / rms of the curve, both weighted by their errors; the largest over the responses
+    # rms residual / rms of the curve, both weighted by the inverse standard uncertainty; the largest over the responses
     relative: float
 
 
@@ -301,7 +302,7 @@ def _result(problem: Problem, estimated: Estimate, report: Report) -> Fit:
 
 
 def _missing_clock_tolerance(problem: Problem, modes: Sequence[Mode]) -> list[str]:
-    """Return a note if the intervals of frequency are narrower than usual tolerances of clocks, but state none."""
+    """Return a note if the clock has no stated tolerance, and a usual one would exceed the frequency intervals."""
     smallest = min((mode.frequency_bound / mode.frequency for mode in modes), default=np.inf)
     if problem.clock_tolerance or smallest > _USUAL_CLOCK_TOLERANCE:
         return []
@@ -312,7 +313,7 @@ def _missing_clock_tolerance(problem: Problem, modes: Sequence[Mode]) -> list[st
 
 
 def _largest_gaps(problem: Problem, estimated: Estimate) -> dict[int, float]:
-    """Return the largest gaps, m, of dampers in flight with undetermined clearance, by the index of the parameter."""
+    """Return the largest gaps, m, of flying dampers with undetermined clearance, by the index of the parameter."""
     expanded = estimated.expanded()
     gaps = {
         k: problem.clearance_lower_bound(estimated.x, parameter)
@@ -346,7 +347,7 @@ def _compare(problem: Problem, x: Array, scene: Scene, group: Group) -> Comparis
 
 
 def _misfit(estimated: Estimate, compared: Sequence[Comparison]) -> str:
-    """Describe the recording that the scene does not fit, with the residual; "" if it fits all."""
+    """Describe the recording that the scene does not fit, with the residual; "" if the scene fits all recordings."""
     for comparison in compared:
         is_regular = np.isfinite(comparison.predicted).all(axis=0)
         omitted = int((is_regular & ~comparison.is_fitted).sum())
@@ -375,7 +376,7 @@ def _implausible_sensors(problem: Problem, x: Array) -> str:
 
 
 def _modes(problem: Problem, estimated: Estimate) -> tuple[Mode, ...]:
-    """Return the modes of the structure alone, with bounds by first-order propagation of the covariance."""
+    """Return the modes of the structure alone, with uncertainties by first-order propagation of the covariance."""
 
     def modal_values(x: Array) -> Array:
         modes = structural_model(problem.scene(x)).modes

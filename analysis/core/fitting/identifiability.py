@@ -57,7 +57,7 @@ def damping_by_level(problem: Problem, estimated: Estimate) -> tuple[LevelDampin
         acceleration = float(((2.0 * np.pi * curves.frequency) ** 2 * curves.level * abs(curves.value)).max())
         value, bound = np.where(is_determined, value, np.nan), np.where(is_determined, value * half_width, np.nan)
         by_level.append(LevelDamping(curves.label, group.orbits is not None, acceleration, keys, value, bound))
-    # Restores the orbits of the estimate.
+    # This evaluation restores the orbits of the estimate.
     problem.residual(estimated.x, problem.groups)
     return tuple(by_level)
 
@@ -65,7 +65,7 @@ def damping_by_level(problem: Problem, estimated: Estimate) -> tuple[LevelDampin
 def coupled_values(
     problem: Problem, estimated: Estimate, statuses: Sequence[str], largest_gaps: Mapping[int, float]
 ) -> tuple[str, ...]:
-    """Describe the values that the data do not determine, then the poorly determined combinations, worst first.
+    """Describe the values that the data do not determine, then the poorly determined combinations, the worst first.
 
     The combinations are the principal axes of the covariance of the parameters' unknowns (see `problem`). `statuses`:
     as in `Fitted`. `largest_gaps`: by parameter, the largest gap [m] of a damper that never hit its ceiling, which is a

@@ -38,9 +38,9 @@ _MIN_RELATIVE_STD = 2e-5
 _MIN_STD_RELATIVE_TO_PEAK = 1e-7
 # The noise power of the reference has this relative uncertainty if it is estimated from several responses.
 _REFERENCE_NOISE_UNCERTAINTY = 0.5
-# These systematic errors are unknowns of the fit.
+# Systematic errors that are unknowns of the fit.
 _FITTED_ERRORS = (SENSITIVITY, CLOCK)
-# `Curves.correlated_bound` does not include these systematic errors.
+# Systematic errors that `Curves.correlated_bound` does not include.
 _EXCLUDED_FROM_CORRELATED = (*_FITTED_ERRORS, REFERENCE_NOISE, *IRREGULAR)
 # Minimum number of points of a fit.
 _MIN_POINTS = 8
@@ -50,9 +50,9 @@ _MIN_POINTS = 8
 class Sensor:
     """A physical sensor; equal sensors in several recordings have the same sensitivity error."""
 
-    name: str  # of its channel
+    name: str  # name of the channel
     at: str  # location in the scene, such as 'body 2'
-    seed: int  # of the recorded scene, which identifies the individual sensor
+    seed: int  # seed of the recorded scene, which identifies the individual sensor
     tolerance: float  # relative tolerance of the sensitivity, from the data sheet
 
 
@@ -60,14 +60,14 @@ class Sensor:
 class Curves:
     """Responses of one sweep or test over one reference, at n frequencies.
 
-    Bounds of systematic errors: `line_bound` bounds errors that vary irregularly from line to line; `correlated_bound`
-    bounds all others, without reference noise (see `reference_noise_bound`) and the tolerances of sensors and clock,
-    which are unknowns of the fit. If the reference noise is not estimated (`errors.reference` is None),
-    `correlated_bound` includes the reference noise and the errors of `line_bound`.
+    Limits of systematic errors: `line_bound` is the limit of errors that vary irregularly from line to line.
+    `correlated_bound` is the limit of all other errors, except reference noise (see `reference_noise_bound`) and the
+    tolerances of sensors and clock, which are unknowns of the fit. If the reference noise is not estimated
+    (`errors.reference` is None), `correlated_bound` includes the reference noise and the errors of `line_bound`.
     """
 
-    label: str  # recording, and level or part where it has several
-    scene: Scene  # of the recording: the fit uses its shaker, test and dampers, and estimates its structure
+    label: str  # recording, and its level or part if there are several
+    scene: Scene  # scene of the recording: the fit uses its shaker, test and dampers, and estimates its structure
     frequency: Array  # Hz, in the order of measurement, shape (n,)
     value: ComplexArray  # displacement / reference, as read by the sensors, shape (responses, n)
     # matrices that convert errors to uncorrelated real and imaginary parts of variance 1, (n, responses, responses)
@@ -75,14 +75,14 @@ class Curves:
     errors: Covariance  # covariance of the random errors
     line_bound: Array  # shape (responses, n)
     correlated_bound: Array  # shape (responses, n)
-    reference_noise_bound: Array  # bound of the relative error of all responses due to reference noise, shape (n,)
+    reference_noise_bound: Array  # limit of the relative error of all responses due to reference noise, shape (n,)
     sensors: tuple[Sensor, ...]  # sensor of each response
     reference_sensor: Sensor
     bodies: tuple[int, ...]  # body of each response, counted from 0
     reference: str  # 'force' or 'table'
     level: Array | None  # amplitude of the reference for steady tones, N or m, shape (n,)
     clock_tolerance: float  # largest relative deviation of the sample clock
-    frfs: tuple[Response, ...]  # as measured
+    frfs: tuple[Response, ...]  # responses as measured
     correction: ComplexArray  # ratio of `value` to the measured responses, of a supposed mistake; shape (responses, n)
     warnings: tuple[str, ...]  # warnings of the estimation
 
@@ -197,7 +197,7 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
 
 
 def _bounds(frfs: Sequence[Response], names: Collection[str] | None = None, without: Collection[str] = ()) -> Array:
-    """Return the root sum of squares of the bounds of systematic errors; shape (responses, n).
+    """Return the root sum of squares of the limits of systematic errors; shape (responses, n).
 
     `names`: included errors, by default all; `without`: excluded errors.
     """
@@ -210,10 +210,10 @@ def _bounds(frfs: Sequence[Response], names: Collection[str] | None = None, with
 
 
 def _reference_noise(frfs: Sequence[Response], errors: Covariance) -> tuple[Array, Array]:
-    """Return the relative bias of all responses due to reference noise, and the bound of its error, shapes (n,)."""
+    """Return the relative bias of all responses due to reference noise, and the limit of its error, shapes (n,)."""
     magnitude = np.stack([np.maximum(abs(frf.value), 1e-300) for frf in frfs])
-    # A response's own noise lowers its coherence too. The smallest bound is therefore the best estimate of the
-    # reference noise.
+    # The coherence of a response is lowered by noise of the response, too, and gives only an upper bound of the
+    # reference noise. The smallest bound is therefore the best estimate.
     bias_bound: Array = np.asarray((_bounds(frfs, [REFERENCE_NOISE]) / magnitude).min(axis=0))
     if errors.reference is None or len(frfs) < 2:
         return np.zeros(bias_bound.size), bias_bound
@@ -226,7 +226,7 @@ def _whitening(frfs: Sequence[Response], errors: Covariance) -> ComplexArray:
     quadrature_covariance = errors.lines / 2.0
     variance = np.einsum("nii->ni", quadrature_covariance).real.copy()
     magnitude = np.stack([abs(frf.value) for frf in frfs], axis=1)
-    # A single average determines no variance. A standard deviation of 1 % of the median magnitude is then assumed.
+    # A single average determines no variance; a standard deviation of 1 % of the median magnitude is assumed.
     quadrature_covariance[~np.isfinite(quadrature_covariance).all(axis=(1, 2))] = 0.0
     variance = np.where(np.isfinite(variance), variance, (0.01 * np.median(magnitude, axis=0)) ** 2)
     variance_floor = (_MIN_RELATIVE_STD * magnitude) ** 2 + (_MIN_STD_RELATIVE_TO_PEAK * magnitude.max(axis=0)) ** 2

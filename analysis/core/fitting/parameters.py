@@ -21,7 +21,7 @@ from rig.core.scene.structure import Dashpots, ModalDamping, RayleighDamping
 from rig.core.settings.problems import KeyPath
 from rig.core.settings.settings import Settings
 
-#: Keys that are free by default, where a scene gives them; without the coil spring, which calibrates the force.
+#: Keys that are free by default, if the scene gives them. The coil spring is not, because it calibrates the force.
 FREE = (
     "structure.masses", "structure.springs", "structure.damping", "dampers.mass", "dampers.mass_ratio",
     "dampers.clearance", "dampers.clearance_below", "dampers.restitution", "dampers.contact", "dampers.spring",
@@ -36,8 +36,8 @@ _MAX_HALF_WIDTHS = dict.fromkeys(("modal", "alpha", "beta", "dashpots"), 0.03)
 _MAX_HALF_WIDTHS |= dict.fromkeys(("restitution", "duration", "stiffness", "damping"), 0.05)
 # The limit of the half-width for all other quantities.
 _MAX_HALF_WIDTH = 0.02
-# Unknowns are converted up to this value, because exp overflows at 709. The intervals of undetermined parameters reach
-# it.
+# Unknowns are limited to this value before they are converted, because exp overflows at 709. Intervals of undetermined
+# parameters reach this limit.
 _MAX_UNKNOWN = 600.0
 
 
@@ -66,7 +66,7 @@ class Parameter:
 
     @property
     def damper(self) -> int | None:
-        """Index of its damper, from 0; None for other values."""
+        """Index of the damper to which the value belongs, from 0; None for other values."""
         return int(self.key_path[1]) if self.key_path[0] == "dampers" else None
 
     @cached_property

@@ -66,9 +66,9 @@ def linear_derivatives(
 ) -> tuple[ComplexArray, ComplexArray]:
     """Return the sensitivities of displacement / reference to the parameters of a scene, and to the frequency.
 
-    The sensitivities are computed from the derivatives of the matrices, because the matrices are linear in masses and
-    springs. Finite differences of the response would be too inaccurate: near a narrow resonance, some combinations of
-    parameters hardly change the response.
+    The sensitivities are computed from the derivatives of the matrices, which are linear in masses and springs. Finite
+    differences of the response would be too inaccurate: near a narrow resonance, some combinations of parameters hardly
+    change the response.
 
     `changed_scenes`: for each parameter, the scene with a slightly larger parameter, and the change of the parameter.
     Shapes: (parameters, bodies, frequencies), and (bodies, frequencies) for the derivative per Hz.

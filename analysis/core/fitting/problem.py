@@ -1,4 +1,4 @@
-"""The least-squares problem of a fit: unknowns, prior knowledge of them, weighted residuals and their derivatives.
+"""The least-squares problem of a fit: unknowns, their priors, weighted residuals and the derivatives of residuals.
 
 An *unknown* is the logarithm of a parameter (the log odds of a ratio below 1), the relative deviation of a sensor's
 sensitivity, or the relative deviation of the sample clock. A *group* contains the responses of one sweep or test. Where
@@ -25,7 +25,7 @@ from rig.core.scene.scene import Scene
 if TYPE_CHECKING:
     from analysis.core.fitting.sweep_orbits import StoredOrbit, SweepOrbits
 
-# Prior standard deviation of the unknown of a parameter: so wide that it matters only where the data determine nothing.
+# Prior standard deviation of the unknown of a parameter. The prior is so wide that it affects only undetermined values.
 PRIOR_SD = 1.0
 # The unknown of a parameter changes by at most this from its initial value.
 _MAX_CHANGE = 6.0
@@ -40,7 +40,7 @@ _FAILED_RESIDUAL = 30.0
 _OUTLIER_LIMIT = 6.0
 # A fitted sensitivity is plausible if it deviates from the data sheet by at most this multiple of the tolerance.
 _MAX_SENSOR_DEVIATION = 2.0
-# Points are neighbors up to this ratio of their frequencies.
+# Points are neighbors if the ratio of their frequencies is at most this.
 _NEIGHBOR_FREQUENCY_RATIO = 1.15
 
 
@@ -67,7 +67,9 @@ class Group:
     local_peak: Array
     """Largest magnitude near each point, in standard deviations of that point, shape (n, responses)."""
     cached: tuple[tuple[float, ...], bool, ComplexArray] | None = field(default=None, repr=False)
-    """Last predicted displacement / reference, with the unknowns it depends on and whether orbits were searched."""
+    """Last predicted displacement / reference, the unknowns for which it was computed, and whether orbits were
+    searched.
+    """
 
     def orbit_state(self) -> OrbitState:
         """Return the orbits and the fitted points, for `restore`."""
@@ -123,7 +125,7 @@ class Problem:
     model : Scene
         The scene to fit, with one damping ratio for each mode.
     parameters : list of Parameter
-        Its free values.
+        Free values of the model.
     groups : list of Group
         Measured curves of each sweep or test.
     sensors : list of Sensor
@@ -222,7 +224,7 @@ class Problem:
         """Return displacement of the bodies / reference, shape (bodies, n)."""
         curves = group.curves
         level, frequency = self.operating_points(x, curves)
-        # The gain of the reference sensor changes the true level, on which only orbits depend.
+        # The gain of the reference sensor changes the true level, which affects only orbits.
         reference_gain = 0.0 if group.orbits is None else self.gains(x, curves)[1]
         key = (*x[: len(self.parameters)].tolist(), float(x[-1]) if self.clock_tolerance > 0.0 else 0.0, reference_gain)
         if group.cached is None or group.cached[0] != key or (search and not group.cached[1]):
@@ -310,7 +312,8 @@ class Problem:
     ) -> ComplexArray:
         """Differentiate the residuals of a group in which no damper moves; shape (fitted, responses, indices)."""
         curves, is_fitted, count = group.curves, group.is_fitted, len(self.parameters)
-        # Of dampers at rest on their floors, only the masses have an effect; of tuned mass dampers also these keys.
+        # Only the masses of dampers at rest on their floors have an effect; tuned mass dampers have further keys with
+        # an effect.
         own_keys = ("mass", "mass_ratio", "spring", "damping")
         effective = [
             k

@@ -1,4 +1,4 @@
-"""Initial values of a fit: the model is first matched to the modes that the linear recordings have.
+"""Initial values of a fit: the model is first fitted to the modes of the linear recordings.
 
 A test band may contain only some of the model's modes, so the identified modes are assigned to model modes first.
 """
@@ -34,9 +34,9 @@ _CONSTANT_SD = 0.05
 _MAX_RANKED = 2000
 # Maximum number of fitted assignments.
 _MAX_FITTED = 4
-# The comparison of assignments assumes this model error, relative to the local peak.
+# Assignments are compared with this assumed model error, relative to the local peak.
 _MODEL_ERROR = 0.1
-# In this comparison, residuals are limited to this number of standard deviations.
+# In the comparison of assignments, residuals are limited to this number of standard deviations.
 _MAX_RESIDUAL = 30.0
 # If the logarithmic frequencies of an identified mode and a model mode differ by this, their distance is 1.
 _LOG_FREQUENCY_SCALE = 0.1
@@ -48,7 +48,7 @@ _COST_TOLERANCE = 1e-3
 
 
 def initial_unknowns(problem: Problem, groups: Sequence[Group]) -> Array:
-    """Return unknowns with which the model has the identified modes, or `problem.start` if no mode is identified.
+    """Return unknowns for which the modes of the model are the identified modes, or `problem.start` without modes.
 
     The k-th fit uses the k-th most likely assignment of every group; the fit with the smallest residual is returned.
     """
@@ -160,7 +160,7 @@ def _ranked_assignments(scene: Scene, group: Group, modes: Modes) -> list[tuple[
 
 
 def _nearest_modes(frequency: Array, identified: Array) -> list[int]:
-    """Return the model modes nearest to the identified modes, ascending; their number allows `_MAX_RANKED` assignments.
+    """Return the model modes nearest to the identified modes, ascending: as many as `_MAX_RANKED` assignments allow.
 
     >>> _nearest_modes(np.array([1.0, 2.0, 3.0]), np.array([2.1]))
     [0, 1, 2]

@@ -2,8 +2,8 @@
 
 A *periodic orbit* is a motion with impacts that repeats with the period of the excitation. The *reference* of the
 response is the force or the displacement of the shaker's table; its *level* is its amplitude, in N or m. A fit needs
-the orbit for a given level. For an electrodynamic shaker, the level that a *drive* voltage gives depends on the
-dampers, so the drive is computed by the secant method.
+the orbit for a given level. The level that an electrodynamic shaker reaches at a *drive* voltage depends on the motion
+of the dampers, so the drive for a level is computed by the secant method.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ _MAX_SEARCHES = 5
 class StoredOrbit:
     """An orbit, as initial values for the orbit at a nearby frequency and drive."""
 
-    plan: Plan  # sequence of its impacts and separations
-    unknowns: Array  # solution of its equations
+    plan: Plan  # sequence of impacts and separations of the orbit
+    unknowns: Array  # solution of the equations of the orbit
     drive: float  # amplitude of the force in N or, for an electrodynamic shaker, of the voltage in V
     # derivative of displacement / reference with respect to the level, shape (bodies,); None if the force is prescribed
     slope: ComplexArray | None = None
@@ -72,7 +72,7 @@ class SweepOrbits:
     current : list of StoredOrbit or None
         Orbit at each point; None if all dampers are riding, or if the motion is irregular.
     earlier : list of StoredOrbit or None
-        The orbit before the current one at each point, from which a later trial may start again.
+        The previous orbit at each point, from which a later trial may start again.
     failed : set of int
         Points without an orbit; they are not searched again until this set is cleared.
     uncovered : dict of int to str
@@ -179,7 +179,8 @@ class _OrbitSolver:
         self.driven = shaker.first_body - 1
         self.spring = shaker.coil_spring or 0.0
         self.table: int | None = None
-        # A table whose motion depends on the structure, or that carries it, is a coordinate of the orbits.
+        # The table is a coordinate of the orbits if its motion depends on the structure, or if it carries the
+        # structure.
         has_table = shaker.carries_structure or (self.spring > 0.0 and not shaker.prescribed)
         if self.spring and shaker.prescribed:
             grounded = structural_model(test_scene).with_ground_springs(driven_bodies(test_scene), self.spring)
@@ -230,8 +231,8 @@ class _OrbitSolver:
     def refine_unchecked(self, start: StoredOrbit, frequency: float, level: float) -> OrbitResponse | None:
         """Correct an orbit once for a slightly different scene, frequency and level; None if it is singular.
 
-        Finite differences for derivatives need the same orbit even where it is inadmissible. The error of a single
-        correction is of second order in the shift, and cancels in a central difference.
+        Finite differences require the same orbit even if it becomes inadmissible. The error of a single correction is
+        of second order in the shift, and cancels in a central difference.
         """
         drive = self._initial_drive(start, level)
         solution = self._refine_at_drive(start, frequency, drive, max_corrections=1)
@@ -305,7 +306,7 @@ class _OrbitSolver:
         return float(level * (self.spring or 1.0))
 
     def _initial_drive(self, stored: StoredOrbit, level: float) -> float:
-        """Return the drive stored with an orbit or, if the reference is prescribed, the force that gives its level."""
+        """Return the drive stored with an orbit or, if the reference is prescribed, the force for the level."""
         return stored.drive if self.table is not None else self._force(level)
 
     def _refine_at_drive(

@@ -1,7 +1,7 @@
-"""Contribution of the choice of lines to the uncertainty of modes, for curves that state no errors.
+"""Contribution of the choice of lines to the uncertainty of modes, for curves without stated uncertainty.
 
-Statistics of the residual cannot show what an error of the curves does, because its poles depend on the lines. The
-modes are therefore identified again without the lines at either end, and from every second line.
+Errors of the curves act like additional poles, which depend on the choice of lines. Statistics of the residual do not
+show their effect. The modes are therefore identified again without the lines at either end, and from every second line.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from analysis.core.modal.order_selection import half_width
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 
-# A part omits this fraction of the band at one end.
+# A part of the band omits this fraction of the band at one end.
 _OMITTED_SHARE = 0.2
-# A mode closer to a limit of a part than this fraction of the part may be missing there.
+# A part need not contain a mode that is closer to its limit than this fraction of the part.
 _MARGIN = 0.1
-# A mode has the same frequency as another up to this multiple of its half-width, or of the distance of the lines if
-# that is larger.
+# Two modes have the same frequency if their distance is at most this multiple of the half-width, or of the spacing of
+# the lines if this is larger.
 _SAME_HALF_WIDTHS = 1.0
-# Every second line resolves a pole if its half-power bandwidth contains at least this number of them. A pole that is
-# missing where it is resolved is computational.
+# The half of the lines (every second line) resolves a pole if its half-power bandwidth contains at least this number of
+# these lines. A pole that is missing from a part that resolves it is computational.
 _MIN_RESOLVING_LINES = 2.0
-# Ratio of the standard uncertainty to the root mean square of four differences. With 1, the expanded uncertainty is the
-# largest difference if the others are zero.
+# Ratio of the standard uncertainty to the root mean square of four differences. With a ratio of 1, if only one
+# difference is not zero, the expanded uncertainty would equal this difference.
 _MEAN_SQUARE_RATIO = 1.2
-# Fewer lines are too few for modes.
+# Minimum number of lines of a part.
 _MIN_LINES = 16
 
 
@@ -42,7 +42,7 @@ class BandChoice(NamedTuple):
 
 
 def parts_of_band(frequency: Array) -> Iterator[tuple[NDArray[np.intp], int]]:
-    """Yield the lines of each part of a band, and the distance of its lines; `frequency`: ascending, Hz."""
+    """Yield the lines of each part of a band, and the spacing of these lines, Hz; `frequency`: ascending, Hz."""
     low, high = frequency[0], frequency[-1]
     for lines, step in (
         (np.flatnonzero(frequency >= low + _OMITTED_SHARE * (high - low)), 1),
@@ -57,9 +57,9 @@ def parts_of_band(frequency: Array) -> Iterator[tuple[NDArray[np.intp], int]]:
 def band_choice(
     frequency: Array, poles: ComplexArray, identify: Callable[[NDArray[np.intp]], ComplexArray]
 ) -> BandChoice:
-    """Compare poles with those that `identify` finds in parts of the band; `identify` takes the lines of a part.
+    """Compare poles with the poles of parts of the band; `identify` returns the poles for the lines of a part.
 
-    The standard uncertainty by the choice is 1.2 times the root mean square of the differences (type A).
+    The standard uncertainty due to the choice of lines is 1.2 times the root mean square of the differences (type A).
     """
     natural, damping, width = abs(poles) / (2 * np.pi), -poles.real / abs(poles), half_width(poles)
     spacing = float(np.median(np.diff(frequency)))
@@ -75,7 +75,7 @@ def band_choice(
         bandwidth_lines = 2.0 * width / (step * spacing)
         is_inside = (natural > low + margin) & (natural < high - margin)
         for k in np.flatnonzero(is_inside & ((step == 1) | (bandwidth_lines > 1.0))).tolist():
-            # A pole of the part that is closer to another pole is not this one.
+            # A pole of the part is assigned to the nearest pole only.
             own = others[abs(abs(others[:, None]) / (2 * np.pi) - natural).argmin(axis=1) == k]
             distance = abs(abs(own) / (2 * np.pi) - natural[k])
             if distance.min(initial=np.inf) < _SAME_HALF_WIDTHS * max(width[k], spacing):

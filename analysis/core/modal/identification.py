@@ -44,12 +44,12 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     """Identify the common modes of a set of frequency responses of one test.
 
     The initial poles are taken from stabilization charts (least-squares complex frequency domain). Poles and residues
-    are refined by weighted least squares, with the error bar of each point as its weight. Poles that do not improve
+    are refined by least squares, weighted by the inverse standard uncertainty of each point. Poles that do not improve
     the fit beyond noise are removed, and further candidates are tried, until only significant poles remain. If the
-    residuals of the best model exceed the error bars, as for a structure with nonlinear dampers, the points are
-    weighted by the model error. The standard deviations are computed from the residuals. The modes of curves that state
-    no errors, such as tables of other programs, are identified in windows of lines around each peak, and their
-    uncertainties include the choice of lines.
+    residuals of the best model exceed the uncertainty of the points, as for a structure with nonlinear dampers, the
+    points are weighted by the model error. The standard uncertainties are computed from the residuals. Curves without
+    stated uncertainty, such as tables of other programs, are treated differently: modes are identified in windows of
+    lines around each peak, and their uncertainties include the choice of lines.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
             f"{curves[0].label}: no resonance is higher than the noise and wider than the frequency resolution. "
             "Measure for longer, with a smaller frequency step, or in another band."
         )
-    # The frequency of a pole is unknown if the uncertainty of the curves is unbounded.
+    # A pole is left out if the uncertainty of the curves at its frequency is unbounded.
     frequency: Array = np.asarray(abs(found.poles) / (2 * np.pi), dtype=float)
     is_unbounded = expand(found.frequency_error) >= frequency
     is_in_gap = ~is_unbounded & are_in_gaps(measured.frequency, found.poles)
@@ -124,7 +124,7 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
             "`analysis frf` lists."
         )
     poles, residue = found.poles[accepted], found.residue[:, accepted]
-    # A clock error shifts all poles by the same relative amount; it is a common error of all lines.
+    # A clock error changes all frequencies by the same factor, because it is common to all lines.
     clock = max(curve.uncertainty.clock for curve in frfs)
     clock_error = standard_of_limit(clock * frequency[accepted])
     residuals = _residual_terms(measured.frequency, found.value, poles, residue)
@@ -181,8 +181,8 @@ def _modes_of_band(curves: Sequence[Response], fitted: FittedModes) -> Identifie
 def _shape_errors(curves: Sequence[Response], poles: ComplexArray, residue: ComplexArray) -> Array:
     """Return standard uncertainties of shapes with largest element 1, from the curves at resonance.
 
-    Errors of the reference, of the clock and of readings that curves have in common change all elements alike. They
-    cancel in the ratio of two curves. The result has the shape (responses, modes).
+    Errors of the reference, of the clock and of common readings change all elements by the same factor, and cancel in
+    the ratio of two curves. The result has the shape (responses, modes).
     """
     frequency: Array = np.asarray(abs(poles) / (2 * np.pi), dtype=float)
     largest = np.argmax(abs(residue), axis=0)
@@ -200,7 +200,7 @@ def _shape_errors(curves: Sequence[Response], poles: ComplexArray, residue: Comp
 
 
 def _refine(weighted: Curves, model: ModalModel, frfs: Sequence[Response]) -> Refinement | None:
-    """Refine the model with the covariance of all responses; return None if it is not known or too large."""
+    """Refine the model with the covariance of all responses; return None if the covariance is unknown or too large."""
     if any(frf.uncertainty.errors is None for frf in frfs):
         return None
     if len(frfs) ** 2 * weighted.frequency.size > _MAX_COVARIANCES:

@@ -1,4 +1,4 @@
-"""Selection of spectral lines for a modal fit, and estimation of their scatter if a file does not give it."""
+"""Selection of spectral lines for a modal fit, and estimation of their scatter if a file does not state it."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import Response
 
-# Up to this number, all lines are fitted. If there are more, about half of this number is selected at equal
-# distances, in addition to the lines of peaks.
+# Up to this number, all lines are fitted. If there are more, the lines of peaks are selected and, at equal distances,
+# about half of this number of other lines.
 MAX_LINES = 2000
 # Number of the highest peaks around which all lines are selected.
 _MAX_PEAKS = 24
-# Around each peak, this number of adjacent lines is selected, and this number of lines at equal distances between the
+# Around each peak, this number of adjacent lines is selected, and the same number at equal distances between the
 # flanks.
 _LINES_PER_PEAK = 41
 # The flanks of a peak end where the magnitude is this fraction of the peak.
@@ -56,7 +56,7 @@ def reduce_lines(curves: Sequence[Response]) -> list[Response]:
 
 
 def scatter(value: ComplexArray) -> Array:
-    """Estimate the standard deviation of either quadrature component of each line from third differences.
+    """Estimate the standard deviation of real and imaginary part of each line from third differences.
 
     The median over many lines is insensitive to the few lines of a narrow peak.
 
@@ -68,7 +68,8 @@ def scatter(value: ComplexArray) -> Array:
     if value.size < 8:
         return np.full(value.size, 0.01 * float(np.nanmedian(abs(value))))
     filled = np.where(np.isfinite(value), value, 0.0)
-    # Third differences of noise have 20 times its variance. The median of a Rayleigh distribution is 1.177.
+    # Third differences of noise have 20 times the variance of the noise. The median of a Rayleigh distribution is
+    # 1.177.
     deviation = abs(np.convolve(filled, [1.0, -3.0, 3.0, -1.0], "same")) / np.sqrt(20.0) / 1.177
     deviation[:2], deviation[-2:] = deviation[2], deviation[-3]
     return np.asarray(scipy.ndimage.median_filter(deviation, min(_SCATTER_LINES, value.size), mode="nearest"))

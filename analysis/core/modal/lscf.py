@@ -42,16 +42,16 @@ def poles_by_order(
     """Estimate poles by common-denominator models of increasing order, fitted to all responses.
 
     The model is H_o = B_o(z) / A(z) with z = exp(-i pi (f - f_min) / (f_max - f_min)), complex coefficients, and the
-    highest coefficient of A set to 1. With this constraint the poles due to noise grow (Re s > 0), so that the chart is
-    clear (P. Guillaume et al., A poly-reference implementation of the least-squares complex frequency-domain estimator,
-    IMAC XXI, 2003). The frequencies need not be evenly spaced. `weight`: inverse standard deviations of `value`, shape
-    (outputs, n). Yields the order and the decaying poles inside the band, rad/s.
+    highest coefficient of A set to 1. With this constraint the poles due to noise have Re s > 0, so they do not appear
+    in the chart (P. Guillaume et al., A poly-reference implementation of the least-squares complex frequency-domain
+    estimator, IMAC XXI, 2003). The frequencies need not be evenly spaced. `weight`: inverse standard deviations of
+    `value`, shape (outputs, n). Yields the order and the decaying poles inside the band, rad/s.
     """
     f_min, f_max = float(frequency.min()), float(frequency.max())
     phase = np.pi * (frequency - f_min) / (f_max - f_min)
     basis = np.exp(-1j * phase[:, None] * np.arange(max(orders) + 1))
-    # The numerators are eliminated from the normal equations: the orthonormal basis of an order contains those of all
-    # lower orders, so that each order removes one more direction from the columns of the lower orders.
+    # The numerators are eliminated from the normal equations. The orthonormal basis of an order contains the bases of
+    # all lower orders, so each order removes one more direction from the columns.
     numerator_bases = [np.linalg.qr(basis * scale[:, None])[0] for scale in weight]
     columns = [-basis * (row * scale)[:, None] for row, scale in zip(value, weight, strict=True)]
     removed = 0
@@ -90,7 +90,7 @@ def stabilization_chart(frequency: Array, value: ComplexArray, weight: Array) ->
 
 
 def merge_charts(frequency: Array, charts: Sequence[list[ChartPole]]) -> tuple[ComplexArray, ComplexArray]:
-    """Cluster the poles of several charts; return a pole, rad/s, of each cluster with enough stable poles, and of each.
+    """Cluster the poles of several charts; return a pole, rad/s, of each cluster with enough stable poles, and of all.
 
     Clusters with the most stable poles are first.
     """
@@ -102,7 +102,7 @@ def merge_charts(frequency: Array, charts: Sequence[list[ChartPole]]) -> tuple[C
         if same:
             nearest = min(same, key=lambda k: abs(clusters[k][0] - pole))
             earlier, n_stable = clusters[nearest]
-            # The last pole is the most accurate, because at its order other poles represent the noise.
+            # The last pole is the most accurate, because at the highest order other poles represent the noise.
             clusters[nearest] = (pole if chart_pole.stable else earlier, n_stable + chart_pole.stable)
         else:
             clusters.append((pole, int(chart_pole.stable)))

@@ -30,42 +30,43 @@ from rig.core.base.errors import RecordingError, SceneError
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import standard_of_limit
 
-# A point has at least this relative error, so that a few points with a very small error do not determine the result.
+# Each point is given at least this relative uncertainty, so that a few points with a very small one do not determine
+# the result.
 MIN_RELATIVE_ERROR = 1e-4
-# A second chart assumes this relative error, so that the whole curve has weight and not only its peaks.
+# A second chart assumes this relative uncertainty, so that the whole curve has weight and not only its peaks.
 _CHART_ERROR = 0.03
 # Maximum number of initial poles.
 _MAX_INITIAL_POLES = 15
 # Maximum number of candidates for a further pole.
 _MAX_CANDIDATES = 40
-# Noise explains a misfit up to this multiple of its expected value. Above it, a model error is assumed.
+# Noise explains a misfit up to this multiple of its expected value. For a larger misfit, a model error is assumed.
 _MAX_NOISE_RATIO = 4.0
 # Model errors relative to the highest neighboring magnitude, which are assumed in this order until they and the noise
 # explain the misfit.
 MODEL_ERRORS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
 # For the model error, two lines are neighbors if their frequencies differ by at most this ratio.
 _NEIGHBOR_FREQUENCY_RATIO = 1.15
-# The error of a line with fewer degrees of freedom than this is combined with the errors of neighboring lines.
+# The uncertainty of a line with fewer degrees of freedom than this is combined with those of neighboring lines.
 _MIN_DEGREES = 10.0
 
 
 class FittedModes(NamedTuple):
-    """A modal model of curves, whose poles are not yet examined for being modes."""
+    """A modal model of curves, before its poles are tested for being modes."""
 
     measured: Curves
-    weighted: Curves  # with the weights of the fit
+    weighted: Curves  # curves with the weights of the fit
     model: ModalModel
     chart: list[ChartPole]  # stabilization chart with equal weights
     # Root mean square of the residual over the highest neighboring magnitude; 0 if noise explains it.
     model_error: float
     assumed_error: float  # model error in the weights
-    rejected: list[float]  # Hz, poles that are not modes
+    rejected: list[float]  # frequencies of poles that are not modes, Hz
 
 
 def fit_modes(
     curves: Sequence[Response], count: int | None = None, assumed_errors: Sequence[float] = MODEL_ERRORS
 ) -> FittedModes:
-    """Fit the model of significant poles to curves, with the first of some model errors that explains the misfit."""
+    """Fit the model of significant poles to curves, with the smallest model error that explains the misfit."""
     measured, sigma = measured_curves(curves)
     magnitude = abs(measured.value)
     weighted_chart = stabilization_chart(
@@ -81,7 +82,7 @@ def fit_modes(
 
 
 def are_errors_stated(curves: Sequence[Response]) -> bool:
-    """Return whether curves state their errors, as those of recordings and of files of this program do."""
+    """Return whether curves state their uncertainty, as curves from recordings and files of this program do."""
     return any(curve.degrees.any() or curve.limits for curve in curves)
 
 
@@ -145,7 +146,7 @@ def _best_model(
     The relative error is the root mean square of the residual over the highest neighboring magnitude; 0 if noise
     explains the residual.
     """
-    # Nonlinear errors are proportional to the peaks, not to the curve between them.
+    # Errors due to nonlinearity are proportional to the peaks, not to the curve between the peaks.
     frequency, magnitude = measured.frequency, np.abs(measured.value)
     first = np.searchsorted(frequency, frequency / _NEIGHBOR_FREQUENCY_RATIO)
     stop = np.searchsorted(frequency, frequency * _NEIGHBOR_FREQUENCY_RATIO, side="right")
@@ -156,16 +157,16 @@ def _best_model(
         initial = initial_model(curves, stable)
         model = select_model(curves, initial, candidates, max_modes)
         if models:
-            # Poles that are significant only in combination may be removed one by one. The poles of the previous model
-            # are therefore tried as initial values, too. Often both initial models are the same.
+            # Poles that are significant only in combination may be removed one by one. Therefore the poles of the
+            # previous model are tried as initial values, too, unless both initial models are the same.
             other_initial = initial_model(curves, models[-1][1].poles)
             if not have_same_poles(initial, other_initial):
                 model = better_model(curves, model, select_model(curves, other_initial, candidates, max_modes))
         models.append((curves, model))
         if model.misfit < _MAX_NOISE_RATIO * curves.degrees_of_freedom(model.poles.size):
             break
-    # A model error relative to neighboring peaks may exceed a peak of one or two lines and hide its mode. The model
-    # with the most modes of this kind is therefore used if the last model has fewer.
+    # A model error relative to neighboring peaks may exceed a peak of one or two lines and hide its mode. The last
+    # model is therefore replaced with an earlier model if that has more modes of such peaks.
     n_narrow_modes = [
         int((are_in_band(curves, model.poles) & are_narrower_than_resolution(curves, model.poles)).sum())
         for curves, model in models
@@ -176,7 +177,7 @@ def _best_model(
     scale = curves.weight * local_peak
     relative = np.divide(model.residual, scale, out=np.zeros_like(model.residual), where=scale > 0.0)
     relative_error = np.linalg.norm(relative) / np.sqrt(curves.degrees_of_freedom(model.poles.size))
-    # A smaller error may be due to modes far outside the band, which deviate slightly from their residual terms.
+    # A smaller misfit may be due to modes far outside the band, which the residual terms represent only approximately.
     is_nonlinear = models[-1][0].has_model_error and relative_error > MIN_RELATIVE_ERROR
     return curves, model, float(relative_error) if is_nonlinear else 0.0, assumed_errors[best]
 
@@ -228,7 +229,7 @@ def nearest_lines(curve: Response, frequency: Array, selected: NDArray[np.bool_]
 
 
 def _standard_deviations(curves: Sequence[Response]) -> Array:
-    """Return the standard deviation of either quadrature component of each line, shape (responses, lines)."""
+    """Return the standard deviation of real and imaginary part of each line, shape (responses, lines)."""
     magnitude = np.stack([abs(curve.value) for curve in curves])
     error = np.stack([curve.error for curve in curves])
     for row, curve in zip(error, curves, strict=True):
@@ -236,17 +237,18 @@ def _standard_deviations(curves: Sequence[Response]) -> Array:
         if not finite.all():
             row[~finite] = scatter(curve.value)[~finite]
         if not curve.degrees.any():
-            # The errors that a file gives may be incomplete; the scatter between its lines is their lower bound.
+            # The uncertainty stated in a file may be incomplete. It is at least the scatter between the lines.
             row[:] = np.maximum(row, scatter(curve.value))
         row[:] = np.maximum(row, _local_median(row, curve.degrees))
-    # Systematic errors that differ from line to line act like noise. Smooth errors do not resemble a mode.
+    # Systematic errors that differ from line to line act like noise. Smooth errors are left out, because they do not
+    # resemble a mode.
     error = np.hypot(error, standard_of_limit(systematic_bound(curves, IRREGULAR)))
     largest = np.nanmax(magnitude, axis=1, keepdims=True)
     return np.hypot(error, MIN_RELATIVE_ERROR * np.maximum(magnitude, 1e-6 * largest))
 
 
 def _local_median(error: Array, degrees_of_freedom: Array) -> Array:
-    """Return the median error over enough lines for `_MIN_DEGREES`; 0 if each line has enough, or if they are unknown.
+    """Return the median uncertainty of neighboring lines, or 0 if each line has `_MIN_DEGREES` or an unknown number.
 
     Errors estimated from few segments may be close to zero by chance, and such lines would dominate the fit.
     """

@@ -21,12 +21,13 @@ _MAX_DAMPING_UNCERTAINTY = 0.02
 # At this ratio of resolution to half of the half-power bandwidth, leakage increases the damping ratio by
 # `_MAX_DAMPING_UNCERTAINTY`.
 _WIDENING_RATIO = float(np.sqrt(_MAX_DAMPING_UNCERTAINTY / LEAKAGE_FACTOR))
-# A linear structure with lightly damped modes leaves a smaller residual than this fraction of the peak height.
+# For a linear structure with lightly damped modes, the residual is below this fraction of the peak height.
 _MAX_LINEAR_RESIDUAL = 0.005
 _MAINS_FREQUENCIES = (50.0, 60.0)  # Hz
-# Hum of a higher multiple is rarely distinct.
+# Largest tested multiple: hum at higher multiples is rarely distinct.
 _MAX_MAINS_MULTIPLE = 10
-# Largest tolerance as a fraction of the mains frequency: other peaks match a multiple with twice this probability.
+# Largest tolerance, relative to the mains frequency. A peak of another cause matches a multiple with twice this
+# probability.
 _MAX_COINCIDENCE = 0.05
 
 
@@ -35,7 +36,7 @@ def mode_warnings(
     curves: Sequence[Response],
     count: int | None,
     found: IdentifiedPoles,
-    uncertain_poles: Array,  # Hz: poles where the uncertainty of the curves is too large
+    uncertain_poles: Array,  # Hz: poles at which the uncertainty of the curves is too large
     unmeasured: Array,  # Hz: poles around which no line was measured
     unused_responses: Sequence[str],  # responses that were not used
 ) -> Iterator[str]:
@@ -47,7 +48,7 @@ def mode_warnings(
         )
     if modes.model_error:
         has_error_bars = any(np.isfinite(curve.error).any() for curve in curves)
-        expected = "error bars" if has_error_bars else "scatter"
+        expected = "uncertainties of the points" if has_error_bars else "scatter"
         residual_text = (
             f"the best linear fit leaves a residual of {format_percent(modes.model_error)} of the peak height"
         )

@@ -1,4 +1,4 @@
-"""Identified modes: natural frequencies, damping ratios, shapes, and the receptances of the modal model."""
+"""Identified modes: natural frequencies, damping ratios, shapes, and the compliances of the modal model."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 
 # A damping ratio is determined if its relative standard uncertainty is at most a third: the ratio then differs from
-# zero by three standard deviations. Otherwise only the upper bound is given, and the pole counts as a mode only if it
-# has a distinct peak.
+# zero by three standard deviations. Otherwise only an upper limit of the ratio is stated, and the pole counts as a mode
+# only if it has a distinct peak.
 MAX_RELATIVE_UNCERTAINTY = 1.0 / 3.0
 
 
@@ -33,12 +33,12 @@ _POLE_STYLES = ((False, "x", "#bbbbbb", "new pole"), (True, "o", "#333333", "sta
 
 
 class BodyShapes(NamedTuple):
-    """Mode shapes with an element for each body, scaled to largest element 1, with standard deviations."""
+    """Mode shapes with an element for each body, scaled to largest element 1, with standard uncertainties."""
 
     names: tuple[str, ...]
     shapes: ComplexArray  # shape (bodies, modes)
     errors: Array  # shape (bodies, modes)
-    places: tuple[str, ...] = ()  # of the sensors: "body 2"
+    places: tuple[str, ...] = ()  # locations of the sensors: "body 2"
 
 
 @dataclass(frozen=True, repr=False)
@@ -48,15 +48,16 @@ class Modes(Result):
     Attributes
     ----------
     frequency, frequency_error : ndarray, shape (modes,)
-        Undamped natural frequency abs(p)/2 pi and its standard deviation, Hz; NaN for all errors if a file states none.
+        Undamped natural frequency abs(p)/2 pi and its standard uncertainty, Hz; all uncertainties are NaN if a file
+        states none.
     damping, damping_error : ndarray, shape (modes,)
-        Damping ratio and its standard deviation; if that is more than a third of the ratio, only the upper bound is
+        Damping ratio and its standard uncertainty; if this is more than a third of the ratio, only an upper limit is
         known: ``damping + 2 damping_error``.
     shape_error : ndarray, shape (responses, modes)
-        Standard deviation of each element of `shapes`, from the uncertainty of the curves at the resonance, including
+        Standard uncertainty of each element of `shapes`, from the uncertainty of the curves at the resonance, including
         sensor tolerances.
     residue : ndarray of complex, shape (responses, modes)
-        R in R/(s - p) + conj(R)/(s - conj(p)), receptance, m/(N s).
+        R in the compliance R/(s - p) + conj(R)/(s - conj(p)), m/(N s).
     responses : tuple of str
         Channels.
     chart : tuple of ChartPole
@@ -66,8 +67,8 @@ class Modes(Result):
     upper : ndarray, shape (responses, 3)
         Contribution of modes above the band: upper[0] + upper[1] s + upper[2] s², m/N.
     model_error : float
-        Residual of the modal model beyond the error bars, relative to the neighboring peaks; 0 if the residuals are
-        within the error bars.
+        Residual of the modal model, relative to the neighboring peaks; 0 if the uncertainties of the curves explain the
+        residual.
     label : str
         Scene and setting.
     warnings : tuple of str
@@ -110,17 +111,17 @@ class Modes(Result):
         return format_quantity(self.frequency[mode], float(expand(self.frequency_error[mode])), "Hz")
 
     def damping_text(self, mode: int) -> str:
-        """Write a damping ratio with its expanded uncertainty (95 %), or its upper bound if it is poorly determined."""
+        """Write a damping ratio with its expanded uncertainty (95 %), or an upper limit if it is poorly determined."""
         ratio, expanded = 100.0 * self.damping[mode], 100.0 * float(expand(self.damping_error[mode]))
         if np.isnan(expanded):
             return f"{ratio:.4g} %"
         if self.damping_error[mode] < MAX_RELATIVE_UNCERTAINTY * self.damping[mode]:
             return format_quantity(ratio, expanded, "%")
-        # A mode of any damping ratio below 100 % would fit.
+        # The damping is not determined at all if the interval extends to 100 %.
         return f"below {format_percent(0.01 * (ratio + expanded))}" if ratio + expanded < 100.0 else "not determined"
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return frequency, damping ratio, and the shape at each response, with their standard deviations."""
+        """Return frequency, damping ratio, and the shape at each response, with standard uncertainties."""
         return {
             "frequency_Hz": self.frequency,
             "frequency_std_Hz": self.frequency_error,
@@ -173,21 +174,21 @@ class Modes(Result):
         return self.residue / self.residue[largest, np.arange(self.residue.shape[1])]
 
     def of_bodies(self) -> BodyShapes:
-        """Return an element of each shape for each body, in their order: the weighted mean of the sensors on it."""
+        """Return an element of each shape for each body, in the order of bodies: the weighted mean of its sensors."""
         places = self.places or ("",) * len(self.responses)
         # A channel with an unknown location is a separate point.
         keys = [place or f"channel {name}" for place, name in zip(places, self.responses, strict=True)]
         number = dict(zip(keys, self.bodies or (0,) * len(keys), strict=True))
         names, shapes, errors = [], [], []
-        # The largest element, which scales a shape, has zero error and gets the weight of the most precise
-        # other element.
+        # The largest element scales a shape, so its uncertainty is zero. It gets the weight of the most precise other
+        # element.
         smallest_error = np.min(self.shape_error, axis=0, initial=np.inf, where=self.shape_error > 0.0)
         weights = 1.0 / np.where(np.isfinite(smallest_error), np.maximum(self.shape_error, smallest_error), 1.0) ** 2
         ordered = sorted(number, key=lambda key: number[key] or inf)
         for key in ordered:
             rows = [row for row, other in enumerate(keys) if other == key]
             ratio = weights[rows] / weights[rows].sum(axis=0)
-            # A single sensor on a body without a name, or at an unknown location, is named by its channel.
+            # A body without a name and with one sensor, or an unknown location, has the name of the channel.
             is_unnamed = len(rows) == 1 and (not places[rows[0]] or places[rows[0]].startswith("body "))
             names.append(self.responses[rows[0]] if is_unnamed else key)
             shapes.append((ratio * self.shapes[rows]).sum(axis=0))
@@ -202,8 +203,8 @@ class Modes(Result):
         """Remove the damping that an exponential window of the analyzer has added.
 
         The window exp(-t / `time_constant`) on force and response, with the force at its beginning, moves each pole by
-        -1 / `time_constant` along the real axis; damped natural frequencies and shapes stay (D. J. Ewins, Modal
-        Testing, 2nd ed., Research Studies Press 2000, section 3.8).
+        -1 / `time_constant` along the real axis; damped natural frequencies and shapes do not change (D. J. Ewins,
+        Modal Testing, 2nd ed., Research Studies Press 2000, section 3.8).
 
         Parameters
         ----------
@@ -252,7 +253,7 @@ class Modes(Result):
         return np.asarray(2 * np.pi * self.frequency * (-self.damping + 1j * np.sqrt(1.0 - self.damping**2)))
 
     def receptance(self, frequency: Array) -> ComplexArray:
-        """Compute the receptance of the modal model, m/N, shape (responses, frequencies); frequencies in Hz."""
+        """Compute the compliance of the modal model, m/N, shape (responses, frequencies); frequencies in Hz."""
         terms = np.column_stack([self.lower, self.upper])
         return modal_receptance(np.asarray(frequency, dtype=float), self.poles, self.residue, terms)
 
@@ -260,7 +261,8 @@ class Modes(Result):
     def collinearity(self) -> Array:
         """Compute the modal phase collinearity: 1 if all points move in phase or in antiphase, 0 for a traveling wave.
 
-        It is abs(r^T r)^2 / (r^H r)^2 for the residues r (J.-N. Juang, R. S. Pappa, J. Guid. Control Dyn. 8 (1985)).
+        The collinearity is abs(r^T r)^2 / (r^H r)^2 for the residues r (J.-N. Juang, R. S. Pappa, J. Guid. Control Dyn.
+        8 (1985)).
         """
         return np.array([(abs(np.sum(shape**2)) / np.sum(abs(shape) ** 2)) ** 2 for shape in self.residue.T])
 
@@ -281,7 +283,7 @@ def mac(first: NDArray[np.generic] | Modes, second: NDArray[np.generic] | Modes)
     Raises
     ------
     SceneError
-        If an argument is neither, or if the numbers of points differ.
+        If an argument is neither a matrix nor modes, or if the numbers of points differ.
 
     Examples
     --------

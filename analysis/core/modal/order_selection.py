@@ -24,18 +24,18 @@ MAX_MODES = 12
 _MIN_DEGREES = 8
 # A pole must reduce the misfit by this multiple of the penalty term of Schwarz's criterion (BIC) [1]_.
 _PENALTY_FACTOR = 2.0
-# A single reference resolves two poles if their distance is at least this, in mean half-power bandwidths. Several
-# references distinguish closer poles by their shapes.
+# With a single reference, two poles are resolved if their distance is at least this, in mean half-power bandwidths.
+# With several references, closer poles are distinguished by their shapes.
 _MIN_DISTANCE_WIDTHS = 0.4
-# The same where a model error is assumed, or where curves state no errors. Closer poles may represent an error, because
-# two poles fit a peak of any shape. Tuned on a measured milling tool: at 0.4 its modes depended on the band.
+# The same distance if a model error is assumed, or if curves state no uncertainty. Closer poles may represent an error,
+# because two poles fit a peak of any shape. Tuned on a measured milling tool: at 0.4 its modes depended on the band.
 _MIN_ERRONEOUS_DISTANCE_WIDTHS = 0.8
-# Two poles are close up to this distance, in the same unit. Close poles are accepted only if their local misfit is at
-# noise level, because two close poles can fit the skewed peak of a nonlinear structure.
+# Two poles are close if their distance is at most this, in mean half-power bandwidths. Close poles are accepted only if
+# their local misfit is at noise level, because two close poles can fit the skewed peak of a nonlinear structure.
 _CLOSE_POLE_WIDTHS = 4.0
-# The local misfit of close poles is at noise level up to this multiple of its expected value for noise.
+# The local misfit of close poles is at noise level if it is at most this multiple of its expected value for noise.
 _MAX_NOISE_RATIO = 4.0
-# Two poles closer than this multiple of the frequency resolution may be fitted to one narrow peak, which the window
+# Two poles closer than this multiple of the frequency resolution may be fitted to one narrow peak that the window
 # broadens.
 _SAME_PEAK_RATIO = 1.5
 # The poles of two fits are the same up to this distance, in half-widths.
@@ -72,7 +72,8 @@ def are_narrower_than_resolution(curves: Curves, poles: ComplexArray) -> NDArray
 
 def initial_model(curves: Curves, initial: ComplexArray) -> ModalModel:
     """Fit a model with those poles of `initial`, rad/s, that are significant and not spurious."""
-    # Most other poles are recognized after few evaluations. Only the fit of the remaining poles is completed.
+    # Most poles that are spurious or not significant are recognized after few evaluations. Only the fit of the
+    # remaining poles is completed.
     approximate = _fit_without_spurious_poles(curves, initial, _APPROXIMATE_EVALUATIONS)
     poles, _ = _significant_poles(curves, approximate)
     return _prune(curves, _fit_without_spurious_poles(curves, poles, MAX_EVALUATIONS))
@@ -104,7 +105,7 @@ def select_model(
 def _fit_without_spurious_poles(curves: Curves, poles: ComplexArray, max_evaluations: int) -> ModalModel:
     """Fit a model, and remove its spurious poles step by step: the least significant pole of each group of neighbors.
 
-    Without it, the other poles of the group may not be spurious.
+    Without this pole, the other poles of the group may not be spurious.
     """
     model = fit(curves, poles, max_evaluations)
     while (spurious := spurious_poles(curves, model)).size:
@@ -185,7 +186,7 @@ def spurious_poles(curves: Curves, model: ModalModel) -> NDArray[np.intp]:
     for low, high in pairwise(order):
         distance = (poles[high].imag - poles[low].imag) / (2 * np.pi)
         mean_width = width[low] + width[high]
-        # The window broadens a narrow peak to less than twice the frequency resolution.
+        # The window broadens a narrow peak, but to less than twice the frequency resolution.
         is_same_peak = mean_width < 2.0 * curves.resolution and distance < _SAME_PEAK_RATIO * curves.resolution
         is_exact = curves.are_errors_stated and not curves.has_model_error
         min_distance = _MIN_DISTANCE_WIDTHS if is_exact else _MIN_ERRONEOUS_DISTANCE_WIDTHS
@@ -229,8 +230,8 @@ def _prune(curves: Curves, model: ModalModel) -> ModalModel:
 def _significant_poles(curves: Curves, model: ModalModel) -> tuple[ComplexArray, int]:
     """Return the significant poles of a model, and the index of the least significant of them.
 
-    The other poles are not fitted again, so that the increase of the misfit is overestimated. A pole that is not
-    significant here is not significant after a new fit either.
+    The increase of the misfit without a pole is overestimated, because the other poles are not fitted again. A pole
+    that is not significant here is therefore not significant after a new fit either.
     """
     poles, least_significant = model.poles, 0
     while poles.size:

@@ -11,13 +11,13 @@ import scipy
 from analysis.core.modal.line_choice import scatter
 from rig.core.base.arrays import Array, ComplexArray
 
-# Half of the power, as a difference of logarithms of magnitudes.
+# Difference of the logarithms of magnitudes between a peak and its half-power points.
 _HALF_POWER = 0.5 * float(np.log(2.0))
 # A peak exceeds its surroundings by at least this difference of logarithms.
 _MIN_PROMINENCE = 0.5 * _HALF_POWER
 # A peak exceeds the scatter of its lines by at least this factor in a curve.
 _MIN_SIGNAL_RATIO = 6.0
-# The scatter of a line is the largest among this number of lines.
+# The scatter of a line is the largest value among this number of neighboring lines.
 _NOISE_LINES = 31
 # A window extends to this distance from its peaks, in half-widths and at least this number of lines.
 _WINDOW_HALF_WIDTHS = 6.0
@@ -38,17 +38,17 @@ class Window(NamedTuple):
 def peak_windows(frequency: Array, values: Sequence[ComplexArray]) -> list[Window]:
     """Return the windows around the peaks of curves at equal frequencies, Hz, in ascending order.
 
-    A peak is one of the mean logarithm of the magnitudes, because a mean of the magnitudes depends on the units.
+    Peaks are those of the mean logarithm of the magnitudes, because a mean of the magnitudes would depend on the units.
     """
     magnitude = np.abs(np.nan_to_num(np.stack(values))) * frequency**2
     log_magnitude = np.log(np.maximum(magnitude, 1e-12 * magnitude.max(axis=1, keepdims=True))).mean(axis=0)
     peaks, properties = scipy.signal.find_peaks(log_magnitude, prominence=_MIN_PROMINENCE)
-    # The scatter of the lines next to a limit of a noisy range is that of the other side.
+    # Lines next to a limit of a noisy range have the scatter of the other side of the limit.
     noise = scipy.ndimage.maximum_filter1d(
         [scatter(np.nan_to_num(value) * frequency**2) for value in values], _NOISE_LINES, axis=1
     )
     ratio = np.max(magnitude[:, peaks] / np.maximum(noise[:, peaks], 1e-300), axis=0, initial=0.0)
-    # Peaks of noise are prominent, too, but exceed the scatter of their lines less.
+    # Peaks of noise are prominent, too, but do not exceed the scatter of their lines by this factor.
     chosen = ratio > _MIN_SIGNAL_RATIO
     peaks, drops = peaks[chosen], np.minimum(0.9 * properties["prominences"][chosen], _HALF_POWER)
     if not peaks.size:

@@ -1,4 +1,4 @@
-"""Uncertainty of identified poles: random errors from the residuals of the model, and bounds of systematic errors.
+"""Uncertainty of identified poles: random errors from the residuals of the model, and limits of systematic errors.
 
 The parameters of a pole are the logarithm of its decay rate, and its damped frequency in units of the decay rate.
 """
@@ -16,9 +16,9 @@ from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import CLOCK, SENSITIVITY, SYSTEMATIC
 
-# Systematic errors that shift a pole like a stiffness error.
+# Systematic errors that shift a pole as an error of stiffness does.
 _STIFFNESS_ERRORS = (SENSITIVITY, CLOCK, SYSTEMATIC)
-# Systematic errors that shift a pole like a complex stiffness error, because aliases have an arbitrary phase.
+# Systematic errors that shift a pole as an error of complex stiffness does, because aliases have an arbitrary phase.
 _PHASE_ERRORS = (ALIASING,)
 # Systematic errors that may change the width of a peak.
 _WIDTH_ERRORS = (ALIASING, RESOLUTION, MODEL, REFERENCE_NOISE)
@@ -29,11 +29,12 @@ _FLANK_HALF_WIDTHS = 10.0
 LEAKAGE_FACTOR = 0.16
 # Leakage increases a half-width by at most this multiple of the resolution.
 _MAX_WIDENING = 0.5
-# The frequency of a peak that is narrower than the resolution has an error of at most this multiple of the resolution.
+# Limit of the frequency error of a peak that is narrower than the resolution, as a multiple of the resolution.
 _MAX_LINE_ERROR = 2.0 / 3.0
 # Lines may have common errors up to this distance, in correlation lengths of the residual.
 _CORRELATION_LENGTHS = 3.0
-# If the misfit is below this fraction of its expected value, the residual does not show the correlation of the errors.
+# If the misfit is below this fraction of its expected value, the residual contains no information on the correlation of
+# the errors.
 _MIN_NOISE_RATIO = 0.3
 # A damping ratio has at least this relative uncertainty, and a frequency at least this uncertainty relative to the
 # half-width. Errors of a curve that resemble a mode (residual transients, phase errors of sensors) do not increase the
@@ -44,7 +45,7 @@ _MIN_EIGENVALUE_RATIO = 1e-15
 
 
 def pole_errors(curves: Curves, model: ModalModel) -> tuple[Array, Array]:
-    """Return the standard deviations of natural frequencies [Hz] and damping ratios, both of shape (modes,).
+    """Return the standard uncertainties of natural frequencies [Hz] and damping ratios, both of shape (modes,).
 
     They are the largest of three estimates. The first assumes independent errors of all lines and responses. The second
     assumes errors common to responses and neighboring lines, due to force noise, transients or a nonlinear structure
@@ -60,7 +61,7 @@ def pole_errors(curves: Curves, model: ModalModel) -> tuple[Array, Array]:
 
 
 def refined_pole_errors(poles: ComplexArray, covariance: Array) -> tuple[Array, Array]:
-    """Return the standard deviations as in `pole_errors`, from the covariance of the parameters, (2 modes, 2 modes)."""
+    """Return the uncertainties as in `pole_errors`, from the covariance of the parameters, (2 modes, 2 modes)."""
     # The decay rate of a pole far outside the band may be undetermined. Its variance would dominate the rounding errors
     # of a factorization of the covariance, but not of the correlation.
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
@@ -75,7 +76,7 @@ def _add_min_uncertainty(poles: ComplexArray, frequency_error: Array, damping_er
 
 
 def propagate(poles: ComplexArray, factors: Sequence[Array]) -> tuple[Array, Array]:
-    """Return the largest standard deviations of frequencies [Hz] and damping ratios over covariances ``F F^T``.
+    """Return the largest standard uncertainties of frequencies [Hz] and damping ratios over covariances ``F F^T``.
 
     `factors`: factors F, whose rows are the first parameters of all poles, then the second.
     """
@@ -96,12 +97,12 @@ def propagate(poles: ComplexArray, factors: Sequence[Array]) -> tuple[Array, Arr
 def systematic_pole_errors(
     frfs: Sequence[Response], poles: ComplexArray, already_counted: Sequence[str] = ()
 ) -> tuple[Array, Array]:
-    """Return bounds of the systematic errors of natural frequencies [Hz] and damping ratios, shape (modes,).
+    """Return limits of the systematic errors of natural frequencies [Hz] and damping ratios, shape (modes,).
 
     A relative error d(s) of a curve shifts the pole p by up to ``d |s - p|``; a constant error only scales the curve.
     For example, unequal gains at the two ends of a spring act like an error of its stiffness. An error at the peak
-    alone, and the leakage of a window, may also change the width of the peak. The errors `already_counted` are left
-    out, because the random errors contain them.
+    alone, and the leakage of a window, may also change the width of the peak. The errors named in `already_counted` are
+    left out, because the random errors include them.
     """
     width_errors = tuple(name for name in _WIDTH_ERRORS if name not in already_counted)
     half_width_hz = half_width(poles)
@@ -146,9 +147,9 @@ def _shift(error: Array, distance: Array, half_width_hz: float) -> float:
 def _covariance_factors(curves: Curves, model: ModalModel) -> tuple[Array, Array, Array]:
     """Return factors F of the covariance ``F F^T`` of the parameters for the three estimates of `pole_errors`.
 
-    Errors of the reference cause equal relative errors of all responses at a line. The fitted poles adapt to them, so
-    that the misfit hardly increases. These errors are at most the errors of the most precise response. The factors have
-    the shape (parameters, columns).
+    Errors of the reference cause equal relative errors of all responses at a line. The fitted poles adapt to these
+    errors, so the misfit hardly increases. The errors of the reference are at most those of the most precise response.
+    The factors have the shape (parameters, columns).
     """
     derivatives = jacobian(curves, model.poles)
     rows = derivatives.reshape(len(derivatives), -1)
@@ -173,13 +174,13 @@ def _covariance_factors(curves: Curves, model: ModalModel) -> tuple[Array, Array
         min_variance = variance * length / np.diag(information)
     omitted = np.maximum(min_variance - np.sum(np.square(independent), axis=1), 0.0)
     independent = np.concatenate([independent, np.diag(np.sqrt(omitted))], axis=1)
-    # With few data the fit reduces each residual by a large factor, which is corrected (HC3).
+    # With few data the fit reduces each residual considerably. The reduction is corrected (HC3).
     correlated = np.asarray(inverse @ sums * (curves.n_values / degrees_of_freedom), dtype=float)
     # A line of zero weight in all responses has no error of the reference.
     precision = np.max(curves.weight * abs(curves.value), axis=0)
     relative = np.divide(1.0, precision, out=np.zeros_like(precision), where=precision > 0.0)
     gradient = np.einsum("pmn,mn->pn", derivatives.conj(), curves.weight * curves.value) * relative
-    # If the residual is due to the errors of the curves, both have the same correlation between lines.
+    # If the residual is due to the errors of the curves, residual and errors have the same correlation between lines.
     correlated_lines = length if variance > _MIN_NOISE_RATIO else curves.shared
     common = inverse @ np.concatenate([gradient.real, gradient.imag], axis=1) * np.sqrt(correlated_lines)
     return independent, correlated, np.asarray(common, dtype=float)

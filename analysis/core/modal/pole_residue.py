@@ -1,6 +1,6 @@
 """Modal model with common poles and a residue for each response, fitted by weighted least squares.
 
-A receptance is the sum of R/(s - p) + conj(R)/(s - conj(p)) over the modes, with pole p and residue R, and of *residual
+A compliance is the sum of R/(s - p) + conj(R)/(s - conj(p)) over the modes, with pole p and residue R, and of *residual
 terms* for the modes outside the band. Poles are nonlinear parameters; residues and residual terms are linear.
 """
 
@@ -20,11 +20,11 @@ from rig.core.base.arrays import Array, ComplexArray
 MAX_EVALUATIONS = 25
 # A series with this number of terms represents the modes above the band.
 UPPER_TERMS = 3
-# At least this number of lines determines all of these terms; fewer lines determine only the first.
+# At least this number of lines is needed for all terms of the series; fewer lines determine only the first term.
 _MIN_LINES = 20
 # Maximum number of elements of the weighted terms of the responses that are in memory at a time.
 _MAX_ELEMENTS = 1 << 22
-# The remainder of a unit column is a rounding error if its squared norm is below this.
+# The remainder of a unit column after orthogonalization is a rounding error if its squared norm is below this.
 _ROUNDING = 1e-20
 
 
@@ -33,8 +33,8 @@ class Curves:
     """Curves to which a modal model is fitted."""
 
     frequency: Array  # Hz, ascending, shape (n,)
-    value: ComplexArray  # receptances, m/N, shape (responses, n)
-    weight: Array  # inverse standard deviations of either quadrature component, shape (responses, n)
+    value: ComplexArray  # compliances, m/N, shape (responses, n)
+    weight: Array  # inverse standard deviations of real and imaginary part, shape (responses, n)
     shared: float = 1.0  # number of neighboring lines with a common error
     resolution: float = 0.0  # noise bandwidth of each line, Hz; 0 without leakage
     references: int = 1  # number of inputs of the responses
@@ -83,7 +83,7 @@ def fit(curves: Curves, start: ComplexArray, max_evaluations: int = MAX_EVALUATI
     """Fit the poles, initially `start` in rad/s, by weighted nonlinear least squares with variable projection."""
     problem = Projection(curves, start)
     x = np.zeros(2 * start.size)
-    # With as many unknowns as values, the model is exact for any poles.
+    # With as many unknowns as values, the model fits the curves exactly for any poles.
     has_residual = problem.target.shape[1] > 2 * start.size + len(problem.residual_terms[0])
     if start.size and has_residual:
         # `least_squares` takes twice the time of these small problems.
@@ -128,7 +128,7 @@ def residual_terms(s: NDArray[np.complexfloating]) -> list[NDArray[np.complexflo
 
 
 def modal_receptance(frequency: Array, poles: ComplexArray, residue: ComplexArray, terms: Array) -> ComplexArray:
-    """Compute receptances of modes, m/N, shape (responses, frequencies); frequencies in Hz.
+    """Compute compliances of modes, m/N, shape (responses, frequencies); frequencies in Hz.
 
     `terms`: factors of the residual terms, shape (responses, 1 + `UPPER_TERMS`).
     """
@@ -140,10 +140,10 @@ def modal_receptance(frequency: Array, poles: ComplexArray, residue: ComplexArra
 
 
 def misfits_with(curves: Curves, poles: ComplexArray, added: ComplexArray) -> Array:
-    """Compute the misfit with one more pole, for each of the poles `added`, with the best residues; shape (added,).
+    """Compute the misfit with one more pole, for each of the poles `added`, and the best residues; shape (added,).
 
-    An added pole lowers the misfit by the squared projection of the residual onto the component of its two columns that
-    is orthogonal to all other columns.
+    A pole has two columns. It lowers the misfit by the squared projection of the residual onto the components of its
+    columns that are orthogonal to all other columns.
     """
     parts = [_misfits_with(part, poles, added) for _, part in curves.blocks(2 * (poles.size + added.size))]
     return np.asarray(np.sum(parts, axis=0))
@@ -241,7 +241,7 @@ class Projection:
         return self._basis(x, slice(None), self.curves)
 
     def _basis(self, x: Array, rows: slice, part: Curves) -> Array:
-        """Return the basis of some responses, `part`, which are these rows."""
+        """Return the basis of the responses in the slice `part`."""
         terms = _weighted(part, _mode_terms(self.s, self.poles(x), (1,)))
         return np.concatenate([terms, self.residual_terms[rows]], axis=1).swapaxes(1, 2)
 
@@ -253,7 +253,7 @@ class Projection:
             for rows, part in self.curves.blocks(len(mode_terms) + self.residual_terms.shape[1] + 1):
                 columns = _weighted(part, mode_terms)
                 parts = [columns[:, :count], self.residual_terms[rows], columns[:, count:], self.target[rows, None]]
-                # The orthogonal factor is not needed, which takes half of the time.
+                # The orthogonal factor is not computed, because it is not needed and takes half of the time.
                 triangles.append(np.linalg.qr(np.concatenate(parts, axis=1).swapaxes(1, 2), mode="r"))
             factor = np.concatenate(triangles)
             n = count + self.residual_terms.shape[1]
@@ -289,13 +289,13 @@ class Projection:
         return residual
 
     def reduced_residual(self, x: Array) -> Array:
-        """Return the residuals after the rotation in which only the first is not zero; see `reduced_jacobian`."""
+        """Return the residuals after a rotation that makes all but the first zero; see `reduced_jacobian`."""
         reduced = np.zeros(x.size + 1)
         reduced[0] = np.linalg.norm(self.factors(x).residual)
         return reduced
 
     def reduced_jacobian(self, x: Array) -> Array:
-        """Return the triangular factor of the residuals and their Jacobian, without its first column: the residuals.
+        """Return the triangular factor of residuals and Jacobian, without its first column, which is for the residuals.
 
         This matrix is sufficient for a Gauss-Newton step, because its columns have the scalar products of the complete
         columns.
@@ -320,7 +320,7 @@ class Projection:
         return derivatives
 
     def _by_parameter(self, x: Array, terms: Array, rows: slice = slice(None)) -> Array:
-        """Convert derivatives by the poles of the terms of Re R and Im R to derivatives of the model by parameters."""
+        """Convert derivatives of the terms of Re R and Im R by the poles to derivatives of the model by parameters."""
         unknown = self.unknowns(x)[rows, None, : x.size]
         real, imag = unknown[..., ::2], unknown[..., 1::2]
         first, second = terms[..., ::2], terms[..., 1::2]

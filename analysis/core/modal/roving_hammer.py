@@ -16,7 +16,7 @@ from rig.core.base.errors import RecordingError, SceneError
 from rig.core.results.points import Point
 from rig.core.results.response import Response, stack
 
-# Fewer common lines are too few for modes.
+# Minimum number of common lines.
 _MIN_LINES = 8
 
 

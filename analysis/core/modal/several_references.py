@@ -1,9 +1,9 @@
 """Modes from responses to several inputs, for repeated and close modes that a single input cannot separate.
 
 All elements of the matrix have the same poles. The residue of a pole is the outer product of a shape and its modal
-participation factors, one for each input. The residue of a repeated pole is a sum of such products; their number is the
-rank of the residue matrix [1]_. Identification adds a second pole wherever it improves the fit significantly. Only a
-pole without such a neighbor is reported as repeated.
+participation factors, one for each input. The residue of a repeated pole is a sum of such products; the number of
+products is the rank of the residue matrix [1]_. Identification adds a second pole wherever it improves the fit
+significantly. Only a pole without such a neighbor is reported as repeated.
 
 References
 ----------
@@ -23,18 +23,19 @@ from rig.core.results.points import Point
 # A second or further singular value of a residue indicates another mode if it exceeds this number of standard
 # uncertainties.
 _DETECTION_SIGMAS = 5.0
-# Such a singular value must be at least this fraction of the largest; smaller values may be errors of the model.
+# This singular value must also be at least this fraction of the largest, because smaller values may be errors of the
+# model.
 _MIN_RATIO = 0.02
 
 
 def separate(modes: Modes, inputs: tuple[str, ...], outputs: tuple[Point, ...]) -> Modes:
     """Separate the modes of each pole by the singular values of its residues.
 
-    `modes`: identified from all elements of a matrix, in the order of the outputs; `inputs`: their names.
-    Returns modes with the residues of one input: that whose smallest participation factor is the largest.
+    `modes`: modes identified from all elements of a matrix, in the order of the outputs; `inputs`: names of the inputs.
+    Returns modes with the residues of one input, for which the smallest participation factor is the largest.
     """
     n_outputs, n_inputs = len(outputs), len(inputs)
-    # A model error may resemble a second shape.
+    # A model error limits the ratio, because it may resemble a second shape.
     min_ratio = max(_MIN_RATIO, _DETECTION_SIGMAS * modes.model_error)
     pole_of_mode: list[int] = []
     vectors: list[tuple[ComplexArray, ComplexArray]] = []  # shape and participation factors of each mode

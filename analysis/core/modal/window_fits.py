@@ -1,9 +1,9 @@
-"""Identification of modes in windows of lines around peaks, for curves that state no errors.
+"""Identification of modes in windows of lines around peaks, for curves without stated uncertainty.
 
-What a file does not state (leakage, double impacts, a nonlinear structure) are errors of unknown size. In a model of
-the whole band they change every mode, so that the result depends on the limits of the band. A model of the lines around
-a peak is independent of the other lines; residual terms represent the other modes. A pole is physical if it contributes
-an essential part of a curve at its frequency, and if it is also identified from every subset of the window's lines that
+Such curves have errors of unknown size (leakage, double impacts, a nonlinear structure). In a model of the whole band
+these errors change every mode, so the result depends on the limits of the band. A model of the lines around a peak is
+independent of the other lines; residual terms represent the other modes. A pole is physical if it contributes an
+essential part of a curve at its frequency, and if it is also identified from every subset of the window's lines that
 can resolve it (see `band_choice`).
 """
 
@@ -33,14 +33,16 @@ from rig.core.results.uncertainty import expand, standard_of_limit
 _MIN_SHARE = 0.1
 # The curve at a frequency is the root mean square of this number of lines.
 _SHARE_LINES = 31
-# Smallest standard uncertainty, relative to the half-width and the damping ratio: an error of the curves that all lines
-# have in common does not appear in their differences.
+# Smallest standard uncertainty of a frequency, relative to the half-width, and of a damping ratio, relative to the
+# ratio. An error of the curves that is common to all lines does not appear in the differences between parts of the
+# lines.
 _MIN_UNCERTAINTY = 1e-3
-# The expanded uncertainty of a natural frequency is at most this part of its half-width. Otherwise the pole represents
-# a part of the noise or of an error of the curves. Tuned on measured curves of a milling tool and two simulated sets:
-# modes had ratios up to 0.4, computational poles from 0.7 on.
+# The expanded uncertainty of a natural frequency is at most this fraction of the half-width. Otherwise the pole
+# represents a part of the noise or of an error of the curves. Tuned on measured curves of a milling tool and two
+# simulated sets: modes had ratios up to 0.4, computational poles from 0.7 on.
 _MAX_FREQUENCY_RATIO = 0.5
-# Maximum number of lines of a window; of more, every second, third, ... is fitted. These are 80 lines per half-width.
+# Maximum number of fitted lines of a window, about 80 per half-width. If a window has more, every second, third, ...
+# line is fitted.
 _MAX_LINES = 1000
 
 
@@ -51,14 +53,14 @@ class IdentifiedPoles(NamedTuple):
     residue: ComplexArray  # shape (responses, modes)
     frequency_error: Array  # standard uncertainties, Hz
     damping_error: Array  # standard uncertainties
-    model_error: float  # largest of the windows; 0 if noise explains the residuals
-    rejected: list[float]  # Hz, poles whose damping or height is not determined
-    unconfirmed: list[float]  # Hz, poles that parts of the lines do not confirm
+    model_error: float  # largest model error of the windows; 0 if noise explains the residuals
+    rejected: list[float]  # frequencies of poles whose damping or height is not determined, Hz
+    unconfirmed: list[float]  # frequencies of poles that parts of the lines do not confirm, Hz
     value: ComplexArray  # fitted or measured curves, m/N, shape (responses, lines)
 
 
 def identify_windows(curves: Sequence[Response], value: ComplexArray, count: int | None) -> IdentifiedPoles:
-    """Identify the modes of curves at equal frequencies, in ascending order; at most `count`, of the highest peaks."""
+    """Identify the modes of curves at equal frequencies, in ascending order; at most `count`: the highest peaks."""
     frequency = curves[0].frequency
     parts = [no_poles(value)]
     for window in peak_windows(frequency, [curve.value for curve in curves]):
@@ -72,8 +74,8 @@ def identify_windows(curves: Sequence[Response], value: ComplexArray, count: int
         parts.append(part)
     poles = np.concatenate([part.poles for part in parts])
     residue = np.concatenate([part.residue for part in parts], axis=1)
-    # Heights of the peaks of acceleration, because those of displacement favor low frequencies.
-    # Of a peak without width, such as mains hum, only the height within the resolution is known.
+    # Heights of peaks are compared as accelerations, because displacements would favor low frequencies. A peak without
+    # width, such as mains hum, counts only with its height at the resolution of the lines.
     resolution = max(curve.resolution for curve in curves)
     height = np.linalg.norm(residue, axis=0) * abs(poles) ** 2 / np.maximum(-poles.real, np.pi * resolution)
     highest = np.argsort(-height, kind="stable")[:count]
@@ -106,7 +108,8 @@ def _identify_window(curves: Sequence[Response], window: Window, n_lines: int) -
     high = weighted.frequency[-1] if window.stop < n_lines else np.inf
     accepted &= (natural - half_width(model.poles) > low) & (natural + half_width(model.poles) < high)
 
-    # A part may need a larger model error than all lines of the window, for example without a mode at its limit.
+    # A part of the lines may need a larger model error than all lines of the window, for example if a mode at the limit
+    # is missing.
     assumed_errors = [each for each in MODEL_ERRORS if each >= fitted.assumed_error]
 
     def identify(lines: NDArray[np.intp]) -> ComplexArray:
@@ -139,7 +142,7 @@ def _identify_window(curves: Sequence[Response], window: Window, n_lines: int) -
 
 
 def no_poles(value: ComplexArray) -> IdentifiedPoles:
-    """Return the result without a pole for curves, shape (responses, lines)."""
+    """Return a result without poles; `value`: curves, shape (responses, lines)."""
     no_mode = np.zeros((len(value), 0), dtype=complex)
     return IdentifiedPoles(np.zeros(0, dtype=complex), no_mode, np.zeros(0), np.zeros(0), 0.0, [], [], value)
 

@@ -1,5 +1,5 @@
 """The page of `daq bench`: live channels, tests on request and recordings.
 
 Start with `bench`. `monitor` and `live_bench` do not depend on the page; `page` does not depend on threads. The scripts
-in `browser` draw what `page` sends; `application` passes messages and commands.
+in `browser` draw the data that `page` sends; `application` transfers messages and commands.
 """

@@ -1,4 +1,4 @@
-"""Restrict a web page to browsers with a token, and the connections of others.
+"""Restricts a web page to browsers with a token, and limits the number of connections.
 
 The address of the first request contains the token; later requests contain it in a cookie. Browsers send the cookie to
 all ports of a host. Requests of pages from other origins are therefore rejected.
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from starlette.datastructures import Headers
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-#: Maximum number of connections; a page needs about six.
+#: Maximum number of connections; one open page needs about six.
 MAX_CONNECTIONS = 100
 # Maximum time from a connection to the end of the headers of its first request, s.
 _MAX_REQUEST_S = 5.0
@@ -80,7 +80,7 @@ class TokenGate:
         return (
             (name in self._host_names or _first_label(name) == self._own_label or _is_address(name))
             and origin == host
-            # A link of another page may open this page, but not in a frame.
+            # A link on another page may open this page, but not inside a frame.
             and (not is_other_page or headers.get("sec-fetch-dest") == "document")
         )
 
@@ -94,7 +94,7 @@ def _first_label(name: str) -> str:
 
 
 def _is_address(name: str) -> bool:
-    """Return whether a host is given by its IP address, which no site of another host can have as its name."""
+    """Return whether a host is given by its IP address; a site of another host cannot have this address as its name."""
     try:
         ipaddress.ip_address(name)
     except ValueError:

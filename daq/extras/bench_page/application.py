@@ -50,7 +50,7 @@ class Application:
         try:
             while True:
                 name, value = await socket.receive_json()
-                # A test may compile kernels when it starts.
+                # A test may compile kernels at its start, which takes seconds.
                 await run_in_threadpool(self._obey, page, name, value)
                 if name == "theory":
                     await socket.send_bytes(await run_in_threadpool(page.theory))
@@ -91,7 +91,10 @@ class Application:
             controller.apply_settings()
 
     async def _report(self, request: Request) -> Response:
-        """Return the report of a recording, made by `analysis report`: this package does not depend on `analysis`."""
+        """Return the report of a recording, made by the command `analysis report`.
+
+        This package must not import `analysis`.
+        """
         paths, number = self._bench.recordings.paths, request.path_params["number"]
         if not 0 < number <= len(paths):
             return PlainTextResponse("There is no such recording.", 404)

@@ -1,4 +1,4 @@
-"""The function `daq.bench`: serve the instrument to NI clients, and its page to browsers."""
+"""The function `daq.bench`: serves the instrument to NI clients, and its page to browsers."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ if TYPE_CHECKING:
 
 # Maximum time for the start of the web server, s.
 _MAX_START_S = 30.0
-# Maximum size of a command of the page; the largest has less than 100 bytes.
+# Maximum size of a command of the page, bytes; the largest command has less than 100 bytes.
 _MAX_COMMAND_BYTES = 1 << 16
-# No page of another origin can show this page, load its files from the browser's cache, or keep a handle of its window.
+# With these headers, no page of another origin can show this page, load its files from the browser's cache, or keep a
+# handle of its window.
 _HEADERS = [
     ("x-frame-options", "DENY"),
     ("cross-origin-resource-policy", "same-origin"),
@@ -49,11 +50,11 @@ def bench(
     scene : Scene, str or None
         Scene of the rig; see `daq.connect`.
     host, port : str and int
-        Address of the page; port 0 chooses a free port.
+        Address of the page; port 0 selects a free port.
     device_port : int
-        Port of the device for NI clients of this machine; 0 chooses a free port.
+        Port of the device for NI clients on this machine; 0 selects a free port.
     recording : str or Path
-        File of the first recording that the switch on the page starts; the next are numbered.
+        File of the first recording that the switch on the page starts; further files are numbered.
     overwrite : bool
         Whether the first recording may replace an existing file.
     browser : bool
@@ -79,7 +80,8 @@ def bench(
             server = Server(chassis, f"127.0.0.1:{device_port}", other_handlers=(BenchTime(chassis),))
         except RuntimeError:
             raise SceneError(
-                f"port {device_port} on 127.0.0.1 is in use. Choose another with `device_port`; 0 chooses a free port."
+                f"port {device_port} on 127.0.0.1 is in use. Choose another port with `device_port`; 0 selects a free "
+                f"port."
             ) from None
         stack.callback(server.close)
         live_bench = LiveBench(chassis, f"127.0.0.1:{server.port}", Path(recording), overwrite)
@@ -102,7 +104,7 @@ def bench(
 
 
 def _open_browser(address: str, folder: Path) -> None:
-    """Open an address in the browser by a private file: all users can see the arguments of the browser's process."""
+    """Open an address in the browser through a private file; all users can see the arguments of a browser process."""
     import webbrowser
 
     page = folder / "bench.html"

@@ -11,18 +11,18 @@ from rig.core.base.arrays import Array
 if TYPE_CHECKING:
     from daq.extras.bench_page.live_frf import LiveCurves
 
-# A peak exceeds the minima on both sides by at least this factor.
+# A peak must exceed the minima on both sides by at least this factor.
 _MIN_PROMINENCE = 1.5
-# The half-power width is read from at least this number of lines; otherwise the resolution determines it.
+# The half-power width must contain at least this number of lines; a smaller width is determined by the resolution.
 _MIN_WIDTH_LINES = 3.0
-# A peak of less coherence, or of a single average, is not listed.
+# A peak with a smaller coherence, or from a single average, is not listed.
 _MIN_COHERENCE = 0.5
-# Peaks of several channels nearer to each other than this, relative to their frequency, belong to one resonance.
+# Peaks of several channels belong to one resonance if their frequencies differ by less than this fraction.
 _SAME_PEAK = 0.03
 
 
 def largest_peaks(curves: LiveCurves, count: int) -> list[tuple[str, float, float, float | None]]:
-    """Return the highest coherent peaks: channel that is highest there, frequency (Hz), magnitude and damping ratio."""
+    """Return the highest coherent peaks: channel with the highest peak, frequency (Hz), magnitude and damping ratio."""
     found = [
         (name, *peak)
         for name, magnitude, coherence in zip(curves.names, np.abs(curves.value), curves.coherence, strict=True)
@@ -63,7 +63,7 @@ def live_peaks(frequency: Array, magnitude: Array) -> list[tuple[float, float, f
 
 
 def _crossing(magnitude: Array, k: int, step: int) -> float | None:
-    """Return the index, with its fraction, at which a curve falls below the half-power level; None at a gap or end."""
+    """Return the interpolated index at which a curve falls below the half-power level; None at a gap or an end."""
     level = magnitude[k] / np.sqrt(2.0)
     j = k + step
     while 0 <= j < magnitude.size and np.isfinite(magnitude[j]):
@@ -74,7 +74,7 @@ def _crossing(magnitude: Array, k: int, step: int) -> float | None:
 
 
 def _is_prominent(bounded: Array, k: int) -> bool:
-    """Return whether a curve falls enough on both sides of a maximum before it rises above it."""
+    """Return whether a curve falls enough on both sides of a maximum before it rises above the maximum."""
     for side in (bounded[:k][::-1], bounded[k + 1 :]):
         higher = np.flatnonzero(side > bounded[k])
         part = side[: higher[0] if higher.size else side.size]

@@ -1,4 +1,4 @@
-"""Detect hammer impacts in the live force signal, and their faults: clipping, a double impact, a low peak."""
+"""Detects hammer impacts in the live force signal, and their faults: clipping, a double impact, a low peak."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
 
-# Time before the trigger that belongs to the window of an impact, s.
+# The window of an impact begins this time before the trigger, s.
 _PRETRIGGER_S = 0.01
-# An impact is double if its second pulse is at least this fraction of the highest pulse. A double impact is rejected,
-# because its spectrum has deep minima.
+# An impact is double if the peak of its second pulse is at least this fraction of the highest peak. A double impact is
+# rejected, because its spectrum has deep minima.
 _REBOUND_RATIO = 0.05
-# The trigger level is this fraction of the smallest accepted peak: smaller impacts are detected, too, and rejected.
+# The trigger level is this fraction of the smallest accepted peak, so that smaller impacts are also detected, and
+# rejected.
 _TRIGGER_RATIO = 0.3
-# Samples above the trigger level with a shorter gap than this belong to one pulse, s. The force of a ringing hammer
-# crosses zero several times in a pulse.
+# Samples above the trigger level belong to one pulse if the gap between them is shorter than this, s. The force of a
+# ringing hammer crosses zero several times in a pulse.
 _PULSE_GAP_S = 1e-3
 # Duration of the displayed force, s.
 _DISPLAYED_S = 0.05
@@ -28,13 +29,13 @@ class Hit:
     """An impact, its faults, and whether it is accepted."""
 
     number: int  # From 1
-    first: int  # First sample of its window
+    first: int  # First sample of the window
     peak: float  # Peak force, N
-    faults: list[str]  # Reasons to reject it
+    faults: list[str]  # Reasons to reject the impact
     force: Array  # Force around the pulse, N
     readings: Array  # Readings of all channels in the window, shape (channels, samples)
-    is_complete: bool = True  # Whether its window is complete
-    accepted: bool = field(init=False)  # Whether it is used for the frequency response; the operator can change it
+    is_complete: bool = True  # Whether the window is complete
+    accepted: bool = field(init=False)  # Whether the impact is averaged; the operator can change this
 
     def __post_init__(self) -> None:
         self.accepted = not self.faults
@@ -50,7 +51,7 @@ class HitDetector:
 
     `row` is the row of this channel in the readings, `min_peak` the smallest accepted peak, N. `window` is the duration
     of a window, s: the time after the trigger, and a short time before it, that belong to one impact. `pending` is the
-    impact whose window is not yet complete, if there is one, as far as it is known.
+    impact whose window is not yet complete, as far as it is known; None without such an impact.
     """
 
     def __init__(self, row: int, rate: float, min_peak: float, window: float) -> None:

@@ -1,4 +1,4 @@
-"""The bench that the page operates: builds tests from a few settings, runs tests, and marks tests in the recording."""
+"""The bench that the page operates: creates tests from a few settings, runs and marks them in the recording."""
 
 from __future__ import annotations
 
@@ -36,15 +36,16 @@ _DEFAULT_FORM = "sweep"
 _DEFAULT_BAND = 5.0, 100.0
 # Minimum number of samples per period of a sine; it limits the frequency.
 _MIN_SAMPLES_PER_PERIOD = 10.0
-# Limits of the block length of the live frequency response, s. Within these limits, it is a tenth of the test.
+# Limits of the block length of the live frequency response, s. Within these limits, a block is a tenth of the test.
 _MIN_BLOCK_S = 1.0
 _MAX_BLOCK_S = 4.0
-# The band of NI clients ends at the sample rate divided by this number, as is usual for anti-aliasing filters.
+# For NI clients, the band of the frequency response ends at the sample rate divided by this number, as usual with
+# anti-aliasing filters.
 _NYQUIST_MARGIN = 2.56
 # The window of an impact lasts at most this time, and the next impact begins at least this time after a window, s.
 _MAX_HIT_S = 4.0
 _MIN_PAUSE_S = 0.1
-# Lowest frequency of the response to impacts, periods per window: below, the sensors' low cutoff dominates.
+# Lowest frequency of the response to impacts, periods per window. Below it, the low cutoff of the sensors dominates.
 _MIN_PERIODS_PER_WINDOW = 4.0
 # An impact is accepted if its peak is at least this fraction of the requested peak.
 _MIN_PEAK_RATIO = 0.5
@@ -52,7 +53,7 @@ _MIN_PEAK_RATIO = 0.5
 
 def offered_forms(scene: Scene) -> dict[str, Procedure[Any]]:
     """Return the procedures that the page offers, by the titles of their forms."""
-    # The levels on the page are forces.
+    # The page offers only tests whose level is a force.
     exerts_force = any("force" in shaker.level_keys for shaker in scene.shakers)
     kinds = [kind for kind in KINDS if kind.uses_shaker]
     if scene.test is not None and scene.hammer is not None:
@@ -60,7 +61,7 @@ def offered_forms(scene: Scene) -> dict[str, Procedure[Any]]:
         kinds = [type(scene.test)]
     forms: dict[str, Procedure[Any]] = {}
     for kind in kinds:
-        # A kind without a procedure can only be simulated.
+        # A kind of test without a procedure can only be simulated.
         with suppress(SceneError):
             procedure = procedure_of(kind)
             is_own = scene.test is not None and type(scene.test) is kind
@@ -75,18 +76,18 @@ class TestController:
 
     The initial `settings` are those of the scene's test. `forms` are the procedures of the tests for which the scene
     has a shaker or a hammer, by title. `message` is the state of the test, or the reason why it did not start.
-    `progress` is the completed fraction of the measurement, 0 while the test settles. `is_aborted` states whether the
+    `progress` is the completed fraction of the measurement; 0 while the test settles. `is_aborted` states whether the
     last test ended early. `tests` is the number of started tests; single impacts of the same settings belong to one
-    test. `target` is the level of the test, N.
-    `frf_unavailable_reason` is the reason why there is no live frequency response.
+    test. `target` is the level of the test, N. `frf_unavailable_reason` is the reason why there is no live frequency
+    response.
     """
 
-    # Name of this client in the chassis' list; the client keeps the clock of the bench running.
+    # Name of this client in the list of the chassis; the client keeps the clock of the bench running.
     name = "daq bench"
 
     def __init__(self, chassis: Chassis, monitor: Monitor, recordings: BenchRecordings) -> None:
         self._chassis, self._monitor, self._recordings = chassis, monitor, recordings
-        # The terminals of a simulated bench, which can run a test in the background.
+        # These are the terminals of a simulated bench, which can run a test in the background.
         self._terminals: Any = chassis.terminals
         self._scene: Scene = chassis.bench.scene
         test = self._scene.test
@@ -160,7 +161,10 @@ class TestController:
 
     @property
     def band(self) -> tuple[float, float] | None:
-        """Band of the last test, or of the settings before it, Hz; None for impacts: their pulse determines it."""
+        """Band of the last test, or of the settings before a test, Hz.
+
+        The result is None for impacts, whose pulse determines the band.
+        """
         if self.has_hammer:
             return None
         if self._controls is not None:
@@ -169,7 +173,7 @@ class TestController:
         return (low, high) if high > low else None
 
     def theory(self, frequency: Array) -> ComplexArray:
-        """Return the receptance of the linear structure without dampers, m/N, as the live response is estimated.
+        """Return the receptance of the linear structure without dampers, m/N, for comparison with the live response.
 
         Shape (channels on bodies, frequencies). Raises `SceneError` if shakers remain attached in an impact test.
         """
@@ -183,7 +187,10 @@ class TestController:
 
     @property
     def force(self) -> float | None:
-        """Measured force of the last test, in the sense of its level, N; None before the first estimate."""
+        """Measured force of the last test, N, as amplitude, rms or peak like its level.
+
+        None before the first estimate.
+        """
         frf, detector = self._monitor.frf, self._monitor.detector
         if detector is not None:
             return detector.hits[-1].peak if detector.hits else None
@@ -212,7 +219,7 @@ class TestController:
     def start(self, single_hit: bool = False) -> None:
         """Start the test that the settings describe; on failure `message` states the reason.
 
-        `single_hit`: one impact, instead of the number in the settings. It is averaged with the impacts before, until
+        `single_hit`: one impact, instead of the number in the settings. It is averaged with the previous impacts, until
         the level or the interval changes, or a whole test starts.
         """
         if self.running:
@@ -300,7 +307,7 @@ class TestController:
         return frf, detector
 
     def start_client_estimate(self) -> None:
-        """Estimate responses to the drive of NI clients, at the lines that it excites."""
+        """Estimate responses to the drive of NI clients, at the spectral lines that the drive excites."""
         band = (0.0, self._monitor.rate / _NYQUIST_MARGIN)
         try:
             frf = LiveFrf(self._scene, self._monitor.channels, self._monitor.rate, _MIN_BLOCK_S, band)
@@ -359,7 +366,7 @@ class LiveBench:
         self.recordings = BenchRecordings(chassis, recording, overwrite)
         self.controller = TestController(chassis, self.monitor, self.recordings)
         self._clients_drive = False
-        # The recordings receive each block first, because the block in which a test ends still belongs to its file.
+        # The recordings receive each block first, because the block in which a test ends belongs to the test's file.
         self._listeners = [self.recordings.on_block, self.monitor.on_block, self._follow_clients]
         chassis.listeners += self._listeners
         self.controller.switch_on()

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 # A line is excited if it is at least this fraction of the largest line of the force's auto-spectrum.
 _EXCITED_RATIO = 1e-3
-# Half width of the main lobe of the Hann window, lines: a tone excites this number of lines on either side.
+# Half width of the main lobe of the Hann window, spectral lines: a tone excites this number of lines on either side.
 _LOBE_LINES = 2.0
-# The coherence of a single average is 1 for any data.
+# Minimum number of averages for a coherence; with a single average it is 1 for any data.
 _MIN_COHERENCE_AVERAGES = 2
 
 
@@ -83,7 +83,7 @@ class LiveFrf:
         self._pending = np.zeros((len(channels), 0))
         # Lowest and highest excited frequency at each pending sample, Hz.
         self._pending_band = np.zeros((2, 0))
-        # RMS of the force in the last block, N; None before the first.
+        # RMS of the force in the last block, N; None before the first block.
         self.force_rms: float | None = None
         self._block_sums = _SpectrumSums(len(self._rows), self._line_indices.size)
         self._hits: list[tuple[Hit, ComplexArray]] = []
@@ -106,7 +106,7 @@ class LiveFrf:
             force, motion = self._force_and_motion(spectra)
             power = 2.0 * np.sum(np.abs(force) ** 2) / (self._block_samples * np.sum(self._hann_window**2))
             self.force_rms = float(np.sqrt(power))
-            # A comparison with NaN, before the measurement, is false.
+            # Before the measurement the limits are NaN; comparisons with NaN are false.
             lobe = _LOBE_LINES / (self._block_samples / self._rate)
             low, high = limits[0].min() - lobe, limits[1].max() + lobe
             self._block_sums.add(force, motion, (self.frequency >= low) & (self.frequency <= high))
@@ -121,7 +121,7 @@ class LiveFrf:
 
     @property
     def version(self) -> tuple[int, list[bool]]:
-        """What changes with the estimate: number of blocks or impacts, and which impacts are accepted."""
+        """Key that changes with the estimate: number of blocks or impacts, and the accepted impacts."""
         return int(self._block_sums.count.sum()), [hit.accepted for hit, _ in self._hits]
 
     def curves(self) -> LiveCurves | None:
@@ -157,7 +157,7 @@ class LiveFrf:
 
 
 def _force_weights(station: Station, frequency: Array) -> ComplexArray:
-    """Return the weights (channels, lines) of the channels' spectra in the force, N per unit of the channel."""
+    """Return the weights of the channels' spectra in the force, (channels, lines), N per unit of the channel."""
     has_hammer = station.scene.hammer is not None
     for row, info in enumerate(station.channels):
         if info.quantity == "force" and (info.at == "hammer") == has_hammer:

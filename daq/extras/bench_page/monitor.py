@@ -1,8 +1,8 @@
-"""Collect the data that the page shows: time histories, spectra, overloads, drive and motion.
+"""Collects the data that the page shows: time histories, spectra, overloads, drive and motion.
 
-A block contains the samples of one short acquisition. A separate thread processes the blocks; the listener only queues
-them, so that acquisition never waits for the page. If the queue is full, blocks are not shown; recordings have their
-own queue.
+A block contains the samples of one short acquisition. A separate thread processes the blocks. The listener only queues
+the blocks, so that acquisition never waits for the page. If the queue is full, blocks are not shown; recordings have
+their own queue.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 _MAX_WAITING_BLOCKS = 256
 # Duration of the stored time histories, s.
 _HISTORY_S = 10.0
-# The displayed level of a channel is its peak in this time, s.
+# The displayed level of a channel is its peak in the last seconds of this duration, s.
 _LEVEL_S = 0.25
 # Rate (1/s) and duration (s) of the stored motion of the rig.
 _MOTION_RATE = 400.0
 MOTION_S = 0.2
-# Duration of the samples for a spectrum, and of those for the peak and frequency of a drive, s.
+# Duration of the samples for a spectrum, and of the samples for the peak and frequency of a drive, s.
 _SPECTRUM_S = 2.0
 _DRIVE_S = 0.5
 
@@ -48,7 +48,7 @@ class History:
         self.stop = 0
 
     def add(self, first: int, values: Array) -> None:
-        """Add samples, the first with the number `first`; missing samples before it become zeros."""
+        """Add samples, the first with the number `first`; missing samples before them become zeros."""
         length = self._values.shape[1]
         missing = min(first - self.stop, length)
         if missing > 0:
@@ -149,7 +149,7 @@ class Monitor:
     def drive_levels(self) -> list[tuple[float, float]]:
         """Return peak (in the unit of the drive) and frequency (Hz) of the drive at each input of the rig.
 
-        The frequency is determined from the upward zero crossings; 0 with fewer than two.
+        The frequency is determined from the upward zero crossings; it is 0 with fewer than two crossings.
         """
         peaks_and_frequencies = []
         for drive in self.drive_history.last(round(_DRIVE_S * self.rate)):

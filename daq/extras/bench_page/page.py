@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     from daq.extras.bench_page.hits import Hit
     from daq.extras.bench_page.live_bench import LiveBench
 
-# The page is refreshed at this interval, s; spectra, responses and the rig every so many refreshes.
+# The page is refreshed at this interval, s; spectra, responses and the rig only at every n-th refresh.
 REFRESH_S = 0.05
 _REFRESHES_PER_SPECTRUM = 2
 _REFRESHES_PER_RESPONSE = 10
 # Duration of the animation, s. It shows the last `MOTION_S` seconds in slow motion.
 _ANIMATION_S = 2.0
 _REFRESHES_PER_ANIMATION = round(_ANIMATION_S / REFRESH_S)
-# Minimum number of columns of a time history; each shows its minimum and maximum.
+# Minimum number of columns of a time history; each column shows the minimum and the maximum in it.
 _HISTORY_COLUMNS = 300
-# Maximum number of frequency bands of a drawn spectrum; each shows its largest line.
+# Maximum number of frequency bands of a drawn spectrum; each band shows its largest line.
 _SPECTRUM_BANDS = 400
 # Maximum number of listed impacts and tasks of clients, and of peaks of a response.
 _MAX_LISTED = 6
@@ -44,7 +44,9 @@ _THEORY_POINTS = 400
 
 
 def min_max_envelope(values: Array, columns: int) -> Array:
-    """Reduce samples (channels, samples) to minimum and maximum of each column, in turns; the last column is complete.
+    """Reduce samples (channels, samples) to minimum and maximum of each column, alternating.
+
+    The last column is complete.
 
     There are at least `columns` columns. The first samples, if they do not fill a column, are omitted.
 
@@ -99,7 +101,7 @@ class Page:
         self.span = 1.0  # duration of the shown time histories, s
 
     def description(self) -> bytes:
-        """Return the first message: what does not change."""
+        """Return the first message, which contains all data that do not change."""
         content = {
             "scene": self._scene.name,
             "address": self._bench.address,
@@ -167,7 +169,7 @@ class Page:
         }
 
     def _hits(self) -> list[Hit]:
-        """Return the last impacts of the test; the window of the last may not be complete."""
+        """Return the last impacts of the test; the window of the last impact may be incomplete."""
         detector = self._monitor.detector
         if detector is None:
             return []

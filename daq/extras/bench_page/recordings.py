@@ -16,15 +16,16 @@ if TYPE_CHECKING:
     from daq.extras.ni_device.chassis import Chassis
     from rig.core.scene.scene import Scene
 
-# Maximum number of blocks of samples that wait to be written: at least 16 s.
+# Maximum number of blocks of samples that wait to be written; they contain at least 16 s.
 _MAX_WAITING_JOBS = 4096
 
 
 class BenchRecordings:
-    """Records all channels while it is `enabled`, and a test of the page or a task of an NI client is running.
+    """Records all channels while a test of the page or a task of an NI client is running, if `enabled`.
 
-    The first recording is at `path`, and may replace an existing file if `overwrite` is set; the next are numbered.
-    `problem` is the error that stopped the recording. A recording also stops when too many blocks wait for the disk.
+    The first recording is at `path`, and may replace an existing file if `overwrite` is set; further recordings are
+    numbered. `problem` is the error that stopped the recording. A recording also stops when too many blocks wait for
+    the disk.
     """
 
     def __init__(self, chassis: Chassis, path: Path, overwrite: bool) -> None:
@@ -103,7 +104,7 @@ class BenchRecordings:
         n_failures: int,
     ) -> None:
         if n_failures != self._n_failures:
-            # The recording of this block has failed.
+            # No block is written after a failure of the recording.
             return
         if channels is not self._channels:
             self._close_recording()
@@ -128,7 +129,7 @@ class BenchRecordings:
         return path
 
     def _write_marker(self, kind: str, first: int, stop: int, **fields: Any) -> None:
-        # An interval that began before the recording is not marked, because the recording lacks its start.
+        # An interval that began before the recording is not marked, because its start is not in the recording.
         if self._recording is not None and first >= self._first_sample:
             self._recording.mark(kind, first - self._first_sample, stop - self._first_sample, **fields)
 

@@ -59,7 +59,7 @@ class RigDrawing:
         scene, parts = self._scene, [_box(0.0, -0.01, 0.44, 0.02, GROUND)]
         for table in view.shaker_tables:
             parts.append(_box(table.x, (table.top - PLATE) / 2, 0.07, table.top - PLATE - 0.012, (96, 104, 116)))
-            # The springs of a body above the table must not cross the label.
+            # The springs of a body above the table must not cross its label.
             label_x = max(table.x + 0.05, _LABEL_X)
             plate = _box(table.x, -PLATE / 2, 0.085, PLATE, DRIVE) + _text(label_x, -0.02, table.point)
             parts.append(_group(table.entity("table"), plate))

@@ -27,7 +27,7 @@ class BackgroundTest:
     Parameters
     ----------
     station
-        The bench as the test sees it; `station.now` is the index of the first sample of the current block.
+        Interface of the test to the bench; `station.now` is the index of the first sample of the current block.
     ticks_per_sample
         Ticks of the bench per sample; the drive is interpolated linearly between samples.
     to_units
@@ -37,8 +37,8 @@ class BackgroundTest:
     make_excitation
         Creates the generator that yields the drive of each block and receives its readings.
     on_end
-        Called once when the test ends, with the reason, which is empty if the test ran to completion. If None, the test
-        is repeated, and an error is only a warning.
+        Called once when the test ends, with the reason (empty if the test ran to completion). If None, the test is
+        repeated, and an error is only a warning.
     """
 
     def __init__(
@@ -53,11 +53,11 @@ class BackgroundTest:
         self._station, self._to_units, self._make_excitation, self._on_end = station, to_units, make_excitation, on_end
         self._interpolator = DriveInterpolator(len(station.inputs), ticks_per_sample)
         self._is_stopping = False
-        self._reason = ""  # why the test gave up
-        self._position = 0  # in the drive of the current block, ticks
+        self._reason = ""  # reason why the test gave up
+        self._position = 0  # position in the drive of the current block, ticks
         self._readings: list[Array] = []  # of the current block
         self._drive = np.zeros((len(station.inputs), 0))  # of the current block, at every tick
-        # True without a test, after its end or an error, and after a client has used its output.
+        # True if no test runs: the scene has no test, the test has ended or failed, or a client has used its output.
         self.is_idle = station.scene.test is None
         if not self.is_idle:
             self._start_test("cannot run")
@@ -94,7 +94,7 @@ class BackgroundTest:
             )
 
     def stop(self) -> None:
-        """End the test after the current block, with a ramp to zero; without `on_end`, it then starts again."""
+        """End the test after the current block, with a ramp to zero; without `on_end`, the test then starts again."""
         self._is_stopping = True
 
     def release_outputs(self) -> None:
@@ -127,7 +127,7 @@ class BackgroundTest:
             return
         n_samples = self._block_drive.shape[1]
         received = np.concatenate(self._readings, axis=1)[:, -n_samples:]
-        # With delay compensation, the first block has fewer samples; the missing samples are set to zero.
+        # If the filter delay is removed, the first block has fewer samples; the missing samples are set to zero.
         readings = np.zeros((received.shape[0], n_samples))
         readings[:, n_samples - received.shape[1] :] = received
         self._station.now += n_samples

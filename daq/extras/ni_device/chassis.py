@@ -37,18 +37,18 @@ if TYPE_CHECKING:
     from daq.extras.ni_device.terminals import Terminals
     from rig.core.base.arrays import Array
 
-# More ticks than any run has.
+# Number of ticks that exceeds any run.
 UNLIMITED_TICKS = 1 << 62
-# The runs stop with the error of an input overflow if the bench is later than the wall clock by this time, s.
+# The runs stop with the error of an input overflow if the bench is behind the wall clock by more than this time, s.
 _MAX_DELAY_S = 5.0
-# Maximum pause of the fast clock for the callback of an event, in wall-clock time.
+# Maximum pause of the fast clock for the callback of an event, s of wall-clock time.
 _CALLBACK_WAIT_S = 0.25
 # Number of consecutive events with a late callback after which the clock no longer waits for the callbacks of a task.
 _MAX_UNANSWERED = 8
 
 
 class Runner(Protocol):
-    """A task, as the chassis sees it."""
+    """Interface of a task to the chassis."""
 
     name: str
 
@@ -86,19 +86,20 @@ class Chassis:
         self.changed, self.sleepers = threading.Condition(lock), Sleepers(lock)
         # Called with every block at the sample rate of the bench, for example by a recording.
         self.listeners: list[Callable[[Bench, Block], None]] = []
-        # Called with the name and the task of a call ("start", "read" or "write") before it; may raise its `DaqError`.
+        # Called before a call ("start", "read" or "write") with its name and its task; may raise the `DaqError` of the
+        # call.
         self.call_listeners: list[Callable[[str, Any], None]] = []
-        # Called with a task, the samples that it has read or written, shape (channels, n), and the error of the call.
+        # Called after a read or write with the task, the samples, shape (channels, n), and the error of the call.
         self.transfer_listeners: list[Callable[[Any, Array, DaqError | None], None]] = []
-        # Called with the inputs of a task before they are sampled.
+        # Called with the inputs of a task before the inputs are sampled.
         self.conditioning_listeners: list[Callable[[Sequence[Channel]], None]] = []
         self.inputs: dict[Runner, Acquisition] = {}
         self.outputs: dict[Runner, Generation] = {}
-        self._tasks_drive_outputs = False  # tasks drive the outputs, no longer the test of the scene
+        self._tasks_drive_outputs = False  # tasks, no longer the test of the scene, drive the outputs
         self._has_acquired = False  # an acquisition has been started
         # Resources of each task, and their names for messages; see `reserve`.
         self._reserved: dict[Runner, Mapping[Hashable, str]] = {}
-        # Tasks that have been started and not closed; bench time runs while there are any.
+        # Tasks that have been started and not closed; bench time runs while there is such a task.
         self._open_tasks: weakref.WeakSet[Any] = weakref.WeakSet()
         # Number of consecutive events of each task whose callback did not finish in time.
         self._unanswered: weakref.WeakKeyDictionary[Runner, int] = weakref.WeakKeyDictionary()
@@ -142,7 +143,7 @@ class Chassis:
             threading.Event().wait(seconds)
 
     def time_ns(self, tick: int) -> int:
-        """Return the time of a tick, ns: since 1970 on the real clock, since power-on on the others."""
+        """Return the time of a tick, ns: since 1970 on the real clock, since power-on on the other clocks."""
         anchor, anchor_ns = self._anchors[max(0, bisect_right(self._anchors, (tick, 1 << 63)) - 1)]
         return anchor_ns + round((tick - anchor) * 1e9 / self.rate)
 
@@ -209,7 +210,7 @@ class Chassis:
             self._tasks_drive_outputs = False
 
     def halt(self, task: Runner) -> None:
-        """Stop the run of a task; its resources stay reserved."""
+        """Stop the run of a task; its resources remain reserved."""
         with self.changed:
             self.inputs.pop(task, None)
             self.outputs.pop(task, None)
@@ -282,7 +283,7 @@ class Chassis:
                 bench_indices = list(generation.plan.bench_indices)
                 volts[bench_indices] = generation.produce(tick, ticks, self.event_tick)
                 self.last_volts[bench_indices] = generation.last_volts
-        # Rates of tasks that do not run are included, so that their filters stay settled.
+        # Rates of tasks that are not running are included, so that the filters remain settled.
         rates = {rate for task in self.tasks.values() if (rate := task.sample_rate) is not None}
         rates |= {acquisition.plan.rate for acquisition in self.inputs.values()}
         blocks = terminals.advance(volts, ticks, rates)

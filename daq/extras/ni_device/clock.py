@@ -5,8 +5,8 @@ Only the clock decides when the next ticks are due. A call that must wait (a rea
 `wait_until_done`) waits according to the clock, and its timeout is in the clock's time.
 
 * `FastClock`: time passes only during waiting calls, as fast as the computer simulates. A run is
-  deterministic: no time passes between two calls. Repeated queries of a task's progress count as waiting
-  (see `Clock.pass_query`). Time pauses briefly at an event, so that its callback can respond.
+  deterministic: no time passes between two calls. Repeated queries of a task's progress count as waiting (see
+  `Clock.pass_query`). Time stops briefly at an event, so that its callback can respond.
 * `RealClock`: a thread keeps the bench at wall-clock time, with or without waiting calls. The buffer of a slow
   reader overflows as with hardware.
 * `ManualClock`: time passes when `ManualClock.advance` is called. A call that waits for future samples times out
@@ -30,7 +30,7 @@ from daq.extras.ni_device.errors import invalid_value
 from rig.core.base.errors import SceneError
 
 _LOG = logging.getLogger("shotrig.clock")
-# Maximum sleep before a condition is checked again: the condition may have become impossible.
+# Maximum sleep before a condition is checked again, s: the condition may have become impossible.
 _MAX_SLEEP_S = 1.0
 # Priority on Linux: higher than for ordinary programs (0), lower than for urgent system programs (-20).
 _NICE = -10
@@ -39,7 +39,7 @@ _NICE = -10
 def raise_priority() -> None:
     """Raise the priority of this thread if the operating system supports and permits it.
 
-    Threads that run a bench in real time, or serve its clients, need it.
+    Threads that run a bench in real time, or serve its clients, need a higher priority.
     """
     if sys.platform == "linux":
         with suppress(OSError):
@@ -50,7 +50,8 @@ class Sleepers:
     """Threads that wait until a bench has reached a position, in ticks.
 
     A thread is woken only when its position is reached. A reader that waits for 100 ms would otherwise wake 25 times,
-    at each step of 4 ms, and delay others. Callers hold the `lock` of the bench; it is released while they sleep.
+    at each step of 4 ms, and delay other threads. Callers hold the `lock` of the bench; it is released while they
+    sleep.
     """
 
     def __init__(self, lock: threading.RLock) -> None:
@@ -85,7 +86,7 @@ def normalize_timeout(timeout: float) -> float:
 
 
 class Timeline(Protocol):
-    """A bench, as the clock that advances it sees it."""
+    """Interface of a bench to the clock that advances it."""
 
     position: int  # ticks that have passed
     # Notified whenever ticks have passed; its lock protects the bench.
@@ -114,7 +115,7 @@ class Timeline(Protocol):
 
 
 class Clock:
-    """Base class of all clocks; time on this clock does not pass."""
+    """Base class of all clocks; on a clock of this class, time does not pass."""
 
     # Whether time passes even if no call waits.
     is_free_running = False
@@ -147,7 +148,7 @@ class FastClock(Clock):
     PAUSE_S = 0.002
 
     def pass_query(self, bench: Timeline) -> None:
-        """Let 10 ms pass, so that a loop that only queries the progress ends."""
+        """Let 10 ms pass, so that a loop of queries of the progress ends."""
         bench.advance(max(1, int(bench.rate / 100)))
 
     def wait(self, bench: Timeline, ready: Callable[[], bool], ticks_needed: Callable[[], int], timeout: float) -> bool:
@@ -194,11 +195,11 @@ class RealClock(Clock):
     """
 
     is_free_running = True
-    # Interval at which bench time is updated: on average a reader waits half of it for its last sample.
+    # Interval at which bench time is updated, s. On average, a reader waits half of this interval for its last sample.
     UPDATE_INTERVAL_S = 0.004
-    # Upper limit of one step: other threads need the lock in between.
+    # Upper limit of one step, s: other threads need the lock between the steps.
     MAX_STEP_S = 0.04
-    # Speed of a delayed bench, as a multiple of real time. If it were faster, the buffers of clients would overflow.
+    # Speed of a delayed bench, as a multiple of real time. At a higher speed, the buffers of clients would overflow.
     CATCH_UP_SPEED = 2.0
     # Interval at which a waiting call checks its condition.
     CHECK_INTERVAL_S = 0.02
@@ -226,13 +227,13 @@ class RealClock(Clock):
         return ready()
 
 
-# A step of the bench that takes longer than this wall-clock time is attributed to the compilation of kernels.
+# A step of the bench that takes longer than this wall-clock time, s, is attributed to the compilation of kernels.
 _COMPILATION_S = 1.0
 # Maximum number of steps that are attributed to compilation.
 _MAX_COMPILATIONS = 20
-# Minimum delay that is reported.
+# Minimum delay that is reported, s.
 _MIN_REPORTED_DELAY_S = 0.25
-# Minimum interval between two reports.
+# Minimum interval between two reports, s.
 _REPORT_INTERVAL_S = 10.0
 
 

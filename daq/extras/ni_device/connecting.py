@@ -50,9 +50,9 @@ def _modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
     """Create the devices of a scene, given the terminals of its bench.
 
     The converter of the scene specifies the type of the input modules; each shaker specifies the type of its output
-    module. There are as many modules as the channels require. C Series modules are in a chassis, others are separate
-    devices. If no type is stated, an ideal module has all inputs, or all outputs. The last device has an empty name,
-    see `DeviceList`.
+    module. The number of modules is the smallest that the channels require. C Series modules are in a chassis, others
+    are separate devices. If no type is stated, an ideal module has all inputs, or all outputs. The last device has an
+    empty name, see `DeviceList`.
     """
     modules = _input_modules(scene, terminals)
     outputs = [complete_from_preset(shaker.output) for shaker in scene.shakers]
@@ -94,7 +94,7 @@ _IDEAL_OUTPUTS = Module("", "shotrig outputs")
 def _input_modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
     """Return the modules with the inputs of a scene, without names."""
     converter, preset = complete_from_preset(scene.converter), scene.converter.preset
-    # The coupling in the scene is the default, which is the first; scripts may override it.
+    # The coupling in the scene is the default, so it is listed first; scripts may override it.
     couplings = (Coupling.AC, Coupling.DC) if converter.coupling == "AC" else (Coupling.DC, Coupling.AC)
     indices = tuple(range(len(terminals.bench.channels)))
     ideal = Module(
@@ -110,14 +110,14 @@ def _input_modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
     if preset is None:
         return [ideal]
     sheet = module_sheet(preset)
-    assert sheet.inputs is not None  # the check of the scene ensures this
+    assert sheet.inputs is not None  # the check of the scene ensures that there is a name
     template, n_inputs = with_inputs(ideal, sheet, sheet.inputs), sheet.inputs.channels
     first_indices = range(0, max(1, len(indices)), n_inputs)
     return [replace(template, inputs=indices[first : first + n_inputs]) for first in first_indices]
 
 
 def with_inputs(template: Module, sheet: ModuleSheet, inputs: Inputs) -> Module:
-    """Return a module with the properties of the inputs of a data sheet, and those couplings of the template it has."""
+    """Return a module with the input properties of a data sheet, and the couplings common to both."""
     return replace(
         _with_product_type(sheet, template),
         ranges=inputs.ranges,

@@ -45,7 +45,8 @@ class Events:
         """Register a listener that is called after every `n_samples` samples acquired or generated; None removes it.
 
         `has_outputs`: whether the task has outputs. Raises `DaqError` -200966 or -200967 if a listener is registered,
-        -200980 or -200981 for acquired samples of an output task or the reverse, -200880 for fewer than one sample.
+        -200980 for acquired samples of an output task, -200981 for generated samples of an input task, -200880 for
+        fewer than one sample.
         """
         event = enum_member(EverySamples, event_type, "every_n_samples_event_type")
         if listener is None:
@@ -118,7 +119,7 @@ class Events:
         return (n_samples // interval + 1) * interval
 
     def notify(self, n_samples: int, run: Any) -> bool:
-        """Send all events that are due; return whether an every-N-samples event was sent, whose callback may read.
+        """Send all events that are due; return whether an every-N-samples event was sent: its callback may read.
 
         `n_samples` is the number of samples per channel that `run` has acquired or generated.
         """

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from daq.extras.ni_device.chassis import Chassis
     from daq.extras.ni_device.settings.task_settings import TaskSettings
 
-# Sources of a sample clock that mean the bench's own sample clock, among them the empty string.
+# Names of the bench's own sample clock as a source, among them the empty string.
 _OWN_CLOCK = re.compile(r"|OnboardClock|.*/OnboardClock|/?([^/]+/)?(a[io]/)?SampleClock(Timebase)?", re.IGNORECASE)
 
 
@@ -75,7 +75,7 @@ def check_timing(task: TaskSettings) -> None:
                 f"{', '.join(f'{rate:g}' for rate in sorted(rates))} S/s. Use several tasks, or a rate "
                 "that all modules support."
             )
-        _ = task.samples_per_channel  # Raises an error for fewer than 2.
+        _ = task.samples_per_channel  # This raises an error for fewer than 2 samples.
         if task.direction == "ai" and task.input_buffer_size < 1:
             raise invalid_value("in_stream.input_buf_size is 0. Give 1 or more samples.")
     for name in ("start_trig_output_term", "ref_trig_output_term", "samp_clk_output_term"):
@@ -88,7 +88,7 @@ def check_timing(task: TaskSettings) -> None:
 
 
 def trigger_sources(task: TaskSettings, chassis: Chassis) -> tuple[Source | None, Source | None]:
-    """Return the sources of the start trigger and of the reference trigger, each None without that trigger.
+    """Return the sources of the start trigger and of the reference trigger; None for an absent trigger.
 
     Raises `DaqError` -200262 for a trigger without a sample clock, -200358 for a reference trigger of a continuous
     task, -200213 for more pretrigger samples than the record has, -200265 for a source that does not exist.
@@ -122,7 +122,7 @@ def trigger_sources(task: TaskSettings, chassis: Chassis) -> tuple[Source | None
 
 
 def _trigger_source(task: TaskSettings, role: str, chassis: Chassis) -> Source | None:
-    """Return the source of the start trigger (`role` "start") or reference trigger ("ref"); None without it."""
+    """Return the source of the start trigger (`role` "start") or reference trigger ("ref"); None without a trigger."""
     settings = task.groups["trig"]
     trigger_type = settings[f"{role}_trig_type"]
 

@@ -42,7 +42,7 @@ class Task:
         self.events = Events()
         self.running = self.closed = False
         self._was_started_by_read = False
-        self._is_committed = False  # modules stay reserved after a stop
+        self._is_committed = False  # modules remain reserved after a stop
         self._was_failure_raised = False  # the error that ended the run has been raised
         self._query_positions: dict[str, int] = {}  # tick of the last query of each quantity
         self.name = ""
@@ -73,7 +73,7 @@ class Task:
         trigger_sources(self.settings, self.chassis)
 
     def start(self, by_read: bool = False) -> None:
-        """Start the task, or arm its start trigger, and keep bench time running; `by_read` if a read starts it."""
+        """Start the task, or arm its start trigger, and keep bench time running; `by_read`: a read starts the task."""
         self.check_idle("starting")
         self._announce("start")
         if not self.settings.channels:
@@ -108,7 +108,7 @@ class Task:
     def stop(self) -> int:
         """Stop the task; return NI's warning 200010 if a finite task is not done yet, otherwise 0.
 
-        If an error ended the run and has not been raised yet, raise it.
+        If an error ended the run and has not been raised yet, it is raised now.
         """
         if not self.running:
             return 0
@@ -289,9 +289,9 @@ class Task:
         Returns
         -------
         ReadResult
-            The samples before an error, and the error: -200284 after the timeout, -200279 if samples were overwritten
-            (the next read begins with the oldest stored sample), -200278 after the end of a finite acquisition, or the
-            error that ended the acquisition.
+            The samples before an error, and the error. Codes: -200284 after the timeout, -200279 if samples were
+            overwritten (the next read begins with the oldest stored sample), -200278 after the end of a finite
+            acquisition; otherwise the error that ended the acquisition.
         """
         timeout = normalize_timeout(timeout)
         with self.chassis.changed:
@@ -362,7 +362,7 @@ class Task:
             return self.output.write_on_demand(volts)
 
     def _announce(self, call: str) -> None:
-        """Announce a call to the listeners of the chassis; a `DaqError` of a listener is the result of the call."""
+        """Announce a call to the listeners of the chassis; the call ends with the `DaqError` that a listener raises."""
         for listener in self.chassis.call_listeners:
             listener(call, self)
 
@@ -384,7 +384,7 @@ class Task:
                 self.chassis.release(self)
 
     def default_count(self) -> int:
-        """Return the samples per channel of a read without a number: all of a finite task, else those available."""
+        """Return the samples per channel of a read without a number: all of a finite task, else the available."""
         settings = self.settings
         settings.require("ai")
         if not settings.has_sample_clock:

@@ -32,8 +32,8 @@ class ReadResult:
     """Result of a read."""
 
     samples: NDArray[Any]  # shape (channels, n)
-    first: int = 0  # index of the first sample in the acquisition
-    error: DaqError | None = None  # cause if there are fewer samples than requested
+    first: int = 0  # index in the acquisition of the first sample that was read
+    error: DaqError | None = None  # error that is the reason for fewer samples than requested
 
 
 class TaskInput:
@@ -42,8 +42,8 @@ class TaskInput:
     def __init__(self, chassis: Chassis, settings: TaskSettings, task: Runner) -> None:
         self._chassis, self._settings, self._task = chassis, settings, task
         self.run: Acquisition | None = None  # present or last acquisition
-        self.log: TaskLog | None = None  # of the present acquisition
-        self._overloaded_names: list[str] | None = None  # of channels, at the last query; None before it
+        self.log: TaskLog | None = None  # log of the present acquisition
+        self._overloaded_names: list[str] | None = None  # overloaded channels; None before a query
 
     # States
 
@@ -97,7 +97,7 @@ class TaskInput:
         return self.run is None or self.run.position >= self.run.readable_end
 
     def ticks_to_end(self) -> int:
-        """Return a lower bound of the ticks until the acquisition is complete; the ticks in 10 ms if it has no end."""
+        """Return a lower bound of the ticks until the acquisition is complete; the ticks in 10 ms without an end."""
         run = self.run
         if run is None or run.plan.samples is None or run.plan.is_retriggerable:
             return max(1, int(self._chassis.rate / 100))
@@ -116,7 +116,7 @@ class TaskInput:
         return self.run.ticks_until(self.run.plan.buffer_size, self._chassis.position)
 
     def write_log(self) -> None:
-        """Write new samples to the log if the task only logs; if this fails, the acquisition ends with the error."""
+        """Write new samples to the log if the task only logs; if writing fails, the acquisition ends with the error."""
         if self.run is not None and self.log is not None and self.log.logs_only:
             try:
                 self.log.write_new(self.run)
@@ -219,7 +219,7 @@ class TaskInput:
     def _collect(
         self, run: Acquisition, indices: Sequence[int], out: NDArray[Any], timeout: float, raw: bool
     ) -> ReadResult:
-        """Read from the present position into `out`, shape (len(indices), n), and return the part that was read.
+        """Read from the present position into `out`, shape (len(indices), n), and return the filled part.
 
         `indices` are the indices of the channels in the task. `raw` reads counts of the converter. See `Task.read` for
         `timeout` and errors. The caller holds the lock of the chassis.
@@ -285,7 +285,7 @@ class TaskInput:
 
 
 def _to_counts(channel: Channel, samples: NDArray[Any]) -> NDArray[Any]:
-    """Convert samples to counts; they are in volts only if the scene's converter is ideal."""
+    """Convert samples to counts; samples are in volts only if the scene's converter is ideal."""
     if np.issubdtype(samples.dtype, np.integer):
         return samples
     bits = channel.module.bits
@@ -299,7 +299,7 @@ def _to_counts(channel: Channel, samples: NDArray[Any]) -> NDArray[Any]:
 
 
 def _missing_trigger(run: Acquisition) -> str:
-    """Return a note for an error message on the trigger that has not occurred; empty if none is missing."""
+    """Return a note for an error message about the trigger that has not occurred; empty if all have occurred."""
     if not run.has_started:
         return " (the start trigger has not occurred)"
     if run.plan.reference is not None and run.trigger_sample is None:

@@ -31,12 +31,12 @@ class TaskOutput:
         self.run: Generation | None = None  # present or last generation
         self.buffer: OutputBuffer | None = None  # written samples
         self._is_running = False
-        self._has_played = False  # whether the samples of the buffer were played
+        self._has_played = False  # whether the samples of the buffer were output
 
     # States
 
     def start(self, start: Source | None, reference: Source | None) -> None:
-        """Start to play the buffer at the trigger `start`; an output has no reference trigger."""
+        """Start the output of the buffer at the trigger `start`; an output has no reference trigger."""
         if self.buffer is None or self.buffer.written == 0:
             raise DaqError(
                 "the output has no samples. Write samples before starting the task.", Code.OUTPUT_BUFFER_EMPTY
@@ -70,7 +70,10 @@ class TaskOutput:
         return 0 if self.run is None else self.run.generated
 
     def ticks_to_end(self) -> int:
-        """Return a lower bound of the ticks until the generation is complete; the ticks in 10 ms if it is unknown."""
+        """Return a lower bound of the ticks until the generation is complete.
+
+        The ticks in 10 ms if the end is unknown.
+        """
         return max(1, int(self._chassis.rate / 100)) if self.run is None else self.run.ticks_to_end()
 
     def ticks_until(self, samples: int) -> int:
@@ -78,7 +81,7 @@ class TaskOutput:
         return UNLIMITED_TICKS if self.run is None or not self.run.has_started else self.run.ticks_until(samples)
 
     def ticks_until_log(self) -> int:
-        """Return the number of ticks that may pass before `write_log`."""
+        """Return the number of ticks that may pass before `write_log` must be called."""
         return UNLIMITED_TICKS
 
     def write_log(self) -> None:
@@ -106,7 +109,7 @@ class TaskOutput:
     def write(self, volts: Array, timeout: float) -> int:
         """Write samples, V, as soon as the buffer has space; return their number per channel.
 
-        `timeout`: s; negative: none.
+        `timeout`: s; a negative timeout is infinite.
         """
         if not self._is_running and (self.buffer is None or self._has_played):
             # The first write after a run starts a new buffer.
@@ -163,7 +166,7 @@ class TaskOutput:
                 )
 
     def write_on_demand(self, volts: Array) -> int:
-        """Output samples, V, at the tick rate, and keep the last value; return the number per channel."""
+        """Output samples, V, at the tick rate, and keep the last value; return the number of samples per channel."""
         chassis, bench_indices = self._chassis, [channel.bench_index for channel in self._settings.channels]
         if volts.shape[1] > 1:
             buffer = OutputBuffer(volts.shape[0], None)

@@ -73,10 +73,10 @@ def set_value(task: Task, group: str, name: str, value: Any) -> None:
     settings = task.settings.groups[group]
     value = coerce(name, value, settings[name])
     if name == "samp_clk_rate" and task.settings.channels:
-        # Raises an error for an impossible rate.
+        # This raises an error for an impossible rate.
         task.settings.channels[0].module.coerced_rate(value, output=task.settings.direction == "ao")
     if name == "channels_to_read":
-        task.settings.find(value)  # Raises an error for a missing channel.
+        task.settings.find(value)  # This raises an error for a missing channel.
     if name.endswith("_buf_size") and value < 0:
         raise invalid_value(f"{name} is {value}. Give 0 or more samples.")
     settings[name] = value
@@ -134,7 +134,7 @@ def time_of(task: Task, event: TimestampEvent, timeout: float) -> int:
 def full_terminal(task: Task, name: str) -> str:
     """Return NI's full name of a terminal, such as "/cDAQ1/PFI0"; an empty name stays empty.
 
-    Raises `DaqError` -89120 if it is not a terminal.
+    Raises `DaqError` -89120 if there is no such terminal.
     """
     if not name or name.startswith("/"):
         return name

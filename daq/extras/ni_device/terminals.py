@@ -63,7 +63,7 @@ class Terminals:
             )
         self.bench = bench = Bench(scene, math.ceil(max(min_tick_rates) / sample_rate - 1e-6))
         has_counts = bool(bench.channels) and bench.channels[0].volts_per_count is not None
-        self.dtype: type[np.generic] = np.int32 if has_counts else np.float64  # of samples: counts or volts
+        self.dtype: type[np.generic] = np.int32 if has_counts else np.float64  # type of the samples: counts or volts
         # Indices of the outputs among the inputs of the rig, to which the hammer also belongs.
         self._outputs = [index for index, name in enumerate(bench.inputs) if name != "hammer"]
         # Factor from output voltage to drive (N, m or V), shape (outputs,).
@@ -79,7 +79,7 @@ class Terminals:
     # Time
 
     def limit_ticks(self, ticks: int) -> int:
-        """Limit a number of ticks to those for which the drive of the test is already known, and to a block."""
+        """Limit a number of ticks to the ticks for which the drive of the test is already known, and to a block."""
         return self._test.limit_ticks(min(ticks, _MAX_BLOCK_TICKS))
 
     def advance(self, volts: NDArray[np.float64] | None, ticks: int, rates: Collection[float]) -> Mapping[float, Block]:
@@ -132,8 +132,8 @@ class Terminals:
     def set_conditioning(self, channels: Sequence[Channel], in_use: Collection[int]) -> None:
         """Set the couplings and sensor supplies of a task's channels.
 
-        `in_use` are the indices of the inputs that other tasks are reading. Raises `DaqError` -50103 if one of them has
-        another coupling or supply.
+        `in_use` are the indices of the inputs that other tasks are reading. Raises `DaqError` -50103 if one of these
+        inputs has another coupling or supply.
         """
         scene_channels, fixed = list(self.bench.channel_settings), set(in_use)
         for channel in channels:
@@ -158,7 +158,7 @@ class Terminals:
         self.bench.set_conditioning(scene_channels)
 
     def _conditioning(self, scene_channel: SceneChannel) -> tuple[str, float | None]:
-        """Return coupling and supply current of a channel, by default those of the converter."""
+        """Return coupling and supply current (A) of a channel, by default those of the converter."""
         settings = input_settings(self.bench.scene.converter, scene_channel)
         return settings.coupling or "DC", settings.excitation
 
@@ -168,7 +168,7 @@ class Terminals:
         return self._conditioning(channel)[1] if needs_supply(channel) else None
 
     def teds(self, bench_index: int) -> bytes | None:
-        """Return the TEDS (electronic data sheet) of a channel's sensor; None if the input cannot read any."""
+        """Return the TEDS (electronic data sheet) of a channel's sensor; None if the input cannot read TEDS."""
         channel = self.bench.channel_settings[bench_index]
         sheet = None if channel.integrator else electronic_data_sheet(channel, self.bench.scene.seed)
         if sheet is None:

@@ -79,7 +79,7 @@ TerminalConfiguration = IntEnum(
     "TerminalConfiguration",
     {"DEFAULT": -1, "RSE": 10083, "NRSE": 10078, "DIFFERENTIAL": 10106, "PSEUDO_DIFFERENTIAL": 12529},
 )
-# Signals that can be exported or registered for as events.
+# Signals that can be exported, or for which events can be registered.
 Signal = IntEnum(
     "Signal", {"SAMPLE_CLOCK": 12487, "REFERENCE_TRIGGER": 12490, "START_TRIGGER": 12491, "SAMPLE_COMPLETE": 12530}
 )

@@ -118,7 +118,7 @@ def _of_physical_channel(call: Call, name: str) -> Any:
     port = parse_port(call.fields["physical_channel"])
     chassis = call.instrument.chassis
     module = chassis.devices.module(port.device)
-    module.bench_index(port.direction, port.number)  # Raises an error if the channel does not exist.
+    module.bench_index(port.direction, port.number)  # This raises an error if the channel does not exist.
     attributes: dict[str, Any] = {
         "ai_supported_meas_types": SUPPORTED_TYPES,
         "ai_term_cfgs": sum(TERMINAL_CONFIGURATION_BITS.get(value, 0) for value in module.terminal_configurations),
@@ -174,7 +174,7 @@ def _of_scale(call: Call, name: str) -> Any:
 
 
 def _of_persisted(call: Call, name: str) -> Any:
-    """Return the author of a saved task, channel or scale; True for its other attributes, which are permissions."""
+    """Return the author of a saved task, channel or scale; True for all other attributes, which are permissions."""
     storage: Storage = call.instrument.storage
     groups: tuple[tuple[str, dict[str, Any], Code], ...] = (
         ("task_name", storage.tasks, Code.TASK_NOT_IN_DATA_NEIGHBORHOOD),
@@ -188,7 +188,7 @@ def _of_persisted(call: Call, name: str) -> Any:
     return storage.authors.get(key, "") if name == "author" else True
 
 
-# Values of NI's simulated devices, which are never calibrated: temperatures in °C, an interval in months.
+# Calibration data of NI's simulated devices, which are never calibrated: temperatures in °C, an interval in months.
 _CALIBRATION = {
     "cal_dev_temp": 0.0,
     "ext_cal_last_temp": 0.0,

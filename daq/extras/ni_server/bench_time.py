@@ -1,4 +1,4 @@
-"""Lets bench time pass while a script of `daq run` sleeps or waits for Enter."""
+"""Lets bench time pass while a script in `daq run` sleeps or waits for Enter."""
 
 from __future__ import annotations
 

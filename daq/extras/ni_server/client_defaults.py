@@ -20,8 +20,8 @@ from typing import Any, SupportsFloat, SupportsIndex
 
 # Environment variables of the script's process.
 SERVER = "SHOTRIG_SERVER"  # address of the server
-FAST = "SHOTRIG_FAST"  # set for the fast clock
-# Bench time for which a prompt waits.
+FAST = "SHOTRIG_FAST"  # set if the clock is the fast clock
+# Bench time for which a prompt waits, s.
 _PROMPT_TIMEOUT_S = 10.0
 # API key that disables session sharing: a duplicate task name is then an error, as in NI's driver.
 STRICT = "shotrig: no sessions"
@@ -32,12 +32,13 @@ _connections: dict[tuple[int, str], Any] = {}
 
 
 def environment(address: str, follows_wall_clock: bool) -> dict[str, str]:
-    """Return the environment variables by which child processes use the server at an address.
+    """Return the environment variables with which child processes use the server at an address.
 
-    `follows_wall_clock`: whether bench time does.
+    `follows_wall_clock`: whether bench time follows the wall clock.
     """
     paths = [str(STARTUP), *filter(None, [os.environ.get("PYTHONPATH")])]
-    # Forked child processes open new connections, which grpc allows only if its variable is set before the fork.
+    # Forked child processes open new connections; grpc permits this only if its environment variable is set before the
+    # fork.
     variables = {SERVER: address, "PYTHONPATH": os.pathsep.join(paths), "GRPC_ENABLE_FORK_SUPPORT": "1"}
     return variables if follows_wall_clock else {**variables, FAST: "1"}
 

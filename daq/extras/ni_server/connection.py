@@ -25,8 +25,8 @@ from rig.core.scene.scene import Scene
 class Connection(GrpcSessionOptions):
     """A rig in this process, as session options of NI's client: ``nidaqmx.Task(grpc_options=connection)``.
 
-    Close it, or use it in a `with` block. `chassis` is the instrument, `storage` has its saved tasks, and `address` is
-    the address of the server for other processes.
+    Close the connection, or use it in a `with` block. `chassis` is the instrument, `storage` contains its saved tasks,
+    and `address` is the address of the server for other processes.
     """
 
     def __init__(self, chassis: Chassis, limits: Limits) -> None:
@@ -55,7 +55,7 @@ class Connection(GrpcSessionOptions):
     def close(self, grace: float | None = 0.5) -> None:
         """Close the rig and all its tasks; running calls may finish within `grace` s (None: they are aborted).
 
-        In a forked process, which has no threads of the rig, do nothing.
+        Nothing is done in a forked process, which has no threads of the rig.
         """
         if self._open and os.getpid() == self._process:
             self._open = False
@@ -104,7 +104,7 @@ def connect(
     Returns
     -------
     Connection
-        Give it to tasks as `grpc_options`; close it at the end, or use it in a `with` block.
+        Give the connection to tasks as `grpc_options`; close it at the end, or use it in a `with` block.
 
     Raises
     ------

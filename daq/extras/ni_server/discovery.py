@@ -35,7 +35,7 @@ class Discovery:
 
 def _handler(service: Any, servicer: Any) -> grpc.GenericRpcHandler:
     """Return the handler of a service; an invalid request is reported to the client and not printed by the server."""
-    # Some releases of the packages describe calls that their servicers do not implement.
+    # Some releases of the gRPC packages describe calls that their servicers do not implement.
     implemented = [method for method in service.methods if method.name in vars(type(servicer))]
     return grpc.method_handlers_generic_handler(
         service.full_name,

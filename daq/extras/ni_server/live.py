@@ -19,14 +19,14 @@ MAX_CLOSING_S = 10.0
 
 
 def end_display(blocks: queue.Queue[Any], thread: threading.Thread) -> None:
-    """Wait until a thread has shown the waiting blocks; it ends when it receives None.
+    """Wait until a thread has shown the waiting blocks; the thread ends when it receives None.
 
     A display that does not respond is abandoned, and the number of blocks that it has not shown is reported on stderr.
     """
     try:
         blocks.put(None, timeout=MAX_CLOSING_S)
     except queue.Full:
-        # The block that the thread is showing is no longer in the queue.
+        # The block that the thread is showing at present is no longer in the queue.
         n_blocks = blocks.qsize() + 1
     else:
         thread.join(MAX_CLOSING_S)

@@ -20,14 +20,14 @@ from daq.core.mcap_file.protobuf import varint
 from daq.extras.ni_device.errors import invalid_value
 
 SERVICE = nidaqmx_pb2.DESCRIPTOR.services_by_name["NiDAQmx"]
-# The client's reads use this attribute, but the protocol does not name it.
+# Attribute that the client uses in reads, although the protocol has no name for it.
 DEFAULT_NUMBER_OF_SAMPLES = 0x31E8
-# The service of NI's server for devices of any driver.
+# The service of NI's server for the devices of all drivers.
 _SESSION_FILE = next(file for file in nidaqmx_pb2.DESCRIPTOR.dependencies if file.name.endswith("session.proto"))
 SESSION_SERVICE = _SESSION_FILE.services_by_name["SessionUtilities"]
 # Maximum number of entries of a list other than samples.
 _MAX_ENTRIES = 10_000
-# Maximum length of a string, characters: it may name thousands of channels.
+# Maximum length of a string, characters; a string may name thousands of channels.
 _MAX_CHARACTERS = 1 << 16
 # Lists of samples, whose length is not limited here.
 _SAMPLES = ("write_array", "waveforms")
@@ -44,10 +44,10 @@ DeviceProperties = message_factory.GetMessageClass(_SESSION_FILE.message_types_b
 class Method:
     """A remote call."""
 
-    name: str  # in the service
+    name: str  # name of the call in the service
     request: Any  # class of the message
     response: Any  # class of the message
-    streams: bool  # the response is a stream of messages
+    streams: bool  # whether the response is a stream of messages
 
 
 def methods(service: Any = SERVICE) -> list[Method]:
@@ -135,7 +135,7 @@ def is_repeated(field: Any) -> bool:
 def encode(response: Any, values: Mapping[str, Any]) -> bytes:
     """Encode a response from values by field name; a value is also written to the field `<name>_raw`, if it exists.
 
-    Arrays of doubles are appended as bytes, because their memory layout is that of the protocol. The conversion of
+    Arrays of doubles are appended as bytes, because their memory layout equals that of the protocol. The conversion of
     thousands of samples to Python numbers would delay all other clients.
     """
     names, samples = response.DESCRIPTOR.fields_by_name, b""

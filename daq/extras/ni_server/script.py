@@ -39,8 +39,8 @@ def run_script(
     scene : Scene or str, optional
         Scene on the bench, see `daq.connect`.
     clock : str, optional
-        Clock, see `daq.connect`. With the fast clock `time.sleep` lets bench time pass, and so does `input`,
-        which then returns an empty line.
+        Clock, see `daq.connect`. With the fast clock, `time.sleep` and `input` let bench time pass; `input` then
+        returns an empty line.
 
     Returns
     -------

@@ -38,7 +38,7 @@ class Certificates:
 
     certificate: Path  # certificate chain of the server
     key: Path  # private key of the server
-    clients: Path | None = None  # certificate of the authority that must have signed clients' certificates, if required
+    clients: Path | None = None  # certificate of the authority that signs clients' certificates; None: not required
 
     def credentials(self) -> grpc.ServerCredentials:
         """Read the files; raises `SceneError` if a file cannot be read."""
@@ -113,9 +113,9 @@ def serve(
 
 
 def collect_garbage_often() -> None:
-    """Collect the garbage of closed tasks soon: a command's threshold would let a server grow by hundreds of MB.
+    """Collect the garbage of closed tasks early; at the threshold of commands, a server would grow by hundreds of MB.
 
-    The present objects are excluded from later collections, which would delay clients.
+    The present objects are excluded from later collections, because these would delay clients.
     """
     gc.collect()
     gc.freeze()
@@ -128,7 +128,7 @@ def announcement(chassis: Chassis, host: str, port: int, encrypted: bool) -> str
     lines = [f"Server listening on port {port} ({address}{', with TLS' if encrypted else ''})", ""]
     modules = [chassis.devices.module(name) for name in chassis.devices.names]
     for module in modules:
-        ranges = []  # of channel names, such as "ai0:3"
+        ranges = []  # range of channel names, such as "ai0:3"
         for names in (module.channel_names("ai"), module.channel_names("ao")):
             last = f":{len(names) - 1}" if len(names) > 1 else ""
             ranges += [f"{name.partition('/')[2]}{last}" for name in names[:1]]
@@ -183,7 +183,7 @@ def _is_loopback(host: str) -> bool:
 def wait_for_signal() -> None:
     """Wait for Ctrl-C, SIGTERM or the end of the terminal."""
     ended = threading.Event()
-    # Under nohup, SIGHUP is ignored and must stay so: the server continues.
+    # Under nohup, SIGHUP is ignored and must remain ignored, so that the server continues.
     signals = [
         number
         for number in TERMINATION_SIGNALS

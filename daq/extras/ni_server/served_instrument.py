@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _MAX_MESSAGE_BYTES = 3000
 # Maximum length of the name of a task in an error message.
 _MAX_NAME_BYTES = 200
-# Number of stored error messages at which all are removed: clients that do not request theirs leave them behind.
+# All stored error messages are removed at this number, because some clients never request their messages.
 _MAX_STORED_MESSAGES = 1000
 
 
@@ -26,7 +26,7 @@ _MAX_STORED_MESSAGES = 1000
 class Limits:
     """Limits of the resources of clients."""
 
-    max_request_bytes: int = 32 << 20  # size of a request: 4 million samples of outputs
+    max_request_bytes: int = 32 << 20  # size of a request, bytes: 4 million samples of outputs
     max_message_bytes: int = 256 << 20  # size of a response
     max_tasks_per_client: int = 64  # open tasks
     max_buffer_bytes: int = 2 << 30  # total size of the buffers of a client's tasks
@@ -43,7 +43,7 @@ class ServedInstrument:
         self.storage, self.teds = Storage(), TedsMemory(self._teds_of_sensor)
         self.sessions = Sessions(chassis, self.storage, limits.max_tasks_per_client)
         self.reservations = Reservations()
-        self._latest_messages: dict[tuple[str, int], str] = {}  # of each client (peer) and error code
+        self._latest_messages: dict[tuple[str, int], str] = {}  # latest message of each client (peer) and error code
 
     def _teds_of_sensor(self, port: Port) -> bytes | None:
         module = self.chassis.devices.module(port.device)

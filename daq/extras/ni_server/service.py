@@ -41,13 +41,13 @@ _SWITCH_INTERVAL_S = 0.0005
 
 
 class _Handlers(grpc.GenericRpcHandler):
-    """Creates the gRPC handler of a method when it is first called: of hundreds of methods, clients call few."""
+    """Creates the gRPC handler of a method at its first call, because clients call few of the hundreds of methods."""
 
     def __init__(self, create: Callable[[Method], Any]) -> None:
         self._create = cache(create)
 
     def service(self, handler_call_details: grpc.HandlerCallDetails) -> Any:
-        """Return the handler of a call; None if no service has its method."""
+        """Return the handler of a call; None if no service has the method."""
         method = _methods_by_path().get(handler_call_details.method)
         return None if method is None else self._create(method)
 
@@ -64,7 +64,7 @@ def _methods_by_path() -> dict[str, Method]:
 class Server:
     """An instrument on the network.
 
-    `address` is host and port; port 0 selects a free port, and the attribute `port` is the selected port. Without
+    `address` is host and port; port 0 selects a free port. The attribute `port` is the selected port. Without
     `credentials` the connection is not encrypted. `other_handlers` are the handlers of services other than NI's.
     """
 
@@ -79,7 +79,7 @@ class Server:
         self.limits = limits or Limits()
         self.instrument = ServedInstrument(chassis, self.limits)
         self.sessions = self.instrument.sessions
-        self._unexpected: dict[tuple[str, type[Exception]], str] = {}  # message of each unexpected error
+        self._unexpected: dict[tuple[str, type[Exception]], str] = {}  # messages of printed unexpected errors
         self._running_calls, self._count_lock = Counter[str](), threading.Lock()
         self._closing = threading.Event()
         self._server = grpc.server(
@@ -89,7 +89,7 @@ class Server:
                 ("grpc.max_receive_message_length", self.limits.max_request_bytes),
                 ("grpc.max_send_message_length", self.limits.max_message_bytes),
                 ("grpc.so_reuseport", 0),
-                # Idle connections must not take all file descriptors of the process.
+                # Limited, because idle connections must not use all file descriptors of the process.
                 ("grpc.max_allowed_incoming_connections", _MAX_CONNECTIONS),
                 ("grpc.server_handshake_timeout_ms", _MAX_HANDSHAKE_MS),
             ],

@@ -35,7 +35,7 @@ class Session:
     task: Task
     owner: str  # peer that created it
     users: set[str] = field(default_factory=set)  # peers that have used it
-    disconnected_at: float | None = None  # time (monotonic) from which no user was connected, s; None while one is
+    disconnected_at: float | None = None  # monotonic time of the last disconnection, s; None while a user is connected
 
 
 class SessionExists(ShotrigError):
@@ -52,7 +52,7 @@ class Sessions:
         self._lock = threading.RLock()
 
     def open(self, name: str, behavior: int, peer: str, strict: bool = False) -> tuple[str, bool]:
-        """Open a session, or attach to the session of that name.
+        """Open a session, or attach to the existing session of this name.
 
         `behavior` is `INITIALIZE`, `ATTACH`, or 0 for either. With `strict`, an existing name is always an error.
 
@@ -88,7 +88,10 @@ class Sessions:
             return session, True
 
     def check_memory(self, name: str, max_bytes: int) -> None:
-        """Release the buffers of a session and raise `DaqError` -200077 if all its client's buffers exceed a size."""
+        """Raise `DaqError` -200077 if all buffers of a session's client exceed a size.
+
+        The session's buffers are released.
+        """
         with self._lock:
             session = self._open.get(name)
             if session is None:
@@ -112,7 +115,7 @@ class Sessions:
             return session.task
 
     def task_name(self, name: str) -> str:
-        """Return the name of a session's task; the name of the session if it is not open."""
+        """Return the name of a session's task; the name of the session if the session is not open."""
         with self._lock:
             session = self._open.get(name)
             return name if session is None else session.task.name
@@ -169,7 +172,7 @@ class Sessions:
             self._end(session.task)
 
     def _end(self, task: Task) -> None:
-        """Close a task without a client, to which an error, for example of its log, could be reported."""
+        """Close a task without a client to which an error, for example of the log, could be reported."""
         try:
             task.close()
         except Exception as error:
@@ -177,7 +180,7 @@ class Sessions:
 
 
 def _endpoint(peer: str) -> tuple[str, int]:
-    """Return address and port of a peer, as in "ipv4:127.0.0.1:40022"."""
+    """Return address and port of a peer such as "ipv4:127.0.0.1:40022"."""
     host, _, port = unquote(peer).partition(":")[2].rpartition(":")
     return host.strip("[]"), int(port) if port.isdigit() else 0
 

@@ -14,16 +14,16 @@ from typing import Any
 
 from rig.core.base.ending_signals import handle_interrupts
 
-# Time from the signal that requests the end of a script until it is killed.
+# Time from the signal that requests the end of a script until the script is killed, s.
 GRACE_PERIOD_S = 1.0
-# A signal to a process group has reached all its processes after this time.
+# A signal to a process group has reached all its processes after this time, s.
 _DELIVERY_S = 1.0
 
 
 class _GroupProbe:
     """A process in the process group of the script that ends at Ctrl-C.
 
-    Its end shows that the whole group, and thus the script, received Ctrl-C.
+    Its end indicates that the whole group, and thus the script, received Ctrl-C.
     """
 
     _COMMAND = (sys.executable, "-I", "-S", "-c", "import sys; sys.stdin.read()")
@@ -57,8 +57,8 @@ class _GroupProbe:
 def forward_signals(process: subprocess.Popen[Any]) -> Iterator[None]:
     """Forward signals to the process of a script while the body runs, and end the process afterwards.
 
-    Ctrl-C in a terminal reaches the whole process group; it is forwarded only if it did not. Any other signal is
-    forwarded, and the script is killed after `GRACE_PERIOD_S`.
+    Ctrl-C in a terminal reaches the whole process group; it is forwarded only if the script did not receive it. Any
+    other signal is forwarded, and the script is killed after `GRACE_PERIOD_S`.
     """
     kill_timer = threading.Timer(GRACE_PERIOD_S, process.kill)
     kill_timer.daemon = True

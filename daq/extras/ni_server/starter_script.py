@@ -15,7 +15,7 @@ from daq.extras.ni_device.devices.modules import Module
 from daq.extras.ni_device.settings.channels import Channel
 from rig.core.scene.scene import STANDARD_GRAVITY
 
-# The limits of a channel are this fraction of full scale: slightly less than 1, so that rounded limits do not exceed
+# The limits of a channel are this fraction of full scale; it is slightly below 1, so that rounded limits do not exceed
 # full scale.
 _LIMIT_RATIO = 1 - 1e-5
 # By quantity: function of nidaqmx, unit of readings, factor from V per SI unit to the unit of sensitivity (mV/g, mV/N).
@@ -32,8 +32,8 @@ _CONSTANTS = ("AccelUnits", "AcquisitionType", "Coupling", "ExcitationSource", "
 def starter_script(chassis: Chassis, channel: str) -> list[str]:
     """Return the lines of a script that reads the inputs of a bench in their units; the first line is empty.
 
-    Modules of a chassis are read by one task. Of several separate devices, the script reads the first. `channel` is
-    the expression for the connection to the server.
+    One task reads all modules of a chassis. If there are several separate devices, the script reads the first.
+    `channel` is the expression for the connection to the server.
     """
     modules = [module for name in chassis.devices.names if (module := chassis.devices.module(name)).inputs]
     first = modules[0]
@@ -92,7 +92,8 @@ def _create_channel(chassis: Chassis, module: Module, bench_index: int) -> str:
     call = f'task.ai_channels.add_ai_voltage_chan("{_PHYSICAL_CHANNEL}"{_limits(info, 1.0)})'
     if not needs_excitation:
         return call
-    # A sensor with an integrating amplifier is read as a voltage, whose call has no argument for the excitation.
+    # A sensor with an integrating amplifier is read as a voltage; the call for a voltage channel has no argument for
+    # the excitation.
     lines = [
         f"voltage_channel = {call}",
         "voltage_channel.ai_excit_src = ExcitationSource.INTERNAL",
@@ -124,7 +125,7 @@ def report_missing_excitation(chassis: Chassis) -> None:
         infos = chassis.bench.channels
         inputs = ", ".join(f"{channel.port.name} ({infos[index].name})" for index, channel in unreported.items())
         current = next(iter(unreported.values())).module.currents[0]
-        # A closed console must not cause an error in the client.
+        # An error of a closed console must not reach the client.
         with suppress(OSError):
             print(
                 f"note: no excitation for {inputs}: without it, an IEPE sensor returns only noise. Create the channel "

@@ -1,4 +1,4 @@
-"""A bench for tests: the emulated devices, what a program has read and written, and faults."""
+"""A bench for tests: the emulated devices, the samples that a program has read and written, and faults."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from rig.core.scene.scene import Scene
 from rig.core.scene.scene_files import bundled_scenes, read_text
 from rig.core.scene.yaml_reader import Document, read_yaml
 
-#: Modules of a bench that is not described.
+#: Modules of a bench without a description.
 DEFAULT_MODULES = ("NI 9234", "NI 9263")
-# Wall-clock time of a sleep while the bench is in use, s: other threads of the program can finish a call meanwhile.
+# Wall-clock time of a sleep while the bench is in use, s. In this time, other threads of the program can finish a call.
 _YIELD_S = 0.002
 BenchLike = Scene | str | Path | Mapping[str, Any] | Sequence[str]
 
@@ -44,7 +44,7 @@ class NidaqmxBench:
     Attributes
     ----------
     grpc_options : nidaqmx.GrpcSessionOptions
-        Session options of tasks on this bench. The fixture lets tasks without options use it, too.
+        Session options of tasks on this bench. With the fixture, tasks without options use this bench too.
     address : str
         Address of the bench for other processes and languages, host and port.
     transfers : Transfers
@@ -77,7 +77,7 @@ class NidaqmxBench:
         return [name for name in self._chassis.tasks if name not in self.faults.other_clients]
 
     def sleep(self, seconds: float) -> None:
-        """Pass time on the bench while it is in use, otherwise on the wall clock; replaces `time.sleep`."""
+        """Let time pass on the bench while it is in use, otherwise on the wall clock; replaces `time.sleep`."""
         is_in_use = self._chassis.is_in_use
         threading.Event().wait(min(seconds, _YIELD_S) if is_in_use else seconds)
         if is_in_use:
@@ -97,7 +97,7 @@ class NidaqmxBench:
         if written.shape != wanted.shape:
             raise AssertionError(f"{channel}: {written.size} samples were written; expected {wanted.size}.")
         deviation = np.abs(written - wanted)
-        # The negated comparison also finds NaN.
+        # The negated comparison also detects NaN.
         different = np.flatnonzero(~(deviation <= tolerance))
         if different.size:
             first = different[0]

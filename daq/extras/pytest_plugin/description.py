@@ -38,11 +38,11 @@ from rig.core.settings.settings import Settings
 Voltage = Annotated[float, Quantity(VOLTAGE)]
 Range = Annotated[float, Quantity(VOLTAGE, above=0.0)]
 SampleRate = Annotated[float, Quantity(SAMPLE_RATE, above=0.0)]
-#: Voltage of a source, V, as a function of bench time, s; both are arrays of the same shape.
+#: Voltage of a source, V, as a function of bench time, s; argument and result are arrays of the same shape.
 VoltageFunction = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 _WIRE = re.compile(r"\s*(\S+)\s*->\s*(\S+)\s*")
 _NAME_IN_CHASSIS = re.compile(r"(.+)Mod(\d+)")
-# Slowest sample rate of a device that is described by its numbers of channels, Hz.
+# Lowest sample rate of a device that is described by its numbers of channels, Hz.
 _SLOWEST_HZ = 0.1
 
 
@@ -216,7 +216,7 @@ def _normalize(name: str) -> str:
 
 @dataclass(frozen=True)
 class WiredBench:
-    """The devices of a bench, and what is connected to its inputs, by their indices on the bench."""
+    """The devices of a bench, and the outputs and sources connected to its inputs, by indices on the bench."""
 
     modules: tuple[Module, ...]
     wires: Mapping[int, int]  # output at each wired input

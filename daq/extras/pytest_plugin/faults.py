@@ -24,7 +24,7 @@ CALLS = ("start", "read", "write")
 class _FutureError:
     call: str
     code: int
-    n_calls_before: int  # calls that succeed before it
+    n_calls_before: int  # number of calls that succeed before the failing call
 
 
 class Faults:
@@ -33,7 +33,7 @@ class Faults:
     def __init__(self, chassis: Chassis) -> None:
         self._chassis = chassis
         self._future: list[_FutureError] = []
-        self._unplugged: dict[str, Module] = {}  # by their names in lower case
+        self._unplugged: dict[str, Module] = {}  # unplugged devices, by their names in lower case
         self.other_clients: dict[str, Task] = {}  # tasks that reserve devices, by name
         terminals: Any = _OverloadedTerminals(chassis.terminals)
         chassis.terminals = self._terminals = terminals
@@ -42,8 +42,9 @@ class Faults:
     def fail(self, call: str, code: int, after: int = 0) -> None:
         """Let a call fail once with an error code of the driver, such as -200284 (timeout).
 
-        `call` is "start", "read" or "write"; `after` is the number of calls that succeed before. The task goes on, as
-        with hardware: a read with -200279 is preceded by an overflow of the buffer, and -200361 ends the acquisition.
+        `call` is "start", "read" or "write"; `after` is the number of calls that succeed before the failing call. The
+        task continues as with hardware: before a read that fails with -200279, the buffer overflows; -200361 ends the
+        acquisition.
         """
         if call not in CALLS:
             raise SceneError(f"there is no call {call!r}. Choose {', '.join(CALLS)}.")
@@ -63,7 +64,7 @@ class Faults:
         error = DaqError("a test has injected this error.", code, samples_done=0)
         run = task.run
         if code == Code.SAMPLES_NO_LONGER_AVAILABLE and isinstance(run, Acquisition) and run.plan.samples is None:
-            # The read itself detects the loss.
+            # The error is raised by the read itself, which detects the loss of samples.
             n_free = run.plan.buffer_size - (run.ring.written - run.position)
             self._chassis.advance(run.ticks_until(n_free + 1, self._chassis.position))
             return
@@ -72,7 +73,7 @@ class Faults:
         raise error
 
     def overload(self, channel: str, seconds: float = 0.1) -> None:
-        """Overload an input from now on for a time on the bench, s: it reads full scale, and is flagged."""
+        """Overload an input from now on for a time on the bench, s: the input reads full scale, and is flagged."""
         index = find_channel(self._chassis.devices.all(), channel, "ai", "overload")[1]
         start = self._chassis.elapsed
         self._terminals.overloads.append((index, start, start + seconds))
@@ -94,7 +95,7 @@ class Faults:
                 task.close()
 
     def unplug(self, device: str) -> None:
-        """Unplug a device, or a chassis and its modules: calls fail with -201003, and new channels with -200220."""
+        """Unplug a device, or a chassis with its modules: calls fail with -201003, and new channels with -200220."""
         devices = self._chassis.devices
         names = [self._module(device).name, *devices.modules_of(device)]
         with self._chassis.changed:
@@ -102,7 +103,7 @@ class Faults:
             self._chassis.stop_runs(_unplugged_error(device), [name.lower() for name in names])
 
     def plug_in(self) -> None:
-        """Connect all devices again that were unplugged."""
+        """Connect all unplugged devices again."""
         while self._unplugged:
             self._chassis.devices.add(self._unplugged.popitem()[1])
 
@@ -122,7 +123,7 @@ class _OverloadedTerminals:
 
     def __init__(self, terminals: Any) -> None:
         self._terminals = terminals
-        self.overloads: list[tuple[int, float, float]] = []  # input; start and end in bench time, s
+        self.overloads: list[tuple[int, float, float]] = []  # index of input; start and end in bench time, s
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._terminals, name)

@@ -1,4 +1,4 @@
-"""Options and fixtures of the pytest plugin. Until one of them is used, nothing else of this package is imported."""
+"""Options and fixtures of the pytest plugin. Until one of them is used, no other module of this package is imported."""
 
 from __future__ import annotations
 

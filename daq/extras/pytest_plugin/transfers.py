@@ -11,7 +11,7 @@ from daq.extras.ni_device.task import Task
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 
-# Maximum size of the stored samples, bytes; an hour of four channels at 51.2 kS/s has 5.9 GB.
+# Maximum size of the stored samples, bytes. For comparison: an hour of four channels at 51.2 kS/s has 5.9 GB.
 _MAX_BYTES = 512 << 20
 
 
@@ -21,15 +21,15 @@ class Transfer:
 
     direction: str  # "read" or "written"
     task: str  # name
-    channels: tuple[str, ...]  # such as cDAQ1Mod1/ai0
-    samples: Array  # in the units of the task
+    channels: tuple[str, ...]  # physical channels, such as cDAQ1Mod1/ai0
+    samples: Array  # samples in the units of the task
     rate: float | None  # S/s; None without a sample clock
-    error_code: int  # of the error that ended the call; 0 without an error
+    error_code: int  # code of the error that ended the call; 0 without an error
 
 
 @dataclass
 class Transfers:
-    """The latest reads and writes, in their order; the oldest are discarded if their samples exceed 512 MB."""
+    """The latest reads and writes, in order of time; the oldest are discarded if all samples exceed 512 MB."""
 
     latest: list[Transfer] = field(default_factory=list)
     n_discarded: int = 0

@@ -40,10 +40,10 @@ class Block:
 
 
 class WiredTerminals:
-    """Stands in for `Terminals` and for `Bench`, whose methods it has."""
+    """Replaces `Terminals` and `Bench`, and has the methods of both."""
 
     dtype: type[np.generic] = np.int32
-    # No test drives the bench, and no sample is lost.
+    # On this bench, no test drives the outputs, and no sample is lost.
     is_idle = True
 
     def __init__(self, wired: WiredBench) -> None:
@@ -64,7 +64,7 @@ class WiredTerminals:
 
     @property
     def scene(self) -> Any:
-        """Raise an error: this bench has no scene, which only a recording needs, because it stores the scene."""
+        """Raise an error: this bench has no scene. Only a recording needs a scene, because it stores it."""
         raise DaqError("a bench without a scene has no recordings (.mcap). Log to a .tdms file.", Code.UNKNOWN)
 
     def lost_at(self, rate: float) -> Sequence[tuple[int, int]]:
@@ -116,7 +116,7 @@ class WiredTerminals:
     def _remove_offset(self, index: int, rate: float, first: int, volts: NDArray[np.float64]) -> NDArray[np.float64]:
         """Apply the first-order high pass of AC coupling to samples from number `first` on.
 
-        If the previous sample is not known, the input has settled at the first voltage.
+        If the previous sample is unknown, the input is assumed to have settled at the first voltage.
         """
         if not volts.size:
             return volts
@@ -169,7 +169,7 @@ def _with_range(info: ChannelInfo, limit: float, bits: int) -> ChannelInfo:
 
 
 def _tick_rate(modules: Sequence[Module]) -> float:
-    """Return ticks per second: the lowest multiple of a module's clock that is not below the fastest rate of all.
+    """Return ticks per second: the lowest multiple of a module's clock that is at least the fastest rate.
 
     Samples of modules that divide one clock then coincide with ticks.
     """

@@ -1,6 +1,6 @@
 """Layouts of the viewer for a replay and for a live view.
 
-Rerun calls a layout a blueprint, and what is drawn an entity; entities are named by paths such as test/phase.
+Rerun calls a layout a blueprint, and a drawn item an entity; entities have paths such as test/phase as names.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ def layout(
 ) -> rrb.Blueprint:
     """Arrange a replay: rig and notes at the left, plots at the right.
 
-    The plot at the top shows the whole segment without tables, which would hide the bodies; the phases of the test are
-    under it. The plots below show some periods of the lowest mode around the time cursor.
+    The plot at the top shows the whole segment, without the tables, whose larger motion would hide the bodies. The
+    phases of the test are below it. The plots below show some periods of the lowest mode around the time cursor.
 
     `plots` lists entity and title of the plot of each quantity, the most important first. `damper_count` is the number
-    of dampers with known gaps. `camera` gives its position and the point at which it looks. `span_s` is the start and
-    the end on the timeline; `is_whole` states whether this is the recording. `tables` lists the entities of channels on
-    tables. `speed` is the playback speed (1 is real time).
+    of dampers with known gaps. `camera` is the position of the camera and the point at which it looks. `span_s` is the
+    start and the end on the timeline; `is_whole` states whether this is the whole recording. `tables` lists the
+    entities of channels on tables. `speed` is the playback speed (1 is real time).
     """
     cursor_range = _cursor_range(CURSOR_PERIODS / lowest_mode_hz, CURSOR_PERIODS / lowest_mode_hz)
     entity, title = plots[0]
@@ -51,7 +51,7 @@ def layout(
         origin=entity,
         contents=[f"{entity}/**", *(f"- {table}" for table in tables)],
         name=f"{title}, {part}{', without table' if tables else ''}",
-        # The legend of the plot below is valid here, too.
+        # The legend of the plot below is also valid here.
         plot_legend=rrb.PlotLegend(visible=False),
         axis_x=axis,
     )
@@ -75,7 +75,7 @@ def layout(
         rrb.TextLogView(origin="test", contents="test/marks", name="markers"),
         active_tab=0,
     )
-    # The lanes of a state timeline have a fixed height, so that their view must grow with their number.
+    # The lanes of a state timeline have a fixed height, so that the height of their view must grow with their number.
     lane_height = 0.6 * overloaded_count
     row_heights = [3.6, 1.0 + lane_height, 4.5]
     if damper_count:

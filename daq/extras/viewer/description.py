@@ -120,7 +120,7 @@ def info(path: str | Path, check: bool = False) -> Info:
 
 
 def describe(recording: Recording) -> Iterator[str]:
-    """Yield the lines that describe an open recording; lines whose content the file lacks are left out."""
+    """Yield the lines that describe an open recording; lines about content that the file lacks are omitted."""
     size = recording.path.stat().st_size
     run, outcome = recording.metadata.get("run", {}), recording.metadata.get("outcome", {})
     yield f"{recording.path}: {_duration(recording)}, {size / 1e6:.1f} MB, {recording.status}"
@@ -162,7 +162,7 @@ def _count_segments(count: int) -> str:
 
 
 def _lost_range_note(recording: Recording) -> str:
-    """Return the error of a recording that lacks almost all samples; an empty string for others."""
+    """Return the error of a recording that lacks almost all samples; an empty string for any other recording."""
     try:
         recording.reject_mostly_lost(0, recording.samples)
     except RecordingError as error:
@@ -178,7 +178,7 @@ def _duration(recording: Recording) -> str:
 
 
 def _position(recording: Recording, at: str) -> str:
-    """Return the location of a channel; a body has its name if the scene specifies the name."""
+    """Return the location of a channel; a body is given by its name if the scene specifies a name."""
     try:
         return recording.outline.label(at)
     except ShotrigError:

@@ -1,4 +1,4 @@
-"""Markers of a recording, prepared for the viewer: lines of a log, and labeled segments of a timeline.
+"""Converts markers of a recording to lines of a log, and to labeled segments of a timeline, for the viewer.
 
 A marker labels a sample or a segment of samples: a step that settles or is measured, an impact, an overload, a gap.
 """
@@ -21,7 +21,7 @@ NOT_PHASE_KINDS = ("overload", "clipped", "alarm", "level")
 PHASE_COLORS = {"settle": 0x55606EFF, "measure": 0x3D8B5FFF, "hit": 0x3D8B5FFF, "gap": 0xC4453BFF, "lost": 0xC4453BFF}
 OTHER_PHASE_COLOR = 0x7A6AA8FF
 OVERLOAD_COLOR = 0xC4453BFF
-# An overload is drawn at least this fraction of the segment long: it may last a sample.
+# An overload is drawn with at least this fraction of the segment's length, because it may last only one sample.
 _MIN_DRAWN_PART = 0.004
 
 

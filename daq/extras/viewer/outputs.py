@@ -33,14 +33,12 @@ from rig.core.base.output_files import atomic_write, prepare_outputs
 from rig.core.base.progress import FractionProgress
 
 APPLICATION = "shotrig"
-NO_DISPLAY_REMEDY = (
-    "Use `web` to look with a browser, `screenshot` FILE.png for a picture, or `save` FILE.rrd for a file."
-)
+NO_DISPLAY_REMEDY = "Use `web` for a browser, `screenshot` FILE.png for a picture, or `save` FILE.rrd for a file."
 # Memory of the viewer per sample, bytes: its value, time and index.
 _BYTES_PER_VALUE = 20
-# Entity that is sent last.
+# Name of the entity that is sent last.
 _LAST_ENTITY = "complete"
-# A note is printed if the viewer will need more memory, GB.
+# A note is printed if the viewer will need more memory than this, GB.
 _NOTE_ABOVE_GB = 2.0
 # Height of the menu of the viewer, pixels. Pictures omit it: it shows warnings on a machine without a graphics card.
 _MENU_PIXELS = 38
@@ -154,7 +152,7 @@ def show(
 ) -> None:
     """Show a replay in a `window` or on a `server` until the viewer ends; raise `RunError` if it does not start."""
     with viewer_context as running:
-        # The viewer keeps all samples in memory, or drops the oldest.
+        # The viewer keeps all samples in memory; if the memory is full, it drops the oldest samples.
         gigabytes = replay.n_values * _BYTES_PER_VALUE / 1e9
         if gigabytes > _NOTE_ABOVE_GB:
             print(
@@ -205,10 +203,11 @@ def _send(
     progress: FractionProgress | None,
 ) -> None:
     wait_until_received()
-    # The layout is made active: a viewer remembers an earlier layout of the application, which overrides a default.
+    # The layout is sent as active, because a viewer remembers an earlier layout of the application, which overrides a
+    # default layout.
     stream.send_blueprint(replay.blueprint(), make_active=True, make_default=True)
     replay.send(stream, wait_until_received, progress)
-    # A viewer that has received this text has received everything.
+    # A viewer that has received this text has received all data before it.
     stream.log(_LAST_ENTITY, rr.TextDocument("all of the replay was sent"), static=True)
     wait_until_received()
 

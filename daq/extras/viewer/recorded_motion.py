@@ -22,7 +22,8 @@ BLOCK_SAMPLES = 1 << 16
 class RecordedMotion:
     """The motion in a recording, read in blocks.
 
-    Displacements are the recorded truth or are integrated from a channel; gaps are known from the truth only.
+    Displacements are the recorded true motion, or are integrated from a channel; gaps are known only from the true
+    motion.
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -35,7 +36,7 @@ class RecordedMotion:
     def segments(self, start: int, stop: int, step: int) -> Iterator[tuple[NDArray[np.int64], RigMotion]]:
         """Yield sample indices and the motion at them, for every `step`-th sample of [start, stop).
 
-        Samples that the recording lost are left out.
+        Lost samples are omitted.
         """
         filters = {
             source.point: DisplacementFilter(source.quantity, self.recording.rate)
@@ -69,7 +70,7 @@ class RecordedMotion:
             elif source.channel is not None:
                 samples = self.recording.read(source.channel, first, last)
                 lost = np.isnan(samples)
-                # Lost samples are zero in the filter: NaN would remain in its state.
+                # Lost samples are replaced by zero in the filter, because NaN would remain in its state.
                 displacement[:] = filters[source.point].run(np.where(lost, 0.0, samples))
                 displacement[lost] = np.nan
         return displacements

@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 
     from daq.core.recording.recording import Recording
 
-# Largest and smallest number of frames (drawn positions of the rig) per second of the recording. The largest shows a
-# tone of 50 Hz in slow motion.
+# Largest and smallest number of frames (drawn positions of the rig) per second of the recording. The largest number is
+# sufficient for a tone of 50 Hz in slow motion.
 _MAX_FRAMES_PER_S = 1000.0
 _MIN_FRAMES_PER_S = 100.0
 # Modes below this frequency, Hz, such as rigid-body modes, do not determine the time range of the plots.
 _MIN_MODE_HZ = 1.0
-# Number of frames above which their rate is reduced.
+# The frame rate is reduced above this number of frames.
 _MAX_FRAMES = 60_000
 
 
@@ -69,12 +69,12 @@ class Replay:
 
     @cached_property
     def _largest_motion(self) -> tuple[Extremes, int]:
-        """Largest motion of each part, and the sample index of the largest motion of all; reads the whole segment."""
+        """Largest motion of each part, and the sample index of the overall largest motion; reads the whole segment."""
         shaker_bodies = [shaker.first_body for _, shaker in self.recording.scene.tables]
         extremes, largest_sample, largest_size = Extremes(), self.start, 0.0
         for sample_numbers, motion in self.motion.segments(self.start, self.stop, self.step):
             extremes = extremes.extended_by(motion, shaker_bodies)
-            # A picture should show dampers in flight, or without dampers large displacements.
+            # A picture should show dampers in flight or, without dampers, large displacements.
             motion_size = np.abs(motion.displacement).max(axis=0) if motion.gap is None else motion.gap.sum(axis=0)
             if sample_numbers.size and motion_size.max() > largest_size:
                 largest_size, largest_sample = float(motion_size.max()), int(sample_numbers[motion_size.argmax()])

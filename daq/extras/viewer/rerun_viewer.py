@@ -1,8 +1,8 @@
 """Start the viewer of rerun-sdk, which draws replays: in a window, in a browser, or without a display for a picture.
 
 The viewer receives data and commands on a port of 127.0.0.1. Its parent is a guard, a process that ends the viewer when
-the pipe from this process is closed: this process may be killed. The guard starts the viewer's binary, not the script
-`rerun` around it, because ending the script would leave the viewer running.
+the pipe from this process is closed, even if this process is killed. The guard starts the viewer's binary, not the
+script `rerun`, because ending the script would leave the viewer running.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 LOOPBACK = "127.0.0.1"
-# Maximum time for the start of the viewer, s.
+# Maximum wait for the start of the viewer, s.
 _MAX_START_S = 30.0
-# Time that the viewer has to end, s, before it is killed.
+# The viewer is killed if it has not ended after this time, s.
 _MAX_END_S = 5.0
-# Script of the guard. Its arguments are the folder of the viewer's files and the command of the viewer. A regular end
-# sends a byte; after a kill, the guard removes the folder.
+# Script of the guard. Its arguments are the folder of the viewer's files and the command of the viewer. At a regular
+# end, this process sends a byte. If it was killed, the guard removes the folder.
 _GUARD = f"""
 import shutil, signal, subprocess, sys, threading
 folder, *command = sys.argv[1:]
@@ -59,7 +59,7 @@ if is_ending.is_set():
     end_thread.join()
 sys.exit(code)
 """
-# Maximum time for loading and drawing, s.
+# Maximum wait for loading and drawing, s.
 _MAX_LOAD_S = 300.0
 # Interval between checks of the viewer's state, s.
 _POLL_S = 0.1
@@ -175,7 +175,7 @@ def _sigterm_exits() -> Iterator[None]:
 
 
 def binary() -> Path:
-    """Return the path of the viewer binary of rerun-sdk; raise `RunError` if the installed one has none."""
+    """Return the path of the viewer binary of rerun-sdk; raise `RunError` if the installed package has none."""
     import rerun_cli
 
     folder = Path(rerun_cli.__file__).parent
@@ -252,7 +252,7 @@ def _await_loading(client: ViewerClient, duration_s: float, last_entity: str | N
 
 
 def _retry_timeouts(request: Callable[[], T]) -> T:
-    """Return the answer of a request, repeated while it times out: drawing without a graphics card is slow."""
+    """Return the answer to a request, which is repeated after a timeout: drawing without a graphics card is slow."""
     deadline = time.monotonic() + _MAX_LOAD_S
     while True:
         try:

@@ -1,4 +1,4 @@
-"""The function `daq.replay`: show a recording in the viewer, write a file for the viewer, or draw a picture."""
+"""The function `daq.replay`: shows a recording in the viewer, writes a file for the viewer, or draws a picture."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def replay(
     announce: Callable[[str], None] = print,
     progress: FractionProgress | None = None,
 ) -> Path | None:
-    """Show a recording in the viewer, write a file for it, or draw a picture.
+    """Show a recording in the viewer, write a file for the viewer, or draw a picture.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def replay(
     save : str or Path, optional
         File (.rrd) to write for the viewer instead of opening a window.
     screenshot : str or Path, optional
-        Picture (.png) to draw instead; needs Vulkan drivers, no display.
+        Picture (.png) to draw instead of opening a window; requires Vulkan drivers, but no display.
     web : bool
         Whether to show the recording in a browser on this machine, until interrupted.
     at : float, optional
@@ -50,7 +50,7 @@ def replay(
     overwrite : bool
         Whether an existing file may be replaced.
     announce : callable
-        Called with a line for the user: what was written, or the address for the browser.
+        Called with a line for the user: the written file, or the address for the browser.
     progress : callable, optional
         ``progress(fraction, message)``.
 
@@ -69,9 +69,9 @@ def replay(
     if sum([save is not None, screenshot is not None, web]) > 1:
         raise SceneError("`save`, `screenshot` and `web` exclude each other: choose one of them.")
     if at is not None and screenshot is None:
-        raise SceneError("`at` requires `screenshot`. Add `screenshot` FILE.png, or leave out `at`.")
+        raise SceneError("`at` requires `screenshot`. Add `screenshot` FILE.png, or omit `at`.")
     if speed != 1.0 and screenshot is not None:
-        raise SceneError("`speed` cannot be combined with `screenshot`. Leave one of them out.")
+        raise SceneError("`speed` cannot be combined with `screenshot`. Omit one of them.")
     if not isinstance(recording, Recording):
         with Recording(recording) as opened:
             return replay(

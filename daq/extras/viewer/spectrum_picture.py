@@ -15,9 +15,9 @@ from rig.core.base.figure_style import set_log_scale
 if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
-# Duration of a segment: the spacing of the lines is 0.25 Hz.
+# Duration of a segment, s; the spacing of the lines is therefore 0.25 Hz.
 _SEGMENT_S = 4.0
-# Maximum number of segments, which bounds the computing time of long recordings.
+# Maximum number of segments; it limits the computing time for long recordings.
 _MAX_SEGMENTS = 200
 # The picture fills its view without margins.
 _SIZE_INCH = (7.6, 3.6)
@@ -32,9 +32,9 @@ def peak_hold_spectrum(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return frequencies (Hz, without 0) and, at each, the largest amplitude over Hann-windowed segments of a channel.
 
-    The amplitude is in the unit of the channel: a tone of amplitude A gives A, a sweep its amplitude at each frequency.
-    Segments of up to 4 s overlap by half; at most `_MAX_SEGMENTS`, evenly spread, are used. The amplitude is
-    NaN if every segment has lost samples.
+    The amplitude is in the unit of the channel. For a tone it is the amplitude of the tone, for a sweep the amplitude
+    at each frequency. Segments of up to 4 s overlap by half; at most `_MAX_SEGMENTS`, evenly spread, are used. The
+    amplitude is NaN if every segment has lost samples.
     """
     segment_length = max(8, min(stop - start, round(_SEGMENT_S * recording.rate)))
     segment_count = min(_MAX_SEGMENTS, max(1, 2 * (stop - start) // segment_length - 1))

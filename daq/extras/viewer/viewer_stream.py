@@ -1,4 +1,4 @@
-"""Send the curves of channels and dampers, and the motion of the rig, to a viewer, block by block."""
+"""Sends the curves of channels and dampers, and the motion of the rig, to a viewer, block by block."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rig.core.scene.damper import Damper
 
 CONTACTS = ("flight", "floor", "ceiling", "lost")
-# Different in lightness, so that they remain distinct in a gray print.
+# Colors of different lightness, so that they remain distinct in a gray print.
 CONTACT_COLORS = (0x5AA0DCFF, 0x6B4423FF, 0xC4453BFF, 0x404040FF)
 # Quantities in the order of their plots: factor from SI to the displayed unit, and this unit.
 DISPLAY_UNITS = {
@@ -50,13 +50,14 @@ class CurveSender:
         self._last_contact: list[int] = [-1] * len(dampers)
 
         def curve_style(color: tuple[int, int, int], name: str) -> rr.SeriesLines:
-            # By default the viewer averages the samples of a pixel: a tone of high frequency would vanish.
+            # By default, the viewer averages the samples in a pixel, so that a tone of high frequency would vanish.
             return rr.SeriesLines(colors=[color], names=[name], widths=[1.2], aggregation_policy="MinMax")
 
         for name, info in channels.items():
             stream.log(channel_entity(info.quantity, name), curve_style(channel_color(info.at), name), static=True)
         contact_style = rr.StateConfiguration(
-            # Most contacts are shorter than their names; the title of the view has the colors.
+            # Labels are omitted, because most contacts are drawn shorter than their names; the title of the view
+            # explains the colors.
             values=list(CONTACTS),
             labels=[" "] * len(CONTACTS),
             colors=np.array(CONTACT_COLORS, dtype=np.uint32),
@@ -68,7 +69,7 @@ class CurveSender:
 
     def time_column(self, samples: NDArray[np.int64]) -> rr.TimeColumn:
         """Return the times of sample indices, counted from the start of the recording."""
-        # Durations stay far below the 2^53 ns up to which a double holds every nanosecond.
+        # Durations are far below 2^53 ns, up to which a double represents every nanosecond.
         nanoseconds = np.round(samples * (1e9 / self._rate)).astype("timedelta64[ns]")
         return rr.TimeColumn(TIMELINE, duration=nanoseconds)
 

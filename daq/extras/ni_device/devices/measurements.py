@@ -61,7 +61,7 @@ class Measurement:
 
     type: int  # NI's number
     units_setting: str  # name of the setting of the units of the readings
-    sensitivity_setting: str = ""  # setting of the sensitivity; the suffix `_units` gives the setting of its unit
+    sensitivity_setting: str = ""  # setting of the sensitivity; with the suffix `_units`, that of its unit
 
     def defaults(self) -> dict[str, Any]:
         """Return the settings of this type with their defaults."""

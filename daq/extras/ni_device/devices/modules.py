@@ -64,15 +64,15 @@ class Module:
     scene_rate: float | None = None  # rate of a converter without a preset, S/s, accepted in addition to `rates`
     couplings: tuple[Coupling, ...] = (Coupling.AC, Coupling.DC)
     terminal_configurations: tuple[TerminalConfiguration, ...] = (TerminalConfiguration.PSEUDO_DIFFERENTIAL,)
-    currents: tuple[float, ...] = (0.002,)  # of the supply of IEPE sensors, A
+    currents: tuple[float, ...] = (0.002,)  # currents of the supply of IEPE sensors, A
     supply_coupling: Literal["AC", "any"] = "any"  # coupling that the IEPE supply requires
     on_demand: bool = True  # inputs can be read without a sample clock; delta-sigma modules require a clock
     output_on_demand: bool = True  # outputs can be written without a sample clock
     teds: bool = True  # reads the electronic data sheets of sensors
     simultaneous: bool = True  # samples all inputs at the same time
-    chassis: str = ""  # empty for a separate device
-    slot: int = 0  # 0 for a separate device
-    number: int = 0  # NI's product number; 0 if not known
+    chassis: str = ""  # name of the chassis; empty for a separate device
+    slot: int = 0  # number of the slot; 0 for a separate device
+    number: int = 0  # NI's product number; 0 if unknown
 
     def coerced_rate(self, rate: float, output: bool) -> float:
         """Return the lowest rate of the sample clock of inputs or outputs, S/s, that is not below the requested rate.
@@ -105,12 +105,15 @@ class Module:
         )
 
     def channel_names(self, direction: str) -> list[str]:
-        """Return the names of its inputs ("ai") or outputs ("ao")."""
+        """Return the names of the module's inputs ("ai") or outputs ("ao")."""
         count = len(self.inputs if direction == "ai" else self.outputs)
         return [f"{self.name}/{direction}{number}" for number in range(count)]
 
     def bench_index(self, direction: str, number: int) -> int:
-        """Return the index of the bench's channel or output at a terminal; `DaqError` -200170 without this terminal."""
+        """Return the index of the bench's channel or output at a terminal.
+
+        Raise `DaqError` -200170 for an unknown terminal.
+        """
         bench_indices = {"ai": self.inputs, "ao": self.outputs}.get(direction, ())
         if not 0 <= number < len(bench_indices):
             raise self.channel_error(direction, number)
@@ -190,8 +193,8 @@ class Module:
 class DeviceList:
     """Finds devices by their names.
 
-    The device with an empty name has all inputs and outputs. It stands in for the devices that a script written for
-    other hardware names, such as Dev1.
+    The device with an empty name has all inputs and outputs. It replaces devices of other hardware, such as Dev1, that
+    a script names.
     """
 
     def __init__(self, modules: Sequence[Module]) -> None:

@@ -2,8 +2,8 @@
 
 A name of a device on the bench selects that device. Any other name that NI's driver typically assigns (`Dev1`,
 `cDAQ1Mod1`, `cDAQ9189-1D91958Mod1`, `PXI1Slot2`) selects a device with all inputs and outputs, so that scripts for
-other hardware run unchanged. Such devices are separate modules on the same sensors (a T-piece in every cable), but an
-output is the same under all names.
+other hardware run unchanged. Such devices are separate modules on the same sensors, as with a T-piece in every cable;
+an output is the same under all names.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Port(NamedTuple):
 
 
 def parse_port(name: str) -> Port:
-    """Return the physical channel of a name; `DaqError` -200170 if it is not the name of a physical channel.
+    """Return the physical channel with a name; raise `DaqError` -200170 if there is no such physical channel.
 
     >>> parse_port("cDAQ9189-1D91958Mod1/ai3")
     Port(device='cDAQ9189-1D91958Mod1', direction='ai', number=3)
@@ -73,7 +73,7 @@ def unflatten(names: str) -> list[str]:
 
 
 def _expand(item: str) -> list[str]:
-    """Return the names in a range, in its order."""
+    """Return the names in a range, in the order of the range."""
     match = re.fullmatch(r"(.*?)(\d{1,9}):(.*?)(\d{1,9})", item)
     if not match or (match[3] and match[3].lower() != match[1].lower()):
         raise DaqError(

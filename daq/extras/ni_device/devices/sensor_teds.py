@@ -1,4 +1,4 @@
-"""Electronic data sheets (TEDS) of the sensors in a scene's channels, as IEEE 1451.4 encodes them.
+"""Electronic data sheets (TEDS) of the sensors in a scene's channels, encoded by IEEE 1451.4.
 
 >>> from rig.core.scene.measurement_chain import Channel
 >>> channel = Channel(name="body1", at="body 1", accelerometer={"preset": "PCB 352C33"})
@@ -53,7 +53,7 @@ class ElectronicDataSheet:
 
     @property
     def bits(self) -> bytes:
-        """The basic data sheet of 64 bits, lowest first: 14, 15, 5, 6 and 24 bits for the numbers in their order."""
+        """The basic data sheet of 64 bits, lowest bit first; the numbers have 14, 15, 5, 6 and 24 bits."""
         letter = ord(self.version_letter) - ord("A") + 1
         value = self.manufacturer | self.model << 14 | letter << 29 | self.version << 34 | self.serial << 40
         return value.to_bytes(8, "little")

@@ -1,4 +1,4 @@
-"""Decodes transducer electronic data sheets (TEDS, IEEE 1451.4) of the sensors, or of files (virtual TEDS)."""
+"""Decodes transducer electronic data sheets (TEDS, IEEE 1451.4) from sensors, or from files (virtual TEDS)."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ _TEMPLATE_DATA_BIT = 74
 # By template number: position of the 16-bit sensitivity in the template's data, smallest sensitivity (V per unit), and
 # ratio of neighboring values. 25: accelerometer (m/s^2) or force transducer (N), 27: microphone (Pa).
 _SENSITIVITY = {25: (2, 5e-7, 1.0003), 27: (1, 1e-5, 1.0002)}
-# Size of the header of a file of virtual TEDS whose further bytes are single bits.
+# Size of the header of a virtual TEDS file in which each further byte represents one bit, bytes.
 _FILE_HEADER_BYTES = 40
 
 
 def basic_teds(data: bytes) -> dict[str, Any]:
-    """Return the values of the basic TEDS, the template number and the data themselves, by NI's names.
+    """Return the values of the basic TEDS, the template number and the raw data, by NI's names.
 
     `data` is the content of the sensor's memory without its checksums, which TEDS readers remove. Raises `DaqError`
-    -200826 if it is too short.
+    -200826 if `data` is too short.
 
     >>> values = basic_teds(bytes([17, 64, 0, 32, 4, 57, 48, 0, 120]))
     >>> values["teds_mfg_id"], values["teds_version_letter"], values["teds_serial_num"], values["teds_template_i_ds"]
@@ -83,7 +83,7 @@ def with_sensitivity(basic: bytes, template: int, volts_per_unit: float) -> byte
 class TedsMemory:
     """The TEDS of the sensors, and the virtual TEDS (files) that replace them.
 
-    `teds_of_sensor` returns the TEDS of the sensor at a terminal, None without TEDS.
+    `teds_of_sensor` returns the TEDS of the sensor at a terminal; None for a sensor without TEDS.
     """
 
     def __init__(self, teds_of_sensor: Callable[[Port], bytes | None]) -> None:
@@ -94,7 +94,7 @@ class TedsMemory:
         """Replace the TEDS of a sensor with a file; with an empty path, use the TEDS of the sensor."""
         if not path:
             self._virtual.pop(port.name.lower(), None)
-            self.data(port)  # Raises an error for a sensor without TEDS.
+            self.data(port)  # This raises an error for a sensor without TEDS.
             return
         try:
             data = read_file(Path(path))

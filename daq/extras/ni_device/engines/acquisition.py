@@ -31,8 +31,8 @@ class InputPlan:
     factors: NDArray[np.float64]  # reading per count (or per volt, if samples are volts), shape (channels,)
     scales: tuple[Scale | None, ...]  # custom scale of each channel
     rate: float  # samples per second
-    samples: int | None  # per channel in a record; None for a continuous acquisition
-    buffer_size: int  # samples per channel
+    samples: int | None  # samples per channel in a record; None for a continuous acquisition
+    buffer_size: int  # size of the buffer, samples per channel
     stops_when_full: bool = False  # stop instead of overwriting unread samples
     start: Source | None = None  # start trigger
     reference: Source | None = None  # reference trigger
@@ -63,17 +63,17 @@ class Acquisition:
     def __init__(self, plan: InputPlan, tick_rate: float, tick: int, dtype: Any) -> None:
         self.plan, self._per_tick = plan, samples_per_tick(plan.rate, tick_rate)
         self.ring = RingBuffer(len(plan.bench_indices), 2 * plan.buffer_size, dtype)
-        self.overloads = RingBuffer(len(plan.bench_indices), 2 * plan.buffer_size, bool)  # flag of each sample
+        self.overloads = RingBuffer(len(plan.bench_indices), 2 * plan.buffer_size, bool)  # overload flag of each sample
         self.position = 0  # read position: index of the sample that is read next
-        self.first_instant: int | None = None  # of the current record; None before the start trigger
-        self.trigger_sample: int | None = None  # index of the sample at the reference trigger; None before it
-        self.done = False  # complete or stopped; with `error` if stopped by one
+        self.first_instant: int | None = None  # start of the current record; None before the start trigger
+        self.trigger_sample: int | None = None  # index of the sample at the reference trigger; None before the trigger
+        self.done = False  # complete, or stopped (by `error`, if there is one)
         self.error: DaqError | None = None
-        self.overloaded = np.zeros(len(plan.bench_indices), bool)  # flag of each channel since it was last queried
+        self.overloaded = np.zeros(len(plan.bench_indices), bool)  # overload flag of each channel since the last query
         self._has_overflowed = False
-        self._loss_reported_up_to = 0  # loss of samples before this number has been reported
+        self._loss_reported_up_to = 0  # the loss of samples before this number has been reported
         self._record_start = 0  # index of the first sample of the current record
-        # Number and instant of the first sample of each record, in temporal order.
+        # Number and instant of the first sample of each record, in order of time.
         self._records: deque[tuple[int, int]] = deque(maxlen=1000)
         self._record_end: int | None = None  # index of the sample after the current record; None while it is unknown
         instant = first_sample(self._per_tick, tick)
@@ -103,7 +103,10 @@ class Acquisition:
 
     @property
     def readable_end(self) -> int:
-        """Number of the sample after the last readable one; with a reference trigger, 0 until it is complete."""
+        """Number of the sample after the last readable sample.
+
+        With a reference trigger, 0 until the record is complete.
+        """
         return 0 if self.plan.reference is not None and not self.done else self.ring.written
 
     @property
@@ -162,7 +165,7 @@ class Acquisition:
         return self.position + samples - self.ring.written
 
     def start_tick(self, reference: bool, tick: int) -> int | None:
-        """Return the tick of the start or, with `reference`, of the reference trigger; None if it is still unknown.
+        """Return the tick of the start or, with `reference`, of the reference trigger; None if still unknown.
 
         `tick` is the current tick.
         """
@@ -195,7 +198,9 @@ class Acquisition:
             offset += self._store(instant + offset, selected[:, offset:], flags[:, offset:], event_tick)
 
     def _find_start(self, first: int, samples: NDArray[Any], offset: int, event_tick: EventTick) -> int | None:
-        """Return the index of the start trigger in a block whose first sample is at instant `first`; None without it.
+        """Return the index of the start trigger in a block whose first sample is at instant `first`.
+
+        The result is None without a trigger.
 
         Samples before the index `offset` are ignored.
         """
@@ -213,7 +218,7 @@ class Acquisition:
     ) -> int | None:
         """Return the index of the first sample, after `skip`, that fires a trigger in any channel; None without it.
 
-        Every finder processes all samples, so that its state stays correct.
+        Every finder processes all samples, so that its state remains correct.
         """
         indices = [finder.find(self.plan.to_units(channel, samples[channel]), skip) for channel, finder in finders]
         return min((index for index in indices if index is not None), default=None)

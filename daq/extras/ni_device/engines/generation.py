@@ -1,4 +1,4 @@
-"""A running output task: plays the samples of its buffer from its start trigger on, at the rate of the task.
+"""A running output task: outputs the samples of its buffer from its start trigger on, at the rate of the task.
 
 A tick is one time step of the simulated bench.
 """
@@ -21,7 +21,8 @@ from rig.core.base.arrays import Array
 class OutputBuffer:
     """Samples to play, V, in a ring buffer that is played in a loop.
 
-    `size` is its capacity, samples per channel. If None, the buffer grows with every write until the task starts.
+    `size` is the capacity of the buffer, samples per channel. If None, the buffer grows with every write until the task
+    starts.
     """
 
     def __init__(self, channels: int, size: int | None) -> None:
@@ -77,9 +78,9 @@ class Generation:
         self.plan, self.buffer, self.last_volts = plan, buffer, last_volts
         self.generated = 0  # samples per channel
         self._ticks = 0  # ticks since the first sample
-        self.done = False  # complete, or stopped by `error`; the output keeps its last value
+        self.done = False  # complete, or stopped by `error`; the output remains at its last value
         self.error: DaqError | None = None
-        self.armed_tick = tick  # from which the start trigger is awaited
+        self.armed_tick = tick  # tick from which the start trigger is awaited
         self.first_tick: int | None = tick if plan.start is None else None  # of the first sample
 
     @property
@@ -93,7 +94,7 @@ class Generation:
             self.first_tick = self.armed_tick
 
     def start_tick(self, reference: bool, tick: int) -> int | None:
-        """Return the tick of the start, None if it is still unknown; `tick` is the present tick.
+        """Return the tick of the start; None if it is still unknown. `tick` is the present tick.
 
         With `reference`, the result is None, because an output has no reference trigger.
         """
@@ -104,7 +105,10 @@ class Generation:
         return self.first_tick
 
     def ticks_to_end(self) -> int:
-        """Return a lower bound of the ticks until the generation is complete; the ticks in 10 ms if it is unknown."""
+        """Return a lower bound of the ticks until the generation is complete.
+
+        The ticks in 10 ms if the end is unknown.
+        """
         if self.first_tick is None or self.plan.samples is None:
             return max(1, int(self.plan.tick_rate / 100))
         return max(1, self.ticks_until(self.plan.samples))

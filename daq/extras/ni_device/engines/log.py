@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 class MarkedRecording:
     """A recording in the format of `daq record` with markers at its overloads, without the simulated true motion.
 
-    `rate` is in samples per second, `start_ns` the time of the first sample since 1970, ns.
+    `rate` is in samples per second; `start_ns` is the time of the first sample in ns since 1970.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class MarkedRecording:
         self._recorder.close(*self._outcome)
 
     def end_with(self, error: Exception) -> Exception:
-        """Complete the file after an error as far as possible; return the error with what the file contains."""
+        """Complete the file after an error as far as possible; return the error with the content of the file."""
         try:
             with self._recorder:
                 raise error
@@ -178,9 +178,9 @@ _File = MarkedRecording | _Tdms
 class TaskLog:
     """The log of one run of a task.
 
-    With `LOG_AND_READ`, samples are logged when the script reads, and at the end; samples that are overwritten before
-    the read are a gap in the log. With `LOG`, samples are logged as they are acquired. While the log is paused, samples
-    are omitted. If writing fails, the file is completed and the log ends.
+    With `LOG_AND_READ`, samples are logged when the script reads, and at the end. Samples that are overwritten before
+    they are read are a gap in the log. With `LOG`, samples are logged as they are acquired. While the log is paused,
+    samples are omitted. If writing fails, the file is completed and the log ends.
 
     `open_file` opens a file by its path and the index of its first sample. `settings` contain the logging mode, the
     path, the samples per file, and whether the log is paused.
@@ -192,7 +192,7 @@ class TaskLog:
         self._first_path, self._file_number = Path(self._settings["logging_file_path"]), 0
         self._file = open_file(self._first_path, 0)
         self._next: int | None = None  # index of the sample that is logged next
-        self._samples_in_file = 0  # of the present file
+        self._samples_in_file = 0  # index of the first sample of the present file
         self._has_ended = False
 
     def start_new_file(self, path: Path, acquisition: Acquisition) -> None:
@@ -203,7 +203,7 @@ class TaskLog:
             self._file, self._samples_in_file = self._open(path, self._next or 0), 0
 
     def write_new(self, acquisition: Acquisition) -> None:
-        """Log the samples acquired since the last call; raise `DaqError` if the log ends because writing fails."""
+        """Log the samples acquired since the last call; raise `DaqError` if writing fails, which ends the log."""
         if not self._has_ended:
             with self._ended_on_failure():
                 self._write_new(acquisition)
@@ -260,9 +260,9 @@ class TaskLog:
 def open_log(name: str, task: TaskSettings, bench: Bench, plan: InputPlan, time_ns: Callable[[int], int]) -> TaskLog:
     """Open a log for a task at its start.
 
-    `name` is the name of the task, `task` its settings. The suffix of the log's path, `.mcap` or `.tdms`, selects the
-    format. `time_ns` returns the time of a sample, ns, from its number. Raises `DaqError` if the file cannot be opened
-    with these settings.
+    `name` is the name of the task, `task` contains its settings. The suffix of the log's path, `.mcap` or `.tdms`,
+    selects the format. `time_ns` returns the time of a sample, ns, from its number. Raises `DaqError` if the file
+    cannot be opened with these settings.
     """
     settings = task.groups["read"]
     infos = [replace(bench.channels[bench_index], rate=plan.rate) for bench_index in plan.bench_indices]
@@ -307,7 +307,7 @@ def _with_names(channels: Sequence[ChannelInfo], names: Sequence[str]) -> list[C
     """Set the names of channels in a recording: the name in the script, otherwise the name on the bench.
 
     A channel without a name in the script has the name of its terminal, which contains a slash. If two modules read one
-    sensor, the device is added to its name on the bench.
+    sensor, the name of the device is added to the name on the bench.
     """
     named: list[ChannelInfo] = []
     for info, name in zip(channels, names, strict=True):

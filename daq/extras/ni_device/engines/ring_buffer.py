@@ -36,8 +36,8 @@ def allocate(channels: int, samples: int, dtype: DTypeLike = np.float64) -> NDAr
 class RingBuffer:
     """The last `size` samples of a stream whose samples are numbered from 0.
 
-    `size` is in samples per channel, `dtype` the type of a sample. `written` counts the samples per channel written so
-    far: it is the index of the next sample. Raises `DaqError` -200077 if there is not enough memory.
+    `size` is in samples per channel, `dtype` the type of a sample. `written` is the number of samples per channel
+    written so far, which is the index of the next sample. Raises `DaqError` -200077 if there is not enough memory.
 
     >>> ring = RingBuffer(1, 4, float)
     >>> ring.write(np.arange(6.0)[None])

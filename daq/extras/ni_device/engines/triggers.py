@@ -1,9 +1,9 @@
 """Detects triggers: start triggers of acquisitions and outputs, and reference triggers of acquisitions.
 
 A rising analog edge is at the first sample *above* the level after a sample at or below ``level - hysteresis``. A
-falling edge is the mirror image. A window trigger is at the first sample inside the window after a sample outside,
-or the reverse. A start trigger's sample is the first of the record, a reference trigger's sample has the index
-`pretrigger_samples` in it.
+falling edge is the mirror image. A window trigger is at the first sample inside the window after a sample outside, or
+the reverse. The sample of a start trigger is the first sample of the record. The sample of a reference trigger has the
+index `pretrigger_samples` in the record.
 
 Digital edges are signals at terminals. Every PFI line of the chassis carries the sync output of the bench, one pulse
 per second: it rises at 1 s, 2 s, ... of bench time and falls half a second later. `ai/StartTrigger`,
@@ -32,7 +32,8 @@ Condition = Callable[[NDArray[np.float64]], tuple[NDArray[np.bool_], NDArray[np.
 def edge(slope: Slope, level: float, hysteresis: float = 0.0) -> Condition:
     """Return the condition of a level crossing.
 
-    A sample at least `hysteresis` before the level arms the trigger; both are in the unit of the samples.
+    A sample at least `hysteresis` before the level arms the trigger; hysteresis and level are in the unit of the
+    samples.
     """
     sign = 1.0 if slope == Slope.RISING else -1.0
     return lambda x: (sign * x > sign * level, sign * x <= sign * level - hysteresis)
@@ -49,7 +50,7 @@ def window(condition: WindowCondition, bottom: float, top: float) -> Condition:
 
 
 class CrossingFinder:
-    """Finds the sample that fires a trigger: the first to do so after the trigger was armed.
+    """Finds the sample that fires a trigger: the first such sample after the trigger was armed.
 
     >>> finder = CrossingFinder(edge(Slope.RISING, 1.0))
     >>> finder.find(np.array([2.0, 1.0, 1.5, 3.0]))
@@ -87,7 +88,7 @@ class CrossingFinder:
 
 @dataclass(frozen=True)
 class AnalogSource:
-    """Analog triggers on channels of a task; the first to fire counts."""
+    """Analog triggers on channels of a task; the first trigger to fire is used."""
 
     conditions: tuple[tuple[int, Condition], ...]  # index of the channel in the task, and its condition
 
@@ -114,7 +115,7 @@ class SyncPulse:
 class AtTime:
     """A start at a given time."""
 
-    seconds: float  # of bench time, from power-on
+    seconds: float  # time on the bench since power-on, s
 
     def next_instant(self, earliest: int, rate: float) -> int:
         """Return the index of the first sample at or after the time, at least `earliest`; see `SyncPulse`."""

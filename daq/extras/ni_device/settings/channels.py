@@ -76,8 +76,8 @@ class Channel:
     module: Module
     bench_index: int  # index of the bench's channel or output at the terminal
     measurement: Measurement | None  # None for an output
-    defaults: dict[str, Any]  # by NI-DAQmx property name
-    settings: dict[str, Any]  # by NI-DAQmx property name
+    defaults: dict[str, Any]  # default values by NI-DAQmx property name
+    settings: dict[str, Any]  # present values by NI-DAQmx property name
     unset_limits: set[str] = field(default_factory=set)  # limits that a script has reset and must set again
 
     @classmethod
@@ -157,7 +157,7 @@ class Channel:
         """
         settings, module = self.settings, self.module
         for name in self.unset_limits:
-            self.get(name)  # Raises the error of the missing limit.
+            self.get(name)  # This raises the error for a missing limit.
         low, high = settings[f"{self.direction}_min"], settings[f"{self.direction}_max"]
         if not low < high:
             raise DaqError(
@@ -172,7 +172,7 @@ class Channel:
             )
 
     def check(self) -> None:
-        """Check that the settings are consistent and that the module supports them; `DaqError` if not."""
+        """Raise `DaqError` unless the settings are consistent and the module supports them."""
         settings = self.settings
         if self.measurement is not None:
             self.measurement.check_units(settings)
@@ -194,7 +194,7 @@ class Channel:
             )
         if self.measurement is None:
             return
-        # Name and value of a setting, the named values of this setting, and those that the module supports.
+        # Name and value of a setting, all named values of this setting, and the values that the module supports.
         choices: tuple[tuple[str, int, type[IntEnum], tuple[IntEnum, ...]], ...] = (
             (
                 "terminal configuration",
@@ -216,7 +216,8 @@ class Channel:
     def get(self, name: str) -> Any:
         """Return a property by NI's name.
 
-        Raises `DaqError` -200452 if channels of this direction do not have it, -200694 or -200695 for a reset limit.
+        Raises `DaqError` -200452 if channels of this direction do not have the property, -200694 or -200695 for a reset
+        limit.
         """
         if name in self.unset_limits:
             raise DaqError(
@@ -268,7 +269,7 @@ _COMMON: dict[str, Any] = {"physical_chan_name": lambda channel: channel.port.na
 _INPUT_COMPUTED: dict[str, Any] = _COMMON | {
     "chan_type": lambda channel: _ANALOG_INPUT,
     "ai_meas_type": lambda channel: channel.measurement.type,
-    # Scripts read the limits of the range that the module uses.
+    # A script reads the limits of the range that the module uses.
     "ai_max": lambda channel: _limit(channel, 1.0),
     "ai_min": lambda channel: _limit(channel, -1.0),
     "ai_rng_high": lambda channel: channel.range,

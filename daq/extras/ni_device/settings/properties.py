@@ -183,7 +183,7 @@ class Properties:
 
     def reset(self, name: str) -> None:
         """Reset a setting to its default."""
-        self[name]  # Raises an error for an unknown name.
+        self[name]  # This raises an error for an unknown name.
         self._set.pop(name, None)
 
     def was_set(self, name: str) -> bool:

@@ -10,9 +10,9 @@ from daq.extras.ni_device.errors import Code, DaqError, invalid_value
 from daq.extras.ni_device.settings.properties import coerce
 from rig.core.base.arrays import Array
 
-# Maximum number of points of a least-squares fit, which limits its time.
+# Maximum number of points of a least-squares fit; it limits the computing time.
 _MAX_POINTS = 100_000
-# Maximum order of its polynomial.
+# Maximum order of the fitted polynomial.
 _MAX_ORDER = 50
 # NI's numbers of the types of scales.
 LINEAR, MAP_RANGES, POLYNOMIAL, TABLE = 10447, 10448, 10449, 10450
@@ -33,7 +33,7 @@ class Scale:
                 raise invalid_value(f"{name} of a scale is {str(value)[:80]}. Give finite numbers.")
             if value == [] and name != "poly_reverse_coeff":
                 raise invalid_value(f"{name} of a scale is empty. Give at least one number.")
-        self.convert(np.zeros(1))  # Raises an error if the settings are invalid.
+        self.convert(np.zeros(1))  # This raises an error if the settings are invalid.
 
     def changed(self, name: str, value: Any) -> Scale:
         """Return the scale with a changed parameter.
@@ -49,7 +49,7 @@ class Scale:
         return Scale(settings["type"], settings | {name: coerce(name, value, settings[name])})
 
     def convert(self, values: Array) -> Array:
-        """Return scaled readings, of the same shape; `DaqError` if the scale is invalid."""
+        """Return scaled readings of the same shape; raise `DaqError` if the scale is invalid."""
         settings = self.settings
         if settings["type"] == LINEAR:
             scaled = settings["lin_slope"] * values + settings["lin_y_intercept"]
@@ -103,6 +103,6 @@ def reverse_polynomial(forward: list[float], low: float, high: float, points: in
             "the values of the polynomial between the limits are too large for its inverse. Give finite and narrower "
             "limits, smaller coefficients or a lower order."
         )
-    # With full=True, numpy returns the fit diagnostics and does not warn of a poor fit.
+    # With full=True, numpy returns the fit diagnostics and does not warn about a poor fit.
     fitted, _ = np.polynomial.polynomial.polyfit(y, x, degree, full=True)
     return [float(coefficient) for coefficient in fitted]

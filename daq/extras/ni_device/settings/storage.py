@@ -28,7 +28,7 @@ class Storage:
     authors: dict[str, str] = field(default_factory=dict)  # of tasks, channels and scales, by name
 
     def store(self, saved: dict[str, Value], name: str, value: Value) -> None:
-        """Store a value under a name; `DaqError` -200077 if the maximum number of values is stored."""
+        """Store a value under a name; raise `DaqError` -200077 if the maximum number of values is already stored."""
         if name not in saved and len(saved) >= MAX_SAVED:
             raise invalid_value(
                 f"{name!r} cannot be saved: the maximum is {MAX_SAVED} tasks, {MAX_SAVED} channels and {MAX_SAVED} "

@@ -81,7 +81,7 @@ class TaskSettings:
         return self._scales[channel.scale_name]
 
     def require(self, direction: str) -> None:
-        """Raise `DaqError` unless the task has channels of this direction: -200460 for inputs, -200459 for outputs."""
+        """Raise `DaqError` if the task has no channels of this direction: -200460 for inputs, -200459 for outputs."""
         if self.direction != direction:
             name, code = {
                 "ai": ("input", Code.READ_NO_INPUT_CHANS_IN_TASK),
@@ -184,7 +184,7 @@ class TaskSettings:
     def samples_per_channel(self) -> int:
         """Samples per channel of a finite task, or minimum size of the buffer of a continuous task.
 
-        Raises `DaqError` -200077 for fewer than 2 with a sample clock.
+        Raises `DaqError` -200077 for fewer than 2 samples with a sample clock.
         """
         samples = int(self.groups["timing"]["samp_quant_samp_per_chan"])
         if samples < 2 and self.has_sample_clock:

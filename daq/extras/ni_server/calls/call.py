@@ -26,8 +26,8 @@ class Call:
     instrument: ServedInstrument
     peer: str  # address of the client
     message: Any = None  # request, as a protobuf message
-    fields: dict[str, Any] = field(default_factory=dict)  # of the request, see `daq.extras.ni_server.protocol.decode`
-    strict: bool = False  # a duplicate name of a task is the error of NI's driver, not that of a session
+    fields: dict[str, Any] = field(default_factory=dict)  # fields of the request, see `decode` in `protocol`
+    strict: bool = False  # for a duplicate task name, report the error of NI's driver instead of the error of a session
     is_active: Callable[[], bool] = lambda: True  # returns whether the client still waits for the response
 
     @property

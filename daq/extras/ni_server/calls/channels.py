@@ -1,4 +1,4 @@
-"""Handlers of the calls that create channels. TEDS: electronic data sheet in a sensor (IEEE 1451.4)."""
+"""Handlers of the calls that create channels. A TEDS is the electronic data sheet in a sensor (IEEE 1451.4)."""
 
 from __future__ import annotations
 

@@ -13,7 +13,8 @@ from daq.extras.ni_server.attributes import attribute_handler
 from daq.extras.ni_server.calls import channels, samples, settings, tasks
 from daq.extras.ni_server.calls.call import Call, Handler
 
-# Names of the calls that create inputs, and of those that create any channel (A: analog, C: counter, D: digital).
+# Patterns of the names of calls that create inputs, and of calls that create any channel (A: analog, C: counter, D:
+# digital).
 _CREATE_INPUT = re.compile(r"Create(TEDS)?AI(\w+)Chan")
 _CREATE_CHANNEL = re.compile(r"Create(TEDS)?([ACD][IO])(\w*Chan\w*)")
 # Boundaries between the words of a call's name.
@@ -65,7 +66,7 @@ def rejection(method: str) -> Callable[[Call], NoReturn]:
         for terminal in unflatten(terminals):
             port = parse_port(terminal)
             module = modules.module(port.device)
-            module.bench_index(port.direction, port.number)  # Raises an error if the channel does not exist.
+            module.bench_index(port.direction, port.number)  # This raises an error if the channel does not exist.
             raise module.unsupported_measurement_error(f"{port.name}: {function}")
         raise unsupported(function)
 

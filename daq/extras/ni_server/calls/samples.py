@@ -12,11 +12,11 @@ from daq.extras.ni_device.task import Task
 from daq.extras.ni_device.task_input import ReadResult
 from daq.extras.ni_server.calls.call import Call, Handler, ResponseFields
 
-# NI's number of the sample order in an array: all samples of one channel, then those of the next.
+# NI's number for the order of samples in an array: all samples of one channel, then all of the next channel.
 _BY_CHANNEL = 0
 # Time from the beginning of 1904 to the beginning of 1970 (UTC), s.
 _SECONDS_1904_TO_1970 = 2_082_844_800
-# Integer types in which calls transfer counts, by their names in calls; unsigned types contain the two's complement.
+# Integer types in which calls transfer counts, by the names in the calls; unsigned types contain the two's complement.
 _CountType = type[np.signedinteger[Any]] | type[np.unsignedinteger[Any]]
 _COUNT_TYPES: dict[str, _CountType] = {"I16": np.int16, "I32": np.int32, "U16": np.uint16, "U32": np.uint32}
 
@@ -90,7 +90,7 @@ def _read_scalar(call: Call) -> ResponseFields:
 
 
 def _read_raw(call: Call) -> ResponseFields:
-    """Read counts as the bytes of 16-bit or 32-bit integers, whichever the converter requires."""
+    """Read counts as the bytes of 16-bit or 32-bit integers, according to the resolution of the converter."""
     fields, task = call.fields, call.task
     task.settings.require("ai")
     width, array_bytes = task.raw_width, fields["array_size_in_bytes"]
@@ -137,8 +137,8 @@ def _read_waveforms(call: Call) -> ResponseFields:
 def _rows_by_channel(task: Task, data: NDArray[np.float64], samples: int, by_channel: bool) -> NDArray[np.float64]:
     """Return an array of a client, in volts or counts, in the shape (channels, samples).
 
-    `samples` is the number per channel. With `by_channel`, the array has all samples of one channel, then the next.
-    Otherwise it has the first samples of all channels, then the second.
+    `samples` is the number per channel. With `by_channel`, the array has all samples of one channel, then all of the
+    next channel. Otherwise it has the first samples of all channels, then the second samples.
     """
     channels = len(task.settings.channels) or 1
     if data.size != channels * samples:

@@ -64,7 +64,10 @@ def _export_signal(call: Call) -> None:
 
 
 def _timestamp(event: TimestampEvent | None) -> Handler:
-    """Return the handler that waits for an event and returns its time; if it is None, the call specifies it."""
+    """Return the handler that waits for an event and returns its time.
+
+    With `event` None, the call specifies the event.
+    """
 
     def get_time(call: Call) -> ResponseFields:
         requested_event = event

@@ -44,7 +44,7 @@ def _nth_name(list_names: Callable[[Task], list[str]]) -> Handler:
 
 
 def _check_device(call: Call) -> ResponseFields:
-    """Check that the device exists: a simulated device needs no other action; `DaqError` -200220 if it does not."""
+    """Raise `DaqError` -200220 if the device does not exist; a simulated device needs no other action."""
     call.instrument.chassis.devices.module(call.fields["device_name"])
     return {}
 
@@ -62,7 +62,7 @@ def _teds(action: str) -> Handler:
 
     def handle(call: Call) -> None:
         teds, port = call.instrument.teds, parse_port(call.fields["physical_channel"])
-        # Raises an error if the channel does not exist.
+        # This raises an error if the channel does not exist.
         call.instrument.chassis.devices.module(port.device).bench_index(port.direction, port.number)
         path = call.fields.get("file_path", "")
         if action == "configure":

@@ -1,6 +1,7 @@
 """Startup code of Python in a process of `daq run`: Python imports the first module `sitecustomize` on its path.
 
-This folder, which is not a package, is the first on the path. The next module of this name is then also executed.
+This folder, which is not a package, is the first on the path. The next module of this name on the path is then executed
+too.
 """
 
 import importlib.machinery

@@ -20,6 +20,7 @@ from rig.core.base.output_files import (
     csv_text,
     file_stem,
     prepare_outputs,
+    temporary_folder,
 )
 
 
@@ -155,6 +156,21 @@ def test_temporary_file_of_a_killed_process_is_removed(tmp_path: Path) -> None:
         assert temporary.exists() and other.exists() and not left.exists()
     assert list(tmp_path.iterdir()) == [path]
     killed.wait()
+
+
+def test_temporary_folder_of_a_killed_process_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = (
+        "import os; from rig.core.base.output_files import temporary_folder\n"
+        "with temporary_folder() as folder:\n"
+        "    (folder / 'size.mcap').touch(); os.kill(os.getpid(), 9)"
+    )
+    subprocess.run([sys.executable, "-c", code], env={**os.environ, "TMPDIR": str(tmp_path)}, check=False)
+    (left,) = tmp_path.iterdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with temporary_folder() as folder, temporary_folder() as other:
+        # The folders of running processes stay.
+        assert folder.exists() and other.exists() and not left.exists()
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("answer", [True, False])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -13,6 +12,7 @@ from analysis.core.modal.modes import Modes
 from analysis.core.recordings.slices import Slice
 from rig.core.base.arrays import Array
 from rig.core.base.errors import SceneError
+from rig.core.base.output_files import temporary_folder
 from rig.core.results.universal_file import QUANTITY_NUMBERS, text_line, universal_file, write_set
 
 # Maximum number of samples of a channel: 340 MB of text.
@@ -74,8 +74,8 @@ def _write_pieces(file: BinaryIO, fields: dict[str, Any], count: int, pieces: It
     """
     import pyuff
 
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "piece.uff"
+    with temporary_folder() as folder:
+        path = folder / "piece.uff"
         write_set(pyuff.UFF(str(path)), {**fields, "data": next(pieces)})
         *lines, delimiter = path.read_bytes().splitlines(keepends=True)
     # The ninth line begins with the data type and the number of samples, in ten columns each.

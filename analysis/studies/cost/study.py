@@ -6,7 +6,6 @@ of the chain is changed at a time. Each measured compliance is compared with the
 
 from __future__ import annotations
 
-import tempfile
 import time
 import warnings
 from collections.abc import Sequence
@@ -23,6 +22,7 @@ from daq.core.measurement.run import record
 from daq.core.recording.recording import open as open_recording
 from rig.core.base.arrays import ComplexArray
 from rig.core.base.errors import RunError, ShotrigError
+from rig.core.base.output_files import temporary_folder
 from rig.core.base.progress import CountProgress
 from rig.core.scene.excitation import Measure, Settle, SteppedSine
 from rig.core.scene.scene import Scene
@@ -115,8 +115,8 @@ def chain_study(
     )
     peak_frequency = test_frequencies[int(np.argmax(_accelerations(expanded, test_frequencies)))]
     linear = assemble(expanded).dampers == 0
-    with tempfile.TemporaryDirectory() as folder:
-        bench = _Bench(Path(folder), linear)
+    with temporary_folder() as folder:
+        bench = _Bench(folder, linear)
         # Run once without measurement, so that the cost excludes compilation; this run also yields the
         # largest voltage.
         try:

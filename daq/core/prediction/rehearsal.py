@@ -5,11 +5,9 @@ The size of the recording is estimated by recording a few blocks.
 
 from __future__ import annotations
 
-import tempfile
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -22,6 +20,7 @@ from daq.core.measurement.bench_loop import BenchLoop
 from daq.core.recording.recorder import Recorder
 from daq.core.virtual_bench.bench import Bench, Block
 from rig.core.base.arrays import Array
+from rig.core.base.output_files import temporary_folder
 from rig.core.scene.scene import Scene
 from rig.core.scene.shaker import Load, at_shaker
 
@@ -197,8 +196,8 @@ class Rehearsal(BenchLoop):
 
 def recording_size(scene: Scene, bench: Bench, blocks: Iterable[Block], seconds: float) -> float:
     """Return the estimated size in bytes of the recording of a test that takes `seconds`, from some of its blocks."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "size.mcap"
+    with temporary_folder() as folder:
+        path = folder / "size.mcap"
         written_samples = 0
         with Recorder(path, scene, bench.channels, bench.rate) as recorder:
             empty_size = recorder.size

@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import math
 import sys
-import tempfile
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +18,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from daq.extras.bench_page.page import REFRESH_S, Page
+from rig.core.base.output_files import temporary_folder
 
 if TYPE_CHECKING:
     from starlette.requests import Request
@@ -98,8 +98,8 @@ class Application:
         paths, number = self._bench.recordings.paths, request.path_params["number"]
         if not 0 < number <= len(paths):
             return PlainTextResponse("There is no such recording.", 404)
-        with tempfile.TemporaryDirectory(prefix="shotrig-report-") as folder:
-            output = Path(folder) / "report.html"
+        with temporary_folder() as folder:
+            output = folder / "report.html"
             process = await asyncio.create_subprocess_exec(
                 sys.executable, "-m", "analysis", "report", str(paths[number - 1]), "-o", str(output),
                 stdout=asyncio.subprocess.DEVNULL, stderr=asyncio.subprocess.PIPE,

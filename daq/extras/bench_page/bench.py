@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import socket
 import sys
-import tempfile
 import threading
 import time
 from pathlib import Path
@@ -17,6 +16,7 @@ from daq.extras.ni_server.bench_time import BenchTime
 from daq.extras.ni_server.serve import collect_garbage_often, parse_address, wait_for_signal
 from daq.extras.ni_server.service import Server
 from rig.core.base.errors import RunError, SceneError
+from rig.core.base.output_files import temporary_folder
 
 if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
@@ -90,7 +90,7 @@ def bench(
         collect_garbage_often()
         print(f"{address}\nNI clients: 127.0.0.1:{server.port}. Ctrl-C ends the bench.", flush=True)
         if browser:
-            _open_browser(address, Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="shotrig-bench-"))))
+            _open_browser(address, stack.enter_context(temporary_folder()))
         wait_for_signal()
         monitor, end = live_bench.monitor, "the bench has ended"
         if monitor.lost_samples:

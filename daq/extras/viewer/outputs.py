@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-import tempfile
 import threading
 import webbrowser
 from collections.abc import Callable, Iterator
@@ -29,7 +28,7 @@ from daq.extras.viewer.rerun_viewer import (
     viewer,
 )
 from rig.core.base.errors import RunError, SceneError
-from rig.core.base.output_files import atomic_write, prepare_outputs
+from rig.core.base.output_files import atomic_write, prepare_outputs, temporary_folder
 from rig.core.base.progress import FractionProgress
 
 APPLICATION = "shotrig"
@@ -126,8 +125,8 @@ def draw_picture(
             f"`at` {time_s:g} s is outside the replay. Give {replay.start / rate:g} s to {replay.stop / rate:g} s."
         )
     prepare_outputs(file)
-    with tempfile.TemporaryDirectory(prefix="shotrig-") as folder:
-        rrd_path = Path(folder) / "replay.rrd"
+    with temporary_folder() as folder:
+        rrd_path = folder / "replay.rrd"
         save(replay, rrd_path, progress)
         window_size = size[0], size[1] + _MENU_PIXELS
         png, views = headless_picture(

@@ -156,16 +156,35 @@ def atomic_write(path: Path, overwrite: bool = False) -> Iterator[Path]:
 
 def _new_temporary(file: Path) -> Path:
     """Return the name of a temporary file for an output, and remove those that killed processes have left."""
-    import platform
+    prefix = _remove_leftovers(file.parent, _digest(file.name))
+    return file.with_name(f"{prefix}{os.urandom(4).hex()}{file.suffix}")
 
-    # The name contains a digest of the output, and host and process that write it.
-    prefix = f".{_digest(file.name)}-{_digest(platform.node())}-"
-    for other in file.parent.glob(f"{prefix}*"):
+
+@contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """Create a folder for temporary files, which is removed afterwards, as are those of killed processes."""
+    from tempfile import TemporaryDirectory, gettempdir
+
+    with TemporaryDirectory(prefix=_remove_leftovers(Path(gettempdir()), "shotrig")) as folder:
+        yield Path(folder)
+
+
+def _remove_leftovers(folder: Path, label: str) -> str:
+    """Remove temporary files and folders of ended processes; return the prefix of the names of this process."""
+    import platform
+    import shutil
+
+    # The name contains the host and the process that writes.
+    prefix = f".{label}-{_digest(platform.node())}-"
+    for other in folder.glob(f"{prefix}*"):
         process = other.name.removeprefix(prefix).partition("-")[0]
         if process.isdecimal() and not _is_running(int(process)):
-            with suppress(OSError):
-                other.unlink()
-    return file.with_name(f"{prefix}{os.getpid()}-{os.urandom(4).hex()}{file.suffix}")
+            if other.is_dir():
+                shutil.rmtree(other, ignore_errors=True)
+            else:
+                with suppress(OSError):
+                    other.unlink()
+    return f"{prefix}{os.getpid()}-"
 
 
 def _digest(text: str) -> str:

@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RunError
+from rig.core.base.output_files import temporary_folder
 from rig.core.scene.damper import Grains
 from rig.core.system.spheres import Spheres
 from rig.extras.grains.lammps_library import new_lammps
@@ -64,8 +63,8 @@ class Bed:
 
         This bed and a resumed bed both recompute neighbor lists and forces, so that they continue bit-identically.
         """
-        with TemporaryDirectory() as folder:
-            file = Path(folder) / "bed"
+        with temporary_folder() as folder:
+            file = folder / "bed"
             self._command(f'write_restart "{file}"', "run 0 post no")
             # With several ranks, the first writes the state of all.
             return file.read_bytes() if file.exists() else b""
@@ -74,8 +73,8 @@ class Bed:
         """Continue from a state of the same grains in the same cavity."""
         self._lammps.close()
         self._lammps = self._new_lammps()
-        with TemporaryDirectory() as folder:
-            file = Path(folder) / "bed"
+        with temporary_folder() as folder:
+            file = folder / "bed"
             file.write_bytes(stored)
             self._command(*_SETUP_COMMANDS, f'read_restart "{file}"')
             self._define_model()

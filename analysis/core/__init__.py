@@ -1,1 +1,1 @@
-"""What every analysis uses."""
+"""Core of the package: modules on which every analysis depends."""

@@ -1,1 +1,1 @@
-"""Claims of the paper; error of the measuring chain."""
+"""Studies: the claims of the paper, and the error of the measurement chain."""

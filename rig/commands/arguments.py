@@ -37,7 +37,7 @@ Changes = Annotated[
     ),
 ]
 
-# Upper limit for numbers of frequencies or periods, to reject typing errors.
+# Upper limit for numbers of frequencies or periods, so that typing errors are rejected.
 MAX_COUNT = 100_000
 First = Annotated[
     str | None,

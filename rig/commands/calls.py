@@ -39,7 +39,7 @@ def response(
     points : int, optional
         Number of frequencies; default: as in the test, or 101.
     direction : {'up', 'down', 'both'}, optional
-        Order in which the frequencies are visited; default: as in the test.
+        Order in which the frequencies are computed; default: as in the test.
     progress : callable, optional
         Called with the number of completed points and the total.
 

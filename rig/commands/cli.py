@@ -79,7 +79,7 @@ def presets(
 
 
 def _print_descriptions(rows: Sequence[tuple[str, str]]) -> None:
-    """Print names with descriptions; separated by a tab if the output is a pipe."""
+    """Print names with descriptions, separated by a tab if the output is a pipe."""
     width = max(len(name) for name, _ in rows) if sys.stdout.isatty() else 0
     for name, description in rows:
         print(f"{name:{width}}  {description}" if width else f"{name}\t{description}")

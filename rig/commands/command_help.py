@@ -8,7 +8,7 @@ from typing import Any
 import typer
 from typer.core import TyperCommand
 
-# Group titles and their options (parameter names), for options that do not specify a group themselves.
+# Group titles and their options (parameter names), for options whose declaration specifies no group.
 _GROUPS = {
     "Scene": ("changes", "scene", "clock", "table"),
     "Test": ("duration", "rate", "force", "drive", "block_samples", "dry_run", "anyway", "measure"),

@@ -39,12 +39,12 @@ _OPTIONS_OF_PARAMETERS = {
     "uncertain": "--damping-off",
     "path": "--output",
 }
-# Messages of functions name their parameters in this manner.
+# Form in which messages of functions name parameters.
 _PARAMETER = re.compile(r"`([a-z_]+)`")
 # Options of the running subcommand by the names of the parameters in Python.
 _options: dict[str, str] = {}
-# Number of allocations between runs of the cyclic garbage collector (Python default 700). An analysis allocates about
-# 220 000 objects with its imports, so that the collector does not run.
+# Number of allocations between runs of the cyclic garbage collector (Python default 700). An analysis with its imports
+# allocates about 220 000 objects; with this limit the collector does not run.
 _GC_THRESHOLD = 500_000
 # Exit code after Ctrl-C: 128 plus the signal number.
 _INTERRUPTED_CODE = 128 + signal.SIGINT
@@ -87,7 +87,8 @@ def run_command(module: str) -> NoReturn:
     module : str
         Name of the module; it is imported here, so that an interrupted import is also reported.
     """
-    # Imported objects are permanent: scanning them for garbage takes a tenth of the start-up time.
+    # Imported objects are permanent, so they are not scanned for garbage, which would take a tenth of the start-up
+    # time.
     gc.set_threshold(_GC_THRESHOLD)
     received_signals.clear()
     with ExitStack() as cleanup:
@@ -138,7 +139,7 @@ def _options_of(command: Any, arguments: Sequence[str]) -> dict[str, str]:
     subcommand = getattr(command, "commands", {}).get(next(iter(arguments), ""))
     if subcommand is None:
         return {}
-    # The longest name of an option is the one that explains itself: --output, not -o.
+    # The longest name of an option explains its meaning: --output instead of -o.
     options = {param.name: max(param.opts, key=len) for param in subcommand.params if param.param_type_name == "option"}
     options |= {option[2:].replace("-", "_"): option for option in options.values()}
     return options | {name: option for name, option in _OPTIONS_OF_PARAMETERS.items() if option in options.values()}
@@ -276,6 +277,6 @@ def _repeat_interrupt(unraisable: sys.UnraisableHookArgs) -> None:
 
 
 def _interrupt_again() -> None:
-    """Interrupt the command, unless it has ended in the meantime: its exit code and message are then complete."""
+    """Interrupt the command, unless it has ended in the meantime, with its own exit code and message."""
     if signal.getsignal(signal.SIGINT) is not signal.SIG_DFL:
         signal.raise_signal(signal.SIGINT)

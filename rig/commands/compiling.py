@@ -13,7 +13,7 @@ Part = Literal["engine", "orbits"]
 
 
 def warm_up(*parts: Part) -> None:
-    """Compile the numba kernels of the given parts of the program now; without arguments, those of all parts.
+    """Compile the numba kernels of the given parts of the program now; without arguments, of all parts.
 
     Parameters
     ----------

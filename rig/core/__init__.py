@@ -1,1 +1,1 @@
-"""What every test uses."""
+"""Core of the package: modules on which every simulation and test depends."""

@@ -108,7 +108,8 @@ class Equations:
     def add_input(self, name: str, unit: str, forces: dict[int, float], limit: float = np.inf) -> int:
         """Add an input; return its column.
 
-        `forces`: its force on coordinates by their row, N per unit of the input; `limit`: largest drive, in its unit.
+        `forces`: force of the input on coordinates by their row, N per unit of the input; `limit`: largest drive, in
+        the unit of the input.
         """
         self.inputs.append(name)
         self.units.append(unit)
@@ -117,10 +118,10 @@ class Equations:
         return len(self.inputs) - 1
 
     def prescribe(self, row: int, corner: float) -> None:
-        """Prescribe the motion of a coordinate: an ideally stiff position servo, which obeys the inputs on it alone.
+        """Prescribe the motion of a coordinate by an ideally stiff position servo that depends only on its inputs.
 
-        The servo is critically damped, with a unit mass, so that an input on it is an acceleration; `corner`: its
-        corner frequency, Hz.
+        The servo is critically damped and has a unit mass, so its input is an acceleration; `corner`: corner frequency
+        of the servo, Hz.
         """
         self._servo_rate[row] = 2.0 * np.pi * corner
 

@@ -1,1 +1,1 @@
-"""What needs an installable extra."""
+"""Modules that need an installable extra (optional dependency)."""

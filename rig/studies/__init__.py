@@ -1,1 +1,1 @@
-"""Questions about the model: design, map, cost of accuracy."""
+"""Studies with the model: design of dampers, motion map, cost of accuracy."""

@@ -29,8 +29,8 @@ _GRID_POINTS = 801
 _DRAWN_POINTS = 41
 # Tolerances at different frequencies are equal if their relative difference is at most this (rounding).
 _SAME_TOLERANCE = 1e-6
-# Acceleration is divided by the square of frequency, so the relative error of the displacement is this multiple of that
-# of the clock.
+# Acceleration is divided by the square of frequency, so the relative error of the displacement is this multiple of the
+# relative error of the clock.
 _CLOCK_ERRORS_IN_HEIGHT = 2.0
 # The height of a peak is stated if its relative expanded uncertainty is at most this.
 _MAX_PEAK_UNCERTAINTY = 0.5
@@ -212,9 +212,9 @@ def resonance_peak(frf: Response, band_low: float, band_high: float) -> Peak | N
     """Estimate a peak as `peak`, with the tolerances of the sensors as a common scale of the height.
 
     If the effect of the tolerances depends on frequency, as with a reference of several channels, it shifts the peak in
-    frequency rather than in height: it resembles an error of stiffness. The scale is then that of the highest point
-    with a small uncertainty or, if that is larger, the median over all points, because errors of several channels may
-    cancel on one flank of the peak.
+    frequency rather than in height: it resembles an error of stiffness. The scale is then taken from the highest point
+    with a small uncertainty, or from the median over all points if this is larger, because errors of several channels
+    may cancel on one flank of the peak.
     """
     if SYSTEMATIC in frf.limits:
         # Tolerances are usually the largest part of the systematic errors. A file contains only the sum of these

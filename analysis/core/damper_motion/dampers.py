@@ -125,7 +125,7 @@ def dampers_in(rec: Recording, label: str | None = None, progress: CountProgress
     """
     other = [damper for damper in rec.scene.dampers if not damper.falls_freely and damper.moves]
     unknown_impacts = {damper.body for damper in other if damper.has_walls}
-    # The force of a joint changes as fast as that of an impact, so impacts on its bodies cannot be detected.
+    # The force of a joint changes as fast as the force of an impact, so impacts on its bodies cannot be detected.
     unknown_impacts |= {end + 1 for joint in rec.scene.joints for end in joint.ends if end is not None}
     beds = [damper for damper in rec.scene.dampers if not damper.locked and damper.falls_freely]
     bodies_with_dampers = sorted({damper.body for damper in beds} - unknown_impacts)

@@ -115,7 +115,7 @@ class Impacts:
 
     @property
     def min_interval(self) -> float:
-        """Time interval, s, within which several impacts may be detected as a single one."""
+        """Time interval, s, within which several impacts may be detected as one impact."""
         return self.resolution + RELEASE_DURATIONS * self.contact_duration
 
     @property
@@ -139,8 +139,8 @@ def detect_impacts(
     a kink of the acceleration, and a smooth motion. Step and kink accompany impacts on the body and on its neighbors.
     An impact is detected if the jump exceeds `DETECTION_SIGMAS` standard deviations. The impact is subtracted, and the
     search is repeated (orthogonal matching pursuit). Overlapping impacts are fitted jointly. For finite-duration
-    contact, the pulse shape of the scene's spring-dashpot contact replaces the jump, and times are those of first
-    contact.
+    contact, the pulse shape of the scene's spring-dashpot contact replaces the jump, and times are the instants of
+    first contact.
 
     `channel`: acceleration, velocity or displacement channel on a body; `start`, `stop`: first and one-past-last
     sample; `samples`: samples of the segment, if already read. Raises `RecordingError` if the channel measures no
@@ -210,7 +210,7 @@ def detect_impacts(
         added_error = _CONTACT_TIME_ERROR * pulse.time_to_90_percent * rate + _CONTACT_SAMPLE_ERROR
         position_error = np.hypot(position_error, added_error * largest_nearby / abs(jump))
     position, position_error, jump, error = (values[accepted] for values in (position, position_error, jump, error))
-    # The time of an average is that of its last sample.
+    # The time of an average is the time of its last sample.
     position, unresolved = ((values + 1.0) * decimation - 1.0 for values in (position, unresolved))
     unresolved_duration = float(np.sum(unresolved[:, 1] - unresolved[:, 0])) / rec.rate
     return Impacts(

@@ -221,7 +221,7 @@ def _difference_range(model: ImpactModel, times: Sequence[float] | Array) -> tup
 
 
 def _add_row(row: Array, begin: int, addend: Array) -> None:
-    """Add values to a row from index `begin`; those outside the row are ignored."""
+    """Add values to a row from index `begin` on; values outside the row are ignored."""
     low, high = max(0, -begin), min(addend.size, row.size - begin)
     if high > low:
         row[begin + low : begin + high] += addend[low:high]

@@ -60,7 +60,7 @@ _MAX_CENTERINGS = 4
 _MIN_DISTANCE_SAMPLES = 4
 # Minimum distance at which two jumps may be resolved, samples.
 MIN_RESOLVED_SAMPLES = 6
-# Two jumps are resolved if the presence of one increases the standard deviation of the other by at most this factor.
+# Two jumps are resolved if a joint fit increases the standard uncertainty of each jump by at most this factor.
 _MAX_RESOLVED_ERROR_RATIO = 1.1
 # A segment is searched for groups of jumps if its residual exceeds this multiple of the detection limit.
 _GROUP_SEARCH_RATIO = 3.0

@@ -56,10 +56,10 @@ class ModalDecay(Result):
     noise: float  # noise of the band-passed acceleration, rms, m/s²
     # acceleration amplitudes in descending order, m/s²; noise causes a relative uncertainty below `MAX_RELATIVE_ERROR`
     amplitude: Array
-    damping: Array  # damping ratio at those amplitudes
+    damping: Array  # damping ratio at these amplitudes
     damping_error: Array
     damping_smear: Array  # limit of the bias of `damping` due to averaging over neighboring amplitudes
-    natural: Array  # natural frequency at those amplitudes, Hz
+    natural: Array  # natural frequency at these amplitudes, Hz
     natural_error: Array  # Hz
 
     def summary(self) -> str:

@@ -302,7 +302,7 @@ def _result(problem: Problem, estimated: Estimate, report: Report) -> Fit:
 
 
 def _missing_clock_tolerance(problem: Problem, modes: Sequence[Mode]) -> list[str]:
-    """Return a note if the clock has no stated tolerance, and a usual one would exceed the frequency intervals."""
+    """Return a note if no clock tolerance is stated, and a usual tolerance would widen the frequency intervals."""
     smallest = min((mode.frequency_bound / mode.frequency for mode in modes), default=np.inf)
     if problem.clock_tolerance or smallest > _USUAL_CLOCK_TOLERANCE:
         return []

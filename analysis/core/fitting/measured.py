@@ -97,7 +97,7 @@ def measured_curves(rec: Recording, name: str) -> list[Curves]:
 
     With a coil spring the reference is the displacement of the table: the responses describe the structure with the
     spring to ground. The spring force is not used, because it is a small difference of two readings. If a table carries
-    the structure, its displacement is the reference as well.
+    the structure, the displacement of the table is the reference, too.
 
     Raises `RecordingError` if the recording contains no responses, or moving dampers without steady tones.
     """

@@ -21,7 +21,7 @@ from rig.core.scene.structure import Dashpots, ModalDamping, RayleighDamping
 from rig.core.settings.problems import KeyPath
 from rig.core.settings.settings import Settings
 
-#: Keys that are free by default, if the scene gives them. The coil spring is not, because it calibrates the force.
+#: Keys that are free by default, if the scene gives them. The coil spring is not free, because it calibrates the force.
 FREE = (
     "structure.masses", "structure.springs", "structure.damping", "dampers.mass", "dampers.mass_ratio",
     "dampers.clearance", "dampers.clearance_below", "dampers.restitution", "dampers.contact", "dampers.spring",

@@ -57,7 +57,7 @@ def parts_of_band(frequency: Array) -> Iterator[tuple[NDArray[np.intp], int]]:
 def band_choice(
     frequency: Array, poles: ComplexArray, identify: Callable[[NDArray[np.intp]], ComplexArray]
 ) -> BandChoice:
-    """Compare poles with the poles of parts of the band; `identify` returns the poles for the lines of a part.
+    """Compare the poles of a band with those identified from parts of the band, which `identify` returns.
 
     The standard uncertainty due to the choice of lines is 1.2 times the root mean square of the differences (type A).
     """

@@ -46,7 +46,8 @@ _MAX_NOISE_RATIO = 4.0
 MODEL_ERRORS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
 # For the model error, two lines are neighbors if their frequencies differ by at most this ratio.
 _NEIGHBOR_FREQUENCY_RATIO = 1.15
-# The uncertainty of a line with fewer degrees of freedom than this is combined with those of neighboring lines.
+# The uncertainty of a line with fewer degrees of freedom than this is combined with the uncertainties of neighboring
+# lines.
 _MIN_DEGREES = 10.0
 
 
@@ -185,7 +186,7 @@ def _best_model(
 def _remove_spurious_poles(
     curves: Curves, model: ModalModel, frfs: Sequence[Response]
 ) -> tuple[ModalModel, list[float]]:
-    """Remove poles that are not modes; also return their frequencies, Hz.
+    """Remove poles that are not modes; return the new model, and the frequencies of the removed poles, Hz.
 
     A pole is not a mode if its damping is undetermined. A pole is not a mode either if its peak is small relative to
     the systematic uncertainty of every curve, because residual transients and aliasing cause similar peaks. A distinct

@@ -111,8 +111,9 @@ class Likelihood:
     def _derivatives(self, model: ModalModel, lines: slice) -> tuple[ComplexArray, ComplexArray]:
         """Differentiate the model at some lines.
 
-        Returns the derivatives with respect to the parameters of the poles, shape (lines, responses, 2 modes). Those
-        with respect to residues and residual terms, shape (lines, unknowns), are equal for all responses.
+        Returns the derivatives with respect to the parameters of the poles, shape (lines, responses, 2 modes), and with
+        respect to residues and residual terms, shape (lines, unknowns). The derivatives with respect to residues and
+        residual terms are equal for all responses.
         """
         s = self.s[lines, None]
         direct, mirror = 1.0 / (s - model.poles), 1.0 / (s - model.poles.conj())

@@ -12,8 +12,9 @@ if TYPE_CHECKING:
 def arrival(info: ChannelInfo, first: int, last: int) -> tuple[int, int]:
     """Return the first and the last sample of a channel that events between two instants of the sample clock affect.
 
-    `first`, `last`: instants as sample indices, such as those of a marker. The samples are later by the delay of the
-    channel, unless it was removed. The filter spreads an event to either side by half its length.
+    `first`, `last`: instants as sample indices, for example of a marker. The affected samples are later by the delay of
+    the channel, unless the delay was removed. The filter spreads an event to either side by half the length of the
+    filter.
 
     >>> from daq.core.signal_chain.channel import ChannelInfo
     >>> from daq.core.signal_chain.decimation_filter import DecimationFilter

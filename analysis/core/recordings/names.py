@@ -64,7 +64,7 @@ class OpenRecordings(ExitStack):
 def with_recordings(
     command: Callable[Concatenate[OpenRecordings, Parameters], Returned],
 ) -> Callable[Parameters, Returned]:
-    """Pass the recordings of a command to it, and close them after it."""
+    """Decorate a command: pass it its recordings, and close them afterwards."""
 
     @wraps(command)
     def run(*args: Parameters.args, **options: Parameters.kwargs) -> Returned:
@@ -140,7 +140,7 @@ def reference_label(recordings: Mapping[str, bool]) -> str:
 
 
 def belongs_to(label: str, recording: str) -> bool:
-    """Return whether a label is that of a recording, or of one of its sweeps."""
+    """Return whether a label belongs to a recording, or to one of its sweeps."""
     return bool(recording) and (label == recording or label.startswith(f"{recording}, "))
 
 

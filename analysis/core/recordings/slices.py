@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 # Number of samples of each channel that are read at a time.
 PIECE_SAMPLES = 1 << 16
 # Least number of samples of each channel that are read for successive short segments. A measured window of a tone has
-# about as many samples; those between the windows are not needed.
+# about as many samples; samples between windows are not needed.
 _READ_AHEAD_SAMPLES = 1 << 12
 
 
@@ -116,7 +116,7 @@ def read_slices(rec: Recording, channels: Sequence[str], bounds: Iterable[tuple[
 
 
 def interpolated(samples: Array, is_valid: NDArray[np.bool_]) -> Array:
-    """Return samples with those that are not valid interpolated linearly; at least one must be valid.
+    """Return samples in which invalid ones are interpolated linearly; at least one sample must be valid.
 
     >>> interpolated(np.array([1.0, np.nan, 3.0]), np.array([True, False, True])).tolist()
     [1.0, 2.0, 3.0]

@@ -66,7 +66,7 @@ class Source(Protocol):
         motion: str = "displacement",
         others: Sequence[Measurand] = (),
     ) -> Response:
-        """Estimate one response to a reference; `others`: the other inputs, if several drive the structure."""
+        """Estimate one response to a reference; `others`: the other inputs, if there are several."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +82,8 @@ class Request:
     channels: Sequence[str]  # channels of the responses and of their reference
     measured: Sequence[Marker]  # markers of the measured intervals
     inputs: Sequence[Point] = ()  # the forces, if several drive the structure
-    level: float | None = None  # of the sweep, if the recording has several; None: every level
-    direction: str | None = None  # up or down, likewise
+    level: float | None = None  # selected level, if the recording has several; None: every level
+    direction: str | None = None  # selected direction, up or down; None: both
 
     def compute(self, sources: Iterable[Source]) -> list[Response]:
         """Compute the response of each source: the matrix of all outputs over all inputs."""
@@ -114,22 +114,24 @@ class Estimator:
     method: str  # description, for messages
     options: frozenset[str] = frozenset()  # fields of `Blocks` that have an effect
     jumps: bool = False  # whether the motion may change to another branch at one frequency
-    # Whether the lines are values of local models of a much finer spectrum, so that few lines may suffice.
+    # Whether the lines are values of local models of a much finer spectrum, so that fewer lines resolve a peak.
     resolves_between_lines: bool = False
-    # Parts of the test with equal excitation, between which the gain of a channel is compared; none if they differ.
+    # Returns the parts of the test with equal excitation, between which the gain of a channel is compared; None if
+    # there are none.
     parts: Callable[[Request], list[Parts]] = lambda request: []
-    # Intervals in which a single tone drives the structure, in whose samples changes of the gain are searched.
+    # Returns the intervals in which a single tone drives the structure; changes of the gain are searched in their
+    # samples.
     tones: Callable[[Request], list[ToneInterval]] = lambda request: []
-    # Remedy for too few lines to interpolate a peak; `needed` is their required distance, Hz, infinite if not known.
+    # Returns the remedy for too few lines to interpolate a peak; argument: required spacing, Hz, infinite if unknown.
     peak_remedy: Callable[[float], str] = lambda needed: "Measure for longer"
-    # Remedy for too few lines in a resonance; `step` is the required distance of the lines, Hz.
+    # Remedy for too few lines in a resonance; `step` is the required spacing of the lines, Hz.
     line_remedy: Callable[[float], str] = lambda step: f"Measure every {step:.2g} Hz there."
 
 
 def estimator_of(kind: str) -> Estimator:
     """Return the estimator of a kind of recording.
 
-    An empty `kind` is that of curves without a recording.
+    For curves without a recording, `kind` is empty.
     """
     module = MODULES.get(kind or "none")
     if module is None:

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
 ESTIMATORS = ("H1", "H2", "Hv")
-# Copies of the factor of the spectral matrix that are in memory at a time.
+# Number of copies of the factor of the spectral matrix that are in memory at a time.
 _COPIES = 1.2
 # Number of lines whose spectral matrices are factorized at a time.
 _FACTORED_LINES = 256
@@ -79,7 +79,7 @@ def estimate(estimator: str, sxx: Array, sff: Array, sxf: ComplexArray) -> Compl
 class AveragedSpectra:
     """Spectral matrix of the recorded channels, averaged over blocks, as a factor.
 
-    The powers in `frf` are sums of squares of the factor, and its size is linear in the number of channels.
+    The powers in `frf` are sums of squares of the factor. The size of the factor is linear in the number of channels.
     """
 
     channels: tuple[str, ...]  # names
@@ -130,7 +130,7 @@ class AveragedSpectra:
         sxx, sff = (np.sum(np.square(np.abs(amplitude)), axis=1) for amplitude in (x, f))
         sxf = np.sum(x * f.conj(), axis=1)
         is_coherent = several is not None and several.condition > MAX_CONDITION_NUMBER
-        sff = np.where(is_coherent, 1.0, sff)  # the response to coherent inputs has no value
+        sff = np.where(is_coherent, 1.0, sff)  # avoids a division by zero; the response to coherent inputs has no value
         if several is not None and self.estimator == "H2":
             raise SceneError("estimator: got 'H2'; expected H1 or Hv for several inputs")
         value = estimate(self.estimator, sxx, sff, sxf)
@@ -142,7 +142,7 @@ class AveragedSpectra:
         coherence = 1.0 / (1.0 + incoherence)
         # Reading of each channel per unit of the reference.
         readings = np.einsum("rin,nr->in", factor, f.conj()) / sff
-        # Each input uses one average, so that few blocks have too much coherence and too little scatter.
+        # Each input takes one average. With few blocks, the coherence is therefore too large and the scatter too small.
         n_free_averages = self.n_averages - len(inputs)
         error = np.full(value.shape, np.nan)
         if n_free_averages > 0.0:
@@ -190,7 +190,7 @@ class AveragedSpectra:
             power = np.sum(np.square(np.abs(other)), axis=0)
             common = np.sum(reading * other.conj(), axis=0) / np.maximum(power, 1e-300)
             noise[row] = np.sum(np.square(np.abs(reading - common * other)), axis=0)
-        # With few blocks, too much power is coherent by chance.
+        # With few blocks, part of the noise is coherent by chance; the power is corrected for this.
         return np.asarray(noise * self.n_averages / max(self.n_averages - 1.0, 1e-300))
 
 
@@ -200,7 +200,7 @@ class _SeveralInputs:
 
     response: ComplexArray  # shape (lines, rows)
     inputs: ComplexArray  # shape (lines, rows, inputs)
-    order: NDArray[np.intp]  # order of the inputs that does not depend on which of them is the reference
+    order: NDArray[np.intp]  # order of the inputs, independent of the choice of the reference
     outputs: ComplexArray  # readings of all response channels, shape (lines, rows, outputs)
 
     def conditioned(self) -> tuple[ComplexArray, ComplexArray]:
@@ -221,7 +221,7 @@ class _SeveralInputs:
         return condition(self.spectra)
 
     def _fit(self, responses: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return responses to all inputs by H1, shape (lines, inputs, responses), and residuals of their shape."""
+        """Return responses to all inputs by H1, shape (lines, inputs, responses), and the residuals."""
         values = np.linalg.pinv(self.inputs) @ responses
         return values, responses - self.inputs @ values
 
@@ -243,7 +243,7 @@ class _SeveralInputs:
             return np.asarray(-noise[:, 1] / noise[:, 0])
 
     def noise_bias(self) -> Array:
-        """Bound the bias by noise of the inputs: their power that is not coherent with an output, shape (lines,)."""
+        """Return the largest bias by noise of the inputs: their power not coherent with an output, shape (lines,)."""
         values, residual = self._fit(self.outputs)
         power = np.sum(np.square(abs(residual)), axis=1)[:, None]
         noise = np.min(power / np.maximum(np.square(abs(values)), 1e-300), axis=2)
@@ -254,7 +254,8 @@ class _SeveralInputs:
     def deviations(self) -> ComplexArray:
         """Return the residual times the reference in the basis of all inputs, shape (lines, rows inputs).
 
-        With it, the covariance of two elements is that of the residuals times the inverse of the input spectra.
+        The covariance of two elements, the covariance of the residuals times the inverse of the input spectra, follows
+        from it.
         """
         q, _ = np.linalg.qr(self.inputs[:, :, self.order])
         _, reference = self.conditioned()
@@ -270,7 +271,7 @@ class _SeveralInputs:
 
 
 def leakage(frequency: Array, value: ComplexArray, error: Array, leakage_free: Response) -> Array:
-    """Estimate the leakage of block averages by their difference from a curve without leakage, shape (lines,).
+    """Estimate the leakage of block averages from their difference to a curve without leakage, shape (lines,).
 
     The squared difference is averaged over three lines, the bandwidth of a Hann window. The variances of both curves
     are subtracted.
@@ -302,7 +303,7 @@ class _Averages:
     """Mean of the spectral matrices of blocks, as a factor of few rows: the blocks or the channels."""
 
     def __init__(self, n_rows: int, n_channels: int, n_lines: int, purpose: str) -> None:
-        # The factor and its copies, or the matrices that become the factor.
+        # Size of the factor and its copies, or of the matrices from which the factor is computed.
         require_memory_with_program(_COPIES * 16 * n_rows * n_channels * n_lines, purpose)
         self._rows = np.zeros((n_rows, n_channels, n_lines), dtype=complex)
         self._count = 0

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 # Time for which the force window is 1 after the last sample of the impact, and then the duration of its taper, s.
 TAPER_S = 2e-3
-# Additional time before the taper, for the ringing of the channel's low-pass filters: in time constants of the slowest.
+# Additional time before the taper, for the ringing of the channel's low-pass filters, in time constants of the slowest
+# filter.
 _RINGING_TIME_CONSTANTS = 7.0
 
 
@@ -29,7 +30,7 @@ def isolate_pulse(info: ChannelInfo, force: Array, first: int, last: int) -> Arr
 
     The high-pass filters add a long, small tail of opposite sign to a pulse, which may be longer than the recording.
     They are therefore inverted first; a window then removes the noise after the impact. The spectrum of the readings is
-    that of the result times `high_pass_response`.
+    the spectrum of the result times `high_pass_response`.
     """
     slow_poles = slow_and_fast(info)[0]
     n_after, n_taper = samples_after_hit(info)
@@ -46,7 +47,7 @@ def isolate_pulse(info: ChannelInfo, force: Array, first: int, last: int) -> Arr
 
 
 def samples_after_hit(info: ChannelInfo) -> tuple[int, int]:
-    """Return for how many samples after an impact the force window is 1, and the number of samples of its taper."""
+    """Return the number of samples after an impact in which the force window is 1, and the number of its taper."""
     fast_poles = slow_and_fast(info)[1]
     ringing_s = _RINGING_TIME_CONSTANTS / min((abs(pole.real) for pole in fast_poles), default=np.inf)
     n_taper = max(2, int(TAPER_S * info.rate))

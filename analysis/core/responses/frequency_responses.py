@@ -59,7 +59,7 @@ def frequency_responses(
         Divide by the force on the structure, or by the displacement of the table; if omitted, by the table if it
         carries the structure (shaker: base), otherwise by the force.
     motion : {'displacement', 'velocity', 'acceleration'}
-        Receptance, mobility or accelerance.
+        Compliance, mobility or accelerance.
     estimator : {'H1', 'H2', 'Hv'}, optional
         Average the spectra of blocks, for random tests and hits. If omitted, the local rational method processes
         random tests, impacts and sweeps as a whole, without leakage. For tones the amplitudes are averaged.
@@ -75,7 +75,7 @@ def frequency_responses(
     level : float or str, optional
         Level to select if the test ran several, such as ``"2.6 N"``; if omitted, all levels.
     direction : {'up', 'down'}, optional
-        Direction to select if the test ran both; if omitted, both.
+        Direction to select if the test ran both directions; if omitted, both.
 
     Returns
     -------

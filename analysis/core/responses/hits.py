@@ -27,13 +27,13 @@ if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
 
-# Interval before an impact in which residual motion is detected and the zero offset of each channel is measured, s.
+# Interval before an impact, s, in which residual motion is detected and the zero offset of each channel is measured.
 PRE_HIT_S = 0.2
 # Number of parts of the force window with independent noise.
 _NOISE_PARTS = 16
 # The rig is at rest in this interval if its motion is at most this fraction of the response to the impact.
 _MAX_REST_RATIO = 2e-3
-# Motion is detected above this number of standard deviations of the estimate due to noise.
+# Motion is detected if the estimate exceeds its noise by this number of standard deviations.
 _DETECTION_SIGMAS = 4.0
 # The largest force within the marker of an impact must be at least this fraction of the force until the next impact.
 _MIN_MARKED_RATIO = 0.5
@@ -45,13 +45,13 @@ _REBOUND_SIGMAS = 8.0
 _MAX_SCAN_SAMPLES = 1 << 20
 # The usable force spectrum ends where its power falls to this fraction of its maximum (-20 dB).
 _MIN_POWER_RATIO = 1e-2
-# Coarser converters, for which the readings are rounded again: their quantization step in counts, and the mean square
-# of the resulting changes, relative to the mean square of the original rounding (1/12).
+# The readings are rounded again as by coarser converters: quantization step of these in counts, and mean square of the
+# resulting changes, relative to the mean square of the original rounding error (1/12).
 _COARSER_CONVERTERS = ((2.0, 6.0), (3.0, 8.0))
 # Smallest signal, in counts, that can be rounded again without noise as dither.
 _MIN_COUNTS = 6.0
-# If noise dithers the signal, at most this fraction of the rounding error repeats from impact to impact. It is the
-# fraction for noise of half a count.
+# If noise dithers the signal, at most this fraction of the rounding error repeats from impact to impact (the value for
+# noise of half a count).
 _MAX_REPRODUCIBLE = 0.007
 
 
@@ -120,7 +120,7 @@ class Hits:
         first = max(start, begin - int(PRE_HIT_S * rec.rate))
         if begin - first < 4 or self.arrivals[0][0] < begin:
             return np.inf
-        # A shorter interval shows only a part of a slow motion.
+        # A shorter interval would contain only a part of a slow motion.
         largest, visible_ratio = 0.0, min(1.0, (begin - first) / (PRE_HIT_S * rec.rate))
         for name in names:
             reading = rec.read(name, first, min(begin + self.interval, stop))
@@ -132,8 +132,9 @@ class Hits:
     def is_response_to_hits_alone(self, motion: float, start: int, stop: int, samples: int) -> bool:
         """Return whether a segment, zero-padded to `samples`, is treated as the response to its impacts alone.
 
-        This is true if `motion`, the result of `prior_motion`, is small. It is also true for a single impact close
-        to the beginning: the spectra of earlier motion and of the response are then too similar for separate terms.
+        The result is true if `motion`, the result of `prior_motion`, is small. It is also true for a single impact
+        close to the beginning, because the spectra of earlier motion and of the response are then too similar for
+        separate terms.
         """
         if motion < _MAX_REST_RATIO:
             return True
@@ -159,9 +160,9 @@ class Hits:
             force[first:] += isolate_pulse(rec.channels[self.channel], force_after, 0, end - begin)
         isolated[row] = force
         if at_rest:
-            # A sudden onset of integrator drift is a step, whose smooth spectrum decreases more slowly than that of a
-            # displacement. The readings are therefore faded in over the first half of the samples before the impact.
-            # In the second half a filter may already show the impact.
+            # A sudden onset of integrator drift is a step, whose smooth spectrum decreases more slowly than the
+            # spectrum of a displacement. The readings are therefore faded in over the first half of the samples before
+            # the impact. In the second half a filter may already show the impact.
             isolated, n_fade = isolated[:, pre_hit.start :], (pre_hit.stop - pre_hit.start) // 2
             fade_in = 0.5 - 0.5 * np.cos(np.pi * (np.arange(n_fade) + 0.5) / max(n_fade, 1))
             isolated = np.concatenate([isolated[:, :n_fade] * fade_in, isolated[:, n_fade:]], axis=1)
@@ -170,13 +171,13 @@ class Hits:
     def force_noise(self, rec: Recording, segments: Sequence[tuple[int, int]], frequency: Array) -> ComplexArray:
         """Compute the relative change of the force due to noise during the impacts, shape (lines, parts).
 
-        The parts are independent, each with a real normal coefficient of variance 1: the noise of successive parts of
-        the force window. The noise of a short window changes slowly from line to line, so that the scatter between
-        lines does not show it. It shifts a pole, because it changes over a peak.
+        Each part is the noise of one of several successive parts of the force window, times an independent normal
+        coefficient of variance 1. The noise of a short window changes slowly from line to line, so the scatter between
+        lines does not show it. Over a peak it changes nevertheless, and therefore shifts a pole.
         """
         info = rec.channels[self.channel]
         n_after, n_taper = samples_after_hit(info)
-        # Half of the taper, which has half of its noise, counts as part of the window.
+        # The taper counts as half of its length, because it reduces the noise power to about a half.
         n_window = n_after + n_taper // 2 + 1
         longest = max((end + n_window - begin for span in segments for begin, end in self.inside(*span)), default=0)
         power, noise, total = np.zeros(frequency.size), [], np.zeros(frequency.size, dtype=complex)
@@ -212,8 +213,8 @@ class Hits:
     ) -> Array:
         """Compute the maximum relative change of each channel's gain due to rounding, shape (channels, lines).
 
-        Equal impacts give equal counts, so averaging does not reduce the rounding error. The error shortly after an
-        impact resembles a response and is not visible in the scatter. The error is estimated from the change of the
+        Equal impacts give equal counts, so averaging does not reduce the rounding error. Rounding errors shortly after
+        an impact resemble a response, and are not visible in the scatter. The error is estimated from the change of the
         readings when they are rounded again, to every second and every third count (coarser converters). Noise of s
         counts reduces the error by ``exp(-2 pi^2 s^2)`` (as in `noise_gain_error`). The result is infinite for readings
         of too few counts to be rounded again.
@@ -230,7 +231,8 @@ class Hits:
         for (block, spectra), (start, stop) in zip(readings, segments, strict=True):
             power = power + abs(spectra) ** 2
             n_samples = 2 * (spectra.shape[1] - 1)
-            # The polynomials of a local fit represent errors within this number of samples like a response.
+            # The polynomials of a local fit represent errors within this number of samples after an impact as a
+            # response.
             n_after_hit = int(n_samples * (ORDER + 1) / half_width)
             n_transform = fft.next_fast_len(2 * n_after_hit, real=True)
             for begin, _ in self.inside(start, stop):
@@ -244,8 +246,8 @@ class Hits:
                 if before[0].size > 2:
                     noise.append(np.mean(np.diff(before, axis=1) ** 2, axis=1, keepdims=True) / 2.0)
         reproducible = reproducible_rounding(np.mean(noise, axis=0) / step**2 if noise else np.zeros(steps.shape))
-        # The spectrum of several impacts is a comb. The power is averaged over one spacing of its teeth and no farther,
-        # because the power in peaks of the response differs from the power in its valleys.
+        # The spectrum of several impacts is a comb. The power is averaged over one spacing of the comb's teeth. A wider
+        # average would mix the power in peaks and in valleys of the response.
         n_bins = 2 * -(-half_width // FIT_HALF_WIDTH) + 1  # rounded up
         mean_power = scipy.ndimage.uniform_filter1d(power, n_bins, axis=1, mode="nearest")
         mean_errors = np.max(

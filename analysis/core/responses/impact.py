@@ -46,7 +46,7 @@ def segment_fits(rec: Recording, channels: Sequence[str]) -> SegmentFits:
 def averaged_spectra(
     rec: Recording, channels: Sequence[str], block: float | None = None, window: str = "none"
 ) -> AveragedSpectra:
-    """Average the spectra of blocks, one for each impact, as most programs do.
+    """Average the spectra of blocks, one for each impact, as most analyzers do.
 
     `block`: length of a block in s; if omitted, the shortest time from an impact to the next impact, or to the end.
     """

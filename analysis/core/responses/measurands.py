@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from daq.core.signal_chain.channel import ChannelInfo
 
 
-# A shaker is driven if the level of its force is above this level relative to the largest, dB.
+# A shaker counts as driven if its force, relative to the largest force, exceeds this level, dB.
 _MIN_FORCE_LEVEL_DB = -40.0
 
 
@@ -52,7 +52,7 @@ def body_names(rec: Recording) -> tuple[str, ...]:
 
 
 def select_channels(rec: Recording, channels: Sequence[str] | str | None) -> list[str]:
-    """Return names of channels or bodies as a list; by default all channels that measure a body's motion."""
+    """Return the selected channels or bodies as a list; by default all channels that measure a body's motion."""
     if not channels:
         return response_channels(rec)
     names = [channels] if isinstance(channels, str) else channels
@@ -77,7 +77,7 @@ class Measurand:
 
     channels: tuple[str, ...]  # channels that are summed
     weights: tuple[float, ...]  # factor of the quantity at each channel
-    motion: str  # this quantity: displacement, velocity, acceleration or force
+    motion: str  # quantity of the sum: displacement, velocity, acceleration or force
 
     def row(self, rec: Recording, names: Sequence[str], frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
         """Compute the weights of the amplitudes of the channels `names` as recorded, shape (channels, frequencies).
@@ -116,7 +116,7 @@ def default_reference(rec: Recording) -> str:
     """Return the reference of a recording's responses, unless another is requested."""
     try:
         return rec.scene.reference
-    except RecordingError:  # a recording without scene
+    except RecordingError:  # the recording has no scene
         return "force"
 
 
@@ -126,7 +126,7 @@ def force_of(channel: str) -> Measurand:
 
 
 def reference_of(rec: Recording, reference: str | Measurand) -> Measurand:
-    """Return the force on the structure, or the displacement of the shaker table; a measurand as it is.
+    """Return the force on the structure, or the displacement of the shaker table; a measurand is returned unchanged.
 
     The force is measured by a force channel if there is one. Otherwise it is the force of the coil spring,
     F1 = k0 (x0 - x1), from the channels on the table and on the driven body.
@@ -219,7 +219,7 @@ def _places(rec: Recording) -> str:
 
 
 def driven_forces(rec: Recording) -> tuple[Point, ...]:
-    """Return the force channels of the shakers that were driven simultaneously; with fewer than two, use one input."""
+    """Return the force channels of the shakers that were driven simultaneously; empty if there are fewer than two."""
     return strong_forces(force_levels(rec))
 
 
@@ -240,7 +240,7 @@ def weak_force_warnings(levels: Sequence[tuple[Point, float]]) -> list[str]:
 
 
 def force_levels(rec: Recording) -> list[tuple[Point, float]]:
-    """Return the force channel of each shaker of a test with several, and its level relative to the largest, dB."""
+    """Return the force channel of each of several shakers, and its level relative to the largest force, dB."""
     marker = next((marker for marker in rec.markers if "shakers" in marker.fields and marker.kind == "measure"), None)
     if marker is None:
         return []

@@ -48,15 +48,15 @@ if TYPE_CHECKING:
 
 NONLINEAR = (
     "The structure is nonlinear: the curve is the best linear approximation for this level and kind of excitation, and "
-    "its error bars are valid only for them. Use stepped sine for the response to steady tones."
+    "its uncertainty is valid only for them. Use stepped sine for the response to steady tones."
 )
 ONE_REALIZATION = (
-    "One realization: the distortion by dampers cannot be separated from the response, and the error bars exclude it. "
+    "One realization: the distortion by dampers cannot be separated from the response and is not in the uncertainty. "
     "Measure several realizations (test: realisations)."
 )
 LIFTED = (
-    "Dampers may leave the floor at this level, although the realizations scatter no more than noise: the error bars "
-    "exclude distortion that is equal in every realization. Use stepped sine for the response to steady tones."
+    "Dampers may leave the floor at this level, although the realizations scatter no more than noise: the uncertainty "
+    "excludes distortion that is equal in every realization. Use stepped sine for the response to steady tones."
 )
 # Assumed crest factor of a sum of tones, limited by the sum of their amplitudes.
 _CREST_FACTOR = 4.0
@@ -78,8 +78,8 @@ def best_linear_approximation(
 ) -> Lines:
     """Average the amplitudes of each channel over periods, then over realizations.
 
-    `markers`: measured interval of each experiment; `names`: channels; `reference`: force or table; `forces`: instead
-    of it, the channels of several forces.
+    `markers`: measured interval of each experiment; `names`: channels; `reference`: force or table; `forces`: the
+    channels of several forces, instead of `reference`.
 
     Before the second average, each realization is rotated by the phase of its own reference, or separated into the
     amplitudes due to each input. The scatter between periods is noise. The scatter between realizations also contains
@@ -119,7 +119,8 @@ def best_linear_approximation(
     steps = quantization_steps(rec, names)
     samples_per_period = rec.rate / (frequency[1] - frequency[0]) if frequency.size > 1 else rec.rate / frequency[0]
     # Rounding resembles noise of 1/12 count². At a line, 95 % of its amplitudes are below steps / sqrt(samples)
-    # (Rayleigh distribution). The share of this error that is equal in every period does not appear in the scatter.
+    # (Rayleigh distribution). The part of the rounding error that repeats in every period does not appear in the
+    # scatter.
     noise_power = np.mean([spectra.samples.var(axis=0, ddof=1).mean(axis=1) for spectra in complete], axis=0)
     reproducible = reproducible_rounding(noise_power / np.where(steps > 0.0, steps, 1.0) ** 2)
     by_input: Array = np.abs(mean_spectrum).reshape(len(inputs), len(names), -1)
@@ -148,7 +149,7 @@ def best_linear_approximation(
 def _realizations(
     rec: Recording, names: Sequence[str], markers: Sequence[Marker], n_inputs: int
 ) -> tuple[list[list[PeriodSpectra]], list[str]]:
-    """Return the experiments of each complete realization, and notes on the others; one input needs one experiment."""
+    """Return the experiments (one for each input) of complete realizations, and notes on incomplete ones."""
     groups: dict[int, list[Marker]] = {}
     for number, marker in enumerate(markers):
         groups.setdefault(number if n_inputs == 1 else int(marker.fields["realisation"]), []).append(marker)
@@ -168,7 +169,7 @@ def _realizations(
 
 
 def _separation(forces: ComplexArray) -> ComplexArray:
-    """Return factors of the experiments whose sum is due to each input alone; NaN where the inputs are coherent.
+    """Return the factors with which a sum of experiments is due to one input; NaN where inputs are coherent.
 
     `forces`: amplitudes of the inputs in the experiments, shape (lines, inputs, experiments). Shape of the result:
     (lines, experiments, inputs). With one input, this is the conjugate phase factor of the force.
@@ -191,7 +192,7 @@ def _by_input(values: NDArray[Any], factors: NDArray[Any]) -> NDArray[Any]:
 
 
 def _undistorted_warning(rec: Recording, averages: Lines, reference: str) -> str:
-    """Return the warning for a test without detected distortion, with the force of a tone that lifts a damper off."""
+    """Return the warning for a test without detected distortion, with the force at which a tone lifts a damper off."""
     lifting_forces = [(np.inf, np.nan)]
     force: Array = np.zeros(averages.frequency.size)
     if reference == "force":

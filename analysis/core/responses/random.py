@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from daq.core.recording.markers import Marker
     from daq.core.recording.recording import Recording
 
-# Default number of blocks: error bars of about 10 % at a coherence of 0.7. The blocks are then as long as possible.
+# Default number of blocks, for an uncertainty of about 10 % at a coherence of 0.7. The blocks are as long as this
+# number permits.
 DEFAULT_BLOCKS = 30
 # Minimum number of samples in a block.
 _MIN_BLOCK_SAMPLES = 16
@@ -79,7 +80,7 @@ def averaged_spectra(
         weights = sampled_window(window, max(block_samples, 1))
     low, high = float(marker.fields["from"]), float(marker.fields["to"])
     unsettled = settling_flaws(rec, channels, first, stop, low)
-    # Skip whole steps until all channels have settled.
+    # The first block begins a whole number of steps later, when all channels have settled.
     first += -(-max((flaw.stop - first for flaw in unsettled), default=0) // step) * step  # rounded up
     count = (stop - first - block_samples) // step + 1
     block_s = block_samples / rec.rate

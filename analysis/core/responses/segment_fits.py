@@ -38,23 +38,24 @@ if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
 
-# A segment is used if it has at least this fraction of the length of the longest; the transients of shorter segments
-# need too many parameters.
+# A segment is used if it has at least this fraction of the length of the longest segment; the transients of shorter
+# segments would need too many parameters.
 _MIN_LENGTH_RATIO = 0.25
-# A segment is used if it contains at least this fraction of a burst; with less, most of the vibration was excited
-# before the segment.
+# A segment is used if it contains at least this fraction of a burst; otherwise most of its vibration was excited before
+# the segment.
 _MIN_BURST_RATIO = 0.5
 # Maximum number of lines of an estimated response.
 _MAX_LINES = 1000
 # Maximum number of impacts of one local fit. More impacts are fitted in groups, whose responses are averaged.
 _MAX_HITS = 24
-# Maximum number of impacts of a group times responses: the residuals of all responses remain in memory, 1.2 MB each.
+# Maximum of the number of impacts of a group times the number of responses: the residuals of all responses remain in
+# memory, 1.2 MB each.
 _MAX_RESIDUALS = 192
 # Maximum number of samples of a group of impacts; the spectra of a response and of the force need 0.5 GB.
 _MAX_SAMPLES = 3 << 20
 #: Name of the systematic error due to motion before an impact.
 MOTION_BEFORE = "motion before the impact"
-# This motion causes a warning if its amplitude exceeds this fraction of the response to the impact.
+# Motion before an impact causes a warning if its amplitude exceeds this fraction of the response to the impact.
 _MAX_MOTION_RATIO = 0.01
 
 
@@ -62,12 +63,12 @@ _MAX_MOTION_RATIO = 0.01
 class SegmentFits:
     """Interval, channels and frequency band of a test that is evaluated by local fits."""
 
-    # a flaw of one of these channels excludes the samples of all, so that all responses have the same lines
+    # channels; a flaw of one channel excludes the samples of all channels, so that all responses have the same lines
     channels: tuple[str, ...]
     first: int  # first sample of the test
-    stop: int  # one past its last sample
+    stop: int  # one past the last sample of the test
     low: float  # lower edge of the band in which responses are estimated, Hz
-    high: float  # its upper edge, Hz
+    high: float  # upper edge of the band, Hz
     other_flaws: Sequence[Flaw] = ()  # flaws other than overloads and lost samples
     hits: Hits | None = None  # impacts of a hammer; None for other tests
     # period of bursts and duration of each burst in samples; None for tests without bursts
@@ -92,7 +93,7 @@ class SegmentFits:
         if self.hits is None:
             spectra = self.spectra(rec, self.channels, segments)
             return spectra.frf(rec, numerator, denominator, reference, motion, self.label, warnings, others=others)
-        # The channels of each response determine whether the rig was at rest before its impacts.
+        # Whether the rig was at rest before the impacts is determined from the channels of each response.
         names = tuple(dict.fromkeys([*numerator.channels, *denominator.channels]))
         longest = max(stop - start for start, stop in segments)
         curves: list[Response] = []
@@ -102,12 +103,13 @@ class SegmentFits:
             noise = self.hits.force_noise(rec, group, spectra.frequency[spectra.lines])
             frf = spectra.frf(rec, numerator, denominator, reference, motion, self.label, warnings, noise)
             frf = _with_motion_before(frf, prior_motion)
-            # The arrays of the errors are large; those of the first group represent all groups.
+            # The arrays of the errors are large, so only those of the first group are stored; they represent all
+            # groups.
             curves.append(replace(frf, uncertainty=replace(frf.uncertainty, errors=None)) if curves else frf)
         return _average(curves)
 
     def usable_segments(self, rec: Recording, references: Sequence[str]) -> tuple[list[tuple[int, int]], list[str]]:
-        """Return the segments that are fitted, and notes on those that are left out.
+        """Return the segments that are fitted, and notes on omitted segments.
 
         `references`: channels of the reference, without which no response can be estimated.
         """
@@ -338,8 +340,8 @@ def _with_motion_before(frf: Response, prior_motion: Sequence[float]) -> Respons
         f"{frf.response}: motion or drift before an impact, of {format_percent(largest)} of the response, affects the "
         "curve. Hit the structure at rest, start recording earlier, or record several impacts in a row."
     )
-    # The spectrum of a free decay has the shape of a resonance of the response. Every line is therefore treated as a
-    # resonance with the magnitude of the response at this line; its skirts decrease with the distance from it.
+    # The spectrum of a free decay has the shape of a resonance. Every line is therefore treated as a resonance with the
+    # magnitude of the response at this line, whose flanks decrease with the distance from the line.
     to_acceleration = (2.0 * np.pi * frf.frequency) ** {"displacement": 2, "velocity": 1, "acceleration": 0}[frf.motion]
     skirt = 1.0 / (np.pi * (np.abs(np.arange(1 - frf.value.size, frf.value.size)) + 1.0))
     accelerance = abs(frf.value) * to_acceleration
@@ -355,5 +357,5 @@ def warn_of_dampers(rec: Recording) -> tuple[str, ...]:
     subject = "Moving dampers" if any(damper.impacts for damper in rec.scene.dampers) else "Joints"
     return (
         f"{subject} make the structure nonlinear: this curve is valid only for this level and kind of excitation, "
-        "and its error bars assume linearity. Use stepped sine for the response to steady tones.",
+        "and its uncertainty assumes linearity. Use stepped sine for the response to steady tones.",
     )

@@ -30,19 +30,18 @@ if TYPE_CHECKING:
 
 # Transients are assumed to decay equally at this number of neighboring lines.
 _COMMON_DECAY_LINES = 5
-# If only two parts are available, which do not determine the decay of a transient, this decay factor from part to part
-# is assumed.
+# Two parts do not determine the decay of a transient; this decay factor from part to part is then assumed.
 _ASSUMED_DECAY = 0.5
 # A decay factor from part to part is limited to this value. Slower decay cannot be distinguished from a steady
 # amplitude.
 _MAX_DECAY = 0.99
-# Confidence level of the largest noise in a reference.
+# Probability that noise in the reference is below the assumed largest noise.
 _REFERENCE_CONFIDENCE = 0.999
 # The noise of the parts is estimated from their differences if there are at least this number of lines.
 _MIN_LINES = 8
 # Width of the median filter of this noise, in lines.
 _MEDIAN_LINES = 31
-# If there are many parts, successive parts are averaged to this number, from which the decay of a transient is
+# If there are many parts, they are averaged to this number of successive parts, from which the decay of a transient is
 # estimated.
 _AVERAGED_PARTS = 4
 # Residual transients are multiplied by this factor, because their estimates have an error of up to 5 %.
@@ -56,26 +55,27 @@ class Lines:
     # names, in the order of the rows; with several inputs, the rows of each input follow one another
     channels: tuple[str, ...]
     frequency: Array  # Hz, in the order measured; shape (n,)
-    # amplitude as recorded, without correction for the sensors; complex, shape (channels, n); with several inputs, due
-    # to each of them alone, shape (inputs channels, n)
+    # amplitude as recorded, without correction for the sensors; complex, shape (channels, n). With several inputs:
+    # amplitudes due to each input alone, shape (inputs channels, n)
     mean: ComplexArray
     scatter: Scatter  # random deviation of the mean
     label: str = ""  # for legends
     warnings: tuple[str, ...] = field(default=())  # in full sentences
     # maximum error of each mean due to residual transients; shape (channels, n)
     residual_transient: Array | None = None
-    # lines at which steady state was not reached; shape (n,). None for a multisine
+    # flags of lines at which steady state was not reached; shape (n,). None for a multisine
     unsteady: NDArray[np.bool_] | None = None
     # frequencies of discarded measurements, Hz
     left_out: Array = field(default_factory=lambda: np.empty(0))
     # number of lines on either side that moderate the noise of each line, for lines with few averages
     n_neighbors: int = 0
-    noise: Scatter | None = None  # contribution of noise alone to `scatter`; None: all of it
-    # number of averaged measurements, each rotated by the phase of its own reference, which also aligns its noise
+    noise: Scatter | None = None  # contribution of noise alone to `scatter`; None: all scatter is noise
+    # number of averaged measurements; each is rotated by the phase of its reference, which also aligns the noise of the
+    # reference
     n_rotated: int = 1
     # maximum error of each mean due to rounding to counts; shape (channels, n)
     resolution: Array | None = None
-    # for successive tones: wait before each window, and length of the window, s; shape (n,)
+    # waits before the windows, and lengths of the windows of successive tones, s; shape (n,)
     wait: Array | None = None
     duration: Array | None = None
     inputs: tuple[str, ...] = ()  # channels of several inputs, in the order of the rows
@@ -88,7 +88,7 @@ class Lines:
         motion: str = "displacement",
         others: Sequence[Measurand] = (),
     ) -> Response:
-        """Divide the mean of the response by that of the reference; propagate their covariance to first order.
+        """Divide the mean of the response by the mean of the reference; propagate their covariance to first order.
 
         `others`: other inputs.
         """
@@ -150,7 +150,7 @@ class Lines:
         )  # fmt: skip
 
     def _positions(self, names: Sequence[str], reference: Measurand) -> list[int]:
-        """Return the rows of channels, with several inputs those due to the reference."""
+        """Return the rows of channels; with several inputs, the rows due to the reference."""
         block = self.inputs.index(reference.channels[0]) * len(self.channels) if self.inputs else 0
         return [block + self.channels.index(name) for name in names]
 
@@ -168,9 +168,9 @@ class Lines:
     def _reference_noise(self, reference_weights: ComplexArray, noise: Scatter) -> Array:
         """Compute the largest amplitude of noise in the reference at each line; shape (n,).
 
-        It excludes lines without excitation, because noise exceeds it only at one line in a thousand. `noise` is the
-        scatter of the periods: realizations that were rotated by the phase of their own reference scatter only in its
-        amplitude.
+        Lines with a smaller reference are excluded as not excited, because noise exceeds this amplitude only at one
+        line in a thousand. `noise` is the scatter of the periods, because realizations that are rotated by the phase of
+        their own reference scatter only in amplitude.
         """
         variance = np.nan_to_num(noise.local_variance(reference_weights, self.n_neighbors))
         degrees_of_freedom = noise.degrees_of_freedom * (2 * self.n_neighbors + 1)

@@ -1,8 +1,8 @@
 """Stepped sine and constant tones: lock-in detection of the tone in every measured window.
 
-A *window* is a measured interval of a tone. The tone, its harmonics, offset and slope are fitted to it by least
-squares. Tones that were driven at once have the same window; each is fitted after the others were subtracted. The
-window is split into *parts* of whole periods, whose scatter determines the uncertainty. A *sweep* is a
+A *window* is a measured interval of a tone. A tone, its harmonics, an offset and a slope are fitted to the window by
+least squares. Tones that were driven at once have the same window; each tone is fitted after the other tones are
+subtracted. The window is split into *parts* of whole periods, whose scatter determines the uncertainty. A *sweep* is a
 pass through the frequencies at one *level* (nominal amplitude of the force or drive) in one *direction*, up or down.
 """
 
@@ -39,11 +39,11 @@ HARMONICS = 10
 PARTS = 20
 # A transient below this fraction of the settling tolerance is not detectable in the parts of a window.
 _UNDETECTED_TRANSIENT = 0.05
-# Reasons for the omission of a window: its length.
+# Reasons for the omission of a window that is too short.
 _TOO_SHORT = "shorter than a period of its tone"
 _TOO_CLOSE = "shorter than a period of the beat with another tone"
 _LENGTHS = (_TOO_SHORT, _TOO_CLOSE)
-# Samples per matrix product; they and the terms of the fit fit into the cache of a core.
+# Samples per matrix product, so few that they and the terms of the fit are cached in a processor core.
 _SAMPLES_PER_PRODUCT = 2048
 # A wait for the steady state begins with the transition to its tone, which usually ends within this time, s.
 _TRANSITION_S = 0.5
@@ -60,7 +60,7 @@ class ToneFit:
     # amplitude of the tone in each part of the window; complex, shape (parts, channels)
     parts: ComplexArray
     residual: Array  # root mean square of the residual; shape (channels,)
-    # lower estimate of the root mean square of noise, which is different in every period; shape (channels,)
+    # lower estimate of the root mean square of noise, which does not repeat from period to period; shape (channels,)
     noise: Array
 
     def scatter(self) -> ComplexArray:
@@ -72,23 +72,23 @@ class ToneFit:
 
 
 class _Parts(NamedTuple):
-    """Successive parts of the window, and the least-squares fit to each of them alone."""
+    """Successive parts of the window, and a separate least-squares fit to each part."""
 
     firsts: NDArray[np.int64]  # first sample of each part, shape (parts,)
     lengths: NDArray[np.int64]  # samples of each part, shape (parts,)
     projections: Array  # scalar products of the fitted terms with the samples, shape (parts, terms, channels)
     coefficients: Array  # coefficients of the fit to each part, shape (parts, terms, channels)
-    residual: Array  # its sum of squares, shape (parts, channels)
+    residual: Array  # sum of squares of the residual, shape (parts, channels)
     ends: Array  # first and last sample, shape (parts, 2, channels)
 
 
 class LockIn:
     """Lock-in detection of a tone and its harmonics, with samples added in one or several parts at a time.
 
-    All parts have a common fit; the deviation of each part from it determines the scatter. The normal equations of
-    each part are stored, but not its samples. The *terms* of the fit are a constant, a slope, and cosine and negative
-    sine of each harmonic. `frequency`: frequency of the tone, Hz; `rate`: sample rate, Hz; `harmonics`: largest number
-    of harmonics, including the tone.
+    All parts have a common fit; the deviation of each part from this fit determines the scatter. The normal equations
+    of each part are stored, but not its samples. The *terms* of the fit are a constant, a slope, and cosine and
+    negative sine of each harmonic. `frequency`: frequency of the tone, Hz; `rate`: sample rate, Hz; `harmonics`:
+    largest number of harmonics, including the tone.
 
     >>> t = np.arange(4000) / 5120.0
     >>> lockin = LockIn(10.0, 5120.0, harmonics=3)
@@ -155,7 +155,7 @@ class LockIn:
         normal_matrix = (window_to_part.mT @ grams[index] @ window_to_part).sum(axis=0)
         solution = np.linalg.solve(normal_matrix, (window_to_part.mT @ parts.projections).sum(axis=0))
         amplitude = (solution[2::2] + 1j * solution[3::2]).T
-        # Coefficients of the common fit in terms of each part.
+        # Coefficients of the common fit, converted to the terms of each part.
         common = window_to_part @ solution
         # Offset and slope of a single part are nearly collinear with its tone, which would increase the scatter. Only
         # the harmonics of each part are therefore fitted, to the residual of the common fit.
@@ -169,7 +169,8 @@ class LockIn:
         rotation = np.exp(-2j * np.pi * np.fmod(cycles, 1.0))
         deviations = (local[:, ::2] + 1j * local[:, 1::2]) * rotation[:, :, None]
         amplitudes = amplitude[:, 0] + deviations[:, 0]
-        # Residual of the common fit: residual of the part's own fit, and the difference of the two fits.
+        # The residual of the common fit consists of the residual of the part's own fit and the difference of the two
+        # fits.
         deviation = factors[index].mT @ (parts.coefficients - common)
         squares = parts.residual.sum(axis=0) + np.sum(np.square(deviation), axis=(0, 1))
         noise_power = np.zeros(len(amplitude))
@@ -183,17 +184,18 @@ class LockIn:
         return ToneFit(self.frequency, amplitude, amplitudes, np.sqrt(residual_power), np.sqrt(noise_power))
 
     def _edges(self, parts: _Parts, fits: Array) -> tuple[NDArray[np.int64], Array]:
-        """Return the sample at each edge of the parts, and the residual to be moved there from one part to the next.
+        """Return the sample at each edge of the parts, and the residual that is moved there from one part to the next.
 
         Whole periods end between two samples, but the ends of parts are rounded to samples. Without this correction,
-        each part would contain another fraction of the harmonics that are not fitted. `fits`: coefficients of the
-        common fit for each part. The results have the shapes (parts + 1,) and (parts + 1, channels).
+        the parts would contain different fractions of periods of the harmonics that are not fitted. `fits`:
+        coefficients of the common fit for each part. The results have the shapes (parts + 1,) and (parts + 1,
+        channels).
         """
         firsts = parts.firsts
         edges = np.append(firsts, self._samples)
         period = self.rate / self.frequency
         missing_samples = np.round(edges / period) * period - edges
-        # Whether the sample after the edge, in the next part, is used instead of the sample before it.
+        # Whether the sample after the edge is used, which is in the next part, instead of the sample before the edge.
         after = (missing_samples > 0.0) & (np.arange(edges.size) < firsts.size)
         rows = np.arange(edges.size) - ~after
         samples = np.where(after, 0, parts.lengths[rows] - 1)
@@ -219,7 +221,7 @@ class LockIn:
         return self._grams[length]
 
     def _pieces(self, length: int) -> Iterator[tuple[int, Array, Array]]:
-        """Yield for each piece of a part: its first sample, the matrix from its terms to the part's, its terms.
+        """Yield for each piece of a part: first sample, matrix from its terms to those of the part, its terms.
 
         A piece has at most `_SAMPLES_PER_PRODUCT` samples. The terms of all pieces are equal except for the slope and a
         rotation of each harmonic. The terms of a single piece are therefore sufficient for a part of any length.
@@ -237,7 +239,7 @@ class LockIn:
             if piece_length not in self._basis:
                 sample_numbers = np.arange(piece_length)
                 tone = np.exp(2j * np.pi * np.fmod(self.frequency / self.rate * sample_numbers, 1.0))
-                # A harmonic is a power of the tone.
+                # The k-th harmonic is the k-th power of the tone (complex exponential).
                 tones = np.cumprod(np.broadcast_to(tone, (self.harmonics, piece_length)), axis=0)
                 basis = np.empty((2 * self.harmonics + 2, piece_length))
                 basis[0], basis[1], basis[2::2], basis[3::2] = 1.0, sample_numbers, tones.real, -tones.imag
@@ -259,7 +261,7 @@ class LockIn:
         matrices[:, 0, 1] = (firsts + (lengths - 1) / 2) / self._samples
         matrices[:, 1, 1] = (lengths - 1) / 2 / self._samples
         self._rotate(matrices, firsts)
-        # Coefficients rotate in the opposite direction to their terms.
+        # Coefficients rotate in the opposite direction of the terms.
         matrices[:, 2:, 2:] = matrices[:, 2:, 2:].mT.copy()
         return matrices
 
@@ -269,8 +271,8 @@ def parts_of_whole_periods(
 ) -> list[tuple[int, int]]:
     """Split the window ``[first, last)`` into at most `max_parts` parts of the same whole number of periods each.
 
-    A remainder shorter than a part is discarded. Bounds are rounded to samples. A window shorter than one period is a
-    single part.
+    A remainder shorter than a part is discarded. Ends of parts are rounded to samples. A window shorter than one period
+    is a single part.
 
     >>> parts_of_whole_periods(0, 1000, 10.0, 1000.0, max_parts=4)
     [(0, 300), (300, 600), (600, 900)]
@@ -307,8 +309,8 @@ class _Omission(NamedTuple):
     """A window that was not evaluated."""
 
     frequency: float  # Hz
-    reason: str  # the same for all windows with the same flaw
-    details: str  # with the times of the flaws
+    reason: str  # reason without times: equal for all windows with the same flaw
+    details: str  # reason with the times of the flaws
 
 
 @dataclass(frozen=True)
@@ -381,7 +383,7 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
             reason = ", ".join(dict.fromkeys(flaw.description for flaw in window_flaws))
             omissions.setdefault(key, []).append(_Omission(frequency, reason, describe_flaws(rec, window_flaws)))
         else:
-            # Harmonics below half the sample rate, with at most half as many terms as samples of a part.
+            # Harmonics are fitted below half the sample rate, with at most half as many terms as samples of a part.
             lengths = [[end - begin for begin, end in batch] for batch in group]
             shortest_part = min(map(min, lengths))
             harmonics = int(max(1, min(HARMONICS, 0.45 * rec.rate / frequency, (shortest_part - 2) // 4)))
@@ -475,7 +477,7 @@ def _notes(sweep_name: str, points: list[_Point], omissions: list[_Omission]) ->
 
 
 def _reason_without_result(rec: Recording, reasons: list[str]) -> str:
-    """Describe why no window was evaluated, and the remedy; `reasons`: those of the omitted windows."""
+    """Describe why no window was evaluated, and the remedy; `reasons`: reasons of the omissions."""
     duration = f"{rec.samples / rec.rate:.3g} s"
     for marker in rec.markers:
         if marker.kind == "abort":
@@ -544,7 +546,8 @@ def _residual_transients(tones: Sequence[ToneFit]) -> Array:
     """Estimate the maximum error of each tone due to a decaying transient, shape (channels, tones)."""
     counts = np.array([len(tone.parts) for tone in tones])
     transients = np.empty((tones[0].parts.shape[1], len(tones)))
-    # Tones with the same number of parts are evaluated together, because a call takes as long for one as for many.
+    # Tones with the same number of parts are evaluated together, because a call takes as long for many tones as for
+    # one.
     for count in np.unique(counts):
         indices = np.flatnonzero(counts == count)
         parts = np.concatenate([tones[index].parts for index in indices.tolist()], axis=1)
@@ -558,7 +561,7 @@ def _resolution(rec: Recording, names: Sequence[str], mean: ComplexArray, noise:
     `mean`, `noise`: amplitudes, and root mean squares of the noise, of the same shape. A tone below half a count
     is not recorded. The error of a larger tone, with an amplitude of a counts, is at most ``2 / pi^2 / sqrt(a)``: the
     first term of the quantizer's series in Bessel functions (B. Widrow, I. Kollár, Quantization Noise, Cambridge
-    University Press 2008, sections 4 and 16). Noise reduces it.
+    University Press 2008, sections 4 and 16). Noise reduces the error.
     """
     steps = quantization_steps(rec, names)[:, None]
     step = np.where(steps > 0.0, steps, 1.0)
@@ -595,7 +598,7 @@ def describe_sweeps(all_sweeps: Iterable[Sweep]) -> str:
 
 
 def _peak_remedy(needed: float) -> str:
-    """Return the remedy for too few tones in a peak; `needed`: their required distance, Hz."""
+    """Return the remedy for too few tones in a peak; `needed`: required spacing of the tones, Hz."""
     return f"Measure every {needed:.1g} Hz there" if np.isfinite(needed) else "Measure with smaller steps there"
 
 

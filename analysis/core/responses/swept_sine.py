@@ -1,7 +1,7 @@
 """Swept sine: frequency responses by the local rational method.
 
-For each *line*, a frequency of the result, the method is applied to the *segment* of the sweep whose frequencies are
-near it. A *bin* is a frequency of the discrete Fourier transform of the segment.
+A *line* is a frequency of the result. For each line, the method is applied to the *segment* of the sweep in which the
+frequency of the tone is near the line. A *bin* is a frequency of the discrete Fourier transform of the segment.
 """
 
 from __future__ import annotations
@@ -42,20 +42,20 @@ if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
 
-# The ratio of the last to the first frequency of a segment is at least this, which excludes the harmonics of a
+# Smallest ratio of the last to the first frequency of a segment. Such short segments exclude the harmonics of a
 # nonlinear structure.
 _MIN_FREQUENCY_RATIO = 1.35
 # Factor by which this ratio is increased until enough bins of the segment are excited on either side of its frequency.
 _RATIO_INCREASE = 1.1
 # Number of frequencies at which the response is estimated.
 _POINTS = 400
-# Bins of a spectrum per fitted value: bins of a fit over its number of parameters.
+# Ratio of the number of bins of a fit to its number of parameters.
 _BINS_PER_VALUE = (2 * FIT_HALF_WIDTH + 1) / (3 * ORDER + 2)
 # Dampers are assumed to stay on their floors up to this acceleration of their body, g. They lift off at 1 g.
 _MAX_FLOOR_ACCELERATION = 0.7
 # With dampers in flight, a sweep is slow enough if the relative error due to its sweep rate is at most this.
 _MAX_SWEEP_ERROR_RATIO = 0.3
-# A sweep that is too fast causes a warning if it is so at more than this share of the lines with dampers in flight.
+# A warning is issued if the sweep is too fast at more than this share of the lines with dampers in flight.
 _MAX_FAST_SHARE = 0.05
 # A warning recommends a sweep that is longer by this factor.
 _RECOMMENDED_SLOWDOWN = 10
@@ -65,7 +65,7 @@ _MIN_PERIODS = 3.0
 
 @dataclass(frozen=True)
 class SweptTone:
-    """Spectra of a sweep: for each line, the spectra of the segment whose frequencies are near it."""
+    """Spectra of a sweep: for each line, the spectra of the segment in which the tone is near the line."""
 
     spectra: LocalSpectra
     sweep_rate: Array  # Hz/s; shape (lines,)
@@ -89,7 +89,7 @@ class SweptTone:
         frf = self.spectra.frf(rec, numerator, denominator, reference, motion, self.label, self.warnings, others=others)
         budget = frf.uncertainty
         assert isinstance(budget.errors, SharedErrors)
-        # Segments of neighboring frequencies overlap in time although their bins are counted as independent.
+        # Segments of neighboring lines overlap in time, although their bins are counted as independent.
         (fit_errors,) = budget.errors.elements
         fit_errors = replace(fit_errors, has_single_reference=False, shared=self.shared)
         errors = replace(budget.errors, elements=(fit_errors,))
@@ -101,7 +101,7 @@ class SweptTone:
         too_fast = error / abs(frf.value) > _MAX_SWEEP_ERROR_RATIO
         if not np.sum(too_fast) > _MAX_FAST_SHARE * np.sum(error > 0.0):
             return frf
-        # Two digits, so that responses with nearly the same band share one warning.
+        # Frequencies have two digits, so that responses with nearly the same band have the same warning.
         low, high = (format_number(float(f"{end:.2g}")) for end in frf.frequency[np.flatnonzero(too_fast)[[0, -1]]])
         parts = "joints that act" if rec.scene.joints else "dampers in flight"
         return frf.warn(
@@ -126,7 +126,7 @@ class SweptTone:
 def sweep_spectra(
     rec: Recording, marker: Marker, channels: Sequence[str], progress: CountProgress | None = None
 ) -> SweptTone:
-    """Compute the spectra of a sweep around each frequency, over the segment in which the tone is near it.
+    """Compute the spectra of a sweep around each line, over the segment in which the tone is near the line.
 
     The transients at the beginning and end of a segment are part of the fit. Neither the sweep rate nor the length of
     the segment therefore limits the resolution. `marker`: the ``measure`` marker of the sweep.
@@ -170,7 +170,7 @@ def sweep_spectra(
         center = max(int(frequency[index] * segment_samples / rec.rate), FIT_HALF_WIDTH + 1)
         # This shift of the spectrum moves the frequency exactly onto a bin.
         shift = frequency[index] * segment_samples / rec.rate - center
-        # The noise is estimated from bins beyond the frequencies and the leakage of the tone.
+        # The noise is estimated from bins that contain neither the tone nor its leakage.
         half_range = max((_MIN_FREQUENCY_RATIO**0.5 - 1.0) * center, FIT_HALF_WIDTH)
         noise_bin = center + direction * (int(_RATIO_INCREASE * half_range) + 2 * FIT_HALF_WIDTH)
         has_noise = FIT_HALF_WIDTH < noise_bin < segment_samples // 2 - FIT_HALF_WIDTH
@@ -268,7 +268,7 @@ def spectrum_at_bins(block: Array, bins: NDArray[np.int64], shift: float) -> Com
     rows = size // columns
 
     def phase_factors(samples: NDArray[np.int64]) -> ComplexArray:
-        # With integer arithmetic the phases of late samples are as exact as those of early samples.
+        # With integer arithmetic, phases of late samples are as exact as those of early samples.
         return np.exp(-2j * np.pi * (np.outer(bins, samples) % size + shift * samples) / size)
 
     by_row, by_column = phase_factors(columns * np.arange(rows)), phase_factors(np.arange(columns))
@@ -289,7 +289,7 @@ def _noise(spectra: ComplexArray) -> Array:
 
 
 def _interpolate_noise(levels: Sequence[tuple[float, ...]], frequency: Array, channels: int) -> Array:
-    """Interpolate the noise of each channel between the frequencies of its estimates; constant beyond them."""
+    """Interpolate the noise of each channel between the frequencies of estimates; constant outside their range."""
     if not levels:
         return np.zeros((channels, frequency.size))
     noise_frequency, *power = np.array(sorted(levels)).T
@@ -300,7 +300,7 @@ def _interpolate_noise(levels: Sequence[tuple[float, ...]], frequency: Array, ch
 def _samples_between(block: Array, ends: Sequence[float], period: float) -> Array:
     """Return the samples between two positions of a segment, but at least `_MIN_PERIODS` around their middle.
 
-    The readings may be far larger in other parts of the segment.
+    The readings in other parts of the segment may be far larger.
     """
     middle, half = sum(ends) / 2.0, max(abs(ends[1] - ends[0]) / 2.0, _MIN_PERIODS / 2.0 * period)
     return block[:, max(int(middle - half), 0) : max(int(middle + half), int(period)) + 1]

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from daq.core.signal_chain.channel import ChannelInfo
     from rig.core.scene.excitation.profile import Prescription
 
-# A channel limits the drive where it is nearer to its limit than this, dB, and the control is below the profile.
+# A channel limits the drive if its distance from its limit is below this, dB, and the control is below the profile.
 _NOTCH_DB = 1.5
 # Number of periods of a window in which the amplitude of a sweep is estimated.
 _PERIODS = 4.0
@@ -42,15 +42,15 @@ _INDEPENDENT_RATIO = 0.95
 
 @dataclass(frozen=True)
 class Level:
-    """Motion of a channel over frequency, with its 95 % interval, and its bound, all of shape (n,)."""
+    """Motion of a channel over frequency with its 95 % interval, and prescribed values; all of shape (n,)."""
 
     channel: str
-    place: str  # of the sensor: "body 2", "table"
+    place: str  # location of the sensor: "body 2", "table"
     values: Array
     low: Array
     high: Array
     bound: Array  # profile or limit; NaN where there is none
-    rms: float  # of the readings, in the unit of the channel
+    rms: float  # root mean square of the readings, in the unit of the channel
     kurtosis: float
 
 
@@ -98,7 +98,7 @@ class ProfileCheck(Result):
 
     @property
     def band(self) -> tuple[Array, Array]:
-        """Profile less and plus the tolerance."""
+        """Profile minus and plus the tolerance."""
         ratio = 10.0 ** (self.tolerance / self._decibels)
         return self.profile / ratio, self.profile * ratio
 
@@ -113,12 +113,12 @@ class ProfileCheck(Result):
             return self._decibels * np.log10(level.values / level.bound)
 
     def is_limited(self, level: Level) -> NDArray[np.bool_]:
-        """Return at which frequencies a channel limits the drive."""
+        """Return flags of the frequencies at which a channel limits the drive."""
         return limits_drive(-self.deviation, -self.excess(level), _NOTCH_DB)
 
     @property
     def is_reduced(self) -> NDArray[np.bool_]:
-        """At which frequencies a limit keeps the control below the tolerance."""
+        """Flags of the frequencies at which a limit keeps the control below the tolerance."""
         limiting = [self.is_limited(level) for level in self.limited]
         return np.asarray(np.any([np.zeros(self.frequency.size, dtype=bool), *limiting], axis=0)
                           & (self.deviation < -self.tolerance))  # fmt: skip
@@ -255,7 +255,7 @@ def _amplitudes(
 ) -> tuple[Array, dict[str, tuple[Array, Array, Array]]]:
     """Return frequencies and, for each channel, its amplitude in windows of some periods, without an interval.
 
-    The phase of the tone follows from the sweep up to a constant, which does not change the amplitude.
+    The phase of the tone is computed from the sweep except for a constant, which does not change the amplitude.
     """
     sweep = rec.scene.test
     assert sweep is not None
@@ -300,7 +300,7 @@ def _finite(rec: Recording, name: str, start: int, stop: int) -> Array:
 
 
 def _power_factor(info: ChannelInfo, frequency: Array) -> Array:
-    """Return the squared factor from the amplitude of a reading to that of the acceleration."""
+    """Return the square of the ratio of acceleration amplitude to amplitude of a reading."""
     order = 2 - (info.derivative or 0)
     return np.asarray(abs((2.0 * np.pi * frequency) ** order / info.response(frequency)) ** 2)
 

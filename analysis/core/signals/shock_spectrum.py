@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 # Default limits of the natural frequencies: lowest in Hz, and highest as a fraction of the sample rate.
 _LOWEST_HZ = 5.0
 _HIGHEST_RATIO = 0.2
-# Highest natural frequency, as a fraction of the sample rate: the band of the signal ends there.
+# Highest permitted natural frequency, as a fraction of the sample rate, because the band of the signal ends there.
 _BAND_RATIO = 0.4
 # A sensor without response at 0 Hz is corrected down to this fraction of the lowest natural frequency.
 _CORRECTED_RATIO = 0.1
@@ -120,8 +120,8 @@ def srs(
 ) -> ShockSpectrum:
     """Compute the shock response spectrum of a channel.
 
-    The spectrum is that of the true motion: the response of sensor and converter is removed. Motion is evaluated as
-    acceleration. At its start, the segment must be at rest.
+    The spectrum is computed from the true motion: the samples are corrected for the response of sensor and converter.
+    Motion is evaluated as acceleration. At its start, the segment must be at rest.
 
     Parameters
     ----------

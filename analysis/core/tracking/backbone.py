@@ -1,12 +1,13 @@
 """Backbone of a resonance: natural frequency and damping ratio against amplitude, from a test of phase resonance.
 
 At phase resonance the force supplies the dissipated power P, so that the damping ratio is D = P / (w0 w^2 a^2) with the
-modal amplitude a of mass-normalized modes. P is the power of the tone; that of the harmonics is zero for a force
+modal amplitude a of mass-normalized modes. P is the power of the tone; the power of the harmonics is zero for a force
 shaker, and neglected for a coil spring. (M. Scheel, S. Peter, R. I. Leine, M. Krack, J. Sound Vib. 435 (2018) 56.)
 
-The phase of one body is also that of other modes. The mode alone has the shape of the quadrature parts of the bodies'
-motions, because other modes respond nearly in phase with the force. The motion projected on this shape with the mass
-matrix is the modal coordinate q, and its phase gives the natural frequency: w0^2 = w^2 + 2 D w0 w Re q / -Im q.
+Other modes contribute to the phase of one body. The shape of the resonant mode alone is given by the quadrature parts
+of the bodies' motions, because other modes respond nearly in phase with the force. The motion projected on this shape
+with the mass matrix is the modal coordinate q, and its phase gives the natural frequency: w0^2 = w^2 + 2 D w0 w Re q /
+-Im q.
 """
 
 from __future__ import annotations
@@ -35,18 +36,18 @@ if TYPE_CHECKING:
 
     from daq.core.recording.recording import Recording
 
-# Factor on the deviation of the frequency from that of one mode: other modes contribute to the phase, so that the
-# amplitude changes with it. The largest factor with the scene `backbone` was 1.8.
+# Factor on the frequency deviation that a phase deviation would cause with a single mode. Other modes contribute to the
+# phase, so the true deviation is larger. The largest factor with the scene `backbone` was 1.8.
 _SLOPE = 2.0
 # Largest ratio of the quadrature to the in-phase part of other modes, relative to the damping ratio.
 _OTHER_QUADRATURE = 10.0
-# The level of a point is written on its left if the next point is closer than this part of the axis.
+# The level of a point is written on its left if the distance of the next point is less than this fraction of the axis.
 _LABEL_RATIO = 0.08
 
 
 @dataclass(frozen=True, repr=False)
 class Backbone(Result):
-    """Natural frequency and damping ratio at each level of a test, in its order.
+    """Natural frequency and damping ratio at each level of a test, in the order of the test.
 
     Attributes
     ----------
@@ -174,8 +175,8 @@ def backbone(rec: Recording) -> Backbone:
             float(column[line]) for column in (at_body.force, at_body.amplitude, at_body.relative)
         )
         error = float(np.remainder(np.angle(values[k]) - wanted + np.pi, 2.0 * np.pi) - np.pi)
-        # The sensitivity of a force sensor does not change the phase; those of the sensors of a spring force do, and
-        # the other contributions.
+        # The sensitivity of a force sensor does not change the phase. Sensitivities of the sensors of a spring force
+        # and the other contributions do.
         systematic = [limit[line, k, 0] for name, limit in response.limits.items() if rotates or name != SENSITIVITY]
         rotation = (float(response.random_bound()[line, k, 0]) + float(np.sum(systematic))) / abs(values[k])
         angle = _SLOPE * (abs(error) + rotation)
@@ -213,7 +214,7 @@ def backbone(rec: Recording) -> Backbone:
 
 
 class _Mode(NamedTuple):
-    """A mode near phase resonance; the bounds are halves of 95 % intervals."""
+    """A mode near phase resonance; the `_bound`s are halves of 95 % intervals."""
 
     frequency: float  # Hz
     frequency_bound: float
@@ -235,7 +236,7 @@ def _mode(
 ) -> _Mode:
     """Return natural frequency and damping ratio from the motion of all bodies, m, relative to the force, N.
 
-    `relative`, `rotation`: relative uncertainty of the motion, and that of its phase (rad).
+    `relative`, `rotation`: relative uncertainty of the motion, and uncertainty of its phase (rad).
     """
     shape = -motion.imag / np.sqrt(motion.imag @ mass @ motion.imag)
     coordinate = complex(shape @ mass @ motion)

@@ -17,12 +17,12 @@ class BodyMotion(NamedTuple):
     output: int  # index of the body's channel in the response
     force: Array  # amplitude, N; NaN if it is not known
     amplitude: Array  # displacement, m
-    relative: Array  # half of the 95 % interval of the response, relative to it
+    relative: Array  # half of the 95 % interval of the response, relative to the response
     settled: NDArray[np.bool_]
 
 
 def body_motion(response: Response, location: str) -> BodyMotion:
-    """Return the motion at a location such as "body 2"; the force is that of the test."""
+    """Return the motion at a location such as "body 2"; the force is the measured force of the test."""
     k = [output.at for output in response.outputs].index(location)
     size, magnitude = response.frequency.size, abs(response.value[:, k, 0])
     force = np.full(size, np.nan) if response.amplitude is None else response.amplitude

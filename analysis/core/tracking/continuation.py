@@ -1,8 +1,8 @@
 """Response at constant force from a test of continuation: its stable and unstable parts, and its folds.
 
-A fold is a point at which the curve turns back in frequency: the frequency has a maximum or minimum along the curve. It
-is that of a cubic polynomial, fitted to the frequencies of the nearest points over the length of the curve. The motion
-between two folds is unstable at constant force.
+A fold is a point at which the curve turns back in frequency: the frequency has a maximum or minimum along the curve.
+The extreme value is computed from a cubic polynomial, fitted to the frequencies of the nearest points over the length
+of the curve. The motion between two folds is unstable at constant force.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ _FITTED = 3
 class Fold(NamedTuple):
     """A point at which a curve turns back."""
 
-    level: float  # in the unit of the test
+    level: float  # level, in the unit of the test
     frequency: float  # Hz
     bound: float  # half of the 95 % interval of the frequency, Hz
     amplitude: float  # m
-    position: float  # along the curve, in numbers of points
+    position: float  # position along the curve, in numbers of points
 
 
 @dataclass(frozen=True, repr=False)
@@ -161,7 +161,7 @@ def continuation(rec: Recording) -> AmplitudeCurve:
             if marker.fields["level"] == level
         }
         value, frequency = response.value[:, k, 0], response.frequency
-        # The drive of a force shaker is the level, whatever the sensitivities of the sensors.
+        # The drive of a force shaker is the level, independent of the sensitivities of the sensors.
         known = rec.scene.driven_shaker is not None and rec.scene.driven_shaker.drive_is_force
         systematic = [limit[:, k, 0] for name, limit in response.limits.items() if not known or name != SENSITIVITY]
         error = (response.random_bound()[:, k, 0] + np.sum(systematic, axis=0)) / abs(value)
@@ -198,14 +198,14 @@ def continuation(rec: Recording) -> AmplitudeCurve:
 
 
 def _folds(level: float, frequency: Array, amplitude: Array, bound: Array) -> list[Fold]:
-    """Locate the points at which the frequency turns back; `bound`: that of the frequency at constant amplitude, Hz."""
+    """Locate the points at which the frequency turns back; `bound`: uncertainty at constant amplitude, Hz."""
     folds: list[Fold] = []
     steps = np.diff(frequency)
     vertex: int
     for vertex in (np.flatnonzero(steps[1:] * steps[:-1] < 0.0) + 1).tolist():
         first = max(vertex - _FITTED + 1, 0)
         window = slice(first, vertex + _FITTED)
-        # Within the window, frequency and amplitude have the same range.
+        # Frequency and amplitude are scaled to the same range within the window.
         f, a = frequency[window], amplitude[window]
         lengths = np.hypot(np.diff(f) / max(np.ptp(f), 1e-12), np.diff(np.log(a)) / max(np.ptp(np.log(a)), 1e-12))
         s = np.concatenate([[0.0], np.cumsum(lengths)])

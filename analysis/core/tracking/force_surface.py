@@ -1,8 +1,8 @@
 """Harmonic force surface: the force over frequency and amplitude, from tests that hold the amplitude of a motion.
 
-At one frequency the force is a single-valued function of the amplitude, also where several amplitudes belong to one
-force. Curves of constant force follow from it with their unstable parts. (T. Karaagacli, H. N. Ozguven, Vibration 3
-(2020) 266.) Real and imaginary part of the dynamic stiffness are interpolated over the amplitude, because they are
+At one frequency the force is a single-valued function of the amplitude, even if several amplitudes belong to one force.
+Curves of constant force, with their unstable parts, follow from this function. (T. Karaagacli, H. N. Ozguven, Vibration
+3 (2020) 266.) Real and imaginary part of the dynamic stiffness are interpolated over the amplitude, because they are
 smoother than the force.
 """
 
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 
 # Minimum number of amplitudes at one frequency for interpolation.
 _MIN_AMPLITUDES = 3
-# Amplitudes that differ by less than this fraction from the next one belong to one held level.
+# Successive amplitudes belong to the same held level if they differ by less than this fraction.
 _LEVEL_STEP = 0.02
-# Number of amplitudes to which a frequency is interpolated.
+# Number of amplitudes to which the points of a frequency are interpolated.
 _GRID = 1000
 
 
@@ -68,7 +68,7 @@ class ForceSurface(Result):
         """Yield each frequency in Hz with amplitudes in m, and force with half of its 95 % interval in N.
 
         The error of the interpolation is at most s (1 - s) times the change of the dynamic stiffness from one amplitude
-        to the next, with the share s of the distance; an assumption, which holds for the scene `held-response`.
+        to the next, with the share s of the distance. This assumption is true for the scene `held-response`.
         """
         for frequency in np.unique(self.frequency).tolist():
             chosen = np.flatnonzero(self.frequency == frequency)
@@ -108,7 +108,7 @@ class ForceSurface(Result):
             rise = np.diff(values)
             for k in np.flatnonzero((values[1:] >= force) != (values[:-1] >= force)):
                 share = (force - values[k]) / rise[k]
-                # Next to a fold, the slope is that of the chord over the interval of the force.
+                # Next to a fold, the slope of the chord over the interval of the force is used.
                 within = np.flatnonzero(abs(values - force) <= bound[k])
                 width = np.ptp(amplitude[within]) / 2.0 if within.size else 0.0
                 error = max(bound[k] * (amplitude[k + 1] - amplitude[k]) / abs(rise[k]), width)
@@ -120,8 +120,8 @@ class ForceSurface(Result):
     def folds(self, force: float) -> list[tuple[float, float]]:
         """Return frequency (Hz) and amplitude (m) of the folds of the response at constant force.
 
-        At a fold the force over the amplitude is a maximum or minimum. These are interpolated linearly from one
-        measured frequency to the next.
+        At a fold the force over the amplitude is a maximum or minimum. Maxima and minima are interpolated linearly from
+        one measured frequency to the next.
         """
         folds: list[tuple[float, float]] = []
         previous: dict[bool, tuple[float, float, float]] = {}
@@ -202,7 +202,7 @@ def force_surface(rec: Recording) -> ForceSurface:
     slope = largest_slopes(frequency, amplitude, force)
     shaker = rec.scene.driven_shaker
     if shaker is None or not shaker.drive_is_force:
-        # The error of the response can also be that of the force.
+        # An error of the response may be caused by an error of the force.
         slope = np.maximum(slope, 1.0)
     body = rec.scene.structure.label(location)
     return ForceSurface(rec.scene.name, body, frequency, amplitude, stiffness, force, slope * relative * force)
@@ -211,8 +211,9 @@ def force_surface(rec: Recording) -> ForceSurface:
 def largest_slopes(frequency: Array, amplitude: Array, force: Array) -> Array:
     """Return the largest magnitude of the slope d ln(force) / d ln(amplitude) that each point can have.
 
-    It is that of the chords to the next lower and higher amplitude at the same frequency. Below the lowest amplitude
-    the structure is taken as linear, with the slope 1; above the highest, the slope changes as much again as before.
+    The slope is the larger slope of the chords to the next lower and higher amplitude at the same frequency. Below the
+    lowest amplitude the structure is assumed to be linear, with the slope 1. Above the highest amplitude, the slope is
+    assumed to change as much as between the last two chords.
     """
     largest = np.ones(frequency.size)
     for value in np.unique(frequency):

@@ -25,7 +25,7 @@ UNCORRECTED_COLOR = "#a0a0a0"
 
 
 def table(study: ChainStudy) -> str:
-    """Return a study as text: error with the scene's own settings, largest error of the variants, all measurements."""
+    """Return a study as text: error of the unchanged scene, largest error of the variants, all measurements."""
     frequencies = ", ".join(f"{frequency:g}" for frequency in study.frequency)
     variants = [point for group in GROUPS for point in study.points if point.group == group]
     scene = study.unchanged

@@ -36,7 +36,7 @@ from rig.studies.motion_map.grid import select_frequencies
 if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
-#: Motion that repeats every period is searched at this number of frequencies.
+#: Number of frequencies at which a motion that repeats every period is searched.
 CANDIDATE_FREQUENCIES = 15
 #: A measurement starts when the transient is at most this fraction of the amplitude.
 SETTLE_TOLERANCE = 1e-5
@@ -52,7 +52,8 @@ PERIODS = 50
 REPEATS = 2
 #: The reference motion is in steady state if it changes by at most this fraction from period to period.
 REFERENCE_TOLERANCE = 1e-10
-#: A frequency is chosen if upward and downward sweep differ by at most this fraction there.
+#: A frequency is chosen if the responses of upward and downward sweep at this frequency differ by at most this
+#: fraction.
 SAME_MOTION_TOLERANCE = 1e-4
 #: Message for a scene whose unchanged chain gives no result.
 UNMEASURABLE = "the unchanged scene cannot be measured: {}"
@@ -68,10 +69,12 @@ class Measurement:
     duration: float  # length of the test, s
     error: float
     """Largest error of the compliance over measured bodies and frequencies, relative to the largest compliance.
-    Channels are corrected by their data sheets: frequency response of sensor, amplifier and converter."""
+    Channels are corrected for the frequency response of sensor, amplifier and converter from the data sheets.
+    """
     correction: float
-    """Size of that correction: largest relative error of a displacement without it. In a compliance, most of it cancels
-    if all channels are identical."""
+    """Size of this correction: largest relative error of a displacement without correction. In a compliance, most of
+    the error cancels if all channels are identical.
+    """
     note: str = ""  # warnings about overloads, or the reason of a failure
 
 
@@ -95,8 +98,8 @@ def chain_study(
     """Measure the effect of each part of a measurement chain on the compliance, and its computing time.
 
     A structure without moving dampers is linear: the reference is its exact compliance. With dampers the compliance
-    depends on the level. The reference is then the engine's steady-state motion under the drive amplitude that the
-    controller reached, as recorded; it is computed until it repeats within 1e-10. `rig cost` compares the engine with
+    depends on the level. The reference is then the engine's steady-state motion under the recorded drive amplitude that
+    the controller reached. This motion is computed until it repeats within 1e-10. `rig cost` compares the engine with
     arithmetic of 40 digits. Both references are independent of the measurement chain.
 
     `scene`: has a shaker and a test with a level. `frequencies`: Hz; None: `steady_frequencies` selects them from the
@@ -147,8 +150,8 @@ def chain_study(
 def steady_frequencies(scene: Scene) -> tuple[float, ...]:
     """Select frequencies with the same period-1 motion in upward and downward sweeps.
 
-    Returns, in Hz and rising, the lowest and the highest of these in the test's range, and the frequency of largest
-    acceleration. Raises `RunError` if there is none.
+    Returns, in Hz and in ascending order, the lowest and the highest of these frequencies in the test's range, and the
+    frequency of largest acceleration. Raises `RunError` if there are none.
     """
     motion = with_ideal_force(scene)
     candidates = select_frequencies(motion, points=CANDIDATE_FREQUENCIES)
@@ -198,7 +201,7 @@ def _test(scene: Scene, frequencies: tuple[float, ...]) -> SteppedSine:
 class _Bench:
     """Records and analyzes variants of a scene; recordings are made in `folder`.
 
-    `linear`: whether the scene has no moving dampers, so that its receptance is the reference.
+    `linear`: whether the scene has no moving dampers, so that its exact compliance is the reference.
     """
 
     def __init__(self, folder: Path, linear: bool) -> None:
@@ -276,8 +279,8 @@ def _steady_compliance(scene: Scene, frequency: float, drive: float) -> ComplexA
     level_key = "force" if scene.driven_shaker is not None and scene.driven_shaker.drive_is_force else "drive"
     test = SteppedSine(**{level_key: drive}, frequencies=(frequency,))
     scene = scene.replace(test=test)
-    # Linear interpolation between samples reduces the amplitude of a sinusoid by this factor. For the engine, the
-    # drive of a table is its actual position; for the servo, it is the commanded position.
+    # Linear interpolation between samples reduces the amplitude of a sinusoid by this factor. The drive of a table is
+    # the actual position of the table for the engine, and the commanded position for the servo.
     amplitude_ratio = float(np.sinc(frequency / scene.converter.sample_rate)) ** 2
     amplitude_ratio /= abs(drive_per_level(scene, assemble(scene), 2.0 * np.pi * frequency))
     scene = scene.replace(test=test.replace(**{level_key: drive * amplitude_ratio}))

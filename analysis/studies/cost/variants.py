@@ -128,7 +128,7 @@ def _without_quantization(scene: Scene) -> Scene:
 def variants(
     scene: Scene, lowest: float, peak_frequency: float, highest: float, largest_voltage: float
 ) -> Iterator[Variant]:
-    """Change one part at a time in the scene from `without_noise`, where noise does not mask the effects.
+    """Change one part at a time in the scene from `without_noise`, in which noise does not mask the effects.
 
     `scene`: as returned by `expand_chain`; `lowest`, `peak_frequency`, `highest`: measured frequencies, Hz; an added
     integrator has unit gain at `peak_frequency`; `largest_voltage`: of the unchanged scene, V; it determines the range
@@ -161,7 +161,7 @@ def _with_converter(scene: Scene, **changes: Any) -> Scene:
 
 
 def _with_sensors(scene: Scene, **changes: Any) -> Scene:
-    """Change settings of all accelerometers; a channel without an accelerometer gets one if a setting is not None."""
+    """Change settings of all accelerometers; a channel without accelerometer gets one if a setting is not None."""
     assert scene.channels is not None
     channels = [
         channel.replace(accelerometer=(channel.accelerometer or Accelerometer()).replace(**changes))

@@ -43,7 +43,7 @@ SAME_LANDING_DEG = 20.0
 
 
 def bed_claim(parts: Parts, consequences: Sequence[Claim]) -> Claim:
-    """Assess C7: deviations of a bed of grains from the single mass, and the verdicts on the consequences."""
+    """Assess C7: deviations of a bed of grains from the single mass, and verdicts on consequences of the claim."""
     beds, error = parts["beds"], np.abs(approximation_error(parts))
     verdicts = ", ".join(f"{claim.name} {claim.verdict.split(':')[0]}" for claim in consequences)
     bed_sentences = [
@@ -88,7 +88,7 @@ def bed_claim(parts: Parts, consequences: Sequence[Claim]) -> Claim:
 
 
 def deviation(beds: Columns, name: str) -> NDArray[np.float64]:
-    """Compute the relative deviation of grains from the mass, shape (settings,); NaN where its value is negligible."""
+    """Compute the relative deviation of grains from the mass, shape (settings,); NaN for negligible values."""
     return _relative_to_mass(beds[f"grains_{name}"] - beds[f"mass_{name}"], beds[f"mass_{name}"])
 
 
@@ -107,7 +107,7 @@ def _count_within(values: np.ndarray, bound: float) -> int:
 
 
 def verdict(beds: Columns) -> str:
-    """Return the verdict on C7: the number of settings in which grains and single mass have the same compliance."""
+    """Return the verdict on C7: the number of settings in which grains and single mass nearly agree."""
     deviations = deviation(beds, "compliance")
     count, acceptable = len(deviations), _count_within(deviations, MAX_DEVIATION)
     agreement = (
@@ -210,7 +210,7 @@ def _describe_deviation(beds: Columns, name: str, label: str) -> str:
 
 
 def _describe_contact(beds: Columns, contacts: Columns) -> str:
-    """Assess the single mass on finite-duration contact, the model between instantaneous contact and grains."""
+    """Assess the single mass with finite-duration contact, a model between instantaneous contact and grains."""
     beds_with_ceiling = with_ceiling(beds)
     contact = fit_contact(beds_with_ceiling, contacts)
     deviations = deviation_on_contact(contact, beds_with_ceiling, contacts)
@@ -218,7 +218,7 @@ def _describe_contact(beds: Columns, contacts: Columns) -> str:
     all_deviations, instantaneous = deviation_on_contact(contact, beds, contacts), deviation(beds, "compliance")
     has_ceiling = np.isfinite(beds["clearance"])
     ceiling_impulse = ceiling_impulse_on_contact(contact, beds_with_ceiling, contacts)
-    # In m g T, the impulse of the floor in a period is 1 plus the impulse of the ceiling.
+    # In units of weight times period, the impulse of the floor in a period is 1 plus the impulse of the ceiling.
     floor_deviations = (1.0 + beds_with_ceiling["grains_ceiling_impulse"]) / (1.0 + ceiling_impulse) - 1.0
     return (
         "Single-mass model with contacts of finite duration, fitted to the beds below a ceiling at "

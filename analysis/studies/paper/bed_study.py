@@ -74,8 +74,9 @@ BLOCK_PERIODS = 6
 BLOCK_PERIODS_WITH_CEILING = 20
 #: Young's modulus of the grains, Pa.
 MODULUS_PA = 1e8
-#: Ratio of the time step to the Rayleigh time: statistics of a bed do not need the rebound of each grain to 1 %. Twice
-#: this step is too long: beds of four and six layers that seldom hit a ceiling at 2 mm then dissipate 10 to 80 % less.
+#: Ratio of the time step to the Rayleigh time, longer than usual because statistics of a bed do not need the rebound of
+#: each grain to 1 %. Twice this step is too long: beds of four and six layers that seldom hit a ceiling at 2 mm then
+#: dissipate 10 to 80 % less.
 TIME_STEP_RATIO = 0.1
 #: Results for grains and for the single mass; see `summary_row`.
 MEASURES = ("compliance", "floor_impulse", "ceiling_impulse", "energy", "landing", "flight")
@@ -105,7 +106,7 @@ class Setting(NamedTuple):
 
 
 def settings() -> list[Setting]:
-    """List all settings; within a seed in random order, so that the first settings are spread over all of them."""
+    """List all settings; within a seed in random order, so that the first settings are a sample of all settings."""
     pairs = [(level, clearance) for level, clearances in SETTINGS.items() for clearance in clearances]
     listed = []
     for seed in SEEDS:
@@ -174,9 +175,9 @@ def follow(path: Path, points: int | None, print_line: Callable[[str], None], cl
 def table(path: Path | None = None) -> Arrays:
     """Read a table of settings, averaged over seeds.
 
-    Returns columns of shape (settings,): ``frequency``, ``level``, ``clearance``, ``layers``, ``seeds`` (their number)
-    and ``depth``; ``grains_type`` and ``mass_type``; and for each NAME of `MEASURES` ``mass_NAME``, ``grains_NAME``
-    (mean over the seeds) and ``error_NAME`` (standard error of this mean, infinite for a single seed).
+    Returns columns of shape (settings,): ``frequency``, ``level``, ``clearance``, ``layers``, ``seeds`` (number of
+    seeds) and ``depth``; ``grains_type`` and ``mass_type``; and for each NAME of `MEASURES` ``mass_NAME``,
+    ``grains_NAME`` (mean over the seeds) and ``error_NAME`` (standard error of this mean, infinite for a single seed).
     """
     groups: dict[tuple[float, float, float, int], list[Row]] = {}
     for row in TABLE.read(path):
@@ -221,9 +222,9 @@ def summary_row(scene: Scene, motion: SteadyBed) -> list[str]:
     """Return the dimensionless measures of a motion, and its type.
 
     Impulses are relative to the bed's weight times a period, energy to its weight times 1 mm. Landings are in degrees,
-    flight is a share of the period. The compliance is that of a body with `DAMPING` and `DAMPED_MASS_RATIO` at its
-    peak, relative to its spring's. There the work of the force is dissipated: k X / F = 1 / (2 zeta + E / (pi M omega^2
-    X^2)).
+    flight is a share of the period. The compliance is the peak compliance of a body with `DAMPING` and
+    `DAMPED_MASS_RATIO`, relative to the compliance of its spring. At the peak the work of the force equals the
+    dissipated energy: k X / F = 1 / (2 zeta + E / (pi M omega^2 X^2)).
     """
     mass, test = scene.dampers[0].mass, scene.test
     assert mass is not None

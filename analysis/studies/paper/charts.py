@@ -38,8 +38,8 @@ def region_of_c2(parts: Parts) -> Figure:
 def holds_c2(parts: Parts) -> np.ndarray:
     """Return the cells in which all parts of claim C2 are true.
 
-    The peak ratio is 2.5 to 4. One damper shows Type III. Three dampers show Types I and II, and no other type than
-    these or rest at the peak.
+    The peak ratio is 2.5 to 4. One damper shows Type III. Three dampers show Types I and II, and at the peak only these
+    types or rest.
     """
     single, three = parts["scan-single"], parts["scan-three"]
     ratio = single["peak"] / three["peak"]

@@ -19,7 +19,7 @@ from rig.core.scene.scene import STANDARD_GRAVITY
 PAPER_OMEGA = np.array([81.9, 218.8, 312.4])
 # Force of Fig 8.
 FORCE_C3_N = 2.6
-# Simulation and experiment differ if their relative difference at antiresonances is at least this.
+# Simulation and experiment differ, as claimed in C5, if their relative difference at antiresonances is at least this.
 MIN_DIFFERENCE = 0.1
 # The difference at antiresonances must be at least this multiple of the difference at peaks.
 MIN_DIFFERENCE_RATIO = 5.0
@@ -128,7 +128,7 @@ def _c2(parts: Parts) -> Claim:
 
 
 def _describe_type_iii(single: Columns) -> str:
-    """Compare peaks of Type III with those of other types at the same force (paper: Type III enhances the motion)."""
+    """Compare peaks of Type III with peaks of other types at the same force (paper: Type III enhances the motion)."""
     factors = []
     for peak, kind in zip(single["peak"], single["type_at_peak"], strict=True):
         is_type_iii = kind == "III"
@@ -160,7 +160,7 @@ def _c3(parts: Parts) -> Claim:
     # The errors of two recordings are independent.
     ratio_expanded = ratios_to_bare * np.hypot(expanded / peaks, expanded[0] / peaks[0])
     ratio_expanded[0] = 0.0
-    # A peak without an upper limit is at least as high as the highest point.
+    # A peak without an upper limit of its interval is at least as high as the highest point.
     lower = ratios_to_bare - np.where(np.isfinite(ratio_expanded), ratio_expanded, 0.0)
     upper = ratios_to_bare + ratio_expanded
     least_affected = [_largest(*limits) for limits in zip(lower[1:], upper[1:], strict=True)]
@@ -253,7 +253,7 @@ def _largest(lower: np.ndarray, upper: np.ndarray) -> str:
 
 
 def with_unit(percent: float, expanded: float) -> str:
-    """Format a percentage with its expanded uncertainty, or as a value that is not determined.
+    """Format a percentage with its expanded uncertainty, or with "at least" if the uncertainty is unbounded.
 
     >>> with_unit(54.32, 1.24), with_unit(54.32, np.inf)
     ('(54.3 ± 1.2) %', 'at least 54 %')
@@ -298,7 +298,8 @@ def _c5(parts: Parts) -> Claim:
 def differences(exact: Columns, measured: Columns) -> tuple[float, float]:
     """Compute the median relative difference of compliances near antiresonances, and near peaks.
 
-    Near means the fifth of the frequencies with the smallest, or the largest, compliance of bodies 1 and 2.
+    Frequencies near antiresonances are the fifth of all frequencies with the smallest compliance of bodies 1 and 2;
+    frequencies near peaks are the fifth with the largest.
     """
     at_antiresonances, at_peaks = [], []
     for body in range(2):

@@ -67,7 +67,7 @@ class FittedContact(NamedTuple):
 
     restitution: float
     duration: float  # s
-    share: float  # of the bed's mass that moves; the rest is fixed to the body
+    share: float  # share of the bed's mass that moves; the rest is fixed to the body
 
 
 def contacts() -> list[ContactPoint]:
@@ -182,7 +182,7 @@ def cross_validated_deviation(beds: Mapping[str, np.ndarray], contacts: Mapping[
 
 
 def at_shaking_frequency(beds: Mapping[str, np.ndarray]) -> Arrays:
-    """Select the settings at which contacts were simulated: those at 50 Hz."""
+    """Select the settings at which contacts were simulated: the settings at 50 Hz."""
     return select(beds, beds["frequency"] == FREQUENCY)
 
 

@@ -145,7 +145,7 @@ def _frequency_range(data: Columns, selected: np.ndarray, kind: str) -> str:
 
 
 def _nearest_orbit(exact: Columns, frequency: float, value: complex) -> tuple[int, float]:
-    """Return the index of the stable orbit nearest to a measured compliance of body 2, and the relative distance.
+    """Return the index of the stable orbit nearest to a measured compliance of body 2, and the relative deviation.
 
     The index is -1 if there is no stable orbit near the frequency.
     """

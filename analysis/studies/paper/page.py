@@ -38,13 +38,13 @@ CAPTIONS = {
     "c7-beds": "Deviation of beds of grains from the single mass, instantaneous and finite-duration contact, in %",
     "c7-modes": "Deviation of beds of grains from the single mass at the paper's first and second resonance, in %",
 }
-# Figures of results that the paper does not have.
+# Figures of results in addition to the paper.
 BEYOND = ("design", "optimum", "trust")
 COMMAND = "analysis paper"
 
 
 def _mass_ratio_remark(optimum: Columns) -> str:
-    """Report that the peak falls with the mass ratio, if the heaviest computed damper is the best."""
+    """Note that the peak decreases with the mass ratio, if the heaviest computed damper is the best."""
     ratios = optimum["mass_ratios"]
     if optimum["mass_ratio"] < ratios.max():
         return ""
@@ -74,7 +74,7 @@ def write_pages(folder: Path, assessed: Sequence[Claim], parts: Parts) -> list[P
 
 
 def beyond_the_paper(parts: Parts) -> list[Evidence]:
-    """Return results that the paper does not have: optimum, exact orbits, and both weightings of the mass ratio."""
+    """Return results in addition to the paper: optimum, exact orbits, and both weightings of the mass ratio."""
     best_by_ratio = [parts[name] for name in sorted(parts) if name.startswith("best-")]
     optima = "; ".join(
         f"{100 * float(b['mass_ratio']):.0f} %: {1e3 * float(b['best']):.2f} mm ({1e6 * float(b['peak']):.0f} µm/N)"

@@ -204,7 +204,7 @@ def _with_noise(scene: Scene, density: float) -> Scene:
 def _part(
     name: str, title: str, compute: Any, scene: Scene, arguments: dict[str, Any], folder: Path | None = None
 ) -> PaperPart:
-    """Return a part; `folder`: output folder, if the part makes a recording; it does not affect the results."""
+    """Return a part; `folder`: output folder, if the part makes a recording. The folder does not affect the results."""
     serialized = {
         key: value if isinstance(value, dict) else np.asarray(value).tolist() for key, value in arguments.items()
     }

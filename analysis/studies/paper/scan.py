@@ -17,9 +17,9 @@ from rig.core.steady_response.motion_type import combined_type
 from rig.core.system.structural_model import receptance
 from rig.studies.design.worst_peak import refined_peak, response_at_level
 
-# Body whose peak compliance is scanned, from 1.
+# Number, from 1, of the body whose peak compliance is scanned.
 REPORTED_BODY = 2
-# Force levels of which the worst peak counts, relative to the nominal force.
+# Force levels relative to the nominal force; the largest peak over these levels is the worst peak.
 LEVELS = np.array([0.8, 1.0, 1.25])
 
 
@@ -34,7 +34,8 @@ def scan(scene: Scene, forces: Array, clearances: Array, frequencies: Array, mas
 
     Returns `force`, `clearance`, and in shape (forces, clearances): `peak`, largest |X| / F_1 of `REPORTED_BODY` [m/N];
     `peak_frequency` [Hz]; `type_at_peak`, the motion type there; `types`, all motion types of the dampers, joined by
-    spaces; `orbit_share`, share of the frequencies with an exact stable orbit; `exact`, whether the peak is one.
+    spaces; `orbit_share`, share of the frequencies with an exact stable orbit; `exact`, whether the motion at the peak
+    is an exact orbit.
     """
     shape = (len(forces), len(clearances))
     peak, peak_frequency, orbit_share = np.zeros(shape), np.zeros(shape), np.zeros(shape)

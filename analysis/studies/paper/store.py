@@ -43,7 +43,7 @@ class PaperPart:
     compute: Callable[..., Arrays]
     """Takes `arguments` and returns arrays by name; a module-level function, for use in other processes."""
     arguments: Mapping[str, Any]  # arguments of `compute`
-    title: str  # for the progress report
+    title: str  # title in the progress report
     effort: float = 1.0
     """Approximate time relative to other parts, for the order and the estimate of the remaining time."""
 
@@ -63,7 +63,7 @@ class PaperPart:
             with self.path(folder).open("rb") as file, np.load(file, allow_pickle=False) as archive:
                 arrays = {key: archive[key] for key in archive.files}
         except Exception:
-            # The file does not exist or is damaged, for which numpy raises various errors.
+            # The file does not exist or is damaged; numpy raises various errors for damaged files.
             return None
         return arrays if str(arrays.pop("digest", "")) == self.digest else None
 

@@ -20,7 +20,7 @@ class Table(NamedTuple):
     `integers`, `words`: columns of integers and of words; all other columns contain floating-point numbers.
     """
 
-    header: tuple[str, ...]  # names of its columns
+    header: tuple[str, ...]  # names of the columns
     content: str  # description of the content, for messages
     file: str  # name of the bundled file
     integers: tuple[str, ...] = ()
@@ -64,8 +64,8 @@ class Table(NamedTuple):
     def read(self, path: Path | None = None) -> list[Row]:
         """Read the rows of a table, by default the bundled table; damaged rows are skipped.
 
-        Of a table with rows of several versions of the code, only those of the version of the first row are returned.
-        The code of the bundled tables is unknown: they are older than its column.
+        If the table has rows of several versions of the code, only rows of the version of the first row are returned.
+        The version of the bundled tables is unknown, because these tables have no column for it.
         """
         lines, rows = read_rows(path or self.bundled, self.columns, self.content), []
         for line in lines:
@@ -81,7 +81,7 @@ def complete(
 ) -> None:  # fmt: skip
     """Compute the missing cases of a table, and sort its rows in the order of `cases`.
 
-    Rows of other cases, and then those of other code, are last.
+    Rows of other cases, and then rows of other versions of the code, are last.
 
     `path`: CSV file; `describe`: returns a description of a row; `print_line`: called with a line for each new row;
     `cluster`: see `rig.core.base.workers.Workers`. Raises `RunError` if the file is not such a table, or cannot be

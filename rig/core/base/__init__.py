@@ -1,1 +1,1 @@
-"""Files, worker processes, errors and text: they know no rig."""
+"""Files, worker processes, errors and text, independent of scenes and motion."""

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger("shotrig.compiling")
 # Without a terminal, progress is reported in lines at this interval.
 REPORT_INTERVAL_S = 12.0
-# Progress bars on the terminal, which a question interrupts.
+# Progress bars on the terminal, which are suspended during a question.
 _bars: list[Progress] = []
 
 
@@ -56,7 +56,7 @@ class _EscapingStream(io.TextIOBase):
         self._forward(self.unescaped.flush)
 
     def close(self) -> None:
-        """Do nothing: Python owns the unescaped stream and may close it first, which is an error in Python 3.13."""
+        """Do nothing: Python owns the unescaped stream. If it is closed first, an error would follow in 3.13."""
 
     def _forward(self, operation: Callable[..., object], *arguments: str) -> None:
         """Call an operation of the unescaped stream; a full disk raises `Unwritable`."""

@@ -1,6 +1,6 @@
 """Functions that other packages register as entry points: effects and test predictions.
 
-They are imported when they are called, so that the package `rig` does not depend on these packages.
+The functions are imported when they are called, so the package `rig` does not depend on these packages.
 """
 
 from __future__ import annotations

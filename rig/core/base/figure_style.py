@@ -32,7 +32,7 @@ _DPI = 150
 _PNG_COMPRESSION = 3
 # Number of title characters that fit into the default width.
 _TITLE_CHARACTERS = 70
-# Powers of ten give too few labels if the limits of a logarithmic axis have a smaller ratio than this.
+# If the ratio of the limits of a logarithmic axis is smaller than this, powers of ten would give too few labels.
 _MIN_DECADE_RATIO = 300.0
 # Smallest and largest value of a logarithmic axis that matplotlib can draw.
 _DRAWABLE_RANGE = 1e-250, 1e250
@@ -130,7 +130,7 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
             # With a layout engine, matplotlib draws each file twice.
             figure.set_layout_engine(None)
             _align_captions(figure)
-        # The files get their names together: an interrupted run, which has none of them, can be repeated.
+        # Both files are renamed at the end, so that an interrupted run leaves neither and can be repeated.
         with atomic_write(png) as temporary_png, atomic_write(svg) as temporary_svg:
             compression = {"compress_level": _PNG_COMPRESSION}
             figure.savefig(temporary_png, dpi=_DPI, metadata={"Software": None}, pil_kwargs=compression)
@@ -203,7 +203,7 @@ def log_axis(axes: Axes, values: Any, max_decades: float = 7.0) -> None:
     values = np.concatenate([np.ravel(v) for v in values])
     values = np.clip(values[np.isfinite(values) & (values > 0)], *_DRAWABLE_RANGE)
     if not values.size:
-        # There are no positive values to show.
+        # Without positive values, the axis has default limits.
         axes.set_yticks([])
         return
     axes.set_yscale("log")

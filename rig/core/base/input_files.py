@@ -38,7 +38,7 @@ def read_file(path: Path) -> bytes:
 
 
 def duplicate_files(paths: Sequence[Path]) -> list[tuple[Path, Path]]:
-    """Return pairs of each repeated file and the first file with the same content."""
+    """Return pairs of files with the same content: each repeated file, and the first file with its content."""
     import hashlib
 
     by_size: dict[int, list[Path]] = {}

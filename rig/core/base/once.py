@@ -1,4 +1,4 @@
-"""Results that are computed once for an immutable object, such as the matrices of a scene, and shared by its users."""
+"""Results that are computed once for an immutable object, and shared, such as the matrices of a scene."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Result = TypeVar("Result")
 
 
 def once_per_object(compute: Callable[[Instance], Result]) -> Callable[[Instance], Result]:
-    """Compute the result for an object once, and keep it as long as the object exists.
+    """Decorate a function of an object: its result is computed once, and stored as long as the object exists.
 
     Objects are distinguished by identity, because a comparison of two scenes takes longer than most results.
     """

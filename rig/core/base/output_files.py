@@ -1,6 +1,7 @@
 """Output files: written atomically; an existing file is replaced only if the user allows it.
 
-`--overwrite` or `overwrite=True` allows it, or an answer: on a terminal, a command asks before its work starts.
+`--overwrite` or `overwrite=True` allows the replacement. Without it, a command on a terminal asks before its work
+starts.
 """
 
 from __future__ import annotations
@@ -61,7 +62,8 @@ def create_folder(folder: Path, error_type: type[ShotrigError] = SceneError) -> 
                 f"{folder.with_suffix('')}."
             )
         folder.mkdir(parents=True, exist_ok=True)
-        # A file is created, because permissions are not sufficient: the folder /proc permits files, but has none.
+        # A file is created as a test, because permissions are not sufficient: the folder /proc permits new files, but
+        # rejects them.
         with TemporaryFile(dir=folder):
             pass
     except (FileExistsError, NotADirectoryError):
@@ -155,7 +157,7 @@ def atomic_write(path: Path, overwrite: bool = False) -> Iterator[Path]:
 
 
 def _new_temporary(file: Path) -> Path:
-    """Return the name of a temporary file for an output, and remove those that killed processes have left."""
+    """Return the name of a temporary file for an output; remove temporary files of killed processes."""
     prefix = _remove_leftovers(file.parent, _digest(file.name))
     return file.with_name(f"{prefix}{os.urandom(4).hex()}{file.suffix}")
 

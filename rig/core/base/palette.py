@@ -1,4 +1,4 @@
-"""Colors, dashes and markers of the same things in figures, report, bench page and replay.
+"""Colors, dashes and markers, the same in figures, report, bench page and replay.
 
 A body has one color everywhere, and so have tables, hammers and dampers. Curves of recordings have other colors; the
 reference of a comparison is dark gray. Bodies 1 to 3, table and damper remain distinct with any color blindness (Okabe
@@ -23,7 +23,8 @@ REFERENCE = "#404040"
 RECORDINGS = ("#AA4499", "#44AA99", "#A6761D", "#7E6BC4", "#CC6677", "#999933")
 #: Dampers by their type of motion (`rig.studies.motion_map`), from rest to irregular.
 MOTIONS = ("#e4e4e4", "#a6cee3", "#3f8fc4", "#1b4f7e", "#f2c14e", "#e07b39", "#8c1c3a")
-#: Background of dark pages, and the contrast of curves on it: they are thinner than text, for which WCAG requires 4.5.
+#: Background of dark pages, and minimum contrast of curves on it: above 4.5, which WCAG requires for text, because
+#: curves are thinner than text.
 DARK_PAGE = "#14181d"
 MIN_DARK_CONTRAST = 6.0
 # Curves by type of motion; the lightest shade of the map would be too pale for a line.
@@ -104,7 +105,7 @@ def motion_color(name: str) -> str:
 
 
 def faded(color: str) -> str:
-    """Return a pale shade of a color, for what is not determined.
+    """Return a pale shade of a color, for curves that are not determined.
 
     >>> faded("#0072B2")
     '#a6cee4'
@@ -113,7 +114,7 @@ def faded(color: str) -> str:
 
 
 def recording_styles(is_reference: Sequence[bool]) -> list[CurveStyle]:
-    """Return the styles of compared curves: those of the reference are dark gray, whatever their order.
+    """Return the styles of compared curves: curves of the reference are dark gray, independent of the order.
 
     >>> [style.color == REFERENCE for style in recording_styles([False, True, False])]
     [False, True, False]

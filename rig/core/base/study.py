@@ -75,7 +75,7 @@ class Study(Generic[Piece, Value]):
 
     @contextmanager
     def reserve(self, table: Path) -> Iterator[None]:
-        """Lock `unfinished_file` during the body, and remove it unless it contains values of an interrupted run.
+        """Lock `unfinished_file` during the body, and remove this file unless it contains values of an interrupted run.
 
         Raises `RunError` if another command computes the same table, or `unfinished_file` belongs to another study and
         may not be replaced.
@@ -197,7 +197,7 @@ class StoredValues(Generic[Piece, Value]):
 
     def _append(self, *rows: Sequence[object]) -> None:
         """Add rows to the table, which another process may have removed."""
-        # A single write: after an interruption the line is complete or missing, unless the disk is full.
+        # The rows are written at once: after an interruption they are complete or missing, unless the disk is full.
         if self._path is not None:
             with self._path.open("a", newline="", encoding="utf-8") as file:
                 file.write(csv_text([*([] if file.tell() else [self.study.columns]), *rows]))

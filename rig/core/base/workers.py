@@ -1,7 +1,7 @@
 """Workers that compute the independent pieces of a study: processes of this machine, or a Dask cluster.
 
 A piece is the argument of a module-level function. Function, piece and result are sent between process and worker, so
-that the machines of a cluster need to share only the folder of recordings. The result does not depend on the worker.
+the machines of a cluster need no common folder, except that of recordings. The result does not depend on the worker.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Workers:
         Raises `RunError` if a worker ends unexpectedly. An exception raised by `function` is passed on.
         """
         if self._pool is None:
-            # This includes pieces that are appended during the iteration.
+            # The loop includes pieces that are appended during the iteration.
             yield from enumerate(map(function, pieces))
             return
         jobs: dict[Future[Result], int] = {}
@@ -137,7 +137,7 @@ def _initialize_worker(parent: int, first: Semaphore) -> None:
     """Initialize a worker: a single thread for linear algebra; signals are handled by the parent.
 
     `parent`: id of the parent process. `first`: acquired by the first worker. Only this worker reports that it
-    compiles, because all compile the same.
+    compiles, because all workers compile the same functions.
     """
     # A terminal sends Ctrl-C to all processes.
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,5 +1,5 @@
 """Data sheets of sensors, shakers and converter modules, by name; the files are in `presets/`.
 
-They contain figures, but no settings of a scene: `rig.core.scene.presets` completes settings from them. Start with
-`data_sheets`; `modules` describes what a converter module accepts from a client program.
+Data sheets contain values, but no settings of a scene: `rig.core.scene.presets` completes settings with these values.
+Start with `data_sheets`; `modules` describes what a converter module accepts from a client program.
 """

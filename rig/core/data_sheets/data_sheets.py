@@ -22,7 +22,7 @@ KINDS = ("accelerometer", "hammer", "converter", "output", "shaker")
 
 @dataclass(frozen=True)
 class DataSheet:
-    """Data sheet of a sensor, shaker or module; its figures are the values of a preset."""
+    """Data sheet of a sensor, shaker or module, whose values are those of the preset."""
 
     name: str
     """Maker and model."""

@@ -234,7 +234,7 @@ def _damper_effects(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
         masses = ", ".join(f"{1e3 * mass:.4g} g" for mass in system.damper_mass[one_mass])
         yield Effect(
             "motion", "particle dampers", 2 * int(one_mass.sum()),
-            f"in {bodies}: {masses}; height and speed of each in flight; gravity {system.gravity:.6g} m/s^2",
+            f"in {bodies}: {masses}; height and speed of each in flight; gravity {system.gravity:.6g} m/s²",
         )  # fmt: skip
     ceilings = np.isfinite(system.clearance) & one_mass
     if ceilings.any():
@@ -261,7 +261,7 @@ def _sliding_mass_text(system: HybridSystem, j: int, scene: Scene) -> str:
     """Describe a mass that slides with friction: the slip force, and the acceleration at which it slips."""
     damper, mass = scene.dampers[system.damper_number[j] - 1], system.damper_mass[j]
     acceleration = (damper.friction or 0.0) * system.gravity
-    friction = f"slips above {acceleration:.4g} m/s^2 ({mass * acceleration:.4g} N)" if acceleration else "no friction"
+    friction = f"slips above {acceleration:.4g} m/s² ({mass * acceleration:.4g} N)" if acceleration else "no friction"
     walls = f"{1e3 * damper.clearance:.4g} mm between walls" if math.isfinite(damper.clearance) else "no walls"
     return f"in {scene.structure.label(damper.body)}: {1e3 * mass:.4g} g, {friction}, {walls}"
 

@@ -38,7 +38,7 @@ _MAX_ERROR_IN_UNCERTAINTIES = 3.0
 _GOOD_ERROR_RATIO = 0.01
 # The recommended spacing is at least this fraction of the present spacing.
 _MIN_SPACING_RATIO = 0.02
-# A frequency is not that of a line if their relative difference exceeds this.
+# A frequency differs from the frequency of a line if their relative difference exceeds this.
 _SAME_FREQUENCY = 1e-9
 
 

@@ -104,8 +104,8 @@ class ResponseArithmetic(ResponseValues):
     def interpolated(self, frequency: ArrayLike) -> Self:
         """Return the response at one or several other frequencies, Hz or as ``"30 Hz"``; NaN outside its range.
 
-        Between lines the response is a local rational function. The uncertainty includes that of the lines, and that of
-        the interpolation (the contribution "spacing of the lines").
+        Between lines the response is a local rational function. The uncertainty includes the uncertainty of the lines,
+        and the error of the interpolation (the contribution "spacing of the lines").
 
         Raises
         ------

@@ -337,7 +337,7 @@ class ResponseValues(Result):
         )
 
     def with_limits(self, limits: Mapping[str, Array]) -> Self:
-        """Add systematic contributions by name, or replace those of the same name."""
+        """Add systematic contributions by name, or replace contributions of the same name."""
         return replace(self, uncertainty=self.uncertainty.with_limits(limits))
 
     def without(self, *names: str) -> Self:

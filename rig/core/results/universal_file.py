@@ -97,7 +97,7 @@ def write_set(file: Any, data: dict[str, Any]) -> None:
     try:
         file.write_sets(data, mode="add")
     except Exception as error:
-        # pyuff raises another error instead of that of the file system, which states the cause.
+        # pyuff replaces the error of the file system, although only this error states the cause.
         if isinstance(error.__context__, OSError):
             raise error.__context__ from None
         raise

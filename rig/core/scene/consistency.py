@@ -1,7 +1,7 @@
 """Checks of references between the sections of a scene, such as whether the body or shaker that a test names exists.
 
-Each check compares a section with the sections before it in `Scene`. `valid` contains those of them that are valid, by
-key.
+Each check compares a section with the sections before it in `Scene`. `valid` contains the valid sections among these,
+by key.
 """
 
 from __future__ import annotations

@@ -87,7 +87,7 @@ def implausible_values(scene: Scene, content: Mapping[str, Any]) -> Iterator[Pro
 
 
 def _dampers(scene: Scene, content: Mapping[str, Any]) -> Iterator[Problem]:
-    """Check the masses of the dampers against those of their bodies."""
+    """Compare the masses of the dampers with the masses of their bodies."""
     for key_path, written in _values_at(content, ("dampers", None, "mass")):
         damper = scene.dampers[int(key_path[1])]
         body_mass = _mass(scene, damper.body)

@@ -204,7 +204,7 @@ class HybridSystem:
 
     @cached_property
     def base_coordinate(self) -> NDArray[np.intp]:
-        """Index of the coordinate that is subtracted from the gap of each element; -1 without one."""
+        """Index of the coordinate that is subtracted from the gap of each element; -1 if none is."""
         return np.array([element.base for element in self.elements], dtype=np.intp)
 
     @cached_property

@@ -26,7 +26,7 @@ class Reference:
     row: Array | None
 
     def amplitude(self, level: float, harmonic: ComplexArray) -> complex:
-        """Return the complex amplitude of the reference at a level, N or m; `harmonic`: that of the states."""
+        """Return the complex amplitude of the reference at a level, N or m; `harmonic`: harmonics of the states."""
         if self.row is None:
             return -1j * level  # a sine: Re(-i F e^{i w t}) = F sin(w t)
         return complex(self.row @ harmonic)

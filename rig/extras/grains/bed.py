@@ -1,9 +1,9 @@
 """A bed of grains (the particles in one cavity of a body), moved by LAMMPS with the discrete element method.
 
-The motion is described in the frame of the cavity, in which floor, ceiling and side wall are at rest. In this frame the
-body's acceleration is an equal velocity change of all grains, which `Bed.add_velocity` applies. Forces and impulses are
-those of LAMMPS's velocity Verlet scheme: with the force F of the walls before and F' after a step h, the grains receive
-the impulse (F + F') h / 2.
+The motion is described in the frame of the cavity, in which floor, ceiling and side wall are at rest. In this frame an
+acceleration of the body appears as an equal velocity change of all grains, which `Bed.add_velocity` applies. Forces and
+impulses follow from LAMMPS's velocity Verlet scheme: with the force F of the walls before and F' after a step h, the
+grains receive the impulse (F + F') h / 2.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Bed:
     """Grains in a cavity, whose axis is z and whose floor is at z = 0.
 
     `spheres`: properties of the grains; `positions`: positions of their centers, m, shape (grains, 3); `ceiling`:
-    height of the ceiling, m, infinite for no ceiling; `gravity`: m/s^2; `step`: time step, s.
+    height of the ceiling, m, infinite for no ceiling; `gravity`: m/s²; `step`: time step, s.
     """
 
     def __init__(self, spheres: Spheres, positions: Array, ceiling: float, gravity: float, step: float) -> None:
@@ -66,7 +66,7 @@ class Bed:
         with temporary_folder() as folder:
             file = folder / "bed"
             self._command(f'write_restart "{file}"', "run 0 post no")
-            # With several ranks, the first writes the state of all.
+            # With several ranks, the first rank writes the state of all ranks.
             return file.read_bytes() if file.exists() else b""
 
     def resume(self, stored: bytes) -> None:
@@ -85,7 +85,7 @@ class Bed:
         self._command(f"run {steps} pre no post no")
 
     def add_drag(self, relaxation: float) -> None:
-        """Add a viscous drag to each grain, for packing; `relaxation`: its time constant, s."""
+        """Add a viscous drag to each grain, for packing; `relaxation`: time constant of the drag, s."""
         self._command(f"fix slow all viscous {float(self._masses.mean()) / relaxation!r}", "run 0 post no")
 
     def lower_ceiling(self, depth: float) -> None:

@@ -5,9 +5,9 @@ The structure and its other dampers are propagated exactly over a step h under t
 interpolated linearly from F to F' over the step, so the body receives the impulse (F + F') h / 2. In the velocity
 Verlet scheme of LAMMPS, the walls exert the same impulse on the grains, within rounding error.
 
-In the frame of the cavity, the velocities of the grains change by the negative of the body's velocity change. Half a
-step times the body's acceleration is applied at the beginning of the step, and the remainder of the exact change at
-its end. The exchange is of second order in h, as is LAMMPS's scheme, and conserves momentum.
+In the frame of the cavity, the velocities of the grains change by the negative of the body's velocity change. At the
+beginning of a step, the change by the body's acceleration over half a step is applied, and at the end the remainder of
+the exact change. The exchange is of second order in h, as is LAMMPS's scheme, and conserves momentum.
 
 A *break* is an instant at which a velocity or an acceleration of the structure jumps: an impact or a separation.
 """
@@ -38,7 +38,7 @@ class BedStates(NamedTuple):
     """Motion of the beds at the start and after each of a number of steps."""
 
     force: Array  # upward force of floor, ceiling and side on the grains, N; shape (beds, walls, steps + 1)
-    gap: Array  # height of the center of mass above that of the settled bed, m; shape (beds, steps + 1)
+    gap: Array  # rise of the center of mass above its height in the settled bed, m; shape (beds, steps + 1)
 
 
 class CoupledState(NamedTuple):
@@ -63,7 +63,7 @@ class CoupledPropagator:
     bodies : ndarray of int, shape (beds,)
         Coordinate of the body of each bed.
     step, substeps : float, int
-        Time step of the grains, s, and number of these in a sample interval.
+        Time step of the grains, s, and number of time steps in a sample interval.
     """
 
     def __init__(self, scene: Scene, interval: float) -> None:
@@ -121,7 +121,7 @@ class CoupledPropagator:
         self._read_beds()
 
     def propagate_steps(self, drive: Array) -> tuple[Trajectory, BedStates]:
-        """Propagate through time steps of the grains; `drive`: at the ends of the steps, shape (inputs, steps + 1).
+        """Propagate through time steps of the grains; `drive`: drive at the ends of steps, shape (inputs, steps + 1).
 
         Returns the trajectory of `structure`, whose segments are the steps, and the motion of the beds.
         """
@@ -207,7 +207,7 @@ class CoupledPropagator:
         """Renumber events and breaks by sample interval instead of time step; the states remain those of the steps."""
 
         def in_intervals(segment: NDArray[np.int64], offset: Array) -> tuple[NDArray[np.int64], Array]:
-            """Convert numbers of steps, and times in them, to numbers of sample intervals and times in these."""
+            """Convert numbers of steps, and times within steps, to those of sample intervals."""
             return segment // self.substeps, offset + (segment % self.substeps) * self.step
 
         event_segment, event_offset = in_intervals(trajectory.event_segment, trajectory.event_offset)

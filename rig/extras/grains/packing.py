@@ -87,7 +87,7 @@ def bed_top(spheres: Spheres, positions: Array) -> float:
 
 
 def _new_bed(spheres: Spheres, positions: Array, ceiling: float) -> Bed:
-    """Create a bed with the time step of packing; `ceiling`: its height, m."""
+    """Create a bed with the time step of packing; `ceiling`: height of the ceiling, m."""
     step = _STEP_RATIO * rayleigh_time(spheres.settings, spheres.density())
     return Bed(spheres, positions, ceiling, STANDARD_GRAVITY, step)
 
@@ -119,9 +119,10 @@ def _level(spheres: Spheres, fallen: Array) -> Array:
 
 
 def _settle(spheres: Spheres, leveled: Array) -> Array:
-    """Bring the grains to rest by kinetic damping: all are stopped at each peak of their kinetic energy.
+    """Bring the grains to rest by kinetic damping: all grains are stopped at each peak of their kinetic energy.
 
-    Viscous drag, as during the fall, would overdamp the slow motions of a bed without friction, which would creep.
+    Viscous drag, as during the fall, would overdamp the slow motions of a bed without friction, so the grains would
+    creep.
     """
     bed = _new_bed(spheres, leveled, np.inf)
     weight = spheres.mass * STANDARD_GRAVITY

@@ -1,8 +1,8 @@
 """The restitution setting of LAMMPS with which grains rebound with the desired restitution.
 
 For the dashpot of a contact, LAMMPS uses the closing speed half a step before the instant of the force. With about
-fifty steps in a contact, the rebound is therefore slower, by 1 % for lead. This module applies the same scheme to one
-central contact, and computes the setting that gives the desired restitution.
+fifty steps in a contact, the rebound is therefore slower than desired, by 1 % for lead. This module applies the same
+scheme to one central contact, and computes the setting that gives the desired restitution.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ _MAX_STEPS = 100_000
 def restitution_at_step(grains: Grains, mass: float, radius: float, step: float) -> float:
     """Compute the restitution setting of LAMMPS.
 
-    `mass`, `radius`: reduced mass [kg] and radius [m] of the contact: at a wall those of the grain, between two equal
-    grains half of these; `step`: time step, s.
+    `mass`, `radius`: reduced mass [kg] and reduced radius [m] of the contact: equal to mass and radius of the grain at
+    a wall, and half as large between two equal grains; `step`: time step, s.
 
     >>> lead = Grains(diameter="2 mm", modulus="10 MPa")
     >>> round(restitution_at_step(lead, mass=4.75e-5, radius=1e-3, step=5.7e-6), 3)

@@ -17,8 +17,8 @@ from rig.core.steady_response.frequency_response import frequency_response
 from rig.studies.design.choice import Objective, Trial
 from rig.studies.design.worst_peak import Peak
 
-#: At a peak, the motion is computed at this number of test frequencies in turn, each from the motion at the previous
-#: one; the last is the peak.
+#: At a peak, the motion is computed at this number of successive test frequencies, each from the motion at the previous
+#: frequency; the last is the peak.
 APPROACH_FREQUENCIES = 3
 #: A motion is in steady state if it changes by at most this fraction.
 STEADY_TOLERANCE = 1e-4
@@ -35,17 +35,18 @@ class Expected:
     """Expected measurement at a peak.
 
     `magnitudes`: minimum, nominal value and maximum of the response over the tolerances of force control and steady
-    state. They are computed with the scene's own shaker, whose coil spring adds harmonics to the force; `peak` is for
-    a purely sinusoidal force. None if no steady-state motion was reached within `MAX_WAIT_PERIODS` periods.
+    state. These values are computed with the scene's own shaker, whose coil spring adds harmonics to the force; `peak`
+    is for a purely sinusoidal force. They are None if no steady-state motion was reached within `MAX_WAIT_PERIODS`
+    periods.
     """
 
-    peak: Peak  # as computed by the design
+    peak: Peak  # peak as computed by the design
     magnitudes: tuple[float, float, float] | None
     closing_speed: tuple[float, ...]  # largest approach speed of each damper to a wall at the peak, m/s
 
 
 def scene_with_check(scene: Scene, trial: Trial, objective: Objective) -> Scene:
-    """Return the scene with the dampers of a trial, and a test around the largest peaks with and without them."""
+    """Return the scene with the dampers of a trial, and a test around the largest peaks with and without dampers."""
     peaks = [*(peak.frequency for peak in trial.peaks), objective.bare_peak.frequency]
     test = {
         "kind": "stepped_sine",
@@ -105,7 +106,7 @@ def _frequencies_around(peaks: Sequence[float], band: tuple[float, float]) -> Ar
 
 
 def expected_results(scene: Scene, trial: Trial, workers: Workers) -> tuple[Expected, ...]:
-    """Compute what a check should measure at the largest peak of each level.
+    """Compute the expected results of a check at the largest peak of each level.
 
     `scene`: as returned by `scene_with_check`; `trial`: the dampers of the scene, and their peaks.
     """
@@ -119,7 +120,7 @@ def _expected_result(scene_and_peak: tuple[Scene, Peak]) -> Expected:
     assert test is not None
     frequencies = [frequency for frequency in test.dwells if frequency <= peak.frequency][-APPROACH_FREQUENCIES:]
     magnitudes, closing_speed, is_steady = [], np.zeros(len(scene.dampers)), True
-    # Only a force is controlled.
+    # Only a force is controlled, and has a tolerance.
     tolerances = (0.0, -FORCE_TOLERANCE, FORCE_TOLERANCE) if scene.level_key == "force" else (0.0,)
     for deviation in tolerances:
         controlled = scene.replace(channels=None, test=test.at_level((1.0 + deviation) * peak.level))

@@ -33,7 +33,7 @@ class ImpactLaw:
 
     restitution: float = 0.0  # ratio of separation to approach speed
     contact: Contact | None = None  # finite-duration contact with floor and ceiling; None: instantaneous impact
-    origin: str = "the scene has no dampers"  # where these values come from, for messages
+    origin: str = "the scene has no dampers"  # origin of these values, for messages
 
     def __str__(self) -> str:
         """Describe the impact law.
@@ -50,7 +50,7 @@ INSTANTANEOUS = ImpactLaw()
 
 
 def impact_law_of(dampers: Sequence[Damper]) -> ImpactLaw:
-    """Return the impact law of the dampers of a scene; if these differ, the law of the first damper.
+    """Return the impact law of the dampers of a scene; if the laws differ, the law of the first damper.
 
     Raises `SceneError` if the contact is given by stiffness and damping, which suit one damper mass only.
     """

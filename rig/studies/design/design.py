@@ -66,7 +66,7 @@ class Design(Result):
     flight : Flight
         Take-off level and flight height of the dampers.
     tuned : TunedMass or None
-        The best tuned mass damper with the mass of all dampers, which is linear; None if no mode moves its bodies.
+        The best tuned mass damper (linear) with the total mass of the dampers; None if no mode moves its bodies.
     trials : tuple of Trial
         All designs computed; `front` is the Pareto front of peak against added mass.
     question : Objective
@@ -110,7 +110,7 @@ class Design(Result):
 
     @property
     def serves(self) -> bool:
-        """Whether the best dampers fly at every level, and reduce the peak by more than the search resolves."""
+        """Whether the best dampers fly at every level, and reduce the peak by more than the search resolution."""
         return not ineffective_levels(self.best, self.bare, self.flight)
 
     @property

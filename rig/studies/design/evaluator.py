@@ -33,7 +33,7 @@ class Evaluator:
 
     `table`: CSV file with a row for each job. Workers compute the jobs that are missing in the table. Each result is
     added to the table at once. `total`: approximate number of jobs, for `progress`. Raises `RunError` if the table
-    cannot be written, or is another file that may not be replaced.
+    cannot be written, or if the path is a file of other content that may not be replaced.
     """
 
     def __init__(self, workers: Workers, table: Path | None, progress: CountProgress | None, total: int) -> None:

@@ -33,8 +33,8 @@ _RESPONSE_POINTS = 800
 #: A clearance is at a limit of the search if it differs from the limit by at most this fraction.
 LIMIT_TOLERANCE = 0.02
 _OTHER_MOTION = (
-    "At one frequency several steady-state motions may exist. The design assumes the one with the largest response; a "
-    "test that measures less has settled on another."
+    "At one frequency several steady-state motions may exist. The design assumes the motion with the largest "
+    "response; a test that measures a smaller response has settled to another motion."
 )
 
 
@@ -243,7 +243,7 @@ def _draw_chart(axes: Axes, design: Design) -> None:
     set_log_scale(axes.xaxis)
     set_log_scale(axes.yaxis, factor=1e3)
     axes.set(xlim=borders[0][[0, -1]], ylim=borders[1][[0, -1]])
-    # Outside the axes, because a legend inside would hide cells.
+    # The legend is outside the axes, because inside it would hide cells.
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
     axes.set_title(f"Clearance and {design.question.level.name}")
 
@@ -257,7 +257,8 @@ def clearance_label(choice: Choice) -> str:
 
 def _draw_reductions(axes: Axes, design: Design) -> None:
     """Draw peak reduction against excitation level, for the chosen clearance and its neighbors."""
-    # The axis is the acceleration without dampers: with dampers it jumps where another peak becomes the largest.
+    # The axis is the acceleration without dampers, because the acceleration with dampers jumps where another peak
+    # becomes the largest.
     chosen = int(np.argmin(np.abs(np.log(design.clearance_factors))))
     plotted_rows = (chosen - 1, chosen, chosen + 1)
     bare_acceleration = design.levels / design.bare.level * design.bare.acceleration

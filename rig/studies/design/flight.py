@@ -33,7 +33,7 @@ class Flight:
     """
 
     take_off: float  # lowest level at which a damper takes off in the band, N or drive
-    body: int  # body of that damper, from 1
+    body: int  # body body of this damper, from 1
     height: float
 
     def acceleration_g(self, level: float) -> float:
@@ -45,7 +45,7 @@ def compute_flight(objective: Objective, trial: Trial, is_ceiling_unreached: boo
     """Compute the take-off level of a trial's dampers, and their flight height if they do not reach the ceiling."""
     scene = _damped_scene(objective, trial)
     accelerations = damper_accelerations(scene, _frequencies(objective, trial)).max(axis=1)
-    # The damper that takes off first, as the level rises.
+    # The damper that takes off at the lowest level.
     first = int(accelerations.argmax())
     take_off = float(scene.gravity / accelerations[first])
     return Flight(take_off, trial.choice.bodies[first], _height(objective, trial) if is_ceiling_unreached else np.nan)
@@ -79,7 +79,7 @@ def _frequencies(objective: Objective, trial: Trial) -> np.ndarray:
 
 
 def ineffective_levels(trial: Trial, bare: Peak, flight: Flight) -> list[float]:
-    """Return the levels at which the dampers do not fly, or do not reduce the peak by more than the search resolves."""
+    """Return the levels at which the dampers do not fly, or hardly reduce the peak (resolution of the search)."""
     return sorted(
         peak.level
         for peak in trial.peaks

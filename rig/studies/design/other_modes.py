@@ -67,7 +67,7 @@ def mode_peaks(objective: Objective, trial: Trial, evaluator: Evaluator) -> tupl
         else:
             (damped,) = evaluator.compute(mode_objective, [trial.choice])
             mode_low, mode_high = mode_objective.band
-            # Irregular motion has other averages on other grids of frequencies, so the largest peak is not repeated.
+            # Averages of irregular motion depend on the grid of frequencies, so the largest peak is not computed again.
             is_same = in_band and len(objective.scenes) == 1
             damped_peaks = tuple(
                 whole if is_same and mode_low <= whole.frequency <= mode_high else own

@@ -8,14 +8,15 @@ import numpy as np
 
 from rig.studies.design.choice import Trial
 
-#: Peaks that differ by no more than this count as equal, dB: frequency grids and averages do not resolve it.
+#: Peaks that differ by at most this count as equal, dB, because frequency grids and averages do not resolve smaller
+#: differences.
 EQUAL_DB = 0.05
 #: `EQUAL_DB` as a ratio of peaks.
 EQUAL_RATIO = 10.0 ** (EQUAL_DB / 20.0)
 #: Peaks within this ratio count as equal if part of the motion is irregular. Averages of irregular motion scatter: a
 #: change of the clearance by 1 % changes them by up to 6 %.
 IRREGULAR_RATIO = 1.03
-#: A smaller clearance cannot be built, m: the depth of a bed of shot is uncertain by about as much.
+#: Smallest clearance that can be built, m: the depth of a bed of shot is uncertain by about as much.
 MIN_MACHINABLE_CLEARANCE = 1e-4
 #: In the objective of the search, the mean over the levels has this weight relative to the worst level.
 _MEAN_WEIGHT = 0.01
@@ -96,7 +97,7 @@ def _rounded(mass: float) -> float:
 
 
 def search_cost(trial: Trial) -> float:
-    """Return the cost that local searches minimize; its mean over levels has a slope where the worst peak is flat."""
+    """Return the cost that local searches minimize: the worst peak, with the mean peak to avoid flat regions."""
     return float(np.log(trial.peak.magnitude) + _MEAN_WEIGHT * np.log(trial.mean_peak))
 
 

@@ -30,7 +30,8 @@ DEFAULT_LEVEL_RATIOS = (0.5, 1.0, 2.0)
 #: Default smallest clearance, relative to the largest displacement without dampers at the smallest level.
 MIN_CLEARANCE_RATIO = 0.03
 #: Default largest clearance, relative to the largest displacement without dampers at the largest level. Effective
-#: dampers reduce the displacement to a tenth to a third of that, and need about twice as much clearance.
+#: dampers reduce the displacement to a tenth to a third of this value, and need about twice the reduced displacement as
+#: clearance.
 MAX_CLEARANCE_RATIO = 1.5
 #: By default, the added mass (`budget`) is at most this fraction of the mass of the structure.
 DEFAULT_MASS_RATIO = 0.05
@@ -136,7 +137,7 @@ def parse_request(
     bare = with_ideal_force(_with_controlled_force(scene.with_ideal_channels(dampers=[]), levels))
     default_levels = [level_of(bare) * factor for factor in DEFAULT_LEVEL_RATIOS]
     shaker = bare.driven_shaker
-    assert shaker is not None  # it has a level
+    assert shaker is not None  # a test with a level has a shaker
     values = tuple(sorted(positive_values(levels or default_levels, shaker.drive_quantity, "levels").tolist()))
     band_limits = ascending_pair(band or select_frequencies(bare, points=2), FREQUENCY, "band")
     locations = SearchSpace.locations_of(damper_bodies, dampers)
@@ -146,7 +147,7 @@ def parse_request(
             locations, max_mass, ascending_pair(clearance, LENGTH, "clearance"), allows_no_ceiling=False
         )
     peak = objective.bare_peak
-    displacement = peak.acceleration / peak.level / (2.0 * np.pi * peak.frequency) ** 2  # per level
+    displacement = peak.acceleration / peak.level / (2.0 * np.pi * peak.frequency) ** 2  # m per level
     return objective, SearchSpace(
         locations,
         max_mass,

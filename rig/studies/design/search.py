@@ -24,8 +24,8 @@ from rig.studies.design.worst_peak import Peak
 GRID_MASS_RATIOS = (1.0, 0.5, 0.25)
 #: Number of clearances of the grid, from the smallest to the largest.
 GRID_CLEARANCES = 10
-#: Share of the grid that a typical search computes at all levels, for the estimate of its progress. A lower bound at
-#: one level excludes the rest.
+#: Share of the grid that a typical search computes at all levels, for the estimate of its progress. The rest is
+#: excluded by a lower bound from one level.
 TYPICAL_COMPLETED_SHARE = 0.4
 #: Number of choices of each mass that are computed concurrently.
 LOOKAHEAD = 3
@@ -40,7 +40,7 @@ MAX_SIMPLEX_LOCATIONS = 2
 MAX_MASS_RATIO = 300.0
 #: A location is refined if its peak is at most this multiple of the best peak on the grid.
 MAX_REFINED_PEAK_RATIO = 1.4
-#: The limit for the smaller masses, and for locations with several different dampers.
+#: The same limit for smaller masses, and for locations with several different dampers.
 MAX_LIGHT_PEAK_RATIO = 1.25
 #: Maximum number of locations refined for each smaller mass.
 MAX_REFINED_LOCATIONS = 2

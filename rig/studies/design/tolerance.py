@@ -26,8 +26,8 @@ _MIN_END_DISTANCE = 0.15
 class Tolerance:
     """Clearances of the heaviest damper for which the worst peak rises by at most `MAX_RISE_DB`.
 
-    All clearances change by the same factor. `low`, `high`: ends of the interval, m. `high` is infinite if the peak
-    also stays low without a ceiling. Both are infinite if the peak stays low only without a ceiling.
+    All clearances change by the same factor. `low`, `high`: ends of the interval, m. `high` is infinite if the peak is
+    low without a ceiling, too. Both ends are infinite if the peak is low only without a ceiling.
     """
 
     low: float
@@ -113,7 +113,7 @@ def _interval_end(
 ) -> tuple[float, bool]:
     """Return the last acceptable factor of the clearances from 1 towards a limit, and whether it is the limit.
 
-    `computed`: factors whose result is known; the steps include these.
+    `computed`: factors whose result is already known, and which are tried as steps, too.
     """
     outwards = limit > 1.0
     between = {factor for factor in computed if (1.0 < factor < limit if outwards else limit < factor < 1.0)}

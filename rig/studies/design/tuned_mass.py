@@ -2,9 +2,8 @@
 
 Natural frequency and damping minimize the worst peak of the linear response (H-infinity optimum). The peak is searched
 up to the middle between the modes in the band and their neighbors, because a tuned mass damper splits a resonance into
-two, of which one may lie outside a narrow band. The search starts from
-Den Hartog's rule for the modes in the band, and continues with the method of Nelder and Mead. A tuned mass damper is
-linear: its peak does not depend on the level.
+two, of which one may lie outside a narrow band. The search starts from Den Hartog's rule for the modes in the band, and
+continues with the method of Nelder and Mead. A tuned mass damper is linear: its peak does not depend on the level.
 
 References
 ----------
@@ -30,7 +29,7 @@ from rig.studies.design.worst_peak import Peak, linear_peak
 
 #: Number of frequencies in the band for each peak.
 FREQUENCIES = 600
-#: The search continues from this number of starts, those with the lowest peaks by Den Hartog's rule.
+#: The search continues from this number of initial dampers: those with the lowest peaks by Den Hartog's rule.
 STARTS = 3
 #: A mode is damped in a body if the damper's mass is at most this ratio of the modal mass there.
 MAX_MASS_RATIO = 1.0
@@ -90,7 +89,7 @@ def _searched_band(objective: Objective) -> tuple[float, float]:
 def best_tuned_mass(objective: Objective, bodies: Iterable[int], mass: float) -> TunedMass | None:
     """Return the tuned mass damper with the lowest worst peak.
 
-    `bodies`: bodies with room for it, from 1; `mass`: kg. None if no mode in the band moves these bodies.
+    `bodies`: bodies that can carry the damper, from 1; `mass`: kg. None if no mode in the band moves these bodies.
     """
     frequencies: Array = np.geomspace(*_searched_band(objective), FREQUENCIES)
     rows = [body - 1 for body in objective.bodies]

@@ -28,7 +28,7 @@ class Peak:
     frequency: float  # frequency of the peak, Hz
     level: float  # force amplitude, N, or drive
     body: int  # number of the body, from 1
-    acceleration: float  # amplitude of the body's acceleration at the peak, m/s^2
+    acceleration: float  # amplitude of the body's acceleration at the peak, m/s²
     irregular_share: float  # share of the band's frequencies with irregular motion, which is simulated and averaged
 
     def reduction_from(self, bare: Peak) -> float:
@@ -79,7 +79,7 @@ def refined_peak(problem: OrbitProblem, response: OrbitResponse, body: int) -> t
 
 
 def _reference_acceleration(scene: Scene, level: float, frequency: float) -> float:
-    """Return the acceleration of a body that moves by one unit of the reference, per unit of `Peak.magnitude`."""
+    """Return the factor from `Peak.magnitude` to acceleration of the body, for a reference of one unit."""
     return level * reference_per_level(scene, frequency) * (2 * np.pi * frequency) ** 2
 
 

@@ -80,7 +80,7 @@ def select_frequencies(
 
 
 def natural_frequencies(scene: Scene, low: float, high: float) -> Array:
-    """Compute the natural frequencies in a range, Hz, without the moving dampers and with these at rest on floors.
+    """Compute the natural frequencies in a range, Hz: without moving dampers, and with the dampers at rest on floors.
 
     With dampers in motion, each resonance is between these two values.
     """
@@ -101,8 +101,8 @@ def _test_range(scene: Scene) -> tuple[float, float]:
 def take_off_levels(scene: Scene, frequency: Array) -> Array:
     """Compute the level at which the linear motion with all dampers at rest ends.
 
-    There a bed reaches 1 g, a mass on a spring its wall, friction its limit, or the first joint closes or slips.
-    `frequency`, shape (frequencies,): Hz. Returns shape (frequencies,), N, or the unit of the drive.
+    At this level a bed reaches 1 g, a mass on a spring its wall, friction its limit, or the first joint closes or
+    slips. `frequency`, shape (frequencies,): Hz. Returns shape (frequencies,), N, or the unit of the drive.
     """
     system = assemble(scene)
     take_off = system.take_off_acceleration[np.isfinite(system.take_off_acceleration)]
@@ -112,7 +112,7 @@ def take_off_levels(scene: Scene, frequency: Array) -> Array:
 
 
 def damper_accelerations(scene: Scene, frequency: Array) -> Array:
-    """Compute the acceleration of each damper that can leave its floor, per unit of level, m/s^2.
+    """Compute the acceleration of each damper that can leave its floor, per unit of level, m/s².
 
     All these dampers are on their floors. `frequency`: Hz. Returns shape (dampers, frequencies).
     """
@@ -144,7 +144,7 @@ def select_row_values(
     step = np.log(high / low) / (rows - 1)
     if lowest is not None and highest is not None:
         return np.geomspace(low, high, rows)
-    # Shift by less than half a row, so that one row is the scene's own value.
+    # The rows are shifted by less than half a spacing, so that one row has the scene's own value.
     shift = (np.log(scene_value / low) / step + 0.5) % 1.0 - 0.5
     return np.asarray(low * np.exp(step * (np.arange(rows) + shift)))
 

@@ -80,8 +80,8 @@ class MotionMap(Result):
     cpu : ndarray, shape (rows, frequencies)
         CPU time, s; excluded from tables and figures, so that these do not depend on the machine.
     take_off : ndarray, shape (frequencies,)
-        Level below which the motion is linear, with all dampers at rest: where the first damper starts to move in its
-        body (1 g for a bed) or hits a wall, or the first joint closes or slips.
+        Level below which the motion is linear, with all dampers at rest. At this level the first damper starts to move
+        in its body (1 g for a bed) or hits a wall, or the first joint closes or slips.
     """
 
     scene: Scene
@@ -159,7 +159,8 @@ class MotionMap(Result):
     def settling_time(self) -> Array:
         """Return the time to reach steady state from the motion at the previous frequency, s; NaN without repetition.
 
-        The wait has the resolution of the computation, and begins at another motion than on the rig.
+        The time is a multiple of the interval between checks of the computation. On the rig, the wait begins at a
+        different motion.
         """
         return np.where(self.repetition > 0, self.periods / self.frequency, np.nan)
 

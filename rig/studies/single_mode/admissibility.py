@@ -163,7 +163,8 @@ def multipliers(batch: Batch) -> NDArray[np.complex128]:
     The state after the impact is (q, q'), because the damper is at rest on the floor. Between events, perturbations
     follow the free response. At an impact they are multiplied by the saltation matrix
     R + (f_after - R f_before) n^T / (n^T f_before), with the rates f of the state, the linear map R of the impact and
-    the gradient n of the gap. The rates are continuous at take-off, so its saltation matrix is the identity.
+    the gradient n of the gap. The rates are continuous at take-off, so the saltation matrix of a take-off is the
+    identity.
     """
     motion = batch.motion
     count = batch.unknowns.shape[1]
@@ -186,7 +187,10 @@ def multipliers(batch: Batch) -> NDArray[np.complex128]:
 
 
 def _saltation(motion: PeriodicMotion, before: MotionPhase, end: ModeState, after: MotionPhase) -> Array:
-    """Return the saltation matrix of the impact between two phases, (solutions, 2 if riding follows, else 4, 4)."""
+    """Return the saltation matrix of the impact between two phases, shape (solutions, rows, 4).
+
+    It has 2 rows if a riding phase follows, otherwise 4.
+    """
     mu = motion.parameters.mass_ratio
     mass_fraction, ones, zeros = mu / (1 + mu), np.ones_like(end.q), np.zeros_like(end.q)
     # Rows of the reset map on (q, u, y, v): positions are continuous, and both velocities become the common velocity.

@@ -61,7 +61,7 @@ class Branch:
     stable: NDArray[np.bool_]  # both multipliers inside the unit circle, shape (points,)
     flaw: NDArray[np.str_]  # reason why the motion is inadmissible; "" if it is admissible, shape (points,)
     unknowns: Array
-    ends: tuple[str, str]  # why the curve ends before its first and after its last point
+    ends: tuple[str, str]  # reasons for the ends of the curve, before its first and after its last point
     folds: Array  # frequencies [Hz] of the fold bifurcations, shape (folds,)
 
     @property
@@ -162,7 +162,7 @@ def approximate_response(
     Returns
     -------
     Approximation
-        Coordinates refer to the body where the shape is 1; multiply by `mode.shape` for the others.
+        Coordinates refer to the body where the shape is 1; multiply by `mode.shape` for other bodies.
     """
     band_ends, level = ascending_pair(band, FREQUENCY, "band"), number(force, FORCE, "force")
     if not isinstance(mode, int):

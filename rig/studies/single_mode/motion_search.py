@@ -21,9 +21,9 @@ from rig.studies.single_mode.periodic_motion import INSTANTS, PERIOD, MotionPara
 # fold. Continuation from the other side of the fold, or from another frequency, then reaches both.
 _GRID: dict[MotionType, int] = {"I": 720, "II": 72, "III": 32}
 
-# The search finds flights that last at least this phase of the drive, rad: for a shorter flight, take-off and landing
-# nearly coincide, and the conditions are nearly singular. The limit corresponds to an acceleration amplitude G of 1 +
-# 3e-6 g, from t = 4 sqrt(G^2 - 1).
+# The search includes flights of at least this duration, as phase of the drive, rad. For a shorter flight, take-off and
+# landing nearly coincide, and the conditions are nearly singular. The limit corresponds to an acceleration amplitude G
+# of 1 + 3e-6 g, from t = 4 sqrt(G^2 - 1).
 MIN_FLIGHT_RAD = 0.01
 # Reasons for the end of a branch, in the order of `ordering_margins`.
 END_REASONS = ("the ride on the floor vanishes", "the flight vanishes", "the stay at the ceiling vanishes")
@@ -32,7 +32,7 @@ END_REASONS = ("the ride on the floor vanishes", "the flight vanishes", "the sta
 def ordering_margins(kind: MotionType, instants: Array) -> Array:
     """Return the durations of ride, shortest flight (less its minimum) and stay at the ceiling (Type III only), rad.
 
-    One is negative if the instants are out of order.
+    At least one duration is negative if the instants are out of order.
     """
     durations = np.diff([0.0, *instants, PERIOD])
     flights = np.delete(durations, [0, 2] if kind == "III" else [0])
@@ -115,7 +115,7 @@ def _refine(kind: MotionType, instants: Array, parameters: MotionParameters) -> 
 
 
 def _solve(matrices: Array, right: Array) -> NDArray[Any]:
-    """Solve many small linear systems; NaN where one is singular."""
+    """Solve many small linear systems; the result of a singular system is NaN."""
     try:
         return np.linalg.solve(matrices, right[:, :, None])[:, :, 0]
     except np.linalg.LinAlgError:

@@ -14,8 +14,8 @@ floor at 2 pi. In Types II and III it hits the ceiling at tau_1. In Type II it l
 common velocity. In Type III it rides on the ceiling until the contact force has decreased to 0 (q'' = -1 again) at
 tau_2. All impacts are perfectly plastic.
 
-The force is F sin(tau - phi): a = F cos(phi), b = -F sin(phi). For given instants, all conditions but two are affine in
-(q_0, q'_0, a, b); the two are a^2 + b^2 = F^2 and the gap at the ceiling impact.
+The force is F sin(tau - phi): a = F cos(phi), b = -F sin(phi). For given instants, all conditions except two are affine
+in (q_0, q'_0, a, b). The exceptions are a^2 + b^2 = F^2 and the gap at the ceiling impact.
 `rig.studies.single_mode.motion_search` uses this to compute all solutions. Each condition is analytic in every unknown
 and parameter, so that a complex step gives exact derivatives.
 
@@ -141,8 +141,8 @@ class PeriodicMotion:
     def advance(self, phase: MotionPhase, t: Array) -> ModeState:
         """Compute the state at time `t` after the start of a phase, in closed form."""
         inertia, decay, stiffness_per_inertia = self._oscillator(phase)
-        # The steady response is q_c cos(t) + q_s sin(t). As in the paper, it (A_p and beta) is singular at an undamped
-        # resonance.
+        # The steady response is q_c cos(t) + q_s sin(t). As in the paper (A_p and beta), this response is singular at
+        # an undamped resonance.
         d_r, d_i = stiffness_per_inertia - 1, 2 * decay  # real and imaginary part of the dynamic stiffness per inertia
         squared = inertia * (d_r * d_r + d_i * d_i)
         sin_part, cos_part = self._local_force(phase.start_time)

@@ -1,9 +1,9 @@
 """One mode of the structure with one equivalent damper (Eqs 4-13 of Inoue, Yokomichi and Hiraki, 2011).
 
 For mode i, the structure is replaced with a single mass M_i on a spring K_i with a dashpot C_i. The force f_k on body k
-acts on it as phi_ki f_k, with the mode shape phi. It carries one damper of mass mu_i M_i in a cavity of the scene's
-clearance. M_i depends on the normalization of the mode shape: the paper sets its largest element to 1, so that the
-single mass represents the body with the largest displacement.
+acts on this mass as phi_ki f_k, with the mode shape phi. The mass carries one damper of mass mu_i M_i in a cavity with
+the scene's clearance. M_i depends on the normalization of the mode shape: the paper sets its largest element to 1, so
+that the single mass represents the body with the largest displacement.
 
 mu_i is computed with one of two weightings of the masses md_j of the dampers in bodies j. As printed (Eq. 13), mu_i is
 the signed sum of phi_ji md_j / M_i. The kinetic energy of dampers at rest on their floors gives phi_ji^2 instead. Both
@@ -83,10 +83,10 @@ def reduce_to_mode(
 
     `matrices`: mass [kg], damping [N s/m] and stiffness [N/m]; `mode`: number of the mode, from 1; `driven`: driven
     bodies, from 1; `force`: amplitude of the force [N]; `dampers`: damper mass [kg] by body (from 1); `clearance`:
-    common clearance [m]; inf without ceilings; `gravity`: [m/s^2], above 0; `weighting`: weighting of the damper
-    masses, 'printed' (Eq. 13) or 'energy' (squared shape); `at`: body at which the shape is 1; default the body with
-    the largest displacement. Raises `SceneError` if the mode does not exist or is not oscillatory, gravity is not
-    positive, the clearance is negative, or the printed sum is not positive (dampers in bodies that move in antiphase).
+    common clearance [m]; inf without ceilings; `gravity`: [m/s²], above 0; `weighting`: weighting of the damper masses,
+    'printed' (Eq. 13) or 'energy' (squared shape); `at`: body at which the shape is 1; default the body with the
+    largest displacement. Raises `SceneError` if the mode does not exist or is not oscillatory, gravity is not positive,
+    the clearance is negative, or the printed sum is not positive (dampers in bodies that move in antiphase).
 
     >>> import numpy as np
     >>> m = np.diag([0.74, 0.71, 0.64])
@@ -101,7 +101,7 @@ def reduce_to_mode(
     if not 1 <= mode <= bodies:
         raise SceneError(f"mode: {mode} does not exist. Choose one of the modes 1 to {bodies}.")
     if not gravity > 0:
-        raise SceneError(f"gravity: {gravity} m/s^2 is too low for the approximate method. Set a value above 0.")
+        raise SceneError(f"gravity: {gravity} m/s² is too low for the approximate method. Set a value above 0.")
     if not clearance >= 0:
         raise SceneError(f"clearance: {clearance} m is negative. Set a clearance of 0 or more.")
     frequencies, shapes = natural_modes(mass, stiffness)

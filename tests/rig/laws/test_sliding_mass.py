@@ -175,7 +175,7 @@ def test_orbits_follow_each_parameter(parameter: Any, end: float) -> None:
 
 def test_explanation_states_the_slip_force() -> None:
     text = str(rig.explain(scene_with(30.0, 14.0, {"clearance": 2e-3})))
-    assert "200 g, slips above 2.942 m/s^2 (0.5884 N), 2 mm between walls" in text
+    assert "200 g, slips above 2.942 m/s² (0.5884 N), 2 mm between walls" in text
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,12 @@
-"""Channels whose gain changes during a test, such as those with a broken cable, a loose sensor or a switched range.
+"""Channels whose gain changes during a test, for example due to a broken cable, a loose sensor or a switched range.
 
 A test is divided into *parts* with equal excitation, such as impacts, periods or sections of a random test. The ratio
 of an output to the inputs, averaged over all parts, predicts its spectrum in each part. The *relative gain* of a part
 is the regression coefficient of measured and predicted spectrum. It scatters with noise and leakage, and has a step
-where the gain of the channel changes. The step is located by the least sum of squares on both sides of it (D. M.
-Hawkins, J. Am. Stat. Assoc. 72 (1977) 180-186). In steady responses, a change of the gain is the same at all lines,
-so that two periods are enough; a sensor that settles changes each line by another factor. A change of the structure
-affects all outputs, and is not reported.
+where the gain of the channel changes. The step is where the sum of squares about the means before and after it is
+smallest (D. M. Hawkins, J. Am. Stat. Assoc. 72 (1977) 180-186). In steady responses, a change of the gain is the same
+at all lines, so two periods are enough; the drift of a settling sensor differs from line to line. A change of the
+structure affects all outputs, and is not reported.
 """
 
 from __future__ import annotations
@@ -29,24 +29,26 @@ if TYPE_CHECKING:
 # Minimum number of parts without flaws, and of parts on either side of a step.
 _MIN_PARTS = 4
 _MIN_SIDE = 2
-# Minimum number of periods of a steady response to one input: without a change, they are equal except for noise.
+# Minimum number of periods of a steady response to one input: without a change, the periods are equal except for noise.
 _MIN_PERIODS = 2
-# A section of a random test has at most this number of samples, or periods of the lowest frequency if they are more.
+# Maximum length of a section of a random test: the larger of this number of samples and this number of periods of the
+# lowest frequency.
 _MAX_SAMPLES = 32768
 _MAX_PERIODS = 100.0
 # Number of sections of a random test.
 _SECTIONS = 16
-# Of a test with more parts, at most this number is evaluated, at equal distances.
+# Maximum number of evaluated parts; of more parts, some at equal distances are evaluated.
 _MAX_PARTS = 256
 # Maximum number of values of the spectra of all parts in memory, if at least `_SECTIONS` parts remain.
 _MAX_VALUES = 1 << 22
 # A step is reported if it exceeds this fraction of the larger gain ...
 _MIN_CHANGE = 0.1
-# ... and is exceeded by scatter with at most this probability (Student's t distribution).
+# ... and if the scatter would cause such a step with at most this probability (Student's t distribution).
 _SCATTER_PROBABILITY = 1e-5
-# In steady responses, a step exceeds the deviations of single lines from the gain of their part by this factor.
+# In steady responses, a step must exceed the deviations of single lines from the gain of their part by this factor.
 _MIN_UNIFORMITY = 2.0
-# The gains of the other channels change by less than this fraction of a step at the same time, or by the same factor.
+# At the time of a step, the gains of the other channels change by less than this fraction of the step, or by the same
+# factor.
 _MAX_COMMON = 0.25
 # A channel whose gain falls below this fraction is dead.
 _DEAD_RATIO = 0.05
@@ -60,9 +62,9 @@ class Parts:
 
     starts: NDArray[np.int64]  # first sample of each part
     samples: int  # length of each part
-    low: float  # band, Hz
+    low: float  # lower end of the band, Hz
     high: float
-    is_periodic: bool = True  # whether a part is a period, or a transient that decays; other parts need a window
+    is_periodic: bool = True  # whether a part is a period or a decaying transient, and so needs no window
     is_steady: bool = False  # whether all parts are periods of steady responses
 
 
@@ -80,7 +82,7 @@ class _Step(NamedTuple):
 
 
 def sections(rec: Recording, channels: Collection[str], first: int, stop: int, low: float, high: float) -> Parts:
-    """Return sections of a random test without flaws, between two samples; they do not cover long tests completely."""
+    """Return sections of a random test without flaws, between two samples; they cover only parts of a long test."""
     spacing = (stop - first) // _SECTIONS
     samples = min(spacing, max(_MAX_SAMPLES, int(_MAX_PERIODS * rec.rate / low)))
     segments = clean_segments(find_flaws(rec, channels, first, stop), first, stop)
@@ -114,7 +116,8 @@ def change_warnings(rec: Recording, parts: Parts, channels: Sequence[str]) -> li
         elif len(inputs) == 1 and all(
             abs(other.ratio - step.ratio) <= _MAX_COMMON * abs(step.ratio) for other in others
         ):
-            # All responses change by the same factor. A dead input predicts zero for all of them.
+            # If all responses change by the same factor, the input has changed. A dead input predicts zero for all
+            # responses.
             warnings.append(describe_change(inputs[0], 1.0 / step.ratio if step.ratio else 0.0, time))
             break
     return warnings
@@ -151,7 +154,7 @@ def _spectra(rec: Recording, parts: Parts, names: Sequence[str]) -> tuple[list[i
 
 
 def _relative_gains(inputs: ComplexArray, outputs: ComplexArray) -> tuple[Array, Array]:
-    """Return the gain of each output in each part, relative to all parts, and the least step that all lines show.
+    """Return the gain of each output in each part, relative to all parts, and the smallest step visible in all lines.
 
     `inputs`, `outputs`: spectra, shape (parts, channels, lines). The results have the shape (outputs, parts).
     """
@@ -159,11 +162,12 @@ def _relative_gains(inputs: ComplexArray, outputs: ComplexArray) -> tuple[Array,
     excited = power > _MIN_POWER * power.mean()
     x, y = (np.moveaxis(spectra[:, :, excited], 2, 0) for spectra in (inputs, outputs))
     predicted = x @ (np.linalg.pinv(x) @ y)
-    # Each line has about equal weight, so that neither resonances nor the noise between them dominate.
+    # Each line has about equal weight, so that neither resonances nor the noise between resonances dominate.
     weight = 1.0 / np.maximum((abs(y) ** 2 + abs(predicted) ** 2).mean(axis=1, keepdims=True), 1e-300)
     predicted_power = np.maximum(np.sum(weight * abs(predicted) ** 2, axis=0), 1e-300)
     gains = np.sum(weight * (predicted.conj() * y).real, axis=0) / predicted_power
-    # The prediction follows the noise of the parts. The parts of each line, real and imaginary, have independent noise.
+    # The prediction is fitted to the noisy parts, which reduces the scatter. Noise of real and imaginary part of each
+    # line is independent.
     lines, count = y.shape[:2]
     freedom = max(1.0 - inputs.shape[1] / count, 1e-300)
     deviation = np.sqrt(np.sum(weight * abs(y - gains * predicted) ** 2, axis=0) / predicted_power / freedom)
@@ -179,7 +183,7 @@ def _changed(gains: Array, part: int) -> _Step:
 def _largest_step(gains: Array, limits: Array, is_steady: bool) -> _Step | None:
     """Return the step that explains most of the scatter of the gains, if it is significant.
 
-    `limits`: of each part, the least step that all lines of steady responses show.
+    `limits`: smallest step of each part that is visible in all lines of steady responses.
     """
     size = gains.size
     min_side = _MIN_SIDE if size >= _MIN_PARTS else 1

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
 
-# Reasons of flaws. A sensor is settling until its bias is constant.
+# Reasons of flaws. A sensor is *settling* until its bias is constant.
 OVERLOADED = "overloaded"
 LOST = "lost"
 SETTLING = "settling"
@@ -102,7 +102,7 @@ def remedy(rec: Recording, all_flaws: Sequence[Flaw]) -> str:
         for key, text in info.sensor.items():
             if not key.endswith(".saturation"):
                 continue
-            # Only a sensor whose limit is below the range of the converter limits the signal.
+            # A sensor limits the signal only if its limit is below the range of the converter.
             if kind is None or info.range is None or parse(text, kind) * info.sensitivity < info.range:
                 limits.append(f"{name} up to {text}")
     sensor = f", or use a sensor of a larger range ({', '.join(limits)})" if limits else ""
@@ -117,7 +117,7 @@ def remedy(rec: Recording, all_flaws: Sequence[Flaw]) -> str:
 
 
 def settling_flaws(rec: Recording, names: Sequence[str], first: int, stop: int, lowest: float) -> list[Flaw]:
-    """Return a flaw at the beginning of a test for each channel whose bias has not settled there.
+    """Return a flaw at the beginning of a test for each channel whose bias is not constant there.
 
     `lowest`: lowest excited frequency, Hz. Over a period of this frequency, the mean of the motion is zero. A mean that
     differs from later means is therefore an error of the sensor, and in a force channel an apparent force.
@@ -150,5 +150,5 @@ def settling_flaws(rec: Recording, names: Sequence[str], first: int, stop: int, 
 
 
 def _means(block: Array) -> Array:
-    """Return the mean of each channel's valid samples, shape (channels,); NaN for a channel without any."""
+    """Return the mean of each channel's valid samples, shape (channels,); NaN for a channel without valid samples."""
     return np.array([np.nanmean(row) if np.isfinite(row).any() else np.nan for row in block])

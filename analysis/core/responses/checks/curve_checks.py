@@ -17,38 +17,40 @@ from rig.core.results.response import Response
 
 # The power is evaluated at points whose relative expanded uncertainty is at most this.
 _MAX_UNCERTAINTY = 0.3
-# A step is a jump if the magnitude of the change of the complex logarithm (nepers, radians) exceeds this value and the
-# two following limits.
+# A step between two points is a jump if the magnitude of the change of the complex logarithm (nepers, radians) exceeds
+# this value and the two following limits.
 _MIN_STEP = 0.25
-# A jump exceeds the larger of the steps on either side, both scaled to its frequency spacing, by this factor.
+# A jump exceeds the larger of the steps on either side, scaled to the same frequency spacing, by this factor.
 _MIN_RATIO_TO_NEIGHBORS = 4.0
 # A jump exceeds this number of standard uncertainties of the step.
 _MIN_SIGMAS = 5.0
-# A point whose expanded random uncertainty exceeds this fraction of its value is noise, at which a step is no jump.
+# A step at a point is not a jump, but noise, if the expanded random uncertainty of the point exceeds this fraction of
+# its value.
 _MAX_NOISE_RATIO = 0.5
 
-# A delay is estimated from at least this number of points, up to this number of periods of the width of the band, on a
-# grid of this number of trial values.
+# A delay is estimated from at least this number of points. The largest trial value is this number of periods of a
+# frequency equal to the width of the band. The last constant is the number of trial values.
 _MIN_DELAY_LINES = 20
 _MAX_PERIODS = 1.0
 _TRIAL_DELAYS = 801
 # Number of lines whose phases are computed at a time for all trial values.
 _MAX_LINES = 4096
-# The misalignment of doubled phases is 0 if all are 0 or 180 degrees. A delay is estimated if it leaves at most this
-# misalignment, and significant if it reduces the misalignment by this factor; smaller values count as the third.
+# The misalignment of doubled phases is 0 if all phases are 0 or 180 degrees. A delay is estimated if the misalignment
+# after its correction is at most the first value. It is significant if the correction reduces the misalignment by the
+# second value, a factor; misalignments below the third value are set to it.
 _MAX_MISALIGNMENT = 0.25
 _MIN_IMPROVEMENT = 4.0
 _MIN_MISALIGNMENT = 0.03
-# A damped mode may cause phases within this range, degrees. A delay that causes no more must leave less than the third
-# value, in a band whose limits have at least this ratio: near the resonance, the phase is proportional to frequency.
+# A damped mode may cause phases within this range, degrees, in proportion to frequency near its resonance. A delay with
+# such small phases must leave a misalignment below the third value, in a band whose limits have at least this ratio.
 _MAX_MODE_PHASE = 190.0
 _MIN_BAND_RATIO = 1.3
-# The delays of the other responses are below this fraction of the delay of one response.
+# One response is late if the delays of the other responses are below this fraction of its delay.
 _MAX_OTHER_DELAY = 0.2
 
 
 def reversed_force(curves: Sequence[Response]) -> str:
-    """Return a warning if the structure seems to supply power at the driving point, which a reversed sign causes.
+    """Return a warning if the structure seems to supply power at the driving point, due to a reversed sign.
 
     `curves`: responses to one force, measured together; only those at the driving point are evaluated. Without a
     reversed sign, the warning is empty.
@@ -80,7 +82,7 @@ def supplies_power(curve: Response) -> bool:
 def delayed_channels(curves: Sequence[Response]) -> str:
     """Return a warning if one response is late or early compared with the others; "" otherwise.
 
-    Away from resonances, the phase of a receptance is near 0 or 180 degrees; a delay adds a phase proportional to
+    Away from resonances, the phase of a compliance is near 0 or 180 degrees; a delay adds a phase proportional to
     frequency. `curves`: responses to one reference, measured together. If all responses are late by the same time, the
     reference is early.
     """
@@ -117,7 +119,7 @@ def _estimate_delay(curve: Response) -> tuple[float, bool] | None:
         return None
     frequency, direction = receptance.frequency[valid], (receptance.value[valid] / magnitude[valid]) ** 2
     phase_range = np.ptp(np.degrees(np.unwrap(np.angle(receptance.value[valid]))))
-    # Points may be close together at resonances, where phases are not 0 or 180 degrees.
+    # Points are weighted, because they may be close together at resonances, where phases are not 0 or 180 degrees.
     direction *= np.gradient(frequency) / np.gradient(frequency).sum()
     delays = np.linspace(-1.0, 1.0, _TRIAL_DELAYS) * _MAX_PERIODS / np.ptp(frequency)
     alignment = np.zeros(delays.size)
@@ -135,10 +137,10 @@ def _estimate_delay(curve: Response) -> tuple[float, bool] | None:
 
 
 def find_jumps(frf: Response) -> list[tuple[float, str]]:
-    """Find the frequencies at which a curve jumps from one branch to another.
+    """Locate the frequencies at which a curve jumps from one branch to another.
 
-    `frf`: points in the order of measurement. Returns the mean frequency of the two points, Hz, and ``"jump up"`` or
-    ``"jump down"`` in this order.
+    `frf`: points in the order of measurement. Returns for each jump the mean frequency of the two points, Hz, and
+    ``"jump up"`` or ``"jump down"`` in the order of measurement.
 
     >>> f = np.linspace(10.0, 20.0, 11)
     >>> value = np.where(f < 14.5, 1.0 + 0.02 * f, 0.5 + 0.02 * f).astype(complex)
@@ -153,7 +155,7 @@ def find_jumps(frf: Response) -> list[tuple[float, str]]:
     # Steps expected over the same spacing, from the slopes on either side.
     slope = step / spacing
     before, after = np.append(0.0, slope[:-1]) * spacing, np.append(slope[1:], 0.0) * spacing
-    # Without an error bar a step cannot be distinguished from noise.
+    # Without a stated uncertainty, a step cannot be distinguished from noise.
     relative = np.nan_to_num(frf.error / abs(frf.value), nan=np.inf)
     noise = np.hypot(relative[1:], relative[:-1])
     is_noise = ~(frf.random_bound() <= _MAX_NOISE_RATIO * abs(frf.value))

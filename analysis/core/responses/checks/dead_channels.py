@@ -1,4 +1,4 @@
-"""Channels that die during a test, such as those with a broken cable: from an instant on, their signal is nearly zero.
+"""Channels that die during a test, for example due to a broken cable: from an instant on, their signal is nearly zero.
 
 Blocks at equal distances over the test contain every part of its excitation. A channel is dead if its signal is far
 smaller in all blocks up to the end than in the blocks just before, while the motion continues. It is dead from the
@@ -28,14 +28,15 @@ _MIN_DEAD = 2
 _COMPARED = 8
 # Minimum number of blocks, or of impacts.
 _MIN_BLOCKS = 4
-# A signal is dead below this fraction of the signal before.
+# A signal is dead if it is below this fraction of the previous signal.
 _DEAD_RATIO = 0.01
-# At least one other motion falls by less than this factor of the fall of a dead channel.
+# The signal of at least one other motion channel falls by less than this fraction of the fall of a dead channel.
 _MIN_CONTRAST = 10.0
-# The signal of a dead channel exceeds its largest value of the next block by at most this factor.
+# A channel is dead from the sample on after which its signal exceeds the largest value of the next block by at most
+# this factor.
 _PEAK_RATIO = 3.0
 
-# Dead channels of the open recordings: the first dead sample of each.
+# For each open recording: the first dead sample of each dead channel.
 _dead_channels_of: WeakKeyDictionary[Recording, dict[str, int]] = WeakKeyDictionary()
 
 
@@ -47,7 +48,7 @@ def dead_channels(rec: Recording) -> dict[str, int]:
 
 
 def dead_channel_warnings(rec: Recording, names: Sequence[str], responses: Sequence[str]) -> list[str]:
-    """Return a warning for each of the channels `names` that dies; `responses`: those that are not the reference."""
+    """Return a warning for each of the channels `names` that dies; `responses`: channels other than the reference."""
     warnings = []
     for name, first in dead_channels(rec).items():
         others = ", ".join(other for other in responses if other != name)
@@ -65,7 +66,7 @@ def dead_channel_warnings(rec: Recording, names: Sequence[str], responses: Seque
 
 
 def _find(rec: Recording) -> dict[str, int]:
-    """Compare the blocks at the end of a test with those before."""
+    """Compare the blocks at the end of a test with the previous blocks."""
     marks = [mark for mark in rec.markers if mark.kind in ("measure", "hit")]
     names = [name for name, info in rec.channels.items() if info.quantity != "voltage"]
     if not marks:
@@ -85,7 +86,7 @@ def _find(rec: Recording) -> dict[str, int]:
         block = _first_dead_block(levels[row])
         if block is None:
             continue
-        # The force may continue where all motion falls, such as beyond the last resonance.
+        # The force may continue while all motion falls, for example beyond the last resonance.
         others = is_motion if is_motion.sum() > is_motion[row] else ~is_motion
         others = others & (np.arange(len(names)) != row)
         falls = [_fall(level, block) for level in levels[others]]
@@ -123,13 +124,13 @@ def _first_dead_block(levels: Array) -> int | None:
 
 
 def _fall(levels: Array, block: int) -> float:
-    """Return the median level before a block, relative to that from the block on."""
+    """Return the ratio of the median level before a block to the median level from this block on."""
     before = float(np.median(levels[max(block - 1 - _COMPARED, 0) : block - 1]))
     return before / max(float(np.median(levels[block:])), 1e-300)
 
 
 def _first_dead_sample(rec: Recording, name: str, first: int, last: int, samples: int) -> int:
-    """Return the sample from which on a channel is dead, between the first samples of two successive blocks."""
+    """Return the first dead sample of a channel, between the first samples of two successive blocks."""
     readings = rec.read(name, first, min(last + samples, rec.samples))
     dead = readings[last - first :]
     is_alive = abs(readings - dead.mean()) > _PEAK_RATIO * abs(dead - dead.mean()).max()

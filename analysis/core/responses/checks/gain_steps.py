@@ -29,24 +29,26 @@ _SIDE = 8
 _DEGREE = 3
 # Iterations of the weighted linear fit.
 _ITERATIONS = 3
-# If neighboring lines have common errors, this number of independent lines on either side contains a step.
+# If neighboring lines have common errors, this number of independent lines on either side may contain the step, and is
+# left out.
 _BLURRED_SIDE = 5
-# At a resonance, the ratio of such a step cannot be fitted. Its channel is that with a residual above this value, if
-# the residuals of the other channels are below a fraction of it.
+# At a resonance, the ratio of such a step cannot be fitted. The step is then in a channel with a residual above the
+# first value, if the residuals of the other channels are below the second value, a fraction of this residual.
 _MIN_BLURRED_RESIDUAL = 0.03
 _MAX_OTHER_RESIDUAL = 0.2
 # Root mean square of the relative residual with equal gains above which a step is sought.
 _MIN_RESIDUAL = 0.01
-# The ratio of the gains must reduce the residual to this fraction, and to this value.
+# With the ratio of the gains, the residual must fall to this fraction, and below this value.
 _MAX_REMAINING_FRACTION = 0.2
 _MAX_REMAINING = 0.1
-# Magnitude of the logarithm of the ratio that is reported, for linear and for nonlinear structures: about 10 % and
-# 30 %. Curves with moving dampers are not rational: of 32 intact sweeps, three had ratios up to 0.21.
+# Smallest reported magnitude of the logarithm of the ratio, for linear and for nonlinear structures: about 10 % and 30
+# %. Curves with moving dampers are not rational: of 32 intact sweeps, three had ratios up to 0.21.
 _MIN_CHANGE = 0.1
 _MIN_NONLINEAR_CHANGE = 0.3
-# The curves of the other channels change by less than this fraction of the logarithm, or by the same ratio.
+# At a step of one channel, the logarithms of the gain ratios of the other channels are below this fraction of the
+# logarithm of the step, or all equal to it.
 _MAX_COMMON = 0.25
-# Logarithms of the ratios that are tried, and the factors by which their spacing decreases around the best.
+# Logarithms of the trial ratios, and the factors by which their spacing is reduced around the best ratio.
 _TRIALS = np.linspace(-5.0, 5.0, 101)
 _REFINEMENTS = (0.02, 0.004, 0.0008)
 
@@ -56,8 +58,8 @@ class _Step(NamedTuple):
 
     position: int
     log_ratio: float  # logarithm of the gain after the step over the gain before it
-    residual: float  # with equal gains
-    remaining: float  # with this ratio
+    residual: float  # relative residual with equal gains
+    remaining: float  # relative residual with this ratio
 
 
 def step_warnings(response: Response, is_linear: bool) -> list[str]:
@@ -106,7 +108,7 @@ def _place(frequency: float) -> str:
 def _best_step(
     frequency: Array, curve: ComplexArray, residuals: Array, positions: NDArray[np.int64], excluded: int
 ) -> _Step | None:
-    """Return the step that leaves the smallest residual, if it is significant."""
+    """Return the step with the smallest remaining residual, if it is significant."""
     candidates = positions[residuals > _MIN_RESIDUAL]
     steps = [_fit_ratio(frequency, curve, position, excluded) for position in candidates.tolist()]
     step = min(steps, key=lambda step: step.remaining, default=None)
@@ -142,7 +144,8 @@ def _residuals(
     f = frequency[points]
     centered = f - f.mean(axis=1, keepdims=True)
     powers = (centered / abs(centered).max(axis=1, keepdims=True))[:, :, None] ** np.arange(_DEGREE + 1)
-    # Numerator and denominator, whose constant term is 1; all errors are relative to the values.
+    # Unknowns are the coefficients of numerator and denominator, whose constant term is 1. All residuals
+    # are relative to the values.
     relative = 1.0 / abs(values)[:, :, None]
     terms = np.concatenate([powers * relative, -values[:, :, None] * relative * powers[:, :, 1:]], axis=2)
     right = values[:, :, None] * relative

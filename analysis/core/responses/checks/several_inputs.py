@@ -1,7 +1,7 @@
 """Checks of responses to several inputs: whether the inputs can be separated, and whether the matrix is reciprocal.
 
-Inputs are separated by their spectra. Two forces that are coherent, such as those of one noise source, have the same
-spectrum up to a factor: the condition number of their spectral matrix at unit power is then large.
+Inputs are separated by their spectra. Two coherent forces, for example from one noise source, have the same spectrum up
+to a factor. The condition number of their spectral matrix at unit power is then large.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from rig.core.base.errors import RecordingError
 from rig.core.results import format_percent
 from rig.core.results.response import Response
 
-# Inputs can be separated up to this condition number of the matrix of their spectra, scaled to unit power.
+# Inputs can be separated if the condition number of their spectral matrix at unit power is at most this.
 MAX_CONDITION_NUMBER = 1e3
-# Reciprocal responses must agree within their uncertainties at this share of the lines or more.
+# Reciprocal responses must agree within their uncertainties at least at this share of the lines.
 _MIN_RECIPROCAL_LINES = 0.8
 COHERENT_INPUTS = (
     "The inputs are coherent at {lines} of {all} lines: the responses to them cannot be separated there and "
@@ -27,7 +27,7 @@ COHERENT_INPUTS = (
 
 
 def unit_power(spectra: ComplexArray) -> tuple[ComplexArray, Array]:
-    """Scale spectral matrices, shape (n, rows, rows), to unit power; also return the scale, shape (n, rows)."""
+    """Scale spectral matrices, shape (n, rows, rows), to unit power; return matrices and scale, shape (n, rows)."""
     scale = np.sqrt(np.maximum(np.einsum("nkk->nk", spectra).real, 1e-300))
     return np.asarray(spectra / (scale[:, :, None] * scale[:, None])), scale
 
@@ -41,7 +41,7 @@ def condition(spectra: ComplexArray) -> Array:
 class Reciprocity:
     """Agreement of two responses that are equal by the Maxwell-Betti reciprocity theorem."""
 
-    pair: tuple[str, str]  # positions of output and input, which are exchanged for the other response
+    pair: tuple[str, str]  # locations of output and input of one response; they are exchanged in the other
     within: float  # share of lines at which the difference is within the sum of the expanded uncertainties
     deviation: float  # median of the relative difference of the two responses
 

@@ -1,10 +1,11 @@
 """Sudden changes of the gain of a channel while a tone drives a structure, from the samples.
 
 The amplitude of every channel changes slowly from one period to the next, also in a transient and in a sweep. Over some
-periods it is a quadratic function of time, with harmonics and an offset. A *step* is an instant from which on the
-readings have to be divided by a ratio to follow this model. Model and ratio are fitted by least squares for every
-instant: with the readings before the instant x, those after it y and the projection P off the model, the ratio g
-minimizes ``|P x + P y / g|``. A change of the motion is no step: it is not sudden, and other channels have it as well.
+periods, a reading is therefore modeled by a tone whose amplitude is quadratic in time, with harmonics and an offset. A
+*step* is an instant from which on the readings have to be divided by a ratio to follow this model. Model and ratio are
+fitted by least squares for every instant: x are the readings before the instant (0 after it), y the readings after it,
+and P removes the part that the model can represent. The ratio g minimizes ``|P x + P y / g|``. A change of the motion
+is no step: it is not sudden, and affects other channels as well.
 """
 
 from __future__ import annotations
@@ -28,24 +29,26 @@ from rig.core.results.response import Response
 if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
-# Length of a block of samples in periods; it has at least this duration, s, and this number of samples.
+# Length of a block of samples in periods, minimum duration of a block, s, and minimum number of its samples.
 _PERIODS = 12.0
 _MIN_SECONDS = 0.3
 _MIN_SAMPLES = 96
-# Number of terms of the drift of a reading, such as that of a sensor after power-on, and highest harmonic of the model.
+# Number of terms for the drift of a reading, such as after power-on of a sensor, and highest harmonic of the model.
 _DRIFT_TERMS = 4
 _HARMONICS = 3
-# The part of a block that is searched begins and ends at this fraction of its length from both ends.
+# This fraction of a block is not searched at either end.
 _MARGIN = 0.15
 # All samples are searched in recordings with at most this number of values; about 0.3 s of CPU time.
 _MAX_VALUES = 2_000_000
-# A step reduces the root mean square of the residual to this fraction, and to this fraction of that of the readings.
+# With a step in the model, the root mean square of the residual must fall to the first fraction, and to the second
+# fraction of the root mean square of the readings.
 _MAX_REMAINING_FRACTION = 0.35
 _MAX_REMAINING = 0.1
-# Least magnitude of the logarithm of the ratio, and its largest fraction in another channel at the same instant.
+# Smallest magnitude of the logarithm of the ratio of a step, and largest fraction of it in another channel at the same
+# instant.
 _MIN_CHANGE = 0.1
 _MAX_COMMON = 0.25
-# A channel has no step where its residual remains above this fraction.
+# The tone is hidden by noise if the relative residual of a channel remains above this fraction.
 _MAX_FRACTION_OF_STEP = 0.7
 
 
@@ -57,7 +60,7 @@ class ToneInterval:
     stop: int  # sample after the last
     start: float  # frequency at the first sample, periods per sample
     slope: float = 0.0  # increase of the frequency of a linear sweep, periods per sample²
-    growth: float = 0.0  # increase of its logarithm in a logarithmic sweep, per sample
+    growth: float = 0.0  # increase of the logarithm of the frequency in a logarithmic sweep, per sample
 
     def frequency(self, offset: int) -> float:
         """Return the frequency at a sample after the first, periods per sample."""
@@ -95,7 +98,7 @@ def tone_step_warnings(rec: Recording, intervals: Sequence[ToneInterval], channe
 
 
 def find_tone_steps(rec: Recording, intervals: Sequence[ToneInterval], channels: Sequence[str]) -> Iterator[ToneStep]:
-    """Yield the steps of single channels; at least two channels are needed to distinguish them from the motion."""
+    """Yield steps that occur in one channel only; at least two channels are needed to distinguish steps from motion."""
     if len(channels) < 2:
         return
     for interval in intervals:
@@ -118,11 +121,11 @@ def find_tone_steps(rec: Recording, intervals: Sequence[ToneInterval], channels:
 
 
 def _steps_of_block(block: Array, phase: Array) -> dict[int, tuple[int, float]]:
-    """Return position and logarithm of the ratio of the step of each row that has one."""
+    """Return position and logarithm of the ratio for each row with a step."""
     model, _ = np.linalg.qr(_model(phase))
     margin = int(_MARGIN * block.shape[1])
     positions = np.arange(margin, block.shape[1] - margin)
-    # A large offset would hide the tone.
+    # The offset is removed, because a large offset would hide the tone.
     fits = [_Fits.of(row - row.mean(), model, positions) for row in block]
     steps = {}
     for number, fit in enumerate(fits):
@@ -149,12 +152,12 @@ def _model(phase: Array) -> Array:
 class _Fits(NamedTuple):
     """Fits of a step at each position to one channel; residuals are relative to the readings without their drift."""
 
-    residual: float  # without a step
+    residual: float  # residual without a step
     remaining: Array  # (positions,)
     log_ratio: Array  # (positions,)
 
     def step_at(self, index: int) -> float:
-        """Return the magnitude of the logarithm of the ratio at a position; 0 if it does not reduce the residual."""
+        """Return the magnitude of the logarithm of the ratio at a position; 0 if this does not reduce the residual."""
         is_step = self.remaining[index] < _MAX_FRACTION_OF_STEP * self.residual
         return abs(float(self.log_ratio[index])) if is_step else 0.0
 
@@ -171,7 +174,7 @@ class _Fits(NamedTuple):
         product = -np.sum(before * after, axis=1)
         factor = -product / np.maximum(square_after, 1e-12 * max(powers[-1], 1e-300))
         remaining = np.maximum(square_before + factor * product, 0.0)
-        # The readings without their drift, as corrected by the factor.
+        # Squares of the readings without drift, with the factor applied after the step.
         tone_powers = np.cumsum((readings - model[:, :_DRIFT_TERMS] @ projections[-1, :_DRIFT_TERMS]) ** 2)
         tone_before = tone_powers[positions - 1]
         scale = np.maximum(tone_before + factor**2 * (tone_powers[-1] - tone_before), 1e-300)
@@ -185,8 +188,9 @@ def sweep_warnings(
 ) -> list[list[str]]:
     """Return the warnings of changed gains for each response of a stepped or swept sine.
 
-    In long recordings, the samples are searched only if a curve has a step. A step of a curve without one in the
-    samples is reported if it may lie between the intervals, or if noise hides the tone in the samples of its channel.
+    In long recordings, the samples are searched only if a curve has a step. A step that appears only in a curve, not in
+    the samples, is reported if it may lie between the intervals, or if noise hides the tone in the samples of the
+    channel.
     """
     curve_steps = [step_warnings(response, rec.scene.is_linear) for response in responses]
     is_short = rec.samples * len(channels) <= _MAX_VALUES

@@ -1,6 +1,6 @@
 """Aliasing: errors of responses due to components above half the sample rate, in channels without anti-aliasing filter.
 
-An *image* of the drive is its component at a multiple of the sample rate plus its own frequency.
+An *image* of a drive of frequency f is its component at a multiple of the sample rate, plus or minus f.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 # Multiples of the sample rate whose images are summed individually.
 _MULTIPLES = np.array([k for k in range(-8, 9) if k])
-# Factor by which all further images increase the sum; exact for images that decrease as 1/k², the slowest decrease.
+# Factor on the sum for all further images; exact for the slowest possible decrease of images, as 1/k².
 _FURTHER_IMAGES = 1.08
 # The aliased part of a reading is at least this fraction of the reading times (frequency / sample rate)².
 _MIN_IMAGE_RATIO = 0.1
@@ -39,9 +39,9 @@ def aliasing_bound(rec: Recording, contributions: ChannelContributions) -> dict[
     """Compute the maximum error of a response due to aliasing of components above half the sample rate.
 
     The drive is interpolated linearly between samples. Its images are therefore smaller than the drive by the square of
-    the frequency ratio. A channel without a decimation filter records them, attenuated by its sensor and amplifier. The
-    acceleration of the table contains the images that the shaker reproduces. The acceleration of a body contains the
-    images that the structure transmits above its modes.
+    the frequency ratio. A channel without a decimation filter records the images, attenuated by its sensor and
+    amplifier. The acceleration of the table contains the images that the shaker reproduces. The acceleration of a body
+    contains the images that the structure transmits above its modes.
     """
     true_ratio, recorded_ratio = aliased_ratios(rec, contributions)
     return {ALIASING: gain_error_bound(true_ratio, recorded_ratio, contributions)} if recorded_ratio.any() else {}
@@ -69,7 +69,7 @@ def aliased_ratios(rec: Recording, contributions: ChannelContributions) -> tuple
         images = info.rate * _MULTIPLES[:, None] + frequency
         transmission = abs(info.response(images.ravel()).reshape(images.shape) / info.response(frequency))
         if info.quantity in MOTIONS:
-            # Velocity and displacement decrease with frequency, relative to the acceleration.
+            # Relative to the acceleration, images in velocity and displacement are smaller by the frequency ratio.
             transmission *= abs(frequency / images) ** (2 - MOTIONS.index(info.quantity))
         shaker = rec.scene.driven_shaker
         if info.at == "table" and shaker is not None:
@@ -84,9 +84,9 @@ def aliased_ratios(rec: Recording, contributions: ChannelContributions) -> tuple
         if info.body:
             driven_ratio = _free_acceleration(rec.scene, info.body) / np.maximum(acceleration, 1e-300)
             recorded_ratio[row] *= np.maximum(above_band, driven_ratio)
-            # A channel that transmits even the highest image also records impacts between two samples.
+            # A channel that transmits even the highest image records impacts between two samples as well.
             recorded_ratio[row] += _impact_ratio(rec.scene, info.body) * transmission.min(axis=0)
-        # Lower bound of both contributions.
+        # Both contributions are at least this.
         recorded_ratio[row] = np.maximum(recorded_ratio[row], _MIN_IMAGE_RATIO * (frequency / info.rate) ** 2)
         true_ratio[row] = relative_to_reading(recorded_ratio[row])
     return true_ratio, recorded_ratio
@@ -123,9 +123,9 @@ def _image_ratio(shaker: Shaker, frequency: Array, images: Array, spring_share: 
     """Compute the ratio of table accelerations due to images of the drive and due to the drive, shape (images, lines).
 
     A table motion X0 against a force F requires the drive P X0 + Q F. At an image frequency the structure is
-    practically at rest, and the full spring force acts on the table. The image is smaller by the square of the
-    frequency ratio; its acceleration per displacement is larger by the same factor. `spring_share`: spring stiffness
-    times X0 / F at each line.
+    practically at rest, and the full spring force acts on the table. The image of the drive is smaller by the square of
+    the frequency ratio, but the acceleration per displacement is larger by the same factor. `spring_share`: spring
+    stiffness times X0 / F at each line.
     """
     spring = shaker.coil_spring or 0.0
     per_motion, per_force = shaker.required_drive(np.asarray(2j * np.pi * frequency, dtype=np.complex128))

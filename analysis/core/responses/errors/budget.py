@@ -37,10 +37,10 @@ def assemble_budget(
 ) -> UncertaintyBudget:
     """Assemble the uncertainty budget of a response.
 
-    `error`, `degrees_of_freedom`: type A standard uncertainty of either quadrature component, and its degrees of
-    freedom, shape (lines,). `estimator_bounds`: bounds of the estimator's errors, by name; those of the instrument are
-    computed here. `reference_bounds`: maximum relative errors of the reference, for the additional error of
-    `uncertain_reference_bound`. `errors`: model of the random errors of several responses. `shared`: number of
+    `error`, `degrees_of_freedom`: type A standard uncertainty of real and imaginary part, and its degrees of freedom,
+    shape (lines,). `estimator_bounds`: limits of the errors of the estimator, by name; limits of the instrument's
+    errors are computed here. `reference_bounds`: limits of the relative errors of the reference, for the additional
+    error of `uncertain_reference_bound`. `errors`: model of the random errors of several responses. `shared`: number of
     neighboring lines with a common error. `scale`: from `common_scale`.
     """
     bounds = {**aliasing_bound(rec, contributions), **estimator_bounds}

@@ -1,4 +1,4 @@
-"""Random errors of the responses of one test: their covariance over outputs at each line, and from line to line.
+"""Random errors of the responses of one test: covariance between outputs at each line, and between lines.
 
 All responses are divided by the same reference, whose noise causes equal relative errors in all of them. Neighboring
 lines of a local fit use the same bins. Both correlations determine the scatter of the parameters of a model that is
@@ -30,10 +30,11 @@ _CONSTANT_NOISE_WIDTHS = 5
 _ITERATIONS = 4
 # The noise power of a response is at least this fraction of the residual of a local fit.
 _MIN_NOISE_RATIO = 1e-6
-# Weight of the normal equations of the whole test in those of each line, if there is a single response. Only the
-# variation of its magnitude, which is small far from peaks, distinguishes the noise of the reference from its own.
+# Weight of the normal equations of the whole test in the equations of each line, if there is a single response. Noise
+# of the reference and noise of the response are then distinguished only by the variation of the response's magnitude,
+# which is small far from peaks.
 _WHOLE_TEST_WEIGHT = 0.1
-# Value that replaces zero power; its square does not underflow to zero.
+# Value that replaces zero power; it is so large that its square does not underflow to zero.
 _ZERO_POWER = 1e-40
 # Variance that is uncorrelated between responses, due to errors of second order and covariances of few averages,
 # relative to the computed variance. Tuned on chains of bodies with 3 % of reference noise: with 0.001, the scatter was
@@ -47,10 +48,11 @@ _MAX_ELEMENTS = 1 << 21
 class MeanErrors:
     """Errors of ratios of means, independent from line to line."""
 
-    # factor of the covariance of the channels' means, shape (rows, channels, lines): elements of one test have the same
+    # factor of the covariance of the channels' means, the same for all elements of a test; shape (rows, channels,
+    # lines)
     test: ComplexArray
-    # deviation of each element in each of some independent directions, whose products sum up to the covariance of two
-    # elements; shape (lines, directions)
+    # deviation of each element in independent directions; the covariance of two elements is the sum of the products of
+    # their deviations; shape (lines, directions)
     deviations: tuple[ComplexArray, ...]
 
     def at(self, lines: Lines) -> MeanErrors:
@@ -77,7 +79,7 @@ class MeanErrors:
         return replace(self, deviations=tuple(each for errors in same for each in errors.deviations))
 
     def covariance(self, error: Array, shared: float) -> LineCovariance:
-        """Compute the covariance over elements, scaled to the stated variances, which neighboring lines moderate."""
+        """Compute the covariance over elements, scaled to the stated variances, which include neighboring lines."""
         deviations = np.stack(self.deviations, axis=1)
         elements = deviations @ deviations.conj().swapaxes(1, 2)
         return LineCovariance(_add_uncorrelated(_scale_to_variances(elements, error)), shared)
@@ -93,7 +95,7 @@ class LocalErrors:
     residual: ComplexArray  # residual of the reading; shape (lines, segments, width)
     fitted_response: ComplexArray  # reading per unit of the reference, as fitted; shape (lines, width)
     reference_power: Array  # mean square of the reference over the bins of each fit; shape (lines,)
-    complex_degrees_of_freedom: float  # of the residual of each fit, counted as complex values
+    complex_degrees_of_freedom: float  # degrees of freedom of the residual of each fit, in complex values
     measured_share: float  # measured share of the samples of the spectra, as in `local_fit`
     has_single_reference: bool  # whether the reference is a single channel that is not part of the response
     # errors common to all lines, each with a real coefficient of variance 1; shape (lines, parts)
@@ -172,8 +174,9 @@ class SharedErrors:
         bin_weights *= factors[..., None, None]
         common_error = join("common_error") * factors[..., None]
         n_lines, elements, _, width = bin_weights.shape
-        # Zero padding correlates neighboring bins and reduces the degrees of freedom in proportion to `measured_share`.
-        # The result is therefore the noise of a bin, summed over the bins that are correlated with it.
+        # Zero padding correlates neighboring bins, and reduces the degrees of freedom in proportion to
+        # `measured_share`. With these degrees of freedom, the result is the noise of a bin summed over all bins that
+        # are correlated with it.
         power = self._residual_power() / first.complex_degrees_of_freedom
         bins, center = int(first_bin.max()) + width, first_bin + width // 2
         nearest = np.clip(np.searchsorted(0.5 * (center[1:] + center[:-1]), np.arange(bins)), 0, n_lines - 1)
@@ -194,7 +197,7 @@ class SharedErrors:
             covariance[lines] = np.einsum("kwac,kwac->kac", pairs, local_noise)
         covariance = covariance + common_error @ common_error.conj().swapaxes(1, 2)
         if reference_ratio is None:
-            # The fit reproduces part of the noise, so that the residuals may underestimate it.
+            # The fit reproduces part of the noise, so the residuals may underestimate the noise.
             stated, variances = 2.0 * error**2, np.einsum("kaa->ka", covariance).real
             stated_ratio = np.divide(stated, variances, out=np.ones_like(variances), where=variances > 0.0)
             scale = np.sqrt(np.maximum(1.0, stated_ratio))
@@ -218,7 +221,7 @@ class SharedErrors:
 
 @dataclass(frozen=True)
 class BinNoise:
-    """Covariance of the readings at each bin, computed where it is needed: there are many more bins than lines."""
+    """Covariance of the readings at each bin, computed on demand, because there are many more bins than lines."""
 
     lines: ComplexArray  # noise of the readings around each line; shape (lines, elements, elements)
     nearest: NDArray[np.int64]  # nearest line of each bin; shape (bins,)
@@ -317,7 +320,7 @@ def _blocks(n_lines: int, elements_per_line: int) -> Iterator[slice]:
 
 
 def _scale_to_variances(covariance: ComplexArray, error: Array) -> ComplexArray:
-    """Scale covariances to stated standard uncertainties of either quadrature component."""
+    """Scale covariances to stated standard uncertainties of real and imaginary part."""
     stated, variances = 2.0 * error**2, np.einsum("kaa->ka", covariance).real
     with np.errstate(invalid="ignore"):
         scale = np.sqrt(np.divide(stated, variances, out=np.ones_like(variances), where=variances > 0.0))

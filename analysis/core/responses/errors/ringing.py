@@ -1,9 +1,9 @@
 """Error of a stepped-sine response due to *ringing*: residual free vibration of the previous step.
 
-A *window* is the interval in which the amplitude of a tone is measured. Noise may hide a transient in it that decays
-slowly and is close to the frequency of the tone. The transient is therefore predicted from the response. Around each
-point, a ratio of two polynomials in frequency is fitted to the response (E. C. Levy, IRE Transactions on Automatic
-Control 4 (1959) 37-43); its poles are those of the neighboring resonances.
+A *window* is the interval in which the amplitude of a tone is measured. Noise may hide a slowly decaying transient in
+the window, especially if its frequency is close to that of the tone. The transient is therefore predicted from the
+response. Around each point, a ratio of two polynomials in frequency is fitted to the response (E. C. Levy, IRE
+Transactions on Automatic Control 4 (1959) 37-43); the poles of this ratio are the poles of the neighboring resonances.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ _POINTS_ONE_POLE = 3
 _MIN_RESIDUAL_RATIO = 1e-3
 # Points resolve a pole if their spacing is at most this multiple of the distance of the point from the pole.
 _MAX_SPACING_RATIO = 1.5
-# A resonance is considered up to this frequency offset, in its half-power half-widths. The ringing of a farther
-# resonance beats with the tone, which is visible in the window.
+# A resonance is considered if its distance from the tone is at most this, in half-widths of the resonance. Ringing of a
+# more distant resonance beats with the tone, which is visible in the window.
 _MAX_HALF_WIDTHS = 4.0
 # A change of a response between points may be noise up to this number of standard uncertainties.
 _NOISE_SIGMAS = 4.0
@@ -36,9 +36,9 @@ def ringing(value: ComplexArray, frequency: Array, wait_s: Array, window_s: Arra
     """Compute the maximum error of each point of a response due to ringing.
 
     The initial amplitude c of the free vibration at a pole s is the difference of the pole's contributions to the two
-    steady responses. After a wait t (`wait_s`) it shifts the mean over a window of length L (`window_s`) by
+    steady responses. After a wait t (`wait_s`) this vibration shifts the mean over a window of length L (`window_s`) by
     ``c exp(Re(s) t) |exp(l L) - 1| / |l L|``, with l = s - i w. The points are in the order of measurement; `error`:
-    standard uncertainty of each. All arrays have the shape (points,).
+    standard uncertainty of each point. All arrays have the shape (points,).
 
     >>> frequency = np.linspace(18.5, 19.5, 25)
     >>> value = 1.0 / (2j * np.pi * frequency - (-1.0 + 2j * np.pi * 19.0))

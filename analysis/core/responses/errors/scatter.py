@@ -20,7 +20,7 @@ import scipy
 
 from rig.core.base.arrays import Array, ComplexArray
 
-# The ratio of two variances is limited to this value, because one of the variances may be zero.
+# Ratios of variances are limited to this value, because a variance may be zero.
 _MAX_RATIO = 1e30
 # Number of iterations within which Newton's method for the inverse of the trigamma function converges from below.
 _ITERATIONS = 20
@@ -84,7 +84,7 @@ def moderate(variance: Array, degrees_of_freedom: Array, expected: Array, half_w
     logarithm += np.log(half_degrees) - scipy.special.digamma(half_degrees)
     local_mean = scipy.ndimage.uniform_filter1d(logarithm, 2 * half_width + 1, mode="nearest")
     observed_scatter = float(np.mean(np.square(logarithm - local_mean)) * width / (width - 1.0))
-    # Scatter due to the finite degrees of freedom. The remaining scatter is due to different true ratios.
+    # The finite degrees of freedom cause this scatter. The remaining scatter is due to different true ratios.
     chance_scatter = float(np.mean(scipy.special.polygamma(1, half_degrees)))
     max_prior_degrees = (width - 1.0) * degrees_of_freedom
     prior_degrees = (

@@ -1,9 +1,9 @@
 """Systematic errors of a response, which averaging does not reduce.
 
-Each error has a name for display and a *bound*, an upper bound of its magnitude, like a tolerance in a data sheet. The
-functions that end in `_bound` return it in the unit of the response, at each spectral line (shape (lines,)), alone or
-in a dictionary with its name. The functions that end in `_sources` return the complex change of the response at the
-limit of each sensor or clock, by its identity: responses of other channels may have the same source.
+Each error has a name for display and a limit of its magnitude, like a tolerance in a data sheet. The functions whose
+names end in `_bound` return the limit in the unit of the response, at each spectral line (shape (lines,)), alone or in
+a dictionary by name. The functions whose names end in `_sources` return the complex change of the response if a sensor
+or clock is at its limit, by the identity of this source, because other responses may have the same source.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class ChannelContributions:
 def tolerance(info: ChannelInfo) -> float:
     """Compute the maximum relative error of a channel's sensitivity according to its data sheet.
 
-    It is the sum of calibration tolerance, temperature drift and transverse sensitivity.
+    The tolerance is the sum of calibration tolerance, temperature drift and transverse sensitivity.
 
     >>> from daq.core.signal_chain.channel import ChannelInfo
     >>> sheet = {"accelerometer.sensitivity_tolerance": "0.1", "accelerometer.transverse": "0.05"}
@@ -106,7 +106,7 @@ def sensor_sources(rec: Recording, contributions: ChannelContributions) -> dict[
 
 
 def _identity(rec: Recording, device: object) -> str:
-    """Identify a sensor or clock; it is the same in recordings of the same scene seed and data sheet."""
+    """Return the identity of a sensor or clock: equal for recordings with the same scene seed and data sheet."""
     return json.dumps([rec.scene.seed, device], sort_keys=True)
 
 
@@ -119,9 +119,8 @@ def common_scale(rec: Recording, outputs: Sequence[str], references: Sequence[st
 def relative_to_reading(error: Array) -> Array:
     """Convert maximum errors relative to true values to maximum errors relative to readings.
 
-    They are infinite for errors of 1 or more.
-
-    If the reading is too small, its error relative to the reading exceeds its error relative to the true value.
+    The error of a reading that is too small is larger relative to the reading than relative to the true value. The
+    result is infinite for errors of 1 or more.
 
     >>> relative_to_reading(np.array([0.2, 0.5, 1.0, 1e20])).tolist()
     [0.25, 1.0, inf, inf]
@@ -133,11 +132,11 @@ def gain_error_bound(true_ratio: Array, recorded_ratio: Array, contributions: Ch
     """Compute the maximum error of a response if the reading of each channel is 1 + e times its true value.
 
     The response is the ratio of two sums over the channels, with the contributions u to the numerator and l to the
-    denominator. Its error is ``sum (u - l sum(u)) e/(1+e)`` over ``sum l/(1+e)``. A first bound follows directly.
-    Further bounds follow if both sums are first divided by the factor 1 + e of any single channel; they are smaller
-    for a channel that is the entire denominator. All bounds are valid; the smallest is returned. `true_ratio` and
-    `recorded_ratio` are upper bounds of ``abs(e)`` and ``abs(e / (1 + e))``, shape (channels, lines) or (channels, 1).
-    The result is infinite if the true denominator may be zero.
+    denominator. Its error is ``sum (u - l sum(u)) e/(1+e)`` over ``sum l/(1+e)``. A first upper bound follows directly.
+    Further bounds follow if both sums are first divided by the factor 1 + e of any single channel; these bounds are
+    smaller for a channel that is the entire denominator. All bounds are valid; the smallest is returned. `true_ratio`
+    and `recorded_ratio` are upper bounds of ``abs(e)`` and ``abs(e / (1 + e))``, shape (channels, lines) or (channels,
+    1). The result is infinite if the true denominator may be zero.
     """
     in_response: Array = np.asarray(abs(contributions.gain_sensitivity), dtype=float)
     in_reference: Array = np.asarray(abs(contributions.reference), dtype=float)
@@ -164,7 +163,7 @@ def zero_safe_product(size: Array, factor: Array) -> Array:
 
 
 def reference_noise_bound(value: ComplexArray, coherence: Array) -> Array:
-    """Compute the maximum bias of H1 towards zero, if all incoherent power is noise in the reference.
+    """Compute the maximum bias of H1 towards zero: the bias if all incoherent power is noise in the reference.
 
     The true value is between H1 and H2 = H1 / coherence (Bendat and Piersol, section 6.1.4).
     """
@@ -178,8 +177,8 @@ def shared_noise_bound(
 
     Noise of power N in a channel with the weights u in the response and l in the reference adds ``u l* N`` to their
     cross-spectrum and ``|l|^2 N`` to the reference's power: H1 has the error ``(u - H1 l) l* N`` over the noise-free
-    part of that power. The coherence does not show this error, because noise common to both resembles a response.
-    `noise`: N; `change_per_reading`: ``u - H1 l``; `reference_weights`: l; all of shape (channels, lines).
+    part of the reference's power. The coherence does not show this error, because noise common to both resembles a
+    response. `noise`: N; `change_per_reading`: ``u - H1 l``; `reference_weights`: l; all of shape (channels, lines).
     """
     noise_free = reference_power - np.sum(abs(reference_weights) ** 2 * noise, axis=0)
     bias = np.sum(abs(change_per_reading * reference_weights) * noise, axis=0)
@@ -191,8 +190,8 @@ def uncertain_reference_bound(first_order_error: Array, deviation: Array) -> dic
     """Compute the additional error of a response whose reference may be smaller than its reading.
 
     With errors dx of a response x = H f and df of its reference, x / f has the error ``(dx - H df) / (f - df)``: the
-    first-order error over ``1 - df / f``. `first_order_error`: its bound; `deviation`: maximum
-    ``df / f``. From 1 on the error is unbounded.
+    first-order error over ``1 - df / f``. `first_order_error`: limit of the first-order error; `deviation`: maximum of
+    ``df / f``. For a deviation of 1 or more, the error is unbounded.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         excess = np.sqrt(1.0 / np.maximum(1.0 - deviation, 0.0) ** 2 - 1.0)
@@ -225,7 +224,7 @@ def tone_gain_error(power: Array) -> Array:
     """Compute the maximum relative change of the gain due to rounding to counts, for a sine; see `noise_gain_error`.
 
     For a sine of the amplitude A, in counts, the first term of the quantizer's series in Bessel functions is
-    ``2 / (pi^2 A^1.5)``; the sum of all terms is at most twice that. A sine below half a count is not recorded.
+    ``2 / (pi^2 A^1.5)``; the sum of all terms is at most twice this term. A sine below half a count is not recorded.
     """
     amplitude = np.sqrt(2.0 * np.maximum(power - 1.0 / 12.0, 0.0))
     with np.errstate(divide="ignore"):
@@ -275,7 +274,7 @@ def clock_bound(rec: Recording, contributions: ChannelContributions) -> dict[str
 def clock_sources(rec: Recording, contributions: ChannelContributions) -> dict[str, Sources]:
     """Return the change of a response at the limit of the sample clock, to first order; empty without a tolerance.
 
-    It is empty as well for a response of few lines, whose slope is unknown.
+    The result is also empty for a response with few lines, because the slope of the curve is unknown.
     """
     frequency, value = contributions.frequency, contributions.value
     deviation = clock_deviation(rec)

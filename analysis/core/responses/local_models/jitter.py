@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
 
-# Coverage factor. A normal error exceeds it with a probability below 5 %, a complex normal error with one below 2 %.
+# Coverage factor: exceeded by a normal error with a probability below 5 %, by a complex normal error with one below 2
+# %.
 _COVERAGE = 2.0
 # Order of a polynomial that is as flexible as the fitted ratio of two polynomials: the sum of their orders.
 _FIT_ORDER = 2 * ORDER
@@ -28,8 +29,8 @@ def jitter_factor(
     """Compute the square-root factor of the covariance of jitter errors that resemble a response to an impact.
 
     A sample with a delay t has an error of t times the slope of its signal. Slopes are steepest during an impact and
-    shortly after it. The errors of these samples are as smooth over the lines as the response, so that the scatter does
-    not show them. Each sample is weighted by its effect on a local fit to `half_width` bins on either side. All
+    shortly after it. Errors of these samples are as smooth over the lines as the response, so the scatter does not show
+    them. Each sample is weighted by its effect on a local fit to `half_width` bins on either side of a line. All
     channels have the same delay. `hits`: first and last sample of each impact; `size`: samples of the Fourier
     transform. The result has the shape (rows, channels).
     """

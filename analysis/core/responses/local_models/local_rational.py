@@ -4,7 +4,7 @@ A *bin* is a frequency of the discrete Fourier transform; a *line* is a bin at w
 every line the response is a quotient of two polynomials of low order. The transients at the two ends of a segment,
 which cause leakage, are another quotient with the same denominator. All polynomials are fitted to the neighboring bins
 by least squares [1]_. No window widens the peaks, the response need not decay within the segment, and the residuals of
-the fit determine the error bars.
+the fit determine the uncertainty.
 
 The transfer function of sensor, amplifier and coupling is known and is not fitted. The transients of slow high-pass
 filters vary too strongly near zero frequency for polynomials of low order, and are separate terms of the fit. The
@@ -43,7 +43,8 @@ _ZERO_POWER = 1e-300
 POWER_RATIO_95 = 3.0
 # A line gets a second Gauss-Newton step if the first step reduces the sum of squares by more than this fraction,
 _MIN_REDUCTION = 1e-3
-# and if the residual exceeds this share of the power of the output. The error after one step is proportional to it.
+# and if the residual exceeds this share of the power of the output, because the error after one step is proportional to
+# the residual.
 _MIN_RESIDUAL = 1e-5
 # Maximum number of elements of the systems of equations that are solved at a time; their arrays fit into the cache.
 _MAX_ELEMENTS = 1 << 17
@@ -64,15 +65,15 @@ class LocalFit(NamedTuple):
     """Result of the local fits, each at all lines."""
 
     value: ComplexArray  # response; NaN at lines without excitation; complex, shape (lines,)
-    variance: Array  # variance of either quadrature component; shape (lines,)
-    # share of the response power, transients excluded, that is explained by the reference; shape (lines,)
+    variance: Array  # variance of real and imaginary part; shape (lines,)
+    # share of the response power, without transients, that the reference explains (coherence); shape (lines,)
     coherence: Array
     degrees_of_freedom: Array  # degrees of freedom of the variance; shape (lines,)
-    # variance of either quadrature component due to unit noise power in the reference; shape (lines,). The residuals
-    # do not show this noise in a peak that is narrower than the fit, because the poles are fitted to it
+    # variance of real and imaginary part due to unit noise power in the reference; shape (lines,). The residuals do not
+    # show this noise in a peak that is narrower than the fit, because the poles are fitted to it
     variance_per_reference_noise: Array
     # share of the reference power that is linearly independent of all other terms of the fit; shape (lines,). It is
-    # large for noise, and small for a linear sweep, because its spectrum resembles a transient
+    # large for noise, and small for a linear sweep, because the spectrum of a sweep resembles a transient
     independent_share: Array
     noise_power: Array  # noise power of a bin, from the residual; squared unit of the output; shape (lines,)
     # change of the value per unit change of the output at each bin of the fit; shape (lines, segments, width)
@@ -80,10 +81,11 @@ class LocalFit(NamedTuple):
     residual: ComplexArray  # residual of the output; shape (lines, segments, width)
     fitted_response: ComplexArray  # fitted output per unit of the reference; shape (lines, 1, width)
     first_bin: Lines  # first bin of each fit; shape (lines,)
-    # value after one step, shape (lines,): noise changes the values of two orders alike up to there
+    # value after one Gauss-Newton step, shape (lines,); up to this step, noise changes the values of both orders
+    # equally
     one_step_value: ComplexArray
-    # change of the value if the fit has the next higher order, at the line or as root mean square around it, less the
-    # change due to noise [2]_; shape (lines,)
+    # change of the value with the next higher order of the fit, less the change due to noise [2]_: at the line, or root
+    # mean square around it; shape (lines,)
     model_error: Array
 
 
@@ -128,7 +130,8 @@ def local_fit(
     # Lines within half the width of a fit.
     n_lines = max(1, half_width // max(1, int(np.median(np.diff(lines)))) if lines.size > 1 else 1)
     local_mean = scipy.ndimage.uniform_filter1d(squared_change - change_variance, n_lines, mode="nearest")
-    # A peak of one or two lines has a model error only at these lines. Noise exceeds this limit in 5 % of lines.
+    # A peak of one or two lines has a model error only at these lines. A change due to noise exceeds this limit at 5 %
+    # of the lines.
     at_line = squared_change - POWER_RATIO_95 * change_variance
     return best._replace(model_error=np.sqrt(np.maximum(np.maximum(local_mean, at_line), 0.0)))
 
@@ -216,11 +219,11 @@ class _Estimate(NamedTuple):
     """Polynomials of one order, at each line."""
 
     unknown: _Unknown
-    point: _Unknown  # polynomials before the last step, at which it is linearized
+    point: _Unknown  # polynomials before the last step; the model is linearized there
     one_step: ComplexArray  # constant of the numerator after one step; shape (lines,)
     constant_variance: Array  # variance of the constant for errors of variance 1; shape (lines,)
     residual_squares: Array  # sum of squares of the residual; shape (lines,)
-    order: int  # of the numerators and transients
+    order: int  # order of the numerators and transients
     poles: int  # order of the denominator
     n_free: float  # complex degrees of freedom of the residual
     criterion: Array  # Schwarz's criterion: the model with the smallest value is the best [3]_; shape (lines,)
@@ -232,7 +235,7 @@ class _Estimate(NamedTuple):
 
     @property
     def variance(self) -> Array:
-        """Return the variance of either quadrature component of the constant, shape (lines,)."""
+        """Return the variance of real and imaginary part of the constant, shape (lines,)."""
         return 0.5 * self.noise_power * self.constant_variance
 
     def at(self, lines: NDArray[np.intp]) -> _Estimate:
@@ -260,7 +263,7 @@ def _fit(data: _LocalData, measured_share: float) -> tuple[LocalFit, Array, Arra
     ]
     order = np.argsort(np.concatenate(choices))
     best = LocalFit(*(np.concatenate(arrays)[order] for arrays in zip(*fits, strict=True)))
-    # The lower order is contained in the higher, so that the variance of the change is the difference of the variances.
+    # The higher order contains the lower, so the variance of the change is the difference of the variances.
     scale = data.scale
     squared_change = abs(higher_order.one_step * scale - best.one_step_value) ** 2
     return best, np.asarray(squared_change), 2.0 * np.maximum(higher_order.variance * scale**2 - best.variance, 0.0)
@@ -270,7 +273,8 @@ def _estimate(data: _LocalData, measured_share: float, order: int, poles: int) -
     """Fit polynomials; `order`: order of numerators and transients; `poles`: order of the denominator."""
     terms = data.terms(order, poles)
     # The first fit is linear, because the equations are multiplied by the denominator. The denominator thereby weights
-    # the noise, and the poles are partly fitted to it, which widens peaks. Gauss-Newton steps correct both.
+    # the noise, and the poles are partly fitted to the noise, which widens peaks. Gauss-Newton steps correct weights
+    # and poles.
     unknown, variance = _solve(terms.multiplied_by_denominator(data.output), data.output)
     point = unknown
     if poles:
@@ -302,7 +306,7 @@ def _propagate(data: _LocalData, estimate: _Estimate) -> LocalFit:
     fitted_response = terms._replace(numerator=powers).response(reference_only) * data.channel
     constant_variance = _sum_of_squares(bin_weights)
     # With the columns of the numerator alone, the constant would have the variance of a polynomial fit. Other columns
-    # that are not independent of them increase this variance.
+    # that are not orthogonal to these columns increase the variance.
     polynomial_variance = np.linalg.inv(powers[:, 0] @ np.swapaxes(powers[:, 0], 1, 2))[:, 0, 0] / segments
     independent_share = np.minimum(polynomial_variance / np.maximum(constant_variance, _ZERO_POWER), 1.0)
     constant, noise_power, scale = unknown.numerator[:, 0], estimate.noise_power, data.scale
@@ -332,7 +336,7 @@ class _Unknown(NamedTuple):
     """Coefficients of the polynomials at each line."""
 
     numerator: ComplexArray  # shape (lines, order + 1)
-    denominator: ComplexArray  # without its constant, which is 1; shape (lines, poles)
+    denominator: ComplexArray  # without the constant term, which is 1; shape (lines, poles)
     transients: ComplexArray  # shape (lines, segments, terms)
 
     def at(self, lines: NDArray[np.intp]) -> _Unknown:
@@ -391,7 +395,7 @@ def _improve(
 
     Also return the variance of the constant at these lines, and the lines that need another step.
     """
-    # Copies of all lines would take longer than the model.
+    # Only some lines are copied, because copies of all lines would take longer than the model.
     part, current, local_output = (
         (terms, unknown, output) if lines.size == len(output) else (terms.at(lines), unknown.at(lines), output[lines])
     )
@@ -416,8 +420,8 @@ def _solve(terms: _Terms, right: ComplexArray) -> tuple[_Unknown, Array]:
     estimated from the remaining equations of all segments. Only the triangular factors are computed, because the
     orthogonal factors take several times as long.
 
-    If a lower order suffices, denominator, numerator and transients have an arbitrary common factor. A weak
-    regularization towards small coefficients determines it without effect on the response at the line.
+    If a lower order is sufficient, denominator, numerator and transients have an arbitrary common factor. A weak
+    regularization towards small coefficients determines this factor without effect on the response at the line.
     `right`: right-hand sides, shape (lines, segments, width).
     """
     lines, segments, width = right.shape

@@ -78,10 +78,10 @@ class LocalSpectra:
         reference_noise: ComplexArray | None = None,
         others: Sequence[Measurand] = (),
     ) -> Response:
-        """Estimate the response of one measurand to another; `others`: other inputs, with numerators of their own.
+        """Estimate the response of one measurand to another; `others`: other inputs, each with its own numerator.
 
         `reference_noise`, shape (lines, parts): relative change of the reference due to independent parts of its noise,
-        each with a real coefficient of variance 1; if it is omitted, the coherence limits the noise.
+        each with a real coefficient of variance 1. If omitted, a limit of the noise follows from the coherence.
         """
         names = list(dict.fromkeys(name for each in (numerator, denominator, *others) for name in each.channels))
         if others and denominator not in self.stored_noise:
@@ -110,16 +110,16 @@ class LocalSpectra:
             if denominator.channels == (name,) and name != numerator.channels[0]:
                 readings[index] = 1.0 / reference_weights[index]
                 continue
-            if any(name in each.channels for each in others):  # independent of this input
+            if any(name in each.channels for each in others):  # the channel is part of another input
                 continue
-            # The other fits are large and are needed only once.
+            # Only fits of shared channels are stored, because others are large and needed only once.
             fit = self._fit(rec, name, denominator, others, is_stored=name in denominator.channels)
             readings[index] = fit.value * rec.channels[name].response(frequency)
             if name == numerator.channels[0]:
                 main_fit = fit
         value = np.sum(response_weights * readings, axis=0)
         scale = abs(value) / np.maximum(abs(main_fit.value), 1e-300)
-        # Noise of the reference changes the value even if the residual does not show it.
+        # Noise of the reference changes the value even if the residual does not show the noise.
         reference_noise_power = np.einsum("cn,cn->n", abs(reference_weights) ** 2, self.noise)
         noise_variance = main_fit.variance_per_reference_noise * reference_noise_power
         variance = np.maximum(main_fit.variance, noise_variance) * scale**2
@@ -157,7 +157,7 @@ class LocalSpectra:
         output = numerator.channels[0]
         to_motion = response_weights[names.index(output)] * rec.channels[output].response(frequency)
         errors = LocalErrors(
-            # The largest arrays of an analysis: single precision is enough for errors.
+            # These are the largest arrays of an analysis. Single precision is sufficient for errors.
             bin_weights=(main_fit.bin_weights * to_motion[:, None, None]).astype(np.complex64),
             first_bin=main_fit.first_bin,
             residual=main_fit.residual.astype(np.complex64),
@@ -207,14 +207,14 @@ class LocalSpectra:
     def power(self, spectra: ComplexArray, half_width: int | None = None) -> Array:
         """Compute the mean square of spectra over some bins on either side of each line; shape (lines,).
 
-        `half_width`: number of bins, by default those of a fit.
+        `half_width`: number of bins, by default as in a fit.
         """
         half_width = self.half_width if half_width is None else half_width
         mean_square = np.mean(abs(spectra) ** 2, axis=0)
         return np.asarray(scipy.ndimage.uniform_filter1d(mean_square, 2 * half_width + 1)[self.lines])
 
     def _input_noise(self, rec: Recording, to: Measurand, others: Sequence[Measurand]) -> Array:
-        """Bound the noise power of an input relative to its power: the part that is not coherent with an output."""
+        """Return the largest relative noise power of an input: the part that is not coherent with an output."""
         inputs = {name for each in (to, *others) for name in each.channels}
         frequency, power = self.frequency[self.lines], self.power(self.spectrum(rec, to))
         ratios = [np.ones(frequency.size)]
@@ -235,7 +235,7 @@ class LocalSpectra:
     def _fit(
         self, rec: Recording, name: str, to: Measurand, others: Sequence[Measurand] = (), is_stored: bool = True
     ) -> LocalFit:
-        """Fit the response of the quantity that a channel measures to the measurand `to`, beside other inputs."""
+        """Fit the response of the quantity that a channel measures to the measurand `to` and to other inputs."""
         if (name, to) in self.stored_fits:
             return self.stored_fits[name, to]
         half_width = min(self.half_width, (self.frequency.size - 1) // 2)
@@ -253,7 +253,7 @@ class LocalSpectra:
         for name, other in permutations(denominator.channels):
             row = self.channels.index(name)
             fit = self._fit(rec, name, Measurand((other,), (1.0,), "displacement"))
-            # Upper 95 % bound of the noise power for these degrees of freedom.
+            # Upper end of the 95 % interval of the noise power for these degrees of freedom.
             n = fit.degrees_of_freedom
             bound[row] = np.maximum(bound[row], fit.noise_power * n / scipy.special.chdtri(n, 0.95))
         return bound

@@ -1,4 +1,4 @@
-"""Spectra of a long segment, computed only at its lowest frequencies: most tests excite a small part of the band.
+"""Spectra of a long segment, computed only at low frequencies, because most tests excite a small part of the band.
 
 Higher frequencies are removed by a low-pass filter before decimation, and the spectrum is divided by the filter's
 response (Crochiere and Rabiner, Multirate Digital Signal Processing, 1983, chapter 2). Memory hardly depends on the
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 _MAX_FREQUENCY_RATIO = 0.15
 # Length of the low-pass filter in samples of the decimated rate.
 _FILTER_LENGTH = 24
-# Parameter of its Kaiser window, which attenuates aliasing in the result by 240 dB.
+# Parameter of the Kaiser window of the filter, which attenuates aliasing in the result by 240 dB.
 _KAISER_BETA = 25.5
 # Maximum number of multiplications of a matrix product that BLAS computes in a single thread, without overhead.
 _MAX_MULTIPLICATIONS = 1 << 18
 # Number of values of a group of channels that are in memory at a time, unless a single channel has more.
 _MAX_ELEMENTS = 1 << 24
-# Copies of the spectra that are in memory at a time.
+# Number of copies of the spectra that are in memory at a time.
 _COPIES = 2
 
 

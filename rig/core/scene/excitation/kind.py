@@ -72,7 +72,7 @@ class KindOfTest(Settings):
     """A kind of test. Subclasses are the sections `test` of a scene; this class has no keys.
 
     `recorded_as`: kind of evaluation of the recordings, a value of `daq.core.recording.recorded_test.TestKind`.
-    `level_keys`: keys of which one is the level of the test. `level_name`: quantity of the level, as text after its
+    `level_keys`: alternative keys for the level of the test. `level_name`: quantity of the level, as text after its
     unit. `uses_shaker`: whether a shaker is driven. `single_tone`: whether the drive is one tone at a time.
     `controls_by_cell`: whether the controller uses a force cell at the shaker, if there is one, instead of the motion
     of both ends of the spring.
@@ -160,7 +160,7 @@ class KindOfTest(Settings):
 
     @property
     def band(self) -> tuple[float, float] | None:
-        """Lowest and highest frequency of the drive, Hz; default: those of the keys; None without a band."""
+        """Lowest and highest frequency of the drive, Hz; default: from the keys; None without a band."""
         given = self.given_frequencies.values()
         return (min(given), max(given)) if given else None
 

@@ -48,7 +48,7 @@ class BaseShaker(KindOfShaker):
         return np.asarray(np.square(s + 2.0 * np.pi * self.centering)), np.zeros_like(s)
 
     def effects(self, bodies: str, modes_at_rest: Callable[[], str]) -> Iterable[ShakerEffect]:
-        """Yield the table; the modes are those of the structure on a table at rest."""
+        """Yield the table; the modes belong to the structure on a table at rest."""
         yield ShakerEffect("base excitation", 2, f"of the whole structure; centering servo of {self.centering:.4g} Hz")
 
     def output_text(self, suffix: str, bodies: str) -> str:

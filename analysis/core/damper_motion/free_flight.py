@@ -81,7 +81,7 @@ class BodyMotion:
 
     @property
     def tolerance(self) -> float:
-        """Relative uncertainty of the channel's sensitivity."""
+        """Relative tolerance of the channel's sensitivity."""
         return tolerance(self.info)
 
     def contact_at(self, time: float, wall: float, added_speed: float) -> _WallContact:
@@ -148,7 +148,7 @@ def restitution(motion: BodyMotion, damper: Damper) -> Restitution | None:
     unresolved_rebound = 0.5 * detected.resolution * np.maximum(apparent_gravity, 0.0)
     wall = np.where(detected.jump < 0.0, 0.0, damper.clearance)
     time, duration = detected.time - motion.start / rate, motion.samples.size / rate
-    # Impacts at which a flight may begin, by their indices.
+    # Indices of the impacts at which a flight may begin.
     candidates = np.flatnonzero(
         (time[:-1] > _EXCLUDED_END_RATIO * duration) & (time[1:] < (1.0 - _EXCLUDED_END_RATIO) * duration)
     )

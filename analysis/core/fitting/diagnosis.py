@@ -82,7 +82,7 @@ _TRIAL_DELAYS = np.arange(-1.2e-3, 1.21e-3, 2e-5)
 _MAX_DELAY_ERROR = 1e-4
 # A shorter delay than this is not reported, s.
 _MIN_DELAY = 5e-6
-# A sensitivity is fitted freely if the sensor has this relative tolerance.
+# Relative tolerance of a sensor whose sensitivity is fitted freely: so large that it has no effect.
 _FREE_TOLERANCE = 1e4
 # A unit is probably wrong if fitted and initial masses differ by more than this factor.
 _MAX_MASS_RATIO = 2.5

@@ -72,7 +72,8 @@ class Estimate:
     factor: Array
     # mean square of the residuals in standard deviations; 1 if the stated errors explain them
     variance: float
-    # number of columns of `factor` for random errors; the others have limits: tolerances, and systematic errors
+    # number of columns of `factor` for random errors; the other columns belong to errors with limits (tolerances,
+    # systematic errors)
     n_random: int
 
     def expanded(self, derivatives: Array | None = None) -> Array:

@@ -30,8 +30,8 @@ from rig.core.base.errors import RecordingError, SceneError
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import standard_of_limit
 
-# Each point is given at least this relative uncertainty, so that a few points with a very small one do not determine
-# the result.
+# Each point is given at least this relative uncertainty, so that a few points with a very small uncertainty do not
+# determine the result.
 MIN_RELATIVE_ERROR = 1e-4
 # A second chart assumes this relative uncertainty, so that the whole curve has weight and not only its peaks.
 _CHART_ERROR = 0.03
@@ -107,7 +107,7 @@ def remove_unbounded(curves: Sequence[Response]) -> list[Response]:
 
 
 def measured_curves(curves: Sequence[Response]) -> tuple[Curves, Array]:
-    """Return the responses at lines where all are measured, and their standard deviations."""
+    """Return the responses at the lines where all responses are measured, and the standard deviations."""
     frequency = curves[0].frequency
     if any(curve.frequency.shape != frequency.shape or np.any(curve.frequency != frequency) for curve in curves):
         raise SceneError(

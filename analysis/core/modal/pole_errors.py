@@ -78,7 +78,7 @@ def _add_min_uncertainty(poles: ComplexArray, frequency_error: Array, damping_er
 def propagate(poles: ComplexArray, factors: Sequence[Array]) -> tuple[Array, Array]:
     """Return the largest standard uncertainties of frequencies [Hz] and damping ratios over covariances ``F F^T``.
 
-    `factors`: factors F, whose rows are the first parameters of all poles, then the second.
+    `factors`: factors F; their rows belong to the first parameters of all poles, then to the second parameters.
     """
     count = poles.size
     decay_rate, damped, natural = -poles.real, poles.imag, abs(poles)

@@ -8,7 +8,7 @@ from rig.core.results.response import Response
 
 
 def _compute(request: Request) -> list[Response]:
-    """Name the analysis of a shock."""
+    """Reject the request, and name the analysis for shocks."""
     path = request.rec.path
     raise RecordingError(f"{path}: a shock has no frequency responses. Use `analysis srs {path}`.")
 

@@ -184,7 +184,7 @@ def sweep_spectra(
         channel_spectra[index] = spectrum[:, : bin_offsets.size]
         bin_frequency[index] = frequency[index] + bin_offsets * rec.rate / segment_samples
         begin, width = bounds[index][0], FIT_HALF_WIDTH * rec.rate / segment_samples
-        # The passage of a logarithmic sweep is defined only for positive frequencies.
+        # The time at which a logarithmic sweep passes a frequency exists only for positive frequencies.
         edges = [max(frequency[index] + offset, 1e-6 * frequency[index]) for offset in (-width, width)]
         # Samples at which the sweep passes the first and the last bin of the fit.
         passage = [first + _sample_at(marker, edge, rec.rate) - begin for edge in edges]

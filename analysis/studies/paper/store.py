@@ -36,7 +36,7 @@ def remove_partial(folder: Path) -> None:
 
 @dataclass(frozen=True)
 class PaperPart:
-    """A part of the reproduction: a simulation, or a recording with its evaluation, that needs no other part."""
+    """A part of the reproduction, independent of other parts: a simulation, or a recording with its evaluation."""
 
     name: str  # file stem of its results
     all_inputs: str  # text that contains all inputs of the results: scenes, grids, options

@@ -56,7 +56,7 @@ class _EscapingStream(io.TextIOBase):
         self._forward(self.unescaped.flush)
 
     def close(self) -> None:
-        """Do nothing: Python owns the unescaped stream. If it is closed first, an error would follow in 3.13."""
+        """Do nothing: Python owns the unescaped stream, and closing it twice is an error in Python 3.13."""
 
     def _forward(self, operation: Callable[..., object], *arguments: str) -> None:
         """Call an operation of the unescaped stream; a full disk raises `Unwritable`."""

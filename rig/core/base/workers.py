@@ -105,7 +105,7 @@ class Workers:
             ) from None
 
     def _start(self, cleanup: ExitStack) -> Executor | None:
-        """Start the workers, which `cleanup` ends; None to compute in this process."""
+        """Start the workers, which `cleanup` ends; return None if this process computes all pieces."""
         if self._cluster is not None:
             return _connect_to_dask(self._cluster, cleanup)
         return None if SERIAL else _start_processes(cleanup)

@@ -64,7 +64,7 @@ class Grains(Settings):
     spread: Annotated[float, Quantity(RATIO, at_least=0.0, below=0.5)] = 0.0
     """Relative half-width of the uniform distribution of diameters about `diameter`; sizes are random (`seed`)."""
     density: Annotated[float, Quantity(DENSITY, above=0.0)] = 11340.0
-    """Density [kg/m^3]; it is adjusted slightly so that the bed is a whole number of grains."""
+    """Density [kg/m^3]; it is adjusted slightly so that the mass of the bed is that of a whole number of grains."""
     modulus: Annotated[float, Quantity(MODULUS, above=0.0)] = 1e8
     """Young's modulus [Pa], below the 16 GPa of lead because stiffer grains need shorter time steps."""
     poisson_ratio: Annotated[float, Quantity(RATIO, at_least=0.0, below=0.5)] = 0.44
@@ -117,8 +117,9 @@ class Damper(Settings):
     """Damping of the dashpot next to the spring [N s/m]; None: no dashpot."""
     friction: Annotated[float, Quantity(RATIO, at_least=0.0)] | None = None
     """Coefficient of friction of a horizontal damper, 0 without friction. The mass then slides in the direction of
-    vibration, and its weight acts across. It starts in the middle between two walls; `clearance` is its free distance,
-    infinite without walls. None: the mass moves vertically."""
+    vibration, and its weight acts perpendicular to the motion. It starts in the middle between two walls; `clearance`
+    is its free distance, infinite without walls. None: the mass moves vertically.
+    """
     restitution: Annotated[float, Quantity(RATIO, at_least=0.0, below=1.0)] = 0.0
     """Ratio of separation to approach speed in an impact, from 0 (perfectly plastic) to below 1."""
     contact: Contact | None = None

@@ -102,8 +102,8 @@ class HybridSystem:
     has the shape (further states, inputs). `prescribed`, `reaction`: coordinates with prescribed motion, and rows
     (prescribed, states) whose product with the state is the force of their actuator, N. `elements`: the dampers that
     can move in their cavities, then the joints. A bed of grains is here one mass at rest; `rig.extras.grains` computes
-    its motion. Arrays of a value for each damper omit the joints. `initial`: state at t = 0 without drive, with all
-    dampers at rest.
+    its motion. Arrays with one value for each damper do not include the joints. `initial`: state at t = 0 without
+    drive, with all dampers at rest.
     """
 
     # names of the coordinates: "body 1" ... "body n", then "table" if the scene has one

@@ -187,8 +187,8 @@ def receptance(scene: Scene, frequencies_hz: ArrayLike, riding: Iterable[int] = 
     """Compute the receptance of each body for the force of the shaker or, without shaker, of the hammer.
 
     `frequencies_hz`: shape (frequencies,); `riding`: numbers of the dampers that ride, from 1. Their masses are added
-    to their bodies. The masses of dampers that are locked or have no clearance are always added. Masses on springs
-    vibrate on their springs.
+    to their bodies. The masses of dampers that are locked or have no clearance are always added. Masses on springs are
+    included with their springs and dashpots.
 
     Returns X / F, complex, shape (bodies, frequencies), m/N. Raises `SceneError` if a frequency is negative, not finite
     or exactly an undamped resonance, a damper does not exist, or the scene has neither shaker nor hammer.

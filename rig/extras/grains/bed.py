@@ -25,7 +25,7 @@ from rig.extras.grains.rebound import restitution_at_step
 #: Walls of a cavity, in the order of the entries of `Bed.forces`.
 WALLS = ("floor", "ceiling", "side")
 FLOOR, CEILING = 0, 1
-#: LAMMPS's codes, in `extract_fix`, for one row per atom, and for an array.
+#: Codes of LAMMPS's function `extract_fix`: one row of data per atom, and data as an array.
 _PER_ATOM = 1
 _ARRAY = 2
 

@@ -17,7 +17,7 @@ from rig.core.scene.damper import Grains
 
 #: Closing speed at which the rebound has the desired restitution, m/s; impacts in a bed have 0.05 to 1 m/s.
 _CLOSING_SPEED = 0.3
-#: Number of starts of a contact within a step that are averaged, because a contact may begin anywhere in a step.
+#: A contact may begin anywhere in a step; the rebound is averaged over this number of evenly spaced beginnings.
 _START_COUNT = 16
 #: Maximum number of time steps of a contact.
 _MAX_STEPS = 100_000

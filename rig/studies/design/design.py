@@ -181,7 +181,7 @@ def design(
         default.
     bodies : sequence of int or str, optional
         Bodies that may carry a damper, by number from 1 or name; default all. A body that is given twice may carry two
-        dampers; these take several times as long, because their coupled motion is simulated and averaged.
+        dampers; such designs take several times as long, because their coupled motion is simulated and averaged.
     dampers : int
         Largest number of dampers; fewer are chosen if they are as effective.
     clearance : (float, float) or (str, str), optional

@@ -41,7 +41,7 @@ class Evaluator:
         self._finished, self._total = 0, total
         self._table = self._unfinished = table
         if table is not None and not STUDY.is_table(table):
-            # Another file that may be replaced remains until the new table is complete.
+            # An existing file that may be replaced is kept until the new table is complete.
             prepare_outputs(table, error_type=RunError)
             self._unfinished = unfinished_file(table)
         self._stored = StoredValues(STUDY, self._unfinished)

@@ -128,7 +128,7 @@ def _tables(design: Design) -> list[str]:
 
 
 def write(design: Design, folder: Path) -> list[Path]:
-    """Write the scene with the best dampers and the figures into a folder that exists.
+    """Write the scene with the best dampers and the figures into an existing folder.
 
     Raises `SceneError` if a file cannot be written.
     """

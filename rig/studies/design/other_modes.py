@@ -81,7 +81,7 @@ def select_outside_band(objective: Objective, trials: Sequence[Trial], best: Tri
     """Select the design with the smallest peaks outside the band, among the designs that are equal in the band.
 
     The criterion is the mean peak over modes and levels in dB; in a tie, `best`, the best design in the band, is
-    selected. Clearances that are too small to build are compared only if all of them are.
+    selected. Designs with clearances that are too small to build are compared only if there are no others.
     """
     low, high = objective.band
     outside = [mode_objective for frequency, mode_objective in mode_objectives(objective) if not low < frequency < high]

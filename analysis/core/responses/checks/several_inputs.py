@@ -41,7 +41,7 @@ def condition(spectra: ComplexArray) -> Array:
 class Reciprocity:
     """Agreement of two responses that are equal by the Maxwell-Betti reciprocity theorem."""
 
-    pair: tuple[str, str]  # locations of output and input of one response; they are exchanged in the other
+    pair: tuple[str, str]  # locations of output and input; the other response has them exchanged
     within: float  # share of lines at which the difference is within the sum of the expanded uncertainties
     deviation: float  # median of the relative difference of the two responses
 

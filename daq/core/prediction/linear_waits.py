@@ -164,16 +164,21 @@ class _PredictedTone(SteadyTone):
 
     def transition(self, samples: int, frequency: float, amplitude: float) -> Array:
         """Generate a transition between drives, and compute the transient after it."""
-        poles, start = self._modes.poles, self._transient + self._steady_coordinates()
+        start = self._transient + self._steady_coordinates()
         wave = super().transition(samples, frequency, amplitude)
         values = np.append(wave, amplitude * np.sin(self.phase)) / self.rate
         values[[0, -1]] *= _DURAND[0]
         values[[1, -2]] *= _DURAND[1]
-        if self._decay.shape[0] <= samples:
-            self._decay = np.exp(np.outer(np.arange(samples + 1) / self.rate, poles))
-        end = self._decay[samples] * start + self._modes.participation * (values[::-1] @ self._decay[: samples + 1])
+        decay = self._decay_over(samples)
+        end = decay[-1] * start + self._modes.participation * (values[::-1] @ decay)
         self._transient = end - self._steady_coordinates()
         return wave
+
+    def _decay_over(self, samples: int) -> ComplexArray:
+        """Return the factors by which the transient of each mode decays in 0 to `samples` samples."""
+        if self._decay.shape[0] <= samples:
+            self._decay = np.exp(np.outer(np.arange(samples + 1) / self.rate, self._modes.poles))
+        return self._decay[: samples + 1]
 
     def _steady_coordinates(self) -> ComplexArray:
         """Return the modal coordinates of the steady state at the present phase."""
@@ -197,7 +202,7 @@ class _PredictedTone(SteadyTone):
     def _set_window(self, samples: int) -> None:
         """Prepare windows of a given number of samples at the present frequency."""
         self._observed = self.frequency, samples
-        decay = np.exp(np.outer(np.arange(samples + 1) / self.rate, self._modes.poles))
+        decay = self._decay_over(samples)
         self._decay_in_window = decay[-1]
         weights = lock_in_weights(self.frequency, self.rate, samples)
         lock_in_gain = (weights[0] + 1j * weights[1]) @ decay[:-1]

@@ -25,7 +25,7 @@ from daq.core.signal_chain.decimation_filter import DELAY_SAMPLES, DecimationFil
 from daq.core.signal_chain.sampling import AverageSampler, FilteredSampler, Jitter, PointSampler, Sampler
 from daq.core.signal_chain.stage import Stage, is_averaged
 from rig.core.base.arrays import Array
-from rig.core.numerics.jit import only_overload
+from rig.core.numerics.jit import RepeatedCall
 from rig.core.scene.measurement_chain import Converter
 
 # Number of Legendre polynomials per interval that represent noise before a filter; see `daq.core.dsp.noise.FastNoise`.
@@ -103,7 +103,7 @@ class SignalPath:
             # The voltage is added as the last output, because the error due to jitter requires its slope.
             self._output_matrix = np.concatenate([self._output_matrix, circuit.c[None]])
             self._feedthrough = np.append(self._feedthrough, circuit.d[0] * gain)
-        self._propagate = propagate
+        self._propagate = RepeatedCall(propagate)
         self._feedthrough_excess = np.full(len(self._output_matrix), -circuit.d[limited_section])
         self._noise = None
         if converter.noise is not None:
@@ -129,8 +129,6 @@ class SignalPath:
             self._feedthrough_excess, outputs, self._sampler.moments_buffer(intervals),
             self._overloads.severity_buffer(intervals), self._workspace,
         )  # fmt: skip
-        if self._propagate is propagate:
-            self._propagate = only_overload(propagate)
         volts = self._sampler.read(outputs, sample_ends)
         if self._disturbances.has_direct:
             self._disturbances.add_direct(disturbances[:, sample_ends], volts)

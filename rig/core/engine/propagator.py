@@ -36,7 +36,7 @@ from rig.core.engine.state import (
 from rig.core.engine.trajectory import Trajectory
 from rig.core.engine.workspace import Workspace, workspace_for
 from rig.core.numerics.bernstein import N_COEFFICIENTS
-from rig.core.numerics.jit import kernel, only_overload
+from rig.core.numerics.jit import RepeatedCall, kernel
 from rig.core.numerics.simd import LANES, aligned_zeros, padded_length
 from rig.core.settings.quantities import LENGTH
 from rig.core.system.hybrid_system import Drive, HybridSystem, first_order_hold, pure_tone
@@ -148,7 +148,7 @@ class Propagator:
         self._no_drive = np.zeros((len(system.inputs), 2))
         self._elapsed_s = 0.0
         self._empty_log = _copied_log(self.log, 0, 0, self.tables)
-        self._propagate, self._store_accelerations = _propagate, _store_accelerations
+        self._propagate, self._store_accelerations = RepeatedCall(_propagate), RepeatedCall(_store_accelerations)
         self._look_up_tables()
 
     @property
@@ -295,8 +295,6 @@ class Propagator:
         # A view of the indices may have another memory layout.
         table_indices = np.ascontiguousarray(table_indices)
         self._store_accelerations(self.tables.flow, self.tables.model, rows, table_indices, self.workspace.derivative)
-        if self._store_accelerations is _store_accelerations:
-            self._store_accelerations = only_overload(_store_accelerations)
         return np.ascontiguousarray(rows[:, first : first + self.system.coordinates].T)
 
     def state_samples(self, samples: int) -> StateSamples:
@@ -334,8 +332,6 @@ class Propagator:
                 self.tables.flow, self.tables.model, self.state, self.workspace, self.log, segments, segment, remaining,
                 states, motion, status,
             )  # fmt: skip
-            if self._propagate is _propagate:
-                self._propagate = only_overload(_propagate)
             status = STATE_ONLY
             if reason == TABLES_MISSING:
                 self._look_up_tables()

@@ -21,7 +21,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Any, TypeVar, cast
+from typing import Any, Generic, TypeVar, TypeVarTuple, cast
 
 import llvmlite.binding
 import numba
@@ -31,6 +31,8 @@ from numba.core.event import Event, Listener, register
 from rig.core.base.console import warn_of_compilation
 
 F = TypeVar("F", bound=Callable[..., object])
+ArgumentTs = TypeVarTuple("ArgumentTs")
+ResultT = TypeVar("ResultT")
 
 _CONFIG: Any = numba.config
 _ROOT = Path(__file__).parents[3]
@@ -188,14 +190,25 @@ def inlined_kernel(function: F) -> F:
     return _njit(function, is_kernel=True, forceinline=True, nogil=True, fastmath={"contract"})
 
 
-def only_overload(function: F) -> F:
-    """Return the machine code of a kernel that is compiled for one signature, otherwise the kernel itself.
+class RepeatedCall(Generic[*ArgumentTs, ResultT]):
+    """Call of a kernel whose arguments have the same types and memory layouts at each call.
 
-    Use it for repeated calls with the same types and memory layouts. numba would identify types and layouts in every
-    call, which takes 0.1 us for each array, also in tuples. The machine code does not check them.
+    numba identifies types and layouts of all arguments in every call, which takes 0.1 us for each array, also in
+    tuples. From the second call on, this is omitted if the kernel is compiled for one signature. The machine code does
+    not check types and layouts.
     """
-    overloads = getattr(function, "overloads", {})
-    return cast(F, next(iter(overloads.values())).entry_point) if len(overloads) == 1 else function
+
+    def __init__(self, function: Callable[[*ArgumentTs], ResultT]) -> None:
+        self._kernel = self._call = function
+
+    def __call__(self, *arguments: *ArgumentTs) -> ResultT:
+        """Call the kernel."""
+        result = self._call(*arguments)
+        if self._call is self._kernel:
+            overloads = getattr(self._kernel, "overloads", {})
+            if len(overloads) == 1:
+                self._call = next(iter(overloads.values())).entry_point
+        return result
 
 
 def unfused_kernel(function: F) -> F:

@@ -5,14 +5,15 @@ An observation consists of the complex amplitudes of all quantities (force and d
 
 from __future__ import annotations
 
+import cmath
 import math
 import sys
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.arrays import ComplexArray
+from rig.core.numerics.jit import unfused_kernel
 
 # The decay of the transient is estimated from this number of differences of successive observations.
 _N_DIFFERENCES = 6
@@ -34,40 +35,134 @@ _MIN_SCATTER_RATIO = 0.75
 _SCATTER_FOR_HALF = 3.0
 # Number of observations that must agree within the tolerance.
 _N_AGREEING = 6
-# Faster than `numpy.sum`, `numpy.mean` and `numpy.max` by a factor of two.
-_SUM, _LARGEST = np.add.reduce, np.maximum.reduce
+# Lower limits of divisors: sum of squared changes, and amplitude.
+_MIN_POWER, _SMALLEST = 1e-280, sys.float_info.min
 
 
 class TransientLaw(NamedTuple):
-    """Geometric decay of the changes between successive observations, for each quantity."""
+    """Geometric decay of the changes between successive observations of one quantity."""
 
-    changes: ComplexArray  # the last changes, (changes, quantities)
-    magnitudes: Array  # their magnitudes
-    factor: ComplexArray  # decay factor: ratio of successive changes, by least squares; (quantities,)
-    coherent: NDArray[np.bool_]  # whether the changes follow the law of decay; (quantities,)
+    change: complex  # the last change
+    largest: float  # the larger magnitude of the last two changes
+    factor: complex  # decay factor: ratio of successive changes, by least squares
+    coherent: bool  # whether the changes follow the law of decay
 
-    @classmethod
-    def of(cls, observations: ComplexArray) -> TransientLaw:
-        """Estimate the law from observations, shape (observations, quantities)."""
-        changes = observations[1:] - observations[:-1]
-        magnitudes = np.abs(changes)
-        cross, powers = _SUM(changes[:-1].conj() * changes[1:], axis=0), magnitudes**2
-        power, later_power = (np.maximum(_SUM(part, axis=0), 1e-280) for part in (powers[:-1], powers[1:]))
-        return cls(changes, magnitudes, cross / power, abs(cross) ** 2 / power / later_power > _MIN_COHERENCE)
 
-    def remaining_change(self) -> ComplexArray:
-        """Return the predicted change from the last observation to the steady state, shape (quantities,)."""
-        deviation = 1.0 - self.factor
-        limited = np.where(abs(deviation) < _MIN_FACTOR_DEVIATION, _MIN_FACTOR_DEVIATION, deviation)
-        return self.changes[-1] * self.factor / limited
+@unfused_kernel
+def _transient_law(values: ComplexArray) -> TransientLaw:
+    """Estimate the law from observations of one quantity."""
+    first = max(0, values.size - _N_DIFFERENCES - 1)
+    cross, power, later_power = 0.0j, 0.0, 0.0
+    change = values[first + 1] - values[first]
+    magnitude = largest = abs(change)
+    for row in range(first + 2, values.size):
+        next_change = values[row] - values[row - 1]
+        next_magnitude = abs(next_change)
+        cross += change.conjugate() * next_change
+        power += magnitude**2
+        later_power += next_magnitude**2
+        change, magnitude, largest = next_change, next_magnitude, max(magnitude, next_magnitude)
+    power, later_power = max(power, _MIN_POWER), max(later_power, _MIN_POWER)
+    coherent = abs(cross) ** 2 / power / later_power > _MIN_COHERENCE
+    return TransientLaw(change, largest, cross / power, coherent)
 
-    def remaining_magnitude(self) -> Array:
-        """Return an upper estimate of the magnitude of the remaining change, shape (quantities,).
 
-        The estimate uses the larger of the last two changes.
-        """
-        change = np.maximum(self.magnitudes[-1], self.magnitudes[-2])
-        return change * abs(self.factor) / np.maximum(abs(1.0 - self.factor), _MIN_FACTOR_DEVIATION)
+@unfused_kernel
+def _mean(values: ComplexArray) -> complex:
+    """Return the mean of observations of one quantity."""
+    total = 0.0j
+    for value in values:
+        total += value
+    return total / values.size
+
+
+@unfused_kernel
+def _final_amplitude(values: ComplexArray, law: TransientLaw) -> complex:
+    """Return the predicted amplitude of a quantity in the steady state."""
+    if not (law.coherent and abs(law.factor) < _MAX_EXTRAPOLATED_FACTOR):
+        return _mean(values[-_NOISE_OBSERVATIONS // 2 :])
+    deviation = 1.0 - law.factor
+    if abs(deviation) < _MIN_FACTOR_DEVIATION:
+        deviation = complex(_MIN_FACTOR_DEVIATION)
+    return values[-1] + law.change * law.factor / deviation
+
+
+@unfused_kernel
+def _is_steady(values: ComplexArray, law: TransientLaw, tolerance: float) -> bool:
+    """Return whether a quantity is steady in its latest observation."""
+    # At least the smallest number, so that it can be a divisor.
+    magnitude = max(abs(values[-1]), _SMALLEST)
+    limit = tolerance * magnitude
+    if law.coherent:
+        # An upper estimate of the remaining change, which uses the larger of the last two changes.
+        remaining = law.largest * abs(law.factor) / max(abs(1.0 - law.factor), _MIN_FACTOR_DEVIATION)
+        return remaining < limit or _agree_within_tolerance(values, 0.01 * limit, 0.1 * limit)
+    return (
+        _agree_within_tolerance(values, limit, 0.1 * limit)
+        or _is_noise(values, _NOISE_OBSERVATIONS // 2, _SCATTER_FOR_HALF * limit, limit)
+        or _is_noise(values, _NOISE_OBSERVATIONS, np.inf, limit)
+    )
+
+
+@unfused_kernel
+def _agree_within_tolerance(values: ComplexArray, max_spread: float, max_drift: float) -> bool:
+    """Return whether the latest observations of a quantity agree within the tolerance, with a steady mean.
+
+    This test is for beating modes, whose changes have no common decay factor. Changes that follow the law must agree
+    within 1 % of the tolerance. In a transient with a time constant of up to thirty observations, the means of the two
+    halves differ by at least 10 % of the remaining change; the limit of the drift follows from this. Both limits are in
+    the unit of the quantity.
+    """
+    if values.size < _N_AGREEING:
+        return False
+    latest = values[-_N_AGREEING:]
+    mean = _mean(latest)
+    for value in latest:
+        if not abs(value - mean) < max_spread:
+            return False
+    return abs(_mean(latest[_N_AGREEING // 2 :]) - _mean(latest[: _N_AGREEING // 2])) < max_drift
+
+
+@unfused_kernel
+def _scatter(values: ComplexArray, mean: complex) -> float:
+    """Return the standard deviation of observations of one quantity."""
+    total = 0.0
+    for value in values:
+        total += abs(value - mean) ** 2
+    return math.sqrt(total / values.size)
+
+
+@unfused_kernel
+def _is_noise(values: ComplexArray, count: int, max_scatter: float, min_difference: float) -> bool:
+    """Return whether the latest `count` observations of a quantity scatter like noise about a constant mean.
+
+    Decaying beats scatter less in the second half. `max_scatter`: largest standard deviation; `min_difference`: the
+    means of both halves may differ by this in any case; both in the unit of the quantity.
+    """
+    if values.size < count:
+        return False
+    half = count // 2
+    before, after = values[-count:-half], values[-half:]
+    mean_before, mean_after = _mean(before), _mean(after)
+    scatter_before, scatter_after = _scatter(before, mean_before), _scatter(after, mean_after)
+    error = math.hypot(scatter_before, scatter_after) / math.sqrt(half)
+    return (
+        abs(mean_after - mean_before) < max(2.0 * error, min_difference)
+        and scatter_after > _MIN_SCATTER_RATIO * scatter_before
+        and max(scatter_before, scatter_after) < max_scatter
+    )
+
+
+@unfused_kernel
+def _evaluate(observations: ComplexArray, tolerance: float) -> tuple[bool, TransientLaw, complex]:
+    """Return whether all quantities are steady; the law and the predicted final amplitude of the first quantity."""
+    values = observations[:, 0]
+    law = _transient_law(values)
+    steady = _is_steady(values, law, tolerance)
+    for number in range(1, observations.shape[1]):
+        values = observations[:, number]
+        steady = steady and _is_steady(values, _transient_law(values), tolerance)
+    return steady, law, _final_amplitude(observations[:, 0], law)
 
 
 class Settling:
@@ -124,14 +219,15 @@ class Settling:
         stored = self._observations[len(self._observations) - min(self.count, _NOISE_OBSERVATIONS) :]
         self._observations = np.concatenate([stored, amplitudes[None]]) if self.count else amplitudes[None]
         self.count += 1
-        if self.count < MIN_OBSERVATIONS:
+        if self.count < MIN_OBSERVATIONS or not amplitudes.size:
+            # Without force control and motion channels there is no quantity.
             self._predictions.extend(amplitudes[:1])
-            return
-        self._law = TransientLaw.of(self._observations[-_N_DIFFERENCES - 1 :])
-        self._predictions.extend(self._predict_final(self._law)[:1])
+            is_steady = self.count >= MIN_OBSERVATIONS
+        else:
+            is_steady, self._law, prediction = _evaluate(self._observations, self.tolerance)
+            self._predictions.append(prediction)
         # Two successive observations must be steady, because one observation may pass by chance at the turning point of
         # a beat.
-        is_steady = self._is_steady(self._law)
         self.settled, self._was_steady = is_steady and self._was_steady, is_steady
 
     def predicted_final(self) -> complex:
@@ -141,16 +237,16 @@ class Settling:
     def prediction_change(self) -> float:
         """Relative range of `predicted_final` over the last three observations."""
         magnitudes = [float(abs(prediction)) for prediction in self._predictions[-3:]]
-        return (max(magnitudes) - min(magnitudes)) / max(magnitudes[-1], sys.float_info.min)
+        return (max(magnitudes) - min(magnitudes)) / max(magnitudes[-1], _SMALLEST)
 
     def phase_change(self) -> float:
         """Phase change of the first quantity's transient between observations, rad.
 
         The result is infinite if no law was determined.
         """
-        if self._law is None or not self._law.coherent[0]:
-            return np.inf
-        return max(float(abs(np.angle(self._law.factor[0]))), 1e-9)  # never 0, because it is a divisor
+        if self._law is None or not self._law.coherent:
+            return math.inf
+        return max(abs(cmath.phase(self._law.factor)), 1e-9)  # never 0, because it is a divisor
 
     def standard_error(self) -> float:
         """Relative standard error of `predicted_final`, from the scatter of the observations.
@@ -160,73 +256,4 @@ class Settling:
         if self.count < _NOISE_OBSERVATIONS:
             return 0.0
         latest = self._observations[-_NOISE_OBSERVATIONS // 2 :, 0]
-        variance = float(_SUM(abs(latest - _mean(latest)) ** 2)) / len(latest)
-        return math.sqrt(variance / len(latest)) / max(float(abs(latest[-1])), sys.float_info.min)
-
-    def _predict_final(self, law: TransientLaw) -> ComplexArray:
-        """Return the predicted amplitudes in the steady state, shape (quantities,); see `predicted_final`."""
-        # The prediction is that of the first quantity; without force control and motion channels, there are no
-        # quantities.
-        if all(law.coherent[:1]) and all(abs(law.factor[:1]) < _MAX_EXTRAPOLATED_FACTOR):
-            return self._observations[-1] + law.remaining_change()
-        return _mean(self._observations[-_NOISE_OBSERVATIONS // 2 :])
-
-    def _is_steady(self, law: TransientLaw) -> bool:
-        """Return whether all quantities are steady in the latest observation."""
-        limit = self.tolerance * self._magnitude()
-        steady = law.coherent & (law.remaining_magnitude() < limit)
-        # The following tests take more computing time.
-        if not all(steady) and self.count >= _N_AGREEING:
-            steady |= self._agree_within_tolerance(law, limit)
-        # Noise is tested when every quantity that follows the law is steady.
-        if not all(steady) and self.count >= _NOISE_OBSERVATIONS // 2 and all(steady | ~law.coherent):
-            noise = self._is_noise(_NOISE_OBSERVATIONS // 2, _SCATTER_FOR_HALF * self.tolerance)
-            if self.count >= _NOISE_OBSERVATIONS:
-                noise |= self._is_noise(_NOISE_OBSERVATIONS, np.inf)
-            steady |= ~law.coherent & noise
-        return all(steady)
-
-    def _magnitude(self) -> Array:
-        """Amplitudes of the latest observation, at least the smallest positive number, so that they can be divisors."""
-        return np.maximum(abs(self._observations[-1]), sys.float_info.min)
-
-    def _agree_within_tolerance(self, law: TransientLaw, limit: Array) -> NDArray[np.bool_]:
-        """Return whether the latest observations agree within the tolerance, with a steady mean; (quantities,).
-
-        This test is for beating modes, whose changes have no common decay factor. Changes that follow the law must
-        agree within 1 % of the tolerance. In a transient with a time constant of up to thirty observations, the means
-        of the two halves differ by at least 10 % of the remaining change; the limit of the drift follows from this.
-        `limit`: tolerance in the unit of each quantity.
-        """
-        latest = self._observations[-_N_AGREEING:]
-        spread = _LARGEST(abs(latest - _mean(latest)), axis=0)
-        agrees: NDArray[np.bool_] = spread < np.where(law.coherent, 0.01 * limit, limit)
-        if any(agrees):
-            drift = abs(_mean(latest[_N_AGREEING // 2 :]) - _mean(latest[: _N_AGREEING // 2]))
-            agrees &= drift < 0.1 * limit
-        return agrees
-
-    def _is_noise(self, count: int, max_scatter: float) -> NDArray[np.bool_]:
-        """Return whether the latest `count` observations scatter like noise about a constant mean; (quantities,).
-
-        Decaying beats scatter less in the second half. `max_scatter`: largest standard deviation, relative to the
-        amplitude.
-        """
-        half = count // 2
-        halves = self._observations[-count:-half], self._observations[-half:]
-        means = [_mean(part) for part in halves]
-        scatter_before, scatter_after = (
-            np.sqrt(_SUM(abs(part - mean) ** 2, axis=0) / half) for part, mean in zip(halves, means, strict=True)
-        )
-        error, magnitude = np.hypot(scatter_before, scatter_after) / np.sqrt(half), self._magnitude()
-        agree = abs(means[1] - means[0]) < np.maximum(2.0 * error, self.tolerance * magnitude)
-        return (
-            agree
-            & (scatter_after > _MIN_SCATTER_RATIO * scatter_before)
-            & (np.maximum(scatter_before, scatter_after) < max_scatter * magnitude)
-        )
-
-
-def _mean(observations: ComplexArray) -> ComplexArray:
-    mean: ComplexArray = _SUM(observations, axis=0) / len(observations)
-    return mean
+        return float(np.std(latest)) / math.sqrt(latest.size) / max(float(abs(latest[-1])), _SMALLEST)

@@ -163,7 +163,7 @@ class Propagator:
         return self.tables.size**2 if flow.has_step_matrix else flow.column.size * N_COEFFICIENTS
 
     def set_state(self, state: Array, drive: Array) -> NDArray[np.int64]:
-        """Set the state, with dampers on their floors and joints in the modes that contain their gaps and speeds.
+        """Set the state, with dampers at rest and joints in the modes that contain their gaps and speeds.
 
         Elements whose holding force would exceed its limits change their mode at once.
 

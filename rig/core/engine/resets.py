@@ -200,15 +200,15 @@ def _touched_end(model: Model, state: State, j: int, gap_error: float) -> int:
     position, gap_coordinate = state.z[unsigned(model.position_index[j])], model.gap_coordinate[j]
     gap = _gap(model, state, j)
     if gap_coordinate >= 0:
-        floor_approach_speed = -state.z[model.first_velocity + gap_coordinate]
+        descent_speed = -state.z[model.first_velocity + gap_coordinate]
         rounding = ROUNDING * (abs(position) + abs(gap))
     else:
-        floor_approach_speed = state.z[unsigned(model.velocity_index[j])] - state.velocity[j]
+        descent_speed = state.z[unsigned(model.velocity_index[j])] - state.velocity[j]
         rounding = ROUNDING * (abs(position) + abs(state.height[j]))
     rounding = max(rounding, gap_error)
-    if floor_approach_speed > 0.0 and multiplicity <= 0 and gap <= _limit(model, m, LOW) + rounding:
+    if descent_speed > 0.0 and multiplicity <= 0 and gap <= _limit(model, m, LOW) + rounding:
         return LOW
-    if floor_approach_speed < 0.0 and multiplicity >= 0 and gap >= _limit(model, m, HIGH) - rounding:
+    if descent_speed < 0.0 and multiplicity >= 0 and gap >= _limit(model, m, HIGH) - rounding:
         return HIGH
     return NONE
 

@@ -97,12 +97,12 @@ def events_at_start(started: NDArray[np.int64], system: HybridSystem) -> NDArray
 
 
 def gaps_and_contacts(trajectory: Trajectory, system: HybridSystem) -> tuple[Array, NDArray[np.int8]]:
-    """Return the gap above each floor, m, and FLIGHT, FLOOR or CEILING; both of shape (dampers, samples)."""
+    """Return the gap of each damper, m, and its contact (`rig.core.laws.events`); both of shape (dampers, samples)."""
     positions = trajectory.state[:, system.damper_coordinate].T
     gap = trajectory.height.T[: system.dampers] - positions
     contact = trajectory.contact.T[: system.dampers]
-    ceiling = np.broadcast_to(system.clearance[:, None], gap.shape)
-    gap = np.maximum(np.where(contact == FLIGHT, gap, np.where(contact == FLOOR, 0.0, ceiling)), 0.0)
+    at_wall = np.take_along_axis(system.wall_gap[: system.dampers], np.maximum(contact - FLOOR, 0), axis=1)
+    gap = np.maximum(np.where(contact == FLIGHT, gap, at_wall), 0.0)
     coordinates = system.gap_coordinate[: system.dampers]
     gap[coordinates >= 0] = trajectory.state[:, coordinates[coordinates >= 0]].T
     return gap, np.ascontiguousarray(contact)

@@ -57,9 +57,9 @@ def _reduce_margin(margins: Array, border: int, index: int, margin: float) -> No
 
 
 @cached_njit
-def _contact_force(equations: Equations, j: int, ceiling: bool, overlap: float, closing_speed: float) -> float:
+def _contact_force(equations: Equations, j: int, upper: bool, overlap: float, closing_speed: float) -> float:
     """Return the contact force [N] from overlap and closing speed, or its rate from their rates."""
-    wall = 1 if ceiling else 0
+    wall = 1 if upper else 0
     return equations.stiffness[j, wall] * overlap + equations.damping[j, wall] * closing_speed
 
 
@@ -96,7 +96,7 @@ def _finite_contact_margins(
     all segments are examined twice in order, and only the second round determines the margins.
     """
     events, acceleration_unit = sequence.kind.shape[0], length_unit * equations.omega**2
-    floor, ceiling = equations.wall_gap[j]
+    lower, upper = equations.wall_gap[j]
     overlapped_wall = 0  # none
     segments = track.times.shape[0]
     # s: segment in `track`; k: the same segment in `sequence`.
@@ -120,7 +120,7 @@ def _finite_contact_margins(
         # `first_free`: first instant of the segment at which the damper does not overlap a wall.
         first_free, highest_force, previous_force, is_rising = 0, -np.inf, np.inf, False
         while overlapped_wall != 0 and first_free < guard.shape[0]:
-            sign, wall_gap = (-1.0, floor) if overlapped_wall == kinds.ON_FLOOR else (1.0, ceiling)
+            sign, wall_gap = (-1.0, lower) if overlapped_wall == kinds.ON_FLOOR else (1.0, upper)
             overlap, closing_speed = sign * (guard[first_free, 0] - wall_gap), sign * guard[first_free, 1]
             if overlap <= 0.0 and first_free > 0:
                 overlapped_wall = 0
@@ -133,17 +133,17 @@ def _finite_contact_margins(
         if not is_second_round:
             continue
         _reduce_margin(distances, STAYS_AT_WALL, j, -highest_force / acceleration_unit)
-        floor_gap, ceiling_gap = np.inf, np.inf
+        lower_gap, upper_gap = np.inf, np.inf
         if first_free < guard.shape[0]:
-            if np.isfinite(floor):
-                floor_gap = _lowest_minimum(track, s, j, -floor, 1.0, first_free)
-            if np.isfinite(ceiling):
-                ceiling_gap = _lowest_minimum(track, s, j, ceiling, -1.0, first_free)
+            if np.isfinite(lower):
+                lower_gap = _lowest_minimum(track, s, j, -lower, 1.0, first_free)
+            if np.isfinite(upper):
+                upper_gap = _lowest_minimum(track, s, j, upper, -1.0, first_free)
             if not starts_with_own_event and first_free == 0:
-                floor_gap = min(floor_gap, guard[0, 0] - floor)
-                ceiling_gap = min(ceiling_gap, ceiling - guard[0, 0])
-        _reduce_margin(distances, HITS_FLOOR, j, floor_gap / length_unit)
-        _reduce_margin(distances, HITS_CEILING, j, ceiling_gap / length_unit)
+                lower_gap = min(lower_gap, guard[0, 0] - lower)
+                upper_gap = min(upper_gap, upper - guard[0, 0])
+        _reduce_margin(distances, HITS_FLOOR, j, lower_gap / length_unit)
+        _reduce_margin(distances, HITS_CEILING, j, upper_gap / length_unit)
 
 
 @cached_njit
@@ -272,18 +272,18 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             if equations.stiffness[j, 0] > 0.0 or equations.first_mode[j] >= 0:
                 continue  # sliding masses are examined below
             if wall in (kinds.FLYING, kinds.WITHOUT_FORCE):
-                floor, ceiling = equations.wall_gap[j]
+                lower, upper = equations.wall_gap[j]
                 # A gap that starts from zero has no minimum in the first step, except by rounding.
                 first = 1 if starts_with_own_event and wall == kinds.WITHOUT_FORCE else 0
-                if np.isfinite(floor):
-                    lowest = _lowest_minimum(track, s, j, -floor, 1.0, first)
+                if np.isfinite(lower):
+                    lowest = _lowest_minimum(track, s, j, -lower, 1.0, first)
                     if not starts_with_own_event:
-                        lowest = min(lowest, guard[0, 0] - floor)
+                        lowest = min(lowest, guard[0, 0] - lower)
                     _reduce_margin(distances, HITS_FLOOR, j, lowest / length_unit)
-                if np.isfinite(ceiling):
-                    lowest = _lowest_minimum(track, s, j, ceiling, -1.0, first)
+                if np.isfinite(upper):
+                    lowest = _lowest_minimum(track, s, j, upper, -1.0, first)
                     if not starts_with_own_event:
-                        lowest = min(lowest, ceiling - guard[0, 0])
+                        lowest = min(lowest, upper - guard[0, 0])
                     _reduce_margin(distances, HITS_CEILING, j, lowest / length_unit)
                 continue
             sign = 1.0 if wall == kinds.RIDES_FLOOR else -1.0
@@ -303,10 +303,10 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             )
             continue
         separates = kind in (kinds.SEPARATION, kinds.INDUCED_SEPARATION)
-        left_ceiling = separates and sequence.wall[event, j] == kinds.RIDES_CEILING
-        at_ceiling = kind in (kinds.CEILING, kinds.CEILING_BOUNCE) or left_ceiling
+        left_upper = separates and sequence.wall[event, j] == kinds.RIDES_CEILING
+        at_upper = kind in (kinds.CEILING, kinds.CEILING_BOUNCE) or left_upper
         is_bounce = kind in (kinds.CEILING_BOUNCE, kinds.FLOOR_BOUNCE)
-        away_sign = -1.0 if at_ceiling else 1.0
+        away_sign = -1.0 if at_upper else 1.0
         if kind == kinds.INDUCED_SEPARATION or (is_bounce and equations.restitution[j] == 0.0):
             # Right after the event, the gap's second derivative must lead away from the wall.
             _reduce_margin(distances, STAYS_AT_WALL, j, away_sign * track.guards[event, 0, j, 2] / acceleration_unit)
@@ -333,7 +333,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
                 next_event = (next_event + 1) % events
             next_period = equations.period if next_event <= event else 0.0
             flight_time = instants[next_event] - instants[event] + next_period
-            if sequence.kind[next_event] == (kinds.CEILING if at_ceiling else kinds.FLOOR):
+            if sequence.kind[next_event] == (kinds.CEILING if at_upper else kinds.FLOOR):
                 _reduce_margin(distances, FLIGHT_VANISHES, j, flight_time * omega - MIN_FLIGHT_RAD)
     for j in range(nd):
         if equations.first_mode[j] >= 0:

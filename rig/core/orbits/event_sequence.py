@@ -1,7 +1,7 @@
 """The sequence of events of a periodic orbit: its derivation from a simulated cycle, and its label for users.
 
 An event is a change of the contact state of one damper. Beyond a *border* in the parameter, the sequence is impossible.
-The engine describes the *contact* of a damper as flight, floor or ceiling. An orbit describes it by a *wall state*,
+The engine describes the *contact* of a damper as flight or one of two walls. An orbit describes it by a *wall state*,
 which also distinguishes finite-duration contact (`rig.core.orbits.event_kinds`).
 """
 

@@ -1,7 +1,7 @@
 """A periodic motion (orbit) of a scene, and the family of such motions over one free parameter.
 
 A *plan* is the sequence of contact events in one cycle. A *border* is a limit beyond which this sequence is impossible,
-for example where a damper hits the floor early. The *margin* is the distance to the border, negative beyond it.
+for example where a damper hits a wall early. The *margin* is the distance to the border, negative beyond it.
 """
 
 from __future__ import annotations

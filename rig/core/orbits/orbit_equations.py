@@ -34,11 +34,11 @@ class Equations(NamedTuple):
     base_coordinate: IndexArray
     """Coordinate that is subtracted from the coordinate of the gap, -1 if none is; int64, shape (elements,)."""
     memory_coordinate: IndexArray  # Coordinate of the memory, -1 without memory; int64, shape (elements,)
-    wall_gap: Array  # Gap at floor and ceiling [m]; shape (elements, 2)
+    wall_gap: Array  # Gap at the lower and the upper wall [m]; shape (elements, 2)
     hold_offset: Array
-    """Holding force per mass on floor and ceiling, minus the acceleration of the body [m/s²]; shape (elements, 2)."""
+    """Holding force per mass on both walls, minus the acceleration of the body [m/s²]; shape (elements, 2)."""
     stiffness: Array
-    damping: Array  # `stiffness` and `damping` of floor and ceiling in finite-duration contact; shape (elements, 2)
+    damping: Array  # `stiffness` and `damping` of both walls in finite-duration contact; shape (elements, 2)
     first_mode: IndexArray
     """Row in `signals` of the first mode of an element that slides with friction, otherwise -1; shape (elements,)."""
     signals: Array

@@ -86,9 +86,9 @@ def base_frequency(axis: Axis, frequency: float | str | None, first: float) -> f
 class _ConfigurationMatrices(NamedTuple):
     """Matrices of configurations; the first index of each array is the configuration.
 
-    `generator`: as in `Equations`, but without drive, ceilings of finite-duration contacts and angular frequency.
+    `generator`: as in `Equations`, but without drive, upper walls of finite-duration contacts and angular frequency.
     `drive_input`: input matrix B of x' = A x + B u. `clearance_input`: derivative of the accelerations with respect to
-    each damper's clearance, nonzero while the damper is pressed on its ceiling. `norm_bound`: upper bound of the norm
+    each damper's clearance, nonzero while the damper is pressed on its upper wall. `norm_bound`: upper bound of the norm
     of the state matrix, 1/s.
     """
 
@@ -206,11 +206,11 @@ class OrbitProblem:
         matrices = self._configurations(plan.configurations, mass_factor)
         generator, generator_derivative = matrices.generator.copy(), np.zeros_like(matrices.generator)
         generator[:, :n, n : n + 2] = matrices.drive_input @ drive
-        # Dampers with finite-duration contact that have a ceiling.
-        has_contact_ceiling = self._finite_contact[: system.dampers] & np.isfinite(system.clearance)
-        if has_contact_ceiling.any():
+        # Dampers with finite-duration contact that have an upper wall.
+        has_upper_wall = self._finite_contact[: system.dampers] & np.isfinite(system.clearance)
+        if has_upper_wall.any():
             generator[:, nq : 2 * nq, n + 2] += (
-                matrices.clearance_input[:, :, has_contact_ceiling] @ system.clearance[has_contact_ceiling]
+                matrices.clearance_input[:, :, has_upper_wall] @ system.clearance[has_upper_wall]
             )
         generator[:, n, n + 1], generator[:, n + 1, n] = -omega, omega
         inverse_mass_derivative = np.zeros_like(matrices.inverse_mass)
@@ -223,7 +223,7 @@ class OrbitProblem:
             generator_derivative[:] = by_factor.generator
             generator_derivative[:, :n, n : n + 2] = by_factor.drive_input @ drive
             generator_derivative[:, nq : 2 * nq, n + 2] += (
-                by_factor.clearance_input[:, :, has_contact_ceiling] @ system.clearance[has_contact_ceiling]
+                by_factor.clearance_input[:, :, has_upper_wall] @ system.clearance[has_upper_wall]
             )
             inverse_mass_derivative = by_factor.inverse_mass
         if parameter == "clearance":

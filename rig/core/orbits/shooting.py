@@ -223,8 +223,8 @@ def _apply_impact_of_coordinate(
     """Apply an impact as `_apply_impact` does, for a damper whose gap is a coordinate on which the impulse acts."""
     gap, nq, n_unknowns = equations.gap_coordinate[j], equations.inverse_mass.shape[1], motion.dx.shape[1] - 1
     x, dx, speed = motion.x, motion.dx, motion.x[nq + gap]
-    is_ceiling = kind in (kinds.CEILING, kinds.CEILING_BOUNCE)
-    side, is_bounce = 1 if is_ceiling else 0, kind in (kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE)
+    is_upper = kind in (kinds.CEILING, kinds.CEILING_BOUNCE)
+    side, is_bounce = 1 if is_upper else 0, kind in (kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE)
     distance = x[gap] - equations.wall_gap[j, side]
     jacobian[row] = dx[gap]
     jacobian[row, n_unknowns] -= derivatives.wall_gap[j, side]
@@ -241,7 +241,7 @@ def _apply_impact_of_coordinate(
     dx[gap, n_unknowns] = derivatives.wall_gap[j, side]
     if not is_bounce:
         x[nq + gap], dx[nq + gap] = 0.0, 0.0
-    return distance, speed if is_ceiling else -speed
+    return distance, speed if is_upper else -speed
 
 
 @cached_njit
@@ -255,8 +255,10 @@ def _finite_contact_condition(
     g - g_w = 0. The wall's force is zero at g - g_w + (c / k) g' = 0, with the wall's stiffness k and damping c.
     """
     n_unknowns, nq = motion.dx.shape[1] - 1, equations.inverse_mass.shape[1]
-    ceiling = kind in (kinds.TOUCH_CEILING, kinds.PRESS_CEILING) or (kind == kinds.RELEASE and wall == kinds.ON_CEILING)
-    wall_index = 1 if ceiling else 0
+    is_upper = kind in (kinds.TOUCH_CEILING, kinds.PRESS_CEILING) or (
+        kind == kinds.RELEASE and wall == kinds.ON_CEILING
+    )
+    wall_index = 1 if is_upper else 0
     gap_rate, relaxation_time = along_gap(equations, j, motion.x[nq:]), 0.0
     residual = along_gap(equations, j, motion.x) - equations.wall_gap[j, wall_index]
     jacobian[row, n_unknowns] -= derivatives.wall_gap[j, wall_index]
@@ -270,7 +272,7 @@ def _finite_contact_condition(
             along_gap(equations, j, motion.dx[nq:, c]),
         )
         jacobian[row, c] += gap_derivative + relaxation_time * rate_derivative
-    closing_speed = gap_rate if ceiling else -gap_rate
+    closing_speed = gap_rate if is_upper else -gap_rate
     return residual + relaxation_time * gap_rate, 0.0 if kind == kinds.RELEASE else max(closing_speed, 0.0)
 
 

@@ -24,10 +24,10 @@ class Motion:
     displacement, velocity, acceleration : ndarray, shape (points, samples)
         m, m/s and m/s²; at a sample that coincides with a break, the value just after the break.
     gap : ndarray, shape (dampers, samples)
-        Height of each damper of the scene above its floor, m: 0 if it is locked; for a bed of grains, rise of its
-        center of mass.
+        Height of each damper of the scene above its lower wall, m: 0 if it is locked; for a bed of grains, rise of
+        its center of mass.
     contact : ndarray of int8, shape (dampers, samples)
-        0 in flight, 1 on the floor (always, if it is locked), 2 at the ceiling.
+        0 in flight, 1 at the lower wall (always, if it is locked), 2 at the upper wall.
     break_sample : ndarray of int64, shape (breaks,)
         Index of the first sample at or after the break; in ascending order.
     break_offset : ndarray, shape (breaks,)

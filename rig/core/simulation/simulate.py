@@ -48,10 +48,10 @@ class Run(Result):
     displacement, velocity, acceleration : ndarray, shape (points, samples)
         SI; at a sample that coincides with an impact, the value after it.
     gap : ndarray, shape (dampers that move, samples)
-        Height of each damper above its floor, m; it includes the overlap of finite-duration contact. For a bed of
+        Height of each damper above its lower wall, m; it includes the overlap of finite-duration contact. For a bed of
         grains, height of its center of mass above the initial position.
     contact : ndarray of int8, shape (dampers that move, samples)
-        0 in flight, 1 on the floor, 2 at the ceiling.
+        0 in flight, 1 at the lower wall, 2 at the upper wall.
     events : structured ndarray
         `time` [s], `damper` (1-based position in the scene's list), `kind` ("separation", "floor", "ceiling"; with
         finite-duration contact "touch" and "release"), `speed` (closing speed at an impact or touch, m/s).
@@ -151,7 +151,7 @@ def simulate(
     -----
     Without `drive` and `frequency` the scene's test is run open loop: a sine unchanged, a stepped sine at
     its first frequency, a swept sine, hammer impacts, or free vibration. If the test controls the amplitude of a
-    spring force, the drive produces that amplitude in the linear structure with dampers at rest on their floors.
+    spring force, the drive produces that amplitude in the linear structure with dampers at rest.
 
     Examples
     --------
@@ -168,7 +168,7 @@ def simulate(
             raise SceneError(f"{name}: got {value!r}; expected a positive, finite number")
     system = assemble(scene)
     _check_memory(system, duration * rate)
-    samples = int(np.floor(duration * rate * (1.0 + 1e-12))) + 1
+    samples = int(duration * rate * (1.0 + 1e-12)) + 1
     has_grains = bool(system.grains.any())
     tone = None if drive is not None else tone_drive(scene, system, frequency)
     if tone is not None and not has_grains:

@@ -60,7 +60,7 @@ class SteadyResponse(Result):
     reference_amplitude : ndarray, shape (frequencies,)
         Amplitude of the reference's first harmonic, N or m.
     motion_type : ndarray of str, shape (frequencies,)
-        "linear" (no damper can hit a wall), "riding" (at rest on the floor), "I", "II", "III" (see
+        "linear" (no damper can hit a wall), "riding" (at rest on its wall), "I", "II", "III" (see
         `motion_types`), "k per n" (k impacts in n periods), "irregular"; types of several dampers are joined by "/".
     damper_motion : ndarray of str, shape (dampers and joints, frequencies)
         Motion type of each moving damper, then of each joint.

@@ -111,7 +111,17 @@ def release(
 @inlined_kernel
 def separate(flow: Flow, model: Model, state: State, log: Log, j: int, end: int, multiplicity: int) -> None:
     """Release element j with the velocity of its body."""
-    release(flow, model, state, log, j, end, state.z[unsigned(model.velocity_index[j])], multiplicity)
+    laws, m, lane = model.laws, mode_number(model, state, j), unsigned(model.laws.first_lane[j])
+    x = unsigned(laws.exit[m, 0, end])
+    if model.gap_coordinate[j] >= 0:
+        release(flow, model, state, log, j, end, 0.0, multiplicity)
+        return
+    # For a detached mass, the most frequent element, the call would take longer than the rest of the event.
+    state.height[j] = state.z[unsigned(model.position_index[j])] + laws.wall_gap[m]
+    state.velocity[j] = state.z[unsigned(model.velocity_index[j])]
+    change_mode(flow, model, state, j, laws.target[x, 0])
+    state.multiplicity[lane] = multiplicity if end == LOW else -multiplicity
+    log_event(log, j, laws.event[x], 0.0)
 
 
 @inlined_kernel

@@ -90,7 +90,7 @@ def frf(
 ) -> Results[Response]:
     """Estimate frequency responses with 95 % intervals and coherence, as `analysis frf`.
 
-    This is the entry for any test and any number of shakers: each response is a matrix of outputs over inputs.
+    This call evaluates any test with any number of shakers: each response is a matrix of outputs over inputs.
 
     Parameters
     ----------
@@ -102,24 +102,24 @@ def frf(
         Input: force on the structure, or displacement of the table; if omitted, the table if it carries the structure
         (shaker: base), otherwise the force.
     motion : {'displacement', 'velocity', 'acceleration'}
-        Receptance, mobility or accelerance.
+        Compliance, mobility or accelerance.
     estimator : {'H1', 'H2', 'Hv'}, optional
-        Average the spectra of blocks, for random and impact tests. If omitted, the whole record is evaluated, without
-        leakage.
+        Estimator that averages the spectra of blocks, for random and impact tests. If omitted, the whole record is
+        evaluated at once, without leakage.
     block, overlap, window : float, float and str, optional
         Length of the blocks in s, their overlap as a fraction of the length, and their window by its name in
         `scipy.signal.get_window`.
     unit : str, optional
-        Unit of the values, such as ``"g/N"``, for files that do not give it.
+        Unit of the values, such as ``"g/N"``, for files that do not state a unit.
     progress : callable, optional
         Called with (completed, total).
     level, direction : float or str, and str, optional
-        Sweep to select if a test ran several: its level, such as ``"2.6 N"``, and ``"up"`` or ``"down"``.
+        Sweep to select if the test has several sweeps: its level, such as ``"2.6 N"``, and ``"up"`` or ``"down"``.
 
     Returns
     -------
     Results of Response
-        A matrix for each sweep: all outputs over all inputs; one input is one column.
+        For each sweep a matrix with a row for each output and a column for each input.
 
     Examples
     --------
@@ -313,7 +313,7 @@ def export(
 def cost(
     scene: SceneLike, frequency: Sequence[float] | None = None, progress: CountProgress | None = None
 ) -> ChainStudy:
-    """Measure error and computing time of the measurement chain, with one part changed at a time, as `analysis cost`.
+    """Measure error and computing time of the measurement chain, changing one part at a time, as `analysis cost`.
 
     Parameters
     ----------
@@ -347,9 +347,9 @@ def paper(
     Parameters
     ----------
     output : str or Path
-        Folder for data, figures and the page. A second call continues the first.
+        Folder for data, figures and the page. A repeated call continues an incomplete one.
     fresh : sequence of str
-        Parts to compute again.
+        Names of the parts to compute again, such as ``"rec-fig9"``.
     cluster : str, optional
         Address of a Dask scheduler, as in `rig.design`.
     overwrite : bool
@@ -396,7 +396,7 @@ def _path(recording: OneRecording) -> Path:
 
 
 def _sources(recordings: Recordings) -> Iterator[tuple[Any, str]]:
-    """Yield each recording as a context, or the path of a file with responses, with its label."""
+    """Yield each recording as a context manager, or the path of a file with responses, with its label."""
     from analysis.commands.presentation.inputs import labels
     from analysis.core.recordings.names import OpenRecordings, as_context
     from analysis.extras.formats.frf_files import is_frf_file

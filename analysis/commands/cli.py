@@ -25,7 +25,7 @@ Curves = Annotated[
 ]
 Compared = Annotated[
     list[Path],
-    typer.Argument(metavar="FILE...", help="Recordings (.mcap). The others are compared with the first."),
+    typer.Argument(metavar="FILE...", help="Recordings (.mcap). The first is the baseline of the comparison."),
 ]
 Output = Annotated[
     Path | None,
@@ -41,7 +41,9 @@ Reference = Annotated[
 ]
 Block = Annotated[
     float | None,
-    typer.Option(metavar="S", help="Average blocks of this length in seconds, in random and impact tests."),
+    typer.Option(
+        metavar="S", help="Average the spectra of blocks of this length in seconds, in random and impact tests."
+    ),
 ]
 Unit = Annotated[
     str | None,
@@ -53,7 +55,7 @@ Count = Annotated[
 Table = Annotated[
     Path,
     typer.Option(
-        "--output", "-o", metavar="FILE", help="CSV table of results. Points that it contains are not computed again."
+        "--output", "-o", metavar="FILE", help="CSV table of results. Points in this table are not computed again."
     ),
 ]
 
@@ -71,7 +73,7 @@ def frf(
         str,
         typer.Option(
             metavar="QUANTITY",
-            help="Motion of the response: displacement (receptance), velocity (mobility) or acceleration "
+            help="Motion of the response: displacement (compliance), velocity (mobility) or acceleration "
             "(accelerance).",
         ),
     ] = "displacement",
@@ -202,7 +204,7 @@ def surface(
     output: Output = None,
     force: Annotated[
         list[float] | None,
-        typer.Option(metavar="N", help="Draw the response at this force amplitude, N; repeat for several."),
+        typer.Option(metavar="N", help="Draw the response at this force amplitude in N. May be repeated."),
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -226,14 +228,15 @@ def modes(
         float | None,
         typer.Option(
             metavar="S",
-            help="Remove the damping that an exponential window with this time constant, in s, has added.",
+            help="Correct damping ratios for an exponential window with this time constant in s, which was applied to "
+            "the signals.",
         ),
     ] = None,
     roving: Annotated[
         bool,
         typer.Option(
             "--roving",
-            help="Each FILE contains hits at another point, with the same fixed sensor: identify the modes of all "
+            help="Each FILE contains impacts at another point, with the same fixed sensor. Identify the modes of all "
             "points at once, by reciprocity.",
         ),
     ] = False,
@@ -253,7 +256,7 @@ def modes(
 def dampers(files: Recordings, output: Output = None, overwrite: Overwrite = False) -> None:
     """Estimate the impacts of dampers, and the energy they dissipate.
 
-    It evaluates each frequency of a sine or stepped sine test.
+    Each frequency of a sine or stepped-sine test is evaluated.
     """
     from analysis.commands.presentation.damper_findings import present_dampers
 
@@ -266,7 +269,7 @@ def dampers(files: Recordings, output: Output = None, overwrite: Overwrite = Fal
 def compare(files: Compared, output: Output = None, overwrite: Overwrite = False) -> None:
     """Compare height and frequency of resonance peaks.
 
-    It prints the changes relative to the first recording, with 95 % intervals.
+    The changes relative to the first recording are printed with 95 % intervals.
     """
     from analysis.commands.presentation.comparison import present_compare
 
@@ -344,7 +347,7 @@ def demo(
 ) -> None:
     """Record and analyze tests of Inoue, Yokomichi, Hiraki (2011).
 
-    It makes two stepped sines and two impact tests, and draws Figs 8 and 10b of the paper from the recordings.
+    Two stepped sines and two impact tests are recorded. Figs 8 and 10b of the paper are drawn from the recordings.
     """
     from analysis.commands.presentation.demo import demonstrate
 
@@ -395,7 +398,7 @@ def export(
     if what != "samples":
         if channel or start is not None or stop is not None or speed != 1.0:
             raise typer.BadParameter(
-                "--channel, --from, --to and --speed apply to samples only. Leave them out, or leave out --what."
+                "--channel, --from, --to and --speed apply to samples only. Omit these options, or omit --what."
             )
         with count_progress("analyzing") as progress:
             lines = export_results(file, output, what, overwrite, progress)
@@ -460,7 +463,7 @@ def paper(
 ) -> None:
     """Repeat and check the paper of Inoue, Yokomichi, Hiraki (2011).
 
-    It draws the figures and gives a verdict on each claim. A repeated command computes only what is missing.
+    The figures are drawn, and each claim is assessed. A repeated command computes only the missing parts.
     """
     from analysis.studies.paper.reproduce import reproduce
 
@@ -474,14 +477,15 @@ def beds(
     points: Annotated[
         int | None,
         typer.Option(
-            min=1, help="Number of operating points to compute, spread over the study. Six take minutes. Default: all."
+            min=1,
+            help="Number of operating points to compute, spread over the study. Six points take minutes. Default: all.",
         ),
     ] = None,
     cluster: Cluster = None,
 ) -> None:
     """Compare beds of grains with the single-mass model.
 
-    It tests claim C7 of the paper, that a bed moves as a single mass. All points take over half an hour.
+    This checks claim C7 of the paper, that a bed moves as a single mass. All points take over half an hour.
     """
     from analysis.studies.paper.bed_study import follow
 
@@ -494,8 +498,8 @@ def beds(
 def contacts(output: Table = Path("recordings/contacts.csv"), cluster: Cluster = None) -> None:
     """Simulate the single-mass model on compliant walls.
 
-    It computes the operating points of `analysis beds` at 50 Hz, with several contact durations and restitutions,
-    and takes minutes.
+    The operating points of `analysis beds` at 50 Hz are computed with several contact durations and restitutions. This
+    takes minutes.
     """
     from analysis.studies.paper.contact_study import follow
 

@@ -65,7 +65,7 @@ exact = rig.frequency_response(sine_scene, frequency).compliance[1]
 axes = plt.subplots(layout="constrained")[1]
 axes.semilogy(frequency, 1e6 * abs(receptance), label="nidaqmx and pyFRF, H1")
 axes.semilogy(frequency, 1e6 * abs(exact), "k--", label="exact")
-axes.set(xlabel="frequency / Hz", ylabel="receptance of the arm / (µm/N)")
+axes.set(xlabel="frequency / Hz", ylabel="compliance of the arm / (µm/N)")
 axes.legend()
 magnitude_error = np.median(abs(abs(receptance) / abs(exact) - 1.0))
 peak = frequency[np.argmax(abs(receptance))]

@@ -19,7 +19,7 @@ from rig.core.base.output_files import allow_overwriting, prepare_outputs
 if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
-# Tests of at most this CPU time, s, are simulated completely in a dry run.
+# A dry run simulates a test completely if this needs at most this CPU time, s.
 _DRY_RUN_CPU_S = 20.0
 app = create_application("The instrument: record, inspect, repair and replay tests.")
 
@@ -27,7 +27,7 @@ app = create_application("The instrument: record, inspect, repair and replay tes
 OTHER_SUFFIXES = (
     ".csv", ".txt", ".npz", ".mat", ".uff", ".wav", ".tdms", ".rrd", ".yaml", ".png", ".svg", ".html",
 )  # fmt: skip
-# Help text of the scene that scripts and clients drive.
+# Help text of the option for the scene that scripts and clients drive.
 BENCH_SCENE_HELP = "Scene of the rig. Default: environment variable SHOTRIG_SCENE, or a rig with three dampers."
 
 
@@ -64,11 +64,11 @@ def record(
         typer.Option(
             metavar="N",
             rich_help_panel="Test",
-            help="Largest number of samples per channel acquired at a time; it does not change the recording.",
+            help="Largest number of samples per channel acquired at a time. The recording does not depend on it.",
         ),
     ] = None,
     dry_run: Annotated[
-        bool, _option(None, "Record nothing; print the maxima, limits and duration of a simulation.", "--dry-run")
+        bool, _option(None, "Do not record. Simulate the test, and print its maxima, limits and duration.", "--dry-run")
     ] = False,
     anyway: Annotated[bool, _option(None, "Start a test even if it is expected to abort.", "--anyway")] = False,
 ) -> None:
@@ -119,7 +119,7 @@ def import_recording(
         Path | None,
         _option(
             "FILE.yaml|csv",
-            "Table that assigns columns of FILE to channels. Default: the columns with their names.",
+            "Table that assigns columns of FILE to channels. Default: columns with the names of the channels.",
         ),
     ] = None,
     start: Start = None,
@@ -153,7 +153,7 @@ def import_recording(
 def replay_recording(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording to show.")],
     save: Annotated[
-        Path | None, _option("FILE.rrd", "Write a file for the viewer instead of opening a window.")
+        Path | None, _option("FILE.rrd", "Write a file for the viewer (.rrd) instead of opening a window.")
     ] = None,
     web: Web = False,
     screenshot: Annotated[
@@ -162,7 +162,10 @@ def replay_recording(
     ] = None,
     at: Annotated[
         float | None,
-        _option("S", "Time of the picture, s from the start. Default: at the largest damper gap or displacement."),
+        _option(
+            "S",
+            "Time of the picture in seconds from the start. Default: time of the largest damper gap or displacement.",
+        ),
     ] = None,
     start: Start = None,
     stop: Stop = None,
@@ -219,7 +222,8 @@ def run_a_script(
     script: Annotated[Path, typer.Argument(metavar="SCRIPT.py", help="Python script that uses nidaqmx.")],
     arguments: Annotated[
         list[str] | None,
-        # This callback replaces the common callback, which would check the arguments as options of `daq run`.
+        # This callback replaces the common callback, which would interpret the script's arguments as options of `daq
+        # run`.
         typer.Argument(metavar="[ARGS]...", help="Arguments of the script.", callback=lambda given: given),
     ] = None,
     scene: Annotated[str | None, typer.Option(metavar="SCENE", help=BENCH_SCENE_HELP)] = None,
@@ -242,18 +246,19 @@ def serve_a_rig(
     address: Annotated[
         str, _option("HOST[:PORT]", "Address to listen on; other machines can connect only with certificates.")
     ] = "127.0.0.1",
-    port: Annotated[int, _option("N", "Port; 0 chooses a free one.")] = 31763,
+    port: Annotated[int, _option("N", "Port; 0 selects a free port.")] = 31763,
     certificate: Annotated[Path | None, _option("FILE.pem", "The server's certificate, for TLS.")] = None,
     key: Annotated[Path | None, _option("FILE.pem", "The certificate's private key.")] = None,
     client_ca: Annotated[
         Path | None,
         _option(
             "FILE.pem",
-            "Certificate of an authority; only clients with a certificate from it are accepted (mutual TLS).",
+            "Certificate of an authority. Only clients with a certificate from this authority are accepted (mutual "
+            "TLS).",
         ),
     ] = None,
     session_timeout: Annotated[
-        float, _option("S", "Time without connection after which the tasks of a client are closed.")
+        float, _option("S", "Time in seconds without connection after which the tasks of a client are closed.")
     ] = 30.0,
     output: Annotated[Path | None, _output("Recording of all channels to write. Default: none.")] = None,
     overwrite: Replace = False,
@@ -290,14 +295,14 @@ def bench_in_the_browser(
     scene: Annotated[str | None, typer.Argument(metavar="[SCENE]", help=BENCH_SCENE_HELP)] = None,
     changes: Changes = None,
     output: Annotated[
-        Path | None, _output("First recording; further ones are numbered. Default: recordings/SCENE-bench.mcap.")
+        Path | None, _output("First recording; further recordings are numbered. Default: recordings/SCENE-bench.mcap.")
     ] = None,
     overwrite: Replace = False,
     address: Annotated[
         str, _option("HOST[:PORT]", "Address of the page; a browser needs the printed token.")
     ] = "127.0.0.1",
-    port: Annotated[int, _option("N", "Port of the page; 0 chooses a free one.")] = 8031,
-    device_port: Annotated[int, _option("N", "Port of the device for NI clients; 0 chooses a free one.")] = 31763,
+    port: Annotated[int, _option("N", "Port of the page; 0 selects a free port.")] = 8031,
+    device_port: Annotated[int, _option("N", "Port of the device for NI clients; 0 selects a free port.")] = 31763,
     browser: Annotated[bool, _option(None, "Open the page in the browser.", "--browser/--no-browser")] = True,
 ) -> None:
     """Run a rig live in the browser.
@@ -330,7 +335,7 @@ def _load_bench_scene(scene: str | None, changes: Sequence[str] | None) -> Scene
     """Load the scene for a bench; return None for the default scene."""
     scene_name = scene or os.environ.get("SHOTRIG_SCENE")
     if scene_name is None and changes:
-        raise typer.BadParameter("--set requires a scene. Give the name of a scene, too.")
+        raise typer.BadParameter("--set requires a scene. Give the name of a scene as well.")
     return None if scene_name is None else load_scene(scene_name, changes)
 
 
@@ -350,12 +355,12 @@ def _recording_paths(scenes: Sequence[str], output: Path | None) -> list[Path]:
 
 
 def _is_file_name(path: Path) -> bool:
-    """Return whether an output is a file: a new name without suffix is a folder, as for other commands."""
+    """Return whether an output is a file; a new name without a suffix is a folder, as for other commands."""
     return path.suffix == ".mcap" or path.is_file() or (path.suffix != "" and not path.is_dir())
 
 
 def _prepare_recordings(*paths: Path) -> None:
-    """Check the paths of new recordings before the bench is switched on; the recorder would check them only later."""
+    """Check the paths of new recordings before the bench is switched on; the recorder checks them only afterwards."""
     for path in paths:
         _reject_other_suffix(path)
     prepare_outputs(*paths, error_type=RecordingError)

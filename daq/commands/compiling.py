@@ -22,7 +22,7 @@ _CONVERTERS = ({"rate": 5120.0, "skew": 1e-6}, {"rate": 5120.0, "filter": "delta
 
 
 def warm_up() -> None:
-    """Compile all kernels now, on two processors, so that later calls need not wait.
+    """Compile all kernels (compiled functions) now, on two processors, so that later calls need not wait.
 
     The first call takes about a minute; later calls take some seconds, until shotrig, numba or the processor change.
     """
@@ -43,7 +43,7 @@ def _warm_up_chain() -> None:
 
 
 def _impact() -> Motion:
-    """Return a block of motion with one break (jump of the velocity), in which the sensors reach their limits."""
+    """Return a block of motion with one break (jump of velocity), in which the sensors reach their limits."""
     samples, rows = 64, len(_POINTS)
     zeros = np.zeros((rows, samples))
     return Motion(

@@ -68,7 +68,7 @@ def _detection_lines(recording: Recording, scene: Scene) -> Iterator[str]:
     if hits:
         peaks = [float(hit.fields["peak"]) for hit in hits]
         test, count = scene.test, len(hits)
-        # A default of the settings is not the plan of the test.
+        # The number of impacts is compared only if the scene states it; a default is not the plan of the test.
         planned = test.hits[0] if test is not None and "repeats" in test.model_fields_set else count
         share = f"{count} of {planned} impacts" if count < planned else "1 impact" if count == 1 else f"{count} impacts"
         plan = "" if count == planned else f" (test.repeats is {planned})"

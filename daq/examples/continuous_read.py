@@ -1,7 +1,8 @@
 """Continuous read with a callback that evaluates the new samples every tenth of a second.
 
-The callback runs on a thread of the client. On the fast clock the bench waits for it briefly. On the real clock (omit
-``clock="fast"``) the bench continues: only read the samples in the callback, and evaluate them in another thread.
+The callback runs on a thread of the client. On the fast clock, the bench waits briefly for the callback. On the real
+clock (omit ``clock="fast"``), the bench continues: only read the samples in the callback, and evaluate them in another
+thread.
 """
 
 import nidaqmx

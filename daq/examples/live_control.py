@@ -1,7 +1,7 @@
 """Live control: control the acceleration of body 1 by writing the next block of a tone after each block read.
 
-The output does not regenerate: every written block is output once. The program writes the next block during this time.
-The loop is causal: a written block affects the samples that are read two blocks later.
+The output does not regenerate: every written block is output once. While a block is output, the program writes the next
+block. The loop is causal: a written block affects the samples that are read two blocks later.
 """
 
 import nidaqmx
@@ -33,7 +33,7 @@ def main(blocks: int = 60) -> float:
         output.out_stream.regen_mode = RegenerationMode.DONT_ALLOW_REGENERATION
         output.out_stream.output_buf_size = 4 * BLOCK
         output.triggers.start_trigger.cfg_dig_edge_start_trig("/cDAQ1/ai/StartTrigger")
-        # A block contains whole periods, so that blocks join without a phase jump. Two are written in advance.
+        # A block contains whole periods, so that blocks join without a phase jump. Two blocks are written in advance.
         output.write(np.tile(drive * carrier.imag, 2))
         output.start()
         inputs.start()
@@ -41,7 +41,8 @@ def main(blocks: int = 60) -> float:
             samples = np.array(inputs.read(BLOCK))
             amplitude = 2 * abs((samples * carrier.conj()).mean())
             if block > 10:
-                # The initial transient has decayed. An exponent of 1/8 keeps the loop stable despite the delay.
+                # From here on, the initial transient has decayed. An exponent of 1/8 keeps the loop stable despite the
+                # delay.
                 drive *= (TARGET / amplitude) ** 0.125
             output.write(drive * carrier.imag)
             if block % 10 == 0:

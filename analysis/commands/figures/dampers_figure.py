@@ -30,12 +30,12 @@ _LEGEND_TEXTS = {
     "unseen": "may fly, impacts below the detection limit",
     "uncertain": "impacts missed, or irregular",
 }
-# Color of each motion, as in the motion map, where the motion is known.
+# Color of each known motion, as in the motion map.
 _MOTION_COLORS = dict(zip(_LEGEND_TEXTS, (*MOTIONS[:5], "#8c8c8c", "#444444"), strict=True))
 
 
 def dampers_figure(dampers: Dampers, title: str) -> Figure:
-    """Draw the motion of each damper at each frequency and, if available, the energy per period."""
+    """Draw the motion of each damper at each frequency and, if known, the energy per period."""
     motions, energy, lines = dampers.bodies, dampers.energy, dampers.sweep.lines
     frequencies = np.append(lines.frequency, lines.left_out)
     low, high = 0.98 * float(frequencies.min()), 1.02 * float(frequencies.max())
@@ -80,7 +80,7 @@ def _draw_motions(axes: Axes, motions: Sequence[Sequence[DamperMotion]]) -> None
 
 
 def _draw_energies(axes: Axes, energy: CycleEnergy, lines: Lines, true_loss: np.ndarray | None) -> None:
-    """Draw the energies against frequency, with upper bounds for damper energies whose interval includes zero."""
+    """Draw the energies against frequency; damper energies whose interval includes zero are drawn as upper limits."""
     order = np.argsort(energy.frequency, kind="stable")
     frequency = energy.frequency[order]
     gaps = np.searchsorted(frequency, np.sort(lines.left_out))
@@ -115,9 +115,9 @@ def _caption(energy: CycleEnergy | None, lines: Lines) -> list[str]:
     """Explain error bars and markers in sentences."""
     sentences = []
     if energy is not None:
-        sentences.append("Bars (most are smaller than the points): 95 % intervals of the energy.")
+        sentences.append("Bars: 95 % intervals of the energy (most are smaller than the points).")
     if lines.unsteady is not None and lines.unsteady.any():
         sentences.append("Crosses: steady state not reached.")
     if lines.left_out.size:
-        sentences.append("Crosses at the axis: omitted frequencies (see the warnings).")
+        sentences.append("Crosses on the axis: omitted frequencies (see the warnings).")
     return sentences

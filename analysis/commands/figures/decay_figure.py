@@ -27,7 +27,7 @@ _MAX_FREQUENCY_DIFFERENCE = 0.15
 def decay_figure(decays: Sequence[Decay], title: str, styles: Sequence[CurveStyle] = ()) -> Figure:
     """Overlay decays: measured acceleration, logarithmic envelope, and damping ratio of each mode.
 
-    `decays`: one decay for each recording; `styles`: of the decays, default: of bodies 1, 2, ...
+    `decays`: one decay for each recording; `styles`: styles of the decays, by default those of bodies 1, 2, ...
     """
     styles = styles or [body_style(number) for number in range(1, len(decays) + 1)]
     modes = group_modes(decays)
@@ -68,8 +68,9 @@ def decay_figure(decays: Sequence[Decay], title: str, styles: Sequence[CurveStyl
         envelope_axes.set_ylabel("envelope / (m/s²)")
         envelope_axes.set_xlabel("time / s")
         add_caption(
-            figure, "Envelope: largest acceleration within half a period of the lowest mode on either side.",
-            "Dashed: square root of the backward-integrated (Schroeder) energy, scaled to start at the envelope. "
+            figure, "Envelope: largest acceleration from half a period of the lowest mode before to half a period "
+                "after each instant.",
+            "Dashed: square root of the backward-integrated (Schroeder) energy, scaled to the start of the envelope. "
             "Dotted: 1 g.",
             *(["Bands: 95 % interval of the damping ratio; a band down to the axis includes zero."] if modes else []),
         )  # fmt: skip
@@ -109,7 +110,7 @@ def _draw_damping(
         positive = positive[positive > 0]
         if positive.size:
             low, high = float(positive.min()), float(positive.max())
-            # The axis includes the edges of uncertainty bands unless the curves would then become too small.
+            # The axis includes the edges of the 95 % bands, unless the curves would then become too small.
             bounds = [m.percent[1] for decays_of_mode in modes for _, m in decays_of_mode]
             edges = np.concatenate(
                 [value + sign * bound for value, bound in zip(values, bounds, strict=True) for sign in (-1, 1)]

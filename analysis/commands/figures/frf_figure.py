@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 # Number of points over which the median roughness of a curve is computed.
 _ROUGHNESS_POINTS = 25
-# A point with a smaller coherence than this is drawn as noise.
+# A point with a smaller coherence is drawn as noise.
 _MIN_COHERENCE = 0.5
-# A systematic error below this fraction of the magnitude is not visible, and is not drawn.
+# A limit of systematic error below this fraction of the magnitude would be invisible, and is not drawn.
 _MIN_VISIBLE_RATIO = 3e-3
 # On a logarithmic axis, this fraction of the magnitude replaces zero, and the inverse replaces infinity.
 _ZERO_RATIO = 1e-9
@@ -32,11 +32,11 @@ _ZERO_RATIO = 1e-9
 _MAX_ERROR_RATIO = 0.5
 # A point of a curve without error bars is drawn as noise if its roughness exceeds this fraction of the magnitude.
 _MAX_ROUGHNESS = 0.35
-# The phase is not drawn where a quarter of the steps from point to point exceed this, rad.
+# The phase is not drawn where a quarter of the steps between neighboring points exceed this angle, rad.
 _MAX_PHASE_STEP = 0.3
-# Lines are undetermined where fewer of the lines around them are determined, as a fraction.
+# A line is undetermined if less than this fraction of the lines around it is determined.
 _MIN_DETERMINED = 0.75
-# A gap of fewer lines does not end a determined range.
+# A gap of fewer undetermined lines does not end a determined range.
 _ANTIRESONANCE_LINES = 5
 # Height of the strip that marks undetermined points, relative to the axes.
 _STRIP_HEIGHT = 0.015
@@ -44,11 +44,11 @@ _STRIP_HEIGHT = 0.015
 MAX_POINTS = 600
 # A peak between points is marked if it exceeds the highest point by this fraction.
 _MIN_PEAK_EXCESS = 0.01
-# A peak at a line with a smaller coherence is that of the noise, and is not marked.
+# A peak at a line with a smaller coherence is a peak of the noise, and is not marked.
 _MIN_PEAK_COHERENCE = 0.9
-# A peak is marked if it is the highest point at frequencies that differ by at most this fraction.
+# A peak is marked if it is the highest point within this relative distance in frequency.
 _PEAK_RANGE = 0.05
-# Length of the dashes of a curve of many lines, relative to those of other curves.
+# Length of the dashes of a curve with many lines, relative to the dashes of other curves.
 _DASH_SCALE = 0.5
 _THEORY_COLOR = "#222222"
 _NOISE_COLOR = "#c4c4c4"
@@ -64,8 +64,8 @@ def frf_figure(
     """Draw measured frequency responses on common axes.
 
     `frfs`: curves of the same motion and reference, with their labels in the legend. `theory`: curves without error
-    bars, drawn thin and dotted. `marks`: frequency, Hz, and text of vertical lines.
-    `styles`: of the curves; default: those of their bodies.
+    bars, drawn thin and dotted. `marks`: frequency, Hz, and text of vertical lines. `styles`: styles of the curves;
+    default: the styles of their bodies.
     """
     low, high = determined_band(frfs)
     if high <= low:
@@ -131,7 +131,10 @@ def frf_figure(
 
 
 def determined_band(frfs: Sequence[Response]) -> tuple[float, float]:
-    """Return the lowest and highest frequency of curves; of spectra with many lines, where any curve is determined."""
+    """Return the lowest and highest frequency of curves.
+
+    For spectra with many lines, only of their determined ranges.
+    """
     columns = [column for frf in frfs for column in (frf.frequency, frf.omitted)]
     lines = [frf.frequency[is_determined(frf)] for frf in frfs if frf.frequency.size > MAX_POINTS]
     if len(lines) == len(frfs) and any(line.size for line in lines):
@@ -164,7 +167,7 @@ def _caption(frfs: Sequence[Response], has_peaks: bool, has_arrows: bool) -> lis
 
 
 def _draw_curve(frf: Response, style: CurveStyle, magnitude_axes: Axes, phase_axes: Axes, coherence_axes: Axes) -> None:
-    """Draw one measured curve into the three panels: tones as points, with a thin curve where they resolve it."""
+    """Draw one measured curve into the three panels: tones as points, with a thin curve where the points resolve it."""
     # A downward sweep has larger, open markers, so that an upward sweep remains visible where both coincide.
     is_folded = folds_back(frf)
     is_downward = frf.frequency.size > 1 and frf.frequency[0] > frf.frequency[-1] and not is_folded
@@ -187,7 +190,7 @@ def _draw_curve(frf: Response, style: CurveStyle, magnitude_axes: Axes, phase_ax
     frequency, value = frf.continued(is_known)
     center = factor * abs(value)
     for half_width, opacity in ((total, 0.13), (random, 0.25)) if is_known.any() and not is_folded else ():
-        # The band follows the curve between the points.
+        # Between the points, the band follows the thin curve.
         ratio = np.interp(frequency, frf.frequency[is_known], half_width[is_known] / magnitude[is_known])
         magnitude_axes.fill_between(
             frequency, center * np.maximum(1.0 - ratio, _ZERO_RATIO),
@@ -204,11 +207,11 @@ def _draw_curve(frf: Response, style: CurveStyle, magnitude_axes: Axes, phase_ax
             frf.frequency, 0.0, _STRIP_HEIGHT, where=is_unknown, step="mid", color=_NOISE_COLOR, lw=0,
             transform=magnitude_axes.get_xaxis_transform(),
         )  # fmt: skip
-        # One more point on either side makes the line continuous where its color changes to gray.
+        # One more point at either end makes the line continuous where its color changes to gray.
         noisy = ~is_known | ~np.roll(is_known, 1) | ~np.roll(is_known, -1)
         magnitude_axes.plot(frf.frequency, np.where(noisy, magnitude, np.nan), color=faded(color), lw=0.7, zorder=2)
     if not points["marker"]:
-        # Lines close together are joined also where their noise prevents interpolation.
+        # Lines close together are also joined where noise prevents interpolation.
         is_joined = np.isfinite(value) | np.isin(frequency, frf.frequency)
         frequency, value = frequency[is_joined], value[is_joined]
     magnitude_axes.plot(frequency, factor * abs(value), **line)
@@ -237,7 +240,7 @@ def _draw_curve(frf: Response, style: CurveStyle, magnitude_axes: Axes, phase_ax
 
 
 def folds_back(frf: Response) -> bool:
-    """Return whether the frequency of a sweep reverses, so that it has several responses at one frequency."""
+    """Return whether the frequency of a sweep reverses, so that there are several responses at one frequency."""
     steps = np.diff(frf.frequency)
     return bool((steps > 0).any() and (steps < 0).any())
 
@@ -261,7 +264,7 @@ def _draw_peaks(frf: Response, color: str, axes: Axes) -> tuple[list[float], lis
             height = factor * peak.value * (2.0 * np.pi * peak.frequency) ** MOTIONS.index(frf.motion)
             is_near = abs(np.searchsorted(ordered, peak.frequency) - np.searchsorted(ordered, line_frequency)) <= 1
             is_noise = _has_scatter(frf) and frf.coherence[resonance.line] < _MIN_PEAK_COHERENCE
-            # A jump next to the line, or the highest point of a scattered range, is higher than its peak.
+            # A peak is not marked if a point near it is higher, as next to a jump or in a scattered range.
             is_around = abs(frf.frequency / line_frequency - 1.0) < _PEAK_RANGE
             is_around[max(resonance.line - 2, 0) : resonance.line + 3] = True
             around = abs(frf.value[is_around])
@@ -314,14 +317,14 @@ def _visible_edges(frf: Response) -> Array:
 
 
 def is_determined(frf: Response) -> NDArray[np.bool_]:
-    """Return whether each point exceeds its noise and its expanded uncertainty; isolated ones do not count."""
+    """Return whether each point exceeds its noise and its expanded uncertainty; isolated points do not count."""
     known = exceeds_noise(frf) & ~(frf.expanded() >= abs(frf.value))
     if known.size < _ROUGHNESS_POINTS:
         return known
     known &= scipy.ndimage.median_filter(known, 3, mode="nearest")
     if known.size <= MAX_POINTS:
         return known
-    # A few lines between gaps exceed the noise by chance; an antiresonance is a gap of few lines.
+    # A few lines between gaps exceed the noise by chance. A gap of few lines is an antiresonance.
     nearby = scipy.ndimage.uniform_filter1d(known.astype(float), 2 * _ROUGHNESS_POINTS + 1, mode="reflect")
     without_gaps = scipy.ndimage.binary_closing(known, np.ones(_ANTIRESONANCE_LINES)) | known
     is_long = scipy.ndimage.binary_opening(without_gaps & (nearby >= _MIN_DETERMINED), np.ones(2 * _ROUGHNESS_POINTS))
@@ -338,14 +341,15 @@ def is_smooth(frf: Response) -> NDArray[np.bool_]:
     smooth = scipy.ndimage.percentile_filter(step, 75, 2 * _ROUGHNESS_POINTS, mode="nearest") < _MAX_PHASE_STEP
     if smooth.size <= MAX_POINTS:
         return np.asarray(smooth)
-    # A few lines among noise have a smooth phase by chance.
+    # A few successive lines of noise have a smooth phase by chance.
     return np.asarray(scipy.ndimage.binary_opening(smooth, np.ones(2 * _ROUGHNESS_POINTS)))
 
 
 def exceeds_noise(frf: Response) -> NDArray[np.bool_]:
     """Return whether each point exceeds its noise, so that its phase is determined.
 
-    The criterion is error and coherence if the curve has them, otherwise its roughness from point to point.
+    The criterion is the standard uncertainty and the coherence if the curve has both, otherwise the roughness of the
+    curve from point to point.
     """
     magnitude = np.maximum(abs(frf.value), 1e-300)
     if np.isfinite(frf.error).all():
@@ -358,7 +362,7 @@ def exceeds_noise(frf: Response) -> NDArray[np.bool_]:
 
 
 def break_at_wraps(frequency: Array, angle: Array, values: Array | None = None) -> tuple[Array, Array]:
-    """Insert gaps (NaN) into a line where the phase wraps; `values`: the line, by default the angle itself."""
+    """Insert gaps (NaN) into a line where the phase wraps; `values`: values of the line, by default the angles."""
     with np.errstate(invalid="ignore"):
         wraps = np.flatnonzero(abs(np.diff(angle)) > 180.0) + 1
     between = (frequency[wraps - 1] + frequency[wraps]) / 2.0

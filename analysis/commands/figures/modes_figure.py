@@ -19,27 +19,27 @@ from rig.core.results.uncertainty import expand
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Shapes with a larger bound of an element, relative to the largest element, are faded.
+# A mode shape is faded if the 95 % bound of an element exceeds this fraction of the largest element.
 MAX_SHAPE_BOUND = 0.5
 _FADED = 0.35
-# Longer error bars are cut: they are wider than the panel.
+# Error bars are cut at this length, because longer bars are wider than the panel.
 _WIDEST_BAR = 3.0
-# A mode whose pole is stable in fewer of the orders, as a fraction, is marked.
+# A mode is marked as tentative if its pole is stable in less than this fraction of the model orders.
 _MIN_STABLE = 0.5
 # Number of mode shapes side by side; with more, their titles would overlap.
 _MAX_COLUMNS = 5
 
 
 def is_known_shape(bounds: Array) -> bool:
-    """Return whether a shape is drawn without fading: no element has a larger 95 % bound than half the largest."""
+    """Return whether a shape is drawn without fading: no 95 % bound exceeds half the largest element."""
     return bool(np.all(bounds <= MAX_SHAPE_BOUND))
 
 
 def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
     """Draw measured FRFs with the modal model, the stabilization chart and the mode shapes.
 
-    `frfs`: the FRFs from which `analysis.core.modal.identification.identify` estimated the modes; of several inputs,
-    those of the input of the modes are drawn.
+    `frfs`: the FRFs from which `analysis.core.modal.identification.identify` estimated the modes. If they have several
+    inputs, only the FRFs of the modes' input are drawn.
     """
     several = len({frf.input for frf in frfs}) > 1
     curves = [frf.to("displacement").with_gaps() for frf in frfs if not several or frf.input == modes.input]

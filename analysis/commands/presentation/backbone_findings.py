@@ -28,7 +28,7 @@ def present_backbone(recordings: OpenRecordings, paths: Sequence[Path], output: 
 
 def _draw(result: Backbone, figure: Figure, axes: Axes) -> None:
     result.draw(axes)
-    sensor = "Those of the amplitude contain the limit of error of the sensor, which is common to all points."
+    sensor = "Amplitude bars contain the limit of error of the sensor, which is common to all points."
     axes.margins(x=0.08)
     add_caption(figure, "Numbers: level of each point. Bars: 95 % intervals.", sensor)
 

@@ -55,10 +55,10 @@ _HEADING = (
     "shift_low_Hz", "shift_high_Hz", "peak_from m/N", "bound_from m/N", "peak_to m/N", "bound_to m/N",
 )  # fmt: skip
 
-# Warning if the 95 % bound of a peak is infinite.
+# Warning if the 95 % interval of a peak is unbounded.
 _UNBOUNDED_PEAKS = (
-    "Some peaks may be higher than measured: the curve has only three points, or jumps, ends or lacks points next to "
-    "its highest point. Measure there with a smaller frequency step, in both directions (test.direction: both) and "
+    "Some peaks may be higher than measured: the curve has only three points, or it jumps, ends or lacks points next "
+    "to its highest point. Measure there with a smaller frequency step, in both directions (test.direction: both) and "
     "without overloads."
 )
 
@@ -87,7 +87,7 @@ class Comparison(Result):
         return {name: np.array(column) for name, column in zip(_HEADING, rows, strict=True)}
 
     def summary(self) -> str:
-        """Count the peaks that changed by more than their bounds."""
+        """Count the significant changes: their 95 % interval excludes zero."""
         limits = [change.decibel[1:] for _, _, change in self.changes]
         changed = sum(not low <= 0.0 <= high for low, high in limits)
         return f"{changed} of {len(self.changes)} resonance peaks changed significantly (95 %)"
@@ -163,9 +163,9 @@ def compare_peaks(
 
 
 def describe_changes(changes: Sequence[PeakChange], shown_in: tuple[str, float]) -> list[str]:
-    """Return a table of the compared peaks with the 95 % interval of each change, and reasons of missing limits.
+    """Return a table of the compared peaks with the 95 % interval of each change, and the reasons for missing limits.
 
-    `shown_in`: unit of the peaks, and the factor to it.
+    `shown_in`: unit of the peaks, and the factor from SI to this unit.
     """
     unit, factor = shown_in
     rows = [
@@ -225,7 +225,7 @@ def _format_change(value: tuple[float, float, float], digits: int) -> tuple[str,
 def present_compare(
     paths: Sequence[Path], output: Path | None = None, progress: CountProgress | None = None
 ) -> CommandOutput:
-    """Print and tabulate the results of `compare_peaks`; the default is the folder of the first recording."""
+    """Print and tabulate the results of `compare_peaks`; `output`: folder, by default that of the first recording."""
     table = with_ending(output_stem(paths, output, "compare"), "csv")
     check_outputs(paths, table)
     comparison = compare_peaks(paths, progress)
@@ -265,7 +265,8 @@ class MeasurementPoints:
     path: Path
     force_on: tuple[int, ...]  # numbers of the driven bodies
     channels: dict[str, str]  # location of each response channel, by its name
-    # For each response, identifier of the sensors of response and reference; empty if several measure the reference.
+    # For each response, identifier of its sensor and of the reference's sensor; empty if several sensors measure the
+    # reference.
     sensors: dict[str, str] = field(default_factory=dict)
 
     @classmethod

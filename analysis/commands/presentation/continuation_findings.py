@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 class ExactBranch(NamedTuple):
     """A branch of exact orbits."""
 
-    level: float  # in the unit of the test
+    level: float  # level in the unit of the test
     branch: OrbitBranch
     amplitude: Array  # m, shape (orbits,)
 
@@ -68,12 +68,12 @@ def present_continuation(
         for level, branch, amplitude in exact:
             line: dict[str, Any] = {"color": colors[level].color, "lw": 1.2, "zorder": 1}
             for dashes, selected in (("-", branch.stable), ((0, (3, 2)), ~branch.stable)):
-                # One more point on either side joins the stable and the unstable part.
+                # One more point at either end joins the stable and the unstable part.
                 joined = selected | np.roll(selected, 1) | np.roll(selected, -1)
                 axes.plot(branch.value, np.where(joined, 1e3 * amplitude, np.nan), ls=dashes, **line)
         for dashes, name in (("-", "exact, stable"), ((0, (3, 2)), "exact, unstable")) if exact else ():
             axes.plot([], [], ls=dashes, color="#555555", lw=1.2, label=name)
-        paths = ["A branch without points was not followed by the test."] if exact else []
+        paths = ["A branch without measured points was not followed by the test."] if exact else []
         add_legend_below(figure, "Points: measured.", *paths)
 
     title = "Response at constant level"

@@ -35,8 +35,8 @@ _IRREGULAR = "irregular, or impacts missed"
 # Impacts once a period: type I at the floor; II at floor and ceiling; III as II, with a stay at the ceiling.
 _TYPES = ("type I", "type II", "type III")
 _OTHER = "other patterns, or irregular"
-# Maximum number of rows for the moving dampers of a body; with more kinds of motion, all irregular or other patterns
-# share a row.
+# Maximum number of rows for the moving dampers of a body. If there are more kinds of motion, all irregular and other
+# patterns share a row.
 _MAX_KINDS = 3
 _HEADING = (
     "scene", "frequency_Hz", "supplied_J", "structure_J", "dampers_J", "dampers_bound_J", "true_impacts_J",
@@ -101,7 +101,7 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], left_out: Sequence[fl
     bodies : sequence of list of DamperMotion
         One list for each body, from one channel.
     left_out : sequence of float
-        Frequencies without a result, Hz, which interrupt the printed frequency ranges.
+        Frequencies without a result, Hz; printed frequency ranges are interrupted there.
 
     Examples
     --------
@@ -143,13 +143,13 @@ def _motion_rows(motions: list[DamperMotion], left_out: Sequence[float]) -> list
     rows = []
     for kind in order:
         printed_frequencies = format_frequencies(frequency, [kind == other for _, other in kind_at_frequency])
-        # The other rows list all other frequencies.
+        # The previous rows list all other frequencies.
         rows.append(("", kind, "elsewhere" if kind == _AT_REST and len(order) > 1 else printed_frequencies))
     return [(motions[0].channel, *rows[0][1:]), *rows[1:]]
 
 
 def _restitution(motions: list[DamperMotion]) -> list[str]:
-    """Return the text on the mean restitution of one body; an empty list if no impact determines it."""
+    """Return the text on the mean restitution of one body; an empty list if it was not determined."""
     estimates = [motion.restitution for motion in motions if motion.restitution is not None]
     if not estimates:
         return []
@@ -157,7 +157,7 @@ def _restitution(motions: list[DamperMotion]) -> list[str]:
     weight = np.array([estimate.error**-2.0 for estimate in estimates])
     mean = float(np.sum(weight * value) / weight.sum())
     # Errors of the sensor and of the fitted velocity jumps are common to all frequencies, so that averaging does not
-    # reduce them. The uncertainty is also at least the observed scatter.
+    # reduce them. The stated uncertainty is at least the observed scatter.
     scatter = float(np.sqrt(np.sum(weight * (value - mean) ** 2) / weight.sum() / max(len(estimates) - 1, 1)))
     expanded = float(expand(max(float(weight.mean() ** -0.5), scatter)))
     text = format_interval(mean, expanded).replace("-0.000", "0.000")
@@ -174,8 +174,8 @@ def _kind(motion: DamperMotion) -> str:
 def describe_energy(energy: CycleEnergy, true_loss: np.ndarray | None = None) -> list[str]:
     """Return a table of the energy per period at the frequencies with the largest supplied energy.
 
-    The fourth column is the change of the dampers' share if the structural damping of the scene is 10 % too high. The
-    last column, if the recording contains `true_loss`, is the true share of the impacts.
+    The fourth column is the change of the dampers' share if the structural damping in the scene is 10 % too high. If
+    the recording contains `true_loss`, the last column is the true share of the impacts.
     """
     indices = np.sort(np.argsort(energy.supplied, kind="stable")[::-1][:_PRINTED_FREQUENCIES])
     heading = ["frequency / Hz", "supplied / mJ", "into dampers / %", "change if scene damping 10 % too high / %"]

@@ -40,7 +40,7 @@ _COLUMNS = (
     "at / (m/s²)",
     "noise / (m/s²)",
 )
-# Cells of a mode whose decay is too short, or too small relative to its noise, for a damping ratio.
+# Cells of a mode without a damping ratio: its decay is too short, or too small relative to the noise.
 _TOO_SHORT = ("too short", "-")
 
 

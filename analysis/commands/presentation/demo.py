@@ -26,7 +26,8 @@ IMPULSES = ("fig10b-no-damper", "fig10b-three-dampers")
 
 # Coarse frequency grid over the band, Hz.
 _COARSE_HZ = np.linspace(8.0, 60.0, 34)
-# Fine grids around the resonances, Hz. They include the lower frequencies with dampers at rest, whose mass is added.
+# Fine grids around the resonances, Hz. They include the lower resonances with dampers at rest, which act as added
+# masses.
 _FINE_HZ = (np.linspace(11.8, 13.6, 14), np.linspace(32.0, 35.6, 13), np.linspace(45.5, 51.0, 12))
 
 
@@ -54,7 +55,7 @@ def demonstrate(
     create_folder(folder)
     print_line("Recording two stepped sines (without and with three dampers) and two impact tests ...")
     recordings = {name: folder / f"{name}.mcap" for name in (*SWEEPS, *IMPULSES)}
-    # The long sweeps are first, so that the short impact tests use the cores that become free.
+    # The long sweeps start first; the short impact tests then use the first core that becomes free.
     jobs = [(name, path, tuple(sweep_hz or frequencies())) for name, path in recordings.items()]
     for name, path, frequencies_hz in jobs:
         if path.exists() and not (overwrite or is_recorded(_scene(name, frequencies_hz), path)):

@@ -34,8 +34,8 @@ def present_each(
 ) -> CommandOutput:
     """Write figure and columns of each recording's result; `output`: folder, by default that of the recording.
 
-    `kind`: ending of the file names; `title`: what is drawn; `draw` draws it, with scales and captions; `table`
-    returns the lines that are printed after the summary.
+    `kind`: ending of the file names; `title`: title of the figure; `draw`: function that draws a result, with scales
+    and captions; `table`: function that returns the lines printed after the summary.
     """
     stems = separate_stems(paths, output, kind)
     check_outputs(paths, *(with_ending(stem, ending) for stem in stems for ending in ("png", "svg", "csv")))

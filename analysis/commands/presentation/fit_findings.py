@@ -25,7 +25,7 @@ def present_fit(
     overwrite: bool,
     print_line: Callable[[str], None],
 ) -> tuple[list[Path], tuple[str, ...]]:
-    """Fit a scene to recordings; print the result, write the figure of residuals, and the scene if it fits.
+    """Fit a scene to recordings; print the result, write the figure of residuals and, if it fits, the scene.
 
     Raises `SceneError` if the output exists, or the fit is impossible. Raises `RunError` if the scene does not fit
     the recordings; the figure is written nevertheless.

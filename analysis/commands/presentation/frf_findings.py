@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 # Maximum number of resonances that are listed individually.
 _MAX_LISTED = 8
-# A relative deviation of the highest point from the interpolated peak up to this value is not reported.
+# The interpolated peak is reported if it exceeds the highest point by more than this fraction.
 _MAX_PEAK_DEVIATION = 0.01
 
 
@@ -69,8 +69,8 @@ def present_frf(
 ) -> CommandOutput:
     """Draw and tabulate frequency responses; several files are overlaid in one figure for each response.
 
-    `output`: folder, by default the folder of the first file; `theory`: add the linear theory; `unit`: unit of files
-    that give none; the other options are as in `frequency_responses`.
+    `output`: folder, by default the folder of the first file; `theory`: add the linear theory; `unit`: unit for files
+    that state none; the other options are as in `frequency_responses`.
     """
     from analysis.commands.presentation.tables import frf_table
 
@@ -146,8 +146,8 @@ def _peaks_between_points(frf: Response) -> list[str]:
         return []
     if is_next_to_omitted(frf, frequency):
         return [
-            f"highest next to frequencies that were left out, {frequency:.4g} Hz: the peak may be among them. Remove "
-            "the cause, and measure again"
+            f"highest point is next to frequencies that were left out, {frequency:.4g} Hz: the peak may be there. "
+            "Remove the cause, and measure again"
         ]
     # `resonance_peaks` estimates displacement.
     n_derivatives = MOTIONS.index(frf.motion)
@@ -158,7 +158,7 @@ def _peaks_between_points(frf: Response) -> list[str]:
         default=(0.0, 1.0, None),
         key=lambda peak: peak[0],
     )
-    # The tolerances of the sensors scale the peak and the highest point alike.
+    # The tolerances of the sensors change the peak and the highest point by the same factor.
     point = (1.0 + _MAX_PEAK_DEVIATION) * height + float(frf.without(SENSITIVITY, SYSTEMATIC).expanded()[line])
     remarks = []
     if highest is not None and value + scale * highest.interpolation_bound > point:
@@ -169,14 +169,15 @@ def _peaks_between_points(frf: Response) -> list[str]:
         )
     elif frequency in (frf.frequency.min(), frf.frequency.max()):
         remarks.append(
-            f"highest at the end of the band, {frequency:.4g} Hz: the peak may be outside. Measure a wider band"
+            f"highest point is at the end of the band, {frequency:.4g} Hz: the peak may be outside. Measure a wider "
+            f"band"
         )
     coarse = [r for r, _, _ in peaks if r.lines < MIN_LINES or np.isfinite(r.needed_spacing) or r in uncertain]
     return remarks + ([_spacing_remark(frf, coarse)] if coarse else [])
 
 
 def _in_unit(interval: str, unit: str) -> str:
-    """Add a unit to a value with its interval, so that a bound is not read as relative."""
+    """Add a unit to a value with its interval, so that the interval is not read as relative."""
     return f"({interval}) {unit}" if "±" in interval else f"{interval} {unit}"
 
 
@@ -202,7 +203,7 @@ def _draw_figures(
 ) -> list[Path]:
     """Draw one figure for a single sweep, or one figure for each FRF of several sweeps; return the files.
 
-    `reference`: label of the recording with which the others are compared; `excitations`: test and level by recording.
+    `reference`: label of the recording with which all others are compared; `excitations`: test and level by recording.
     """
     from analysis.commands.figures.frf_figure import frf_figure
     from rig.core.base.figure_style import save_figure
@@ -259,7 +260,7 @@ def _by_ratio(curves: Sequence[Response]) -> list[list[Response]]:
 
 
 def _jump_marks(curves: Sequence[Response]) -> list[tuple[float, str]]:
-    """List the jumps of curves of stepped and swept tests, and of files, whose test is unknown, without duplicates.
+    """List the jumps of curves, without duplicates, for stepped and swept tests and for files, whose test is unknown.
 
     In other tests, the level does not depend on the frequency, so that dampers do not change to another branch at one
     frequency.
@@ -269,7 +270,7 @@ def _jump_marks(curves: Sequence[Response]) -> list[tuple[float, str]]:
 
 
 def _without_duplicates(curves: Sequence[Response]) -> list[Response]:
-    """Keep one theoretical curve for each output and input, and one legend entry for all of them."""
+    """Keep one theoretical curve for each output and input, with one legend entry for all such curves."""
     distinct: list[Response] = []
     for curve in curves:
         if all(curve.ratio != other.ratio for other in distinct):
@@ -278,7 +279,7 @@ def _without_duplicates(curves: Sequence[Response]) -> list[Response]:
 
 
 def stated_tolerances(rec: Recording, frfs: Sequence[Response]) -> list[str]:
-    """Report the sensor tolerances and their source if they are the largest contribution at most points."""
+    """Report the sensor tolerances and their source if the tolerances are the largest contribution at most points."""
     largest_contributions = [name for frf in frfs for name in frf.parts()]
     if 2 * largest_contributions.count(SENSITIVITY) < len(largest_contributions):
         return []

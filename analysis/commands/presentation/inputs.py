@@ -32,8 +32,8 @@ def labels(recordings: OpenRecordings, paths: Sequence[Path]) -> list[str]:
 def read_curves(path: Path, reference: str | None, channels: Sequence[str] | None, unit: str | None) -> list[Response]:
     """Read FRFs from a file.
 
-    `reference`: node and direction of the force in the file, or "force" for the only one; `channels`: responses to
-    return; `unit`: unit of the values, if the file gives none.
+    `reference`: node and direction of the force in the file, or "force" if there is only one; `channels`: responses to
+    return; `unit`: unit of the values, if the file states none.
     """
     curves = read_frfs(path, None if reference == "force" else reference, unit)
     missing = [name for name in channels or () if name not in {curve.response for curve in curves}]
@@ -71,7 +71,7 @@ def check_recording(rec: Recording, path: Path, command: str) -> None:
 
 
 def duplicate_warnings(paths: Sequence[Path]) -> list[str]:
-    """Return a warning for each file that was given twice: equal files are not independent measurements."""
+    """Return a warning for each file that is given twice: equal files are not independent measurements."""
     return [
         f"{duplicate}: the same content as {first}. Give each recording once."
         for first, duplicate in duplicate_files(paths)
@@ -88,7 +88,7 @@ def check_inputs(
 ) -> list[str]:
     """Raise an error for files that do not suit a command and for options without effect on any file.
 
-    Returns warnings: files given twice, and options that have no effect on some of the files, with the reason.
+    Returns warnings about files given twice, and about options without effect on some of the files, with the reason.
     """
     requested = {**vars(blocks), "theory": theory or None, "unit": unit}
     # For each requested option: the files on which it has no effect, with the reason.

@@ -41,9 +41,9 @@ if TYPE_CHECKING:
 
 #: Two mode shapes with at least this modal assurance criterion (MAC) are usually considered the same.
 MIN_SAME_SHAPE_MAC = 0.9
-# A mode is compared with the modes of the scene up to this ratio of their frequencies, and with the nearest. The
-# spacing of close modes may be smaller than the error of the scene's values. With a wrong sign, a shape can be that of
-# a distant mode.
+# A mode is compared with the nearest mode of the scene, and with all modes whose frequency ratio to it is below this
+# value. The spacing of close modes may be smaller than the error of the scene's values. If a channel has the wrong
+# sign, a measured shape can resemble that of a distant mode.
 _MAX_FREQUENCY_RATIO = 1.25
 # Largest order (sum of the factors) of a combination of natural frequencies.
 _MAX_COMBINATION_ORDER = 5
@@ -52,7 +52,7 @@ _MAX_COMBINATION_ERROR = 0.015
 
 
 class _Sweep(NamedTuple):
-    """Curves of which modes are identified, and their recording."""
+    """Curves from which modes are identified, and their recording."""
 
     curves: Sequence[Response]
     recording: Recording | None = None
@@ -123,7 +123,7 @@ def _sweeps(
     progress: CountProgress | None,
     unit: str | None,
 ) -> list[_Sweep]:
-    """Return the curves of each sweep of a recording, or those of a file of another program."""
+    """Return the curves of each sweep of a recording, or the curves in a file of another program."""
     if is_frf_file(path):
         return [_Sweep([replace(curve, label=label) for curve in read_curves(path, reference, None, unit)])]
     rec = recordings.of(path)
@@ -157,7 +157,7 @@ def nearest_mac(modes: Modes, theory: TheoreticalModes) -> NDArray[np.float64]:
 
 
 def theory_warnings(modes: Modes, theory: TheoreticalModes | None) -> list[str]:
-    """Warn of mode shapes that match no theoretical shape: the channels or the scene may be wrong."""
+    """Warn about mode shapes that match no theoretical shape: the channels or the scene may be wrong."""
     if theory is None:
         return []
     nearest = nearest_mac(modes, theory)
@@ -188,7 +188,7 @@ def theory_warnings(modes: Modes, theory: TheoreticalModes | None) -> list[str]:
 
 
 def combination_of(frequency: float, natural: Sequence[float]) -> str:
-    """Return the sum or difference of multiples of natural frequencies that a frequency is close to, or "".
+    """Return the sum or difference of multiples of natural frequencies that is close to a frequency; "" if none is.
 
     The response of a nonlinear structure contains such frequencies. The combination of lowest order is returned.
 

@@ -26,7 +26,7 @@ class CommandOutput:
 
     files: tuple[Path, ...]  # files written
     lines: tuple[str, ...]  # lines to print
-    warnings: tuple[str, ...]  # each begins with the name of its recording
+    warnings: tuple[str, ...]  # warnings; each begins with the name of its recording
 
 
 def with_recording_name(path: Path, warnings: Sequence[str]) -> list[str]:
@@ -37,8 +37,8 @@ def with_recording_name(path: Path, warnings: Sequence[str]) -> list[str]:
 def with_sweep_name(sweep: str, recording: str, warnings: Sequence[str], named: Sequence[str] = ()) -> list[str]:
     """Prefix each warning with the name of its sweep, if the recording has several sweeps.
 
-    `sweep`, `recording`: labels; that of a sweep is the label of the recording, followed by the name of the sweep;
-    `named`: warnings of the responses, which already name the sweep where necessary.
+    `sweep`, `recording`: labels; the label of a sweep is the label of the recording, followed by the name of the sweep.
+    `named`: warnings about the responses, which already name the sweep where necessary.
 
     >>> with_sweep_name("beam, 2 N up", "beam", ["no mode"]), with_sweep_name("beam", "beam", ["no mode"])
     (['2 N up: no mode'], ['no mode'])
@@ -58,7 +58,7 @@ def output_stem(paths: Sequence[Path], output: Path | None, kind: str) -> Path:
 
 
 def separate_stems(paths: Sequence[Path], output: Path | None, kind: str) -> list[Path]:
-    """Return the common path of the output files of each recording; equal names are preceded by their folders."""
+    """Return the common path of the output files of each recording; equal names are distinguished by their folders."""
     stems = [output_stem([path], output, kind) for path in paths]
     return [
         stem if stems.count(stem) == 1 else stem.with_name(f"{path.resolve().parent.name}-{stem.name}")
@@ -67,9 +67,9 @@ def separate_stems(paths: Sequence[Path], output: Path | None, kind: str) -> lis
 
 
 def check_outputs(paths: Sequence[Path], *files: Path) -> None:
-    """Raise errors of the outputs before the analysis starts; missing recordings are reported first.
+    """Check the outputs before the analysis starts; missing recordings are reported first.
 
-    `files`: those that are always written. Raises `SceneError` if one exists and may not be replaced.
+    `files`: files that are always written. Raises `SceneError` if a file exists and may not be replaced.
     """
     for path in paths:
         require_file(path)

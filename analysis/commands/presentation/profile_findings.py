@@ -30,7 +30,7 @@ def _draw(result: ProfileCheck, figure: Figure, axes: Axes) -> None:
     log_axis(axes, [result.control, result.profile, *(level.values for level in result.limited)], 5.0)
     sentences = [f"Band: tolerance of {result.tolerance:g} dB."]
     if result.limited:
-        sentences.append("Colored strips: a limit keeps the control below the tolerance.")
+        sentences.append("Colored strips: a limit of another channel keeps the control channel below the tolerance.")
     if ((abs(result.deviation) > result.tolerance) & ~result.is_reduced).any():
         sentences.append("Black strips: outside the tolerance for another reason.")
     sentences += [f"{text[0].upper()}{text[1:]}." for text in result.excesses()]

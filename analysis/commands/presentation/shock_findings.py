@@ -39,10 +39,10 @@ def present_srs(
     from_s: float | None = None,
     to_s: float | None = None,
 ) -> CommandOutput:
-    """Draw and tabulate the shock response spectra of channels; those of several recordings are overlaid.
+    """Draw and tabulate the shock response spectra of channels; spectra of several recordings are overlaid.
 
-    `channels`: default: all that measure motion of a body, and the control channel of the test; for the other arguments
-    see `srs`.
+    `channels`: by default all channels that measure motion of a body, and the control channel of the test; for the
+    other arguments see `srs`.
     """
     stem = output_stem(paths, output, "srs")
     table = with_ending(stem, "csv")
@@ -74,7 +74,7 @@ def present_srs(
             if len(spectra) == 1:
                 spectrum.draw(axes, **style)
             else:
-                # The signed spectra of several channels would hide each other; the table contains them.
+                # With several channels, the signed spectra would hide each other; they are in the table only.
                 dashes = "-" if len(paths) > 1 else place_style(places[spectrum.channel]).line
                 axes.loglog(spectrum.frequency, spectrum.maximax, ls=dashes, lw=1.6, **style)
                 axes.set(xlabel="natural frequency / Hz", ylabel=f"shock response / ({spectrum.unit})")

@@ -24,12 +24,15 @@ if TYPE_CHECKING:
 def present_surface(
     recordings: OpenRecordings, paths: Sequence[Path], output: Path | None = None, forces: Sequence[float] = ()
 ) -> CommandOutput:
-    """Draw and tabulate each recording; `forces`: amplitudes in N at which the response is drawn instead."""
+    """Draw and tabulate each recording.
+
+    `forces`: force amplitudes in N; if given, responses at these forces are drawn.
+    """
 
     def draw(result: ForceSurface, figure: Figure, axes: Axes) -> None:
         if forces:
             draw_responses(result, forces, axes)
-            held = "Gray: held amplitudes, between which the force is interpolated."
+            held = "Gray: held amplitudes. Between them, the force is interpolated."
             is_unstable = any(not result.at_force(force)["stable"].all() for force in forces)
             add_legend_below(figure, "Bars: 95 % intervals.", "Hollow: unstable." * is_unstable, held)
         else:

@@ -45,7 +45,10 @@ def _cell(value: str | float | int) -> str:
 
 
 def frf_table(path: Path, frfs: Sequence[Response]) -> Path:
-    """Write a table of frequency responses, one row for each curve and frequency, without values if it was omitted."""
+    """Write a table of frequency responses, one row for each curve and frequency.
+
+    Omitted frequencies have no values.
+    """
     unit = frfs[0].unit.replace("²", "^2")
     heading = [
         "scene", "response", "reference", "frequency_Hz", f"real {unit}", f"imag {unit}", f"magnitude {unit}",
@@ -54,7 +57,7 @@ def frf_table(path: Path, frfs: Sequence[Response]) -> Path:
     ]  # fmt: skip
     rows: list[Row] = []
     for frf in frfs:
-        # Rows without values, so that a line drawn from the table is interrupted there.
+        # Omitted frequencies have rows without values, so that a line drawn from the table is interrupted there.
         curve = frf.with_gaps() if frf.omitted.size else frf
         systematic = curve.systematic_bound() if curve.limits else np.full(curve.frequency.size, np.nan)
         measured = np.isfinite(curve.value)
@@ -127,5 +130,5 @@ def modes_table(path: Path, sweeps: Sequence[Modes]) -> Path:
 
 
 def _rounded(value: float, error: float) -> tuple[float, float]:
-    """Round a value to its 95 % interval, and its standard uncertainty to two digits."""
+    """Round a value to the digits of its 95 % interval, and its standard uncertainty to two digits."""
     return float(round_to_bound(value, float(expand(error)))), float(f"{error:.2g}")

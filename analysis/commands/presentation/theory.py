@@ -1,8 +1,8 @@
-"""Linear theory of a recording: its structure without moving dampers, as it was in the test.
+"""Linear theory of a recording: the structure without moving dampers, with its supports in the test.
 
-The force of a shaker is measured, so the structure is that without the shaker's coil spring. In an impact test all
-shakers are idle, and their coil springs remain attached. If a table carries the structure, the modes are those with the
-table at rest.
+The force of a shaker is measured between coil spring and structure, so the theory excludes the coil spring. In an
+impact test all shakers are idle, and their coil springs remain attached. If a table carries the structure, the modes
+are those with the table at rest.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class TheoreticalModes(NamedTuple):
 
 
 def linear_theory(rec: Recording, frf: Response) -> Response:
-    """Compute the exact FRF of the linear structure without dampers for the same response and reference."""
+    """Compute the exact FRF of the linear structure without dampers, for the same response and reference as a curve."""
     frequency = np.geomspace(float(frf.frequency.min()), float(frf.frequency.max()), _POINTS)
     if frf.reference == "table":
         scene, drive = _without_moving_dampers(rec.scene), rec.scene.at_driven("shaker")
@@ -59,7 +59,7 @@ def theoretical_modes(rec: Recording, modes: Modes) -> TheoreticalModes | None:
     """Compute the modes of the scene's structure at the measured points; None for a single point."""
     scene = _scene_under_force(rec)
     mass, _, stiffness = matrices_without_free_beds(scene)
-    # A table with prescribed displacement is at rest.
+    # In a mode, a table with prescribed displacement is at rest.
     tables = enumerate((shaker for _, shaker in scene.tables), scene.structure.bodies)
     resting = [row for row, shaker in tables if shaker.prescribed]
     mass, stiffness = (np.delete(np.delete(matrix, resting, 0), resting, 1) for matrix in (mass, stiffness))
@@ -69,7 +69,7 @@ def theoretical_modes(rec: Recording, modes: Modes) -> TheoreticalModes | None:
 
 
 def _without_moving_dampers(scene: Scene) -> Scene:
-    """Return a scene without dampers, except constant masses and masses on springs, without walls and weight."""
+    """Return a scene without dampers; only constant masses and masses on springs remain, without walls and weight."""
     linear = tuple(
         damper.without_walls() if damper.spring is not None else damper
         for damper in scene.dampers

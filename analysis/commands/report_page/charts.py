@@ -21,7 +21,7 @@ from rig.core.base.palette import CurveStyle, body_style
 _MIN_LOGARITHMIC_RATIO = 3.0
 # Significant digits of a number in a chart: more than a screen can resolve.
 _DIGITS = 5
-# Significant digits of an abscissa, which zooming resolves further.
+# Significant digits of an abscissa, of which zooming shows more.
 _ABSCISSA_DIGITS = 8
 # Difference between the brightest and the darkest level of an image, dB.
 IMAGE_SPAN_DB = 80.0
@@ -55,13 +55,13 @@ class Curve:
     high: ArrayLike | None = None  # upper bound of `y`
     style: CurveStyle = _DEFAULT_STYLE
     # "points" of separate tones, the thin line "through" them, or symbols at points: "dots", "crosses", "circles",
-    # "arrows"; of these, only points have values in the readout
+    # "arrows". The readout contains only values of "points".
     draw: str = "line"
 
 
 @dataclass(frozen=True)
 class Panel:
-    """Axes that share their abscissa with the other panels of a chart."""
+    """A pair of axes; all panels of a chart share the abscissa."""
 
     label: str
     unit: str
@@ -70,7 +70,7 @@ class Panel:
     logarithmic: bool = False  # vertical axis
     limits: tuple[float, float] | None = None  # of the vertical axis
     ticks: Sequence[float] | None = None  # of the vertical axis
-    image: dict[str, Any] | None = None  # from `level_image`
+    image: dict[str, Any] | None = None  # image from `level_image`
     marks: Sequence[tuple[float, float, str]] = ()  # abscissa, value and label of peaks, ascending
     strips: Sequence[tuple[float, float]] = ()  # ranges of the abscissa without a determined value
 
@@ -122,7 +122,7 @@ class ChartWriter:
 
 
 def needs_logarithmic_axis(frequencies: ArrayLike) -> bool:
-    """Return whether these frequencies span so wide a band that their axis is logarithmic."""
+    """Return whether the band of these frequencies is so wide that their axis is logarithmic."""
     values = np.asarray(frequencies, dtype=float)
     return bool(values.size and values.min() > 0 and values.max() > _MIN_LOGARITHMIC_RATIO * values.min())
 

@@ -21,7 +21,7 @@ from rig.core.scene.excitation.profile import from_decibels
 if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
-# A pulse lasts while it exceeds this part of its peak.
+# The duration of a pulse is the time above this fraction of its peak.
 _VISIBLE_PART = 0.01
 # The chart first shows this multiple of the duration of the pulse.
 _PULSE_VIEW = 3.0
@@ -82,7 +82,7 @@ def _tracking_chart(rec: Recording) -> Chart:
 
 
 def control_charts(measurement: Measurement) -> list[Chart]:
-    """Return the charts of the controlled motion in a recording; empty without such a test."""
+    """Return the charts of the controlled motion in a recording; empty for tests without controlled motion."""
     rec = measurement.rec
     if FOLLOWED_CURVE.measured(rec.markers) or HELD_PHASE.measured(rec.markers):
         return [_tracking_chart(rec)]

@@ -38,7 +38,8 @@ _SHAPE_HEIGHT = 26
 _SHAPE_VIEW = 228
 # Distance between two bodies in a mode shape, px.
 _SHAPE_SPACING = 36
-# Amplitude of the largest element of an animated mode shape, px: two bodies in antiphase do not meet.
+# Amplitude of the largest element of an animated mode shape, px. It is so small that two bodies in antiphase do not
+# meet.
 _MAX_AMPLITUDE = 0.45 * _SHAPE_SPACING
 # Number of zigzag corners of a drawn spring.
 _COILS = 8
@@ -129,7 +130,7 @@ def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
 
 
 def _joint(joint: Joint, tops: Sequence[float]) -> Iterator[str]:
-    """Draw the block of a joint below the upper body, if this is next above the lower; others are in the settings."""
+    """Draw the block of a joint between neighboring bodies below the upper body; other joints are in the settings."""
     lower, upper = joint.ends
     if upper is not None and upper == (0 if lower is None else lower + 1):
         x, y = _LEFT + _BODY_WIDTH - 30, tops[upper] + _BODY_HEIGHT
@@ -158,7 +159,7 @@ def _shaker(shaker: Shaker, y: float, number: int | None) -> Iterator[str]:
 
 
 def _push(y: float, color: str) -> str:
-    """Draw a force along the motion of the bodies, at an arm of a body."""
+    """Draw a force in the direction of motion, at an arm of a body."""
     arrow = f'<path stroke="{color}" stroke-width="2" d="M{_DRIVE} {y + 40:g}V{y + 3:g}m-6 9l6 -9l6 9"/>'
     return f'<path stroke="currentColor" d="M{_DRIVE - 14} {y:g}H{_LEFT}"/>{arrow}'
 
@@ -195,7 +196,7 @@ def _channels(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
 def mode_drawing(shapes: BodyShapes, places: Sequence[str], mode: int, title: str) -> str:
     """Draw one mode shape: each body moves by its element of the shape; dashed outlines show the bodies at rest.
 
-    `places`: of the elements, for their colors.
+    `places`: locations of the elements, which determine their colors.
     """
     count, bounds = len(shapes.names), expand(shapes.errors[:, mode])
     opacity = 1.0 if is_known_shape(bounds) else 0.4

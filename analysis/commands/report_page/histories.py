@@ -42,14 +42,14 @@ def time_histories(rec: Recording) -> Chart:
         time, rows = _extremes(rec, names)
     units = list(dict.fromkeys(rec.channels[name].unit for name in names))
     panels = []
-    # Dashes would look like samples.
+    # Solid lines, because dashes would look like samples.
     styles = [style._replace(dashes=()) for style in place_styles([rec.channels[name].at for name in names])]
     for unit in units:
         selected = [name for name in names if rec.channels[name].unit == unit]
         scale, shown_unit = (1e3, "mm") if unit == "m" else (1.0, unit.replace("^2", "²"))
         places = [names.index(name) for name in selected]
         curves = [Curve(names[k], time, scale * rows[k], style=styles[k]) for k in places]
-        # The largest motion is drawn first, so that it hides no other channel.
+        # The channel with the largest motion is drawn first, so that it hides no other channel.
         curves.sort(key=lambda curve: -float(np.ptp(curve.y)))
         panels.append(Panel(rec.channels[selected[0]].quantity, shown_unit, curves, height=170))
     resolution = "every sample" if is_complete else f"largest and smallest value of each of {_INTERVALS} intervals"
@@ -81,13 +81,13 @@ def _extremes(rec: Recording, names: list[str]) -> tuple[Array, Array]:
 
 
 def spectrograms(rec: Recording) -> list[Chart]:
-    """Return one spectrogram for each channel, from equally spaced Hann windows; none if the recording is short."""
+    """Return one spectrogram for each channel, from equally spaced Hann windows; empty for a short recording."""
     natural = structural_model(rec.scene).modes.frequency
     highest = min(rec.rate / 2, _MAX_FREQUENCY_RATIO * float(natural.max()))
     block = int(min(rec.samples, rec.rate * _LINES / highest))
     if block < _MIN_BLOCK:
         return []
-    # A length with small prime factors, which the FFT transforms fast.
+    # A length with small prime factors, because the FFT is then fast.
     block = fft.prev_fast_len(block, real=True)
     starts = np.linspace(0, rec.samples - block, min(_SPECTRA, max(rec.samples // (block // 4), 1))).astype(int)
     window = np.hanning(block)

@@ -49,9 +49,9 @@ class SweepResults:
     modes : Modes or None
         None if the identification failed.
     found : tuple
-        For each mode, the responses that have a peak near it, with their peaks.
+        For each mode: the responses with a peak near it, and their peaks.
     highest : tuple or None
-        The highest peak of all frequencies, whether or not a mode was identified there.
+        The highest peak in the band, also where no mode was identified.
     """
 
     frfs: list[Response]
@@ -88,7 +88,7 @@ class SweepChange(NamedTuple):
     recording: str  # label of the other recording
     change: PeakChange
     modes: tuple[float, ...] = ()  # natural frequencies of all modes of the first sweep, Hz
-    shown_in: tuple[str, float] = ("µm/N", 1e6)  # unit of the peaks, and the factor to it
+    shown_in: tuple[str, float] = ("µm/N", 1e6)  # unit of the peaks, and the factor from SI to this unit
 
     def peaks_of(self, label: str) -> list[Peak]:
         """Return the peak in one of the two sweeps."""
@@ -139,7 +139,7 @@ class Measurements:
 
     @property
     def reference(self) -> Measurement:
-        """The recording with which the others are compared: the first without moving dampers, or the first."""
+        """The recording with which the others are compared: the first without moving dampers, otherwise the first."""
         label = reference_label({result.label: not result.rec.scene.is_linear for result in self.results})
         return next((result for result in self.results if result.label == label), self.results[0])
 
@@ -230,7 +230,7 @@ def highest_peak(
 ) -> tuple[Response, Peak] | None:
     """Return the response with the highest peak, near a mode or at another frequency.
 
-    `peaks`: those near the modes.
+    `peaks`: the peaks near the modes.
     """
     others = [(frf, found) for frf in frfs for _, found in resonance_peaks(frf) if not found.at_end]
     return max((*filter(None, peaks), *others), key=lambda pair: pair[1].value, default=None)

@@ -39,7 +39,7 @@ from rig.core.base.escaping import escape_html
 from rig.core.base.output_files import atomic_write
 from rig.core.base.progress import CountProgress
 
-# The part of a result that is emphasized: a change of a peak.
+# The change of a peak is emphasized in a result.
 _CHANGE = re.compile(r"(?:reduction|increase)[^(;,]* dB")
 
 
@@ -198,7 +198,7 @@ def _modes(results: Sequence[Measurement]) -> list[str]:
 
 
 def _macs(results: Sequence[Measurement], first: Measurement) -> list[str]:
-    """Compare the shapes of the first sweep of each recording with those of the reference, as HTML."""
+    """Compare the mode shapes of the first sweep of each recording with those of the reference, as HTML."""
     modes = {each.label: each.sweeps[0].modes for each in (first, *results) if each.sweeps}
     known = [each for each in modes.values() if each is not None and each.frequency.size]
     return ['<div class="pairs">', *(mac_table(known[0], each) for each in known), "</div>"] if known else []

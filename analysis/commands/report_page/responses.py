@@ -33,11 +33,12 @@ from rig.core.scene.excitation import FORCE_TOLERANCE
 
 _REQUIRED = CurveStyle("#6E7681", (2, 2))
 _UNDETERMINED = CurveStyle("#9aa2ab")
-# The axis of bounds relative to the value ends here.
+# Upper end of the axis of relative bounds.
 _MAX_PERCENT = 100.0
-# A peak is higher than the points at its half-power bandwidth by this factor.
+# Ratio of a peak to the points at its half-power bandwidth.
 _HALF_POWER = float(np.sqrt(2.0))
-# The first view of a wide band ends at this multiple of the highest mode, and begins at this part of the lowest.
+# The first view of a wide band begins at this fraction of the lowest natural frequency, and ends at this multiple of
+# the highest.
 _VIEW_RATIO = 4.0
 # A stable pole belongs to a mode if their frequencies differ by at most this fraction.
 _MODE_WIDTH = 0.05
@@ -50,9 +51,9 @@ def response_charts(
 ) -> list[Chart]:
     """Return charts of all frequency responses.
 
-    The responses of a single sweep share a chart. With several recordings or levels each response has its own chart,
-    so that they can be compared. Responses to different inputs never share a chart. `reference`: label of the
-    recording with which the others are compared; `changes`: of its peaks, which are marked.
+    The responses of a single sweep share a chart. With several recordings or levels, each response has its own chart,
+    which compares them. Responses to different inputs never share a chart. `reference`: label of the recording with
+    which the others are compared; `changes`: changes of its peaks, which are marked.
     """
     with_responses = [measurement for measurement in measurements if measurement.sweeps]
     frfs = [frf for measurement in with_responses for sweep in measurement.sweeps for frf in sweep.frfs]
@@ -81,7 +82,7 @@ def response_charts(
 
 
 def _sweep_names(frfs: Sequence[Response], reference: str) -> list[str]:
-    """Return names of recordings and levels for a legend: the levels alone if all are of one recording."""
+    """Return names of recordings and levels for a legend; only the levels if all sweeps are from one recording."""
     common = f"{reference}, " if all(belongs_to(frf.label, reference) for frf in frfs) else ""
     return [frf.label.removeprefix(common) for frf in frfs]
 
@@ -93,7 +94,7 @@ def _sweep_styles(frfs: Sequence[Response], reference: str) -> list[CurveStyle]:
 
 
 def _mode_marks(sweep: SweepResults, frfs: Sequence[Response]) -> list[tuple[float, float, str]]:
-    """Return frequency, height and label of each mode of a sweep; the height is that of its peak in a chart."""
+    """Return frequency, height and label of each mode of a sweep; the height is that of the mode's peak in a chart."""
     if sweep.modes is None:
         return []
     marks = []
@@ -113,8 +114,8 @@ def response_chart(
 ) -> Chart:
     """Return a chart of magnitude with its expanded uncertainty, phase and coherence, for one input.
 
-    `styles`: of the curves; default: those of their bodies. `peaks`: of each curve; `marks`: labels, see `Panel`.
-    `view`: part of the band that is shown first, and determines the vertical axis.
+    `styles`: styles of the curves, by default those of their bodies; `peaks`: peaks of each curve; `marks`: labels, see
+    `Panel`. `view`: part of the band that is shown first, and determines the vertical axis.
     """
     styles = styles or place_styles([frf.outputs[0].at for frf in frfs])
     thinned = [_thinned(frf.with_gaps()) for frf in frfs]
@@ -130,13 +131,13 @@ def response_chart(
         curve = Curve(name, f, np.where(known, modulus, np.nan), low, high, style)
         draw = "points" if known.size <= MAX_POINTS else "line"
         if folds_back(original):
-            # Several responses at one frequency are no curve over frequency, and have no band.
+            # Several responses at one frequency are not a function of frequency, and have no band.
             draw, curve, found = "dots", replace(curve, low=None, high=None), ()
         magnitude.append(replace(curve, draw=draw))
         unknown = ~known & np.isfinite(frf.value)
         if unknown.any():
             strips += _ranges(f, unknown)
-            # One more point on either side makes the curve continuous where it becomes gray.
+            # One more point at either end makes the curve continuous where it becomes gray.
             joined = unknown | np.roll(unknown, 1) | np.roll(unknown, -1)
             stored = joined | np.roll(joined, 1)
             gray = np.where(joined, modulus, np.nan)[stored]
@@ -144,16 +145,16 @@ def response_chart(
         if draw == "points":
             through = frf.continued(np.isfinite(frf.value))
             magnitude.append(Curve(name, through[0], factor * abs(through[1]), style=style, draw="through"))
-            # The phase has the gaps of the magnitude.
+            # The phase has the same gaps as the magnitude.
             smooth = frf.continued(known & is_smooth(frf))
             phase.append(Curve(name, *break_at_wraps(smooth[0], phase_degrees(smooth[1])), style=style, draw="through"))
         unsteady = np.zeros(f.size, dtype=bool) if frf.unsteady is None else frf.unsteady
         magnitude += _symbols(name, style, "crosses", zip(f[unsteady], modulus[unsteady], strict=True))
-        # A peak of unknown height has the value of its highest point.
+        # A peak of unknown height is drawn at its highest point.
         points = {peak: (peak.frequency, factor * peak.value) for peak in found if not peak.at_end}
         interpolated = [peak for peak in points if isfinite(peak.bound)]
         if draw == "line":
-            # The lines of a spectrum do not show the curve between them that carries the peak.
+            # The curve with the peak is not visible between the lines of a spectrum, so it is drawn.
             models = [local_model(original, peak) for peak in interpolated]
             magnitude += [Curve(name, at, factor * height, style=style, draw="through") for at, height in models]
         extrapolated |= {p.frequency for p in interpolated if _exceeds_points(p, f, modulus / factor)}
@@ -199,7 +200,7 @@ def _exceeds_points(peak: Peak, f: NDArray[np.float64], modulus: NDArray[np.floa
 
 
 def _symbols(name: str, style: CurveStyle, draw: str, points: Iterable[tuple[float, float]]) -> list[Curve]:
-    """Return a curve of symbols at points, if there are any."""
+    """Return a curve of symbols at points; empty if there are no points."""
     x, y = np.array([*points]).reshape(-1, 2).T
     return [Curve(name, x, y, style=style, draw=draw)] if x.size else []
 
@@ -269,7 +270,7 @@ def stabilization_charts(measurements: Sequence[Measurement]) -> list[Chart]:
         band, top = sweep.frfs[0].frequency, float(order.max())
         modes, ticks = sweep.modes.frequency, np.arange(0.0, top + 1.0, 5.0).tolist()
         is_near = (abs(frequency[:, None] / modes - 1.0) <= _MODE_WIDTH).any(axis=1)
-        # Symbols, not points of a series: poles of several orders have the same frequency.
+        # Poles are symbols, not points of a series, because poles of several orders have the same frequency.
         kinds = {
             ("new", "crosses"): stable == 0,
             ("stable", "dots"): (stable > 0) & is_near,
@@ -289,8 +290,8 @@ def stabilization_charts(measurements: Sequence[Measurement]) -> list[Chart]:
         marks = [(natural, 0.0, f"{format_decimals(natural, 2)} Hz") for natural in sorted(sweep.modes.frequency)]
         charts.append(
             Chart(
-                f"{sweep.label}: poles of models of increasing order. Dotted lines: the identified modes, each a "
-                "column of stable poles; a column that is split around its line is a nonlinear mode."
+                f"{sweep.label}: poles of models of increasing order. Dotted lines: the identified modes, each with a "
+                f"column of stable poles. A column that is split into two around its line indicates a nonlinear mode."
                 + " Hollow: stable, but not identified as a mode."
                 * any(curve.draw == "circles" for curve in curves),
                 f"Stabilization diagram of {sweep.label}.",
@@ -304,7 +305,7 @@ def stabilization_charts(measurements: Sequence[Measurement]) -> list[Chart]:
 
 
 def _first_view(band: NDArray[np.float64], modes: NDArray[np.float64]) -> tuple[float, float] | None:
-    """Return the part of a band around the modes that is shown first; None if that is most of it.
+    """Return the part of a band around the modes that is shown first; None to show the whole band.
 
     >>> _first_view(np.array([0.5, 2000.0]), np.array([13.0, 50.0]))
     (3.25, 200.0)
@@ -317,7 +318,7 @@ def _first_view(band: NDArray[np.float64], modes: NDArray[np.float64]) -> tuple[
 
 
 def _ranges(f: NDArray[np.float64], selected: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """Return the ends of the ranges of selected frequencies, each half way to the next frequency.
+    """Return the ends of the ranges of selected frequencies; an end is halfway to the next frequency.
 
     >>> _ranges(np.arange(5.0), np.array([False, True, True, False, True]))
     [(0.5, 2.5), (3.5, 4.0)]
@@ -329,12 +330,12 @@ def _ranges(f: NDArray[np.float64], selected: NDArray[np.bool_]) -> list[tuple[f
 
 
 def _percent_limits(curves: Sequence[Curve]) -> tuple[float, float]:
-    """Return the limits of the axis of relative bounds, which ends at 100 %: there the value is undetermined."""
+    """Return the limits of the axis of relative bounds; it ends at 100 %, where the value is undetermined."""
     return min(_limits(curves)[0], 0.1 * _MAX_PERCENT), _MAX_PERCENT
 
 
 def _limits(curves: Sequence[Curve], view: tuple[float, float] | None = None) -> tuple[float, float]:
-    """Return the limits of a logarithmic axis that show all values in a view, but not all intervals."""
+    """Return the limits of a logarithmic axis that shows all values in a view, but not all intervals."""
     x, values = np.hstack([np.array([curve.x, curve.y], dtype=float) for curve in curves])
     low, high = view or (-inf, inf)
     values = values[np.isfinite(values) & (values > 0) & (x >= low) & (x <= high)]
@@ -434,7 +435,7 @@ def _damping_chart(
         for index, mode in sorted(group, key=lambda pair: pair[0]):
             order = np.argsort(mode.amplitude)
             percent, expanded = (values[order] for values in mode.percent)
-            # A logarithmic axis has no zero: the band ends at the axis.
+            # A logarithmic axis has no zero, so the band ends at the axis.
             low, high = np.maximum(percent - expanded, lowest), np.minimum(percent + expanded, highest)
             label, amplitude, style = labeled_decays[index][0], mode.amplitude[order], styles[index]
             differs = np.where(percent > expanded, percent, np.nan)

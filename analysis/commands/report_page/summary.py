@@ -21,7 +21,7 @@ _MAX_TEXTS = 3
 
 
 def summarize(measurements: Sequence[Measurement], changes: Sequence[SweepChange]) -> list[str]:
-    """Return texts about control, decays, peak changes (if none, resonances) and damper impacts, a line for each fact.
+    """Return texts about control, decays, peak changes (or resonances) and damper impacts, with a line for each fact.
 
     `measurements`: all recordings of the report; `changes`: from `Measurements.changes`.
     """
@@ -36,7 +36,7 @@ def summarize(measurements: Sequence[Measurement], changes: Sequence[SweepChange
 
 
 def limitations(measurements: Sequence[Measurement]) -> list[str]:
-    """Return the faults of each recording and what the intervals do not contain, a sentence each."""
+    """Return sentences about the faults of each recording, and about errors that the intervals do not include."""
     texts = []
     for measurement in measurements:
         rec = measurement.rec
@@ -54,12 +54,15 @@ def limitations(measurements: Sequence[Measurement]) -> list[str]:
             texts.append(f"“{measurement.label}”: {'; '.join(dict.fromkeys(filter(None, faults)))}.")
     curves = [frf for measurement in measurements for sweep in measurement.sweeps for frf in sweep.frfs]
     if curves and not all(map(includes_sensors, curves)):
-        texts.append("Intervals do not contain calibration errors: no tolerance of the sensors' sensitivity is stated.")
+        texts.append(
+            "The intervals do not include calibration errors, because no tolerance of the sensors' "
+            "sensitivity is stated."
+        )
     return texts
 
 
 def _control_texts(measurement: Measurement) -> list[str]:
-    """Return the verdict on a motion that the test controls: its profile, or its shocks."""
+    """Return a sentence on the controlled motion of each test: its profile, or its shocks."""
     if measurement.profile is not None:
         return [f"{measurement.profile.summary()}."]
     shocks = shocks_of(measurement.rec.markers)
@@ -131,9 +134,9 @@ def _initial_height(sweep: SweepChange) -> float:
 
 
 def _resonance_texts(measurement: Measurement) -> list[str]:
-    """List natural frequencies and damping ratios of each sweep, and its highest compliance.
+    """List natural frequencies and damping ratios of each sweep, and its highest response.
 
-    Of more sweeps than the summary has texts, those after the first are listed with the highest compliance alone.
+    If there are more sweeps than texts in the summary, only the highest response is listed for all but the first sweep.
     """
     sweeps = [sweep for sweep in measurement.sweeps if sweep.modes is not None and sweep.modes.frequency.size]
     if len(sweeps) <= _MAX_TEXTS:
@@ -153,7 +156,7 @@ def _response_texts(measurement: Measurement) -> list[str]:
 
 
 def _resonance_text(sweep: SweepResults) -> str:
-    """List natural frequencies and damping ratios of a sweep, and its highest compliance."""
+    """List natural frequencies and damping ratios of a sweep, and its highest response."""
     modes = sweep.modes
     assert modes is not None
     count = modes.frequency.size

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rig.core.scene.damper import Damper
     from rig.core.scene.scene import Scene
 
-# A hyphen that is a minus sign, and a space that belongs to a quantity.
+# A hyphen that is a minus sign, and a space inside a quantity (number and unit).
 _HYPHEN = re.compile(r"(?<![\w.-])-(?=\d)")
 _BREAK = re.compile(
     r"(?<=[\d)]) (?=(?:%|[kM]?Hz|[kmµ]?N|dB|g|kg|m?s|[mµ]?m|m?V|µm/N|m/s²|k?N/m|mm/s)(?![\w/]))| (?=±)|(?<=±) "
@@ -31,9 +31,10 @@ _BREAK = re.compile(
 )
 # Largest number of decimals of a change in dB.
 _MAX_DECIBEL_DECIMALS = 2
-# Heights that are compared are not written finer than this fraction.
+# Compared heights are rounded to this fraction at the finest.
 _HEIGHT_RESOLUTION = 0.005
-# Modes of two recordings are the same mode if their frequencies differ by less than this fraction: dampers shift it.
+# Modes of two recordings are the same mode if their frequencies differ by less than this fraction; dampers shift the
+# frequencies.
 _MODE_SHIFT = 0.15
 # Maximum number of overloads or gaps that are listed individually.
 _MAX_LISTED = 5
@@ -55,7 +56,7 @@ def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], n
     """
     align = ["" if k < len(heading) - numbers else ' class="number"' for k in range(len(heading))]
     head = "".join(f"<th{a}>{typeset(text)}</th>" for a, text in zip(align, heading, strict=True))
-    # A narrow screen shows a row as a block with a line for each cell, which its heading begins.
+    # A narrow screen shows a row as a block with a line for each cell; each line begins with the heading of the cell.
     align = [f'{a} data-label="{typeset(text)}"' for a, text in zip(align, heading, strict=True)]
     body = ""
     for row in rows:
@@ -74,7 +75,7 @@ def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], n
 def resonances(measurements: Sequence[Measurement], reference: Measurement) -> str:
     """Return a table of natural frequencies and damping ratios, each with the highest peak near it, as HTML.
 
-    `reference`: its modes are named in each sweep, also where they are not identified.
+    `reference`: sweep whose modes are listed for each sweep, even if not identified there.
     """
     rows: list[tuple[str, ...]] = []
     known = [each.modes.frequency for each in reference.sweeps[:1] if each.modes is not None]
@@ -119,13 +120,13 @@ def changes_table(changes: Sequence[SweepChange]) -> str:
 
 
 def change_text(change: PeakChange) -> str:
-    """Write the change of a peak as a reduction or an increase with its interval, dB; a limit on one side in words."""
+    """Write the change of a peak as a reduction or an increase with its interval, dB; a one-sided limit in words."""
     best, low, high = change.decibel
     decimals = min(change.decibel_decimals, _MAX_DECIBEL_DECIMALS)
     if not isfinite(low) and not isfinite(high):
         return "not determined"
     if isfinite(low) and isfinite(high):
-        # A reduction is positive.
+        # A reduction is written as a positive number.
         sign, direction = (-1.0, "reduction") if best < 0.0 else (1.0, "increase")
         ends = " to ".join(f"{limit:.{decimals}f}" for limit in sorted((sign * low, sign * high)))
         return f"{direction} {abs(best):.{decimals}f} dB ({ends})"
@@ -153,7 +154,7 @@ def change_heights(sweep: SweepChange) -> str:
 
 
 def mac_table(before: Modes, after: Modes) -> str:
-    """Return the modal assurance criterion between the shapes of two sweeps, or of a sweep with itself, as HTML."""
+    """Return the modal assurance criterion between the shapes of two sweeps, or within one sweep, as HTML."""
     common = [name for name in before.responses if name in after.responses]
     if len(common) < 2:
         return ""
@@ -189,14 +190,14 @@ def decays(measurements: Sequence[Measurement]) -> str:
             rows.append((frequency, *damping_texts))
     heading = ["natural frequency / Hz", "damping ratio / % at the largest amplitude", "at the smallest"]
     caption = (
-        "Free decay of each mode, with 95 % intervals. The frequency is that of the best determined amplitude; moving "
-        "dampers lower it, so that it differs from the frequency of the response"
+        "Free decay of each mode, with 95 % intervals. The frequency is that at the best determined amplitude. Moving "
+        "dampers lower it, so that it differs from the resonance frequency of the response"
     )
     return table(caption, heading, rows) if rows else ""
 
 
 def budget(curve: Response, highest: Peak) -> str:
-    """Return the uncertainty budget of a response at its peak, as HTML."""
+    """Return the uncertainty budget of a response at its highest peak, as HTML."""
     point = int(np.argmin(abs(curve.frequency - highest.frequency)))
     if curve.expanded()[point] > abs(curve.value[point]):
         point = curve.peak_line()

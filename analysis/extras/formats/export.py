@@ -80,7 +80,7 @@ def write_csv(segment: Slice, path: Path) -> None:
     names = ["time [s]", *(escape_cell(f"{info.name} [{info.unit}]") for info in segment.infos)]
     with path.open("w", newline="", encoding="utf-8") as stream:
         csv.writer(stream, lineterminator="\n").writerow(names)
-    # The heading has quotes only where they are necessary, which pyarrow cannot write.
+    # The heading has quotes only where necessary; pyarrow cannot write such a heading.
     schema = pyarrow.schema([(str(column), pyarrow.float64()) for column in range(len(names))])
     options = pyarrow.csv.WriteOptions(include_header=False)
     with path.open("ab") as numbers, pyarrow.csv.CSVWriter(numbers, schema, write_options=options) as writer:
@@ -125,7 +125,9 @@ def _zip_entry(name: str) -> zipfile.ZipInfo:
 
 
 def write_wav(segment: Slice, path: Path, speed: float = 1.0) -> list[str]:
-    """Write 24-bit sound, each channel scaled to full scale; return a line about the full-scale value of each channel.
+    """Write 24-bit sound, each channel scaled to full scale.
+
+    Return a line of text with the full-scale value of each channel.
 
     `speed`: playback speed factor: with 10, a tone of 30 Hz sounds at 300 Hz. Raises `RecordingError` if samples were
     lost. Raises `SceneError` if the sound is too long for a WAV file, or its rate cannot be stored in the file header.
@@ -164,12 +166,12 @@ def write_wav(segment: Slice, path: Path, speed: float = 1.0) -> list[str]:
 WRITERS: dict[str, Callable[[Slice, Path], None]] = {
     ".csv": write_csv, ".npz": write_npz, ".mat": write_mat, ".uff": write_uff, ".unv": write_uff,
 }  # fmt: skip
-# Number of bytes per sample; in text formats, with an average number of digits.
+# Number of bytes per sample; for text formats, with an average number of digits.
 _BYTES_PER_SAMPLE = {".csv": 20.0, ".npz": 8.0, ".mat": 8.0, ".wav": 3.0, ".uff": 20.25, ".unv": 20.25}
 
 
 def expected_bytes(segment: Slice, ending: str) -> float:
-    """Estimate the size of the exported file, bytes; in CSV files the time is one more column."""
+    """Estimate the size of the exported file, bytes; in CSV files the time is an additional column."""
     columns = len(segment.channels) + (ending == ".csv")
     return (segment.stop - segment.start) * (_BYTES_PER_SAMPLE[ending] * columns)
 
@@ -217,15 +219,15 @@ def export(
     Raises
     ------
     SceneError
-        If the ending is unknown, the file exists, or the segment does not fit the format.
+        If the file name extension is unknown, the file exists, or the format cannot contain the segment.
     RecordingError
-        If samples are lost that the format requires, or the recording is damaged.
+        If samples are lost and the format cannot represent lost samples, or if the recording is damaged.
     RunError
         If the file cannot be written, or the free disk space is too small.
     """
     kind = kind_of(path)
     if speed != 1.0 and kind != ".wav":
-        raise SceneError(f"{path}: `speed` applies only to sound. Leave it out, or choose a name that ends in .wav.")
+        raise SceneError(f"{path}: `speed` applies only to sound. Omit `speed`, or choose a name that ends in .wav.")
     if progress is not None:
         # WAV reads all samples twice, because it needs the peak values first.
         total = (2 if kind == ".wav" else 1) * len(segment.channels) * (segment.stop - segment.start)

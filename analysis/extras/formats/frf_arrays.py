@@ -19,7 +19,7 @@ from rig.core.base.errors import RecordingError
 _RATE = re.compile(r"(.*[._])?(fs|rate|sample_?rate|sampling_?(rate|frequency)|freq|frequency)", re.IGNORECASE)
 _BLOCK = re.compile(r"(.*[._])?(npts|n_?fft|n_?samples|block(_?(size|length))?)", re.IGNORECASE)
 _SPACING = re.compile(r"(.*[._])?(df|delta_?f|resolution)", re.IGNORECASE)
-# Fewer complex values are not a response.
+# Minimum number of complex values of a response.
 _MIN_LINES = 4
 
 
@@ -34,9 +34,10 @@ class ResponseArrays:
 
 
 def response_arrays(path: Path) -> ResponseArrays:
-    """Read the complex arrays of a file; those with two dimensions have a response in each column.
+    """Read the complex arrays of a file; two-dimensional arrays have a response in each column.
 
-    Raises `RecordingError` if there are none, if they differ in length, or if their frequencies are not stated.
+    Raises `RecordingError` if there are no complex arrays, if they differ in length, or if their frequencies are not
+    stated.
     """
     arrays = {name: np.squeeze(np.asarray(array)) for name, array in arrays_of(path).items()}
     complex_arrays = {
@@ -67,7 +68,7 @@ def response_arrays(path: Path) -> ResponseArrays:
 
 
 def _frequencies(path: Path, arrays: Mapping[str, NDArray[Any]], lines: int) -> Array:
-    """Return the frequencies: a rising array of their number, or multiples of the spacing of the lines."""
+    """Return the frequencies: a rising array of the same length, or multiples of the spacing of the lines."""
     rising = {
         name: array.astype(float)
         for name, array in arrays.items()
@@ -80,7 +81,7 @@ def _frequencies(path: Path, arrays: Mapping[str, NDArray[Any]], lines: int) -> 
     if candidates:
         raise RecordingError(
             f"{path}: the frequencies may be {' or '.join(candidates)}. Name the array of frequencies in Hz "
-            "'frequency', and the others differently."
+            f"'frequency', and rename the others."
         )
     scalars = {name: float(array) for name, array in arrays.items() if array.dtype.kind in "fiu" and array.size == 1}
     spacing = _only(scalars, _SPACING)
@@ -96,7 +97,7 @@ def _frequencies(path: Path, arrays: Mapping[str, NDArray[Any]], lines: int) -> 
 
 
 def _only(scalars: Mapping[str, float], names: re.Pattern[str]) -> float | None:
-    """Return the only scalar with such a name; None if there is none, or several."""
+    """Return the only scalar with one of the names; None if there is no such scalar, or several."""
     found = [value for name, value in scalars.items() if names.fullmatch(name)]
     return found[0] if len(found) == 1 else None
 

@@ -44,21 +44,21 @@ _ANGLE = re.compile(r"deg(rees?)?|°|rad(ians?)?|grad", re.IGNORECASE)
 _DECIBELS = re.compile(
     r"dB\s*(?:\(?re\.?:?\s*)?(?P<reference>\d[\d.]*(?:e[+-]?\d+)?)?\s*(?P<unit>[^\d\s].*?)?\)?", re.IGNORECASE
 )
-# Frequencies are lines of a DFT if their spacing varies relatively by less than this; the digits of a table cause such
-# variation.
+# Frequencies are lines of a DFT if the relative variation of their spacing is below this; rounding in a table causes
+# such variation.
 _MAX_SPACING_SPREAD = 0.05
-# Assumed noise bandwidth in lines, that of a Hann window, because files do not give the window.
+# Assumed noise bandwidth in lines: that of a Hann window, because files do not state the window.
 _HANN_BANDWIDTH_LINES = 1.5
 # Plausible range of the largest magnitude of a response, in SI units; both limits are far from any real structure.
 _MIN_MAGNITUDE = 1e-30
 _MAX_MAGNITUDE = 1e30
-# Two lines are distinct if their relative frequency difference is at least this.
+# Two lines are distinct if their relative frequency difference is at least this value.
 _MIN_SPACING_RATIO = 1e-9
 # Remedy if a file may contain time histories instead of responses.
 _IMPORT = "If the file contains time histories, make a recording of it with `daq import`."
 # Beginning of the names of columns without a heading.
 _NO_NAME = UNNAMED.format("")
-_NO_SYSTEMATIC_ERRORS = "Systematic errors are not in the file: the uncertainties include the scatter only."
+_NO_SYSTEMATIC_ERRORS = "The file states no systematic errors: the uncertainties include only the scatter."
 # Components of a response by the first letter of their names.
 _COMPONENTS = {
     "r": "real", "i": "imag", "m": "magnitude", "a": "magnitude", "b": "magnitude", "p": "phase",
@@ -77,10 +77,10 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
         and ``body1 imag [m/N]``, or ``magnitude`` and ``phase [deg]``. A MATLAB or numpy file contains complex
         arrays (a response in each column), and an array of their frequencies or the scalar ``df``, Hz.
     reference : str, optional
-        Node and direction of the force, such as ``"1 +Z"``, if the file has several.
+        Node and direction of the force, such as ``"1 +Z"``; required if the file contains several forces.
     unit : str, optional
-        Unit of the values, such as ``"m/s^2/N"`` or ``"g/N"``; required if the file has none. It overrides the unit
-        in the file.
+        Unit of the values, such as ``"m/s^2/N"`` or ``"g/N"``; required if the file states no unit. It overrides the
+        unit in the file.
 
     Returns
     -------
@@ -114,9 +114,7 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
         return _checked(_from_uff(file, reference, unit))
     if file.suffix.lower() in ENDINGS:
         if reference is not None:
-            raise SceneError(
-                f"{file}: this file has no references to choose from. Leave out the reference {reference!r}."
-            )
+            raise SceneError(f"{file}: this file has no references to choose from. Leave out the reference {reference!r}.")
         if file.suffix.lower() in _ARRAY_ENDINGS:
             return _checked(_from_arrays(file, unit))
         try:
@@ -128,7 +126,7 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
 
 
 def _checked(curves: Sequence[Response]) -> Response:
-    """Join the curves of a file, with a warning if it gives no systematic errors."""
+    """Join the curves of a file, with a warning if the file states no systematic errors."""
     response = stack(curves)
     return response if all(curve.limits for curve in curves) else response.warn(_NO_SYSTEMATIC_ERRORS)
 
@@ -172,7 +170,7 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
                 f"{path}: {name} is not a complex value for each frequency. Export the response as complex values "
                 "(real and imaginary part)."
             )
-        # The unit of the ratio, from the axis labels.
+        # The unit of the ratio follows from the axis labels.
         numerator, denominator = uff.label(data_set, "ordinate"), uff.label(data_set, "orddenom")
         label = f"({numerator})/({denominator})" if numerator and denominator else numerator
         motion, scale = _ratio(f"{path}: {name}", unit or label)
@@ -187,7 +185,7 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
             places = [f"body {int(data_set[f'{end}_node'])}" for end in ("rsp", "ref")]
         curves.append(curve.placed(places[0], places[1]))
     if reference is None and is_roving:
-        note = "One response to forces at several points: output and input are exchanged, as for a roving hammer."
+        note = "One response to forces at several points (roving hammer): output and input are exchanged."
         return [curve.warn(note) for curve in exchange_points(curves).curves()]
     warning = reversed_force(curves)
     return [curve.warn(warning) for curve in curves] if warning else curves
@@ -216,7 +214,7 @@ def _names(sets: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _ratio(where: str, unit: str) -> tuple[str, float]:
-    """Return the motion quantity of a ratio of motion to force, and the SI value of its unit.
+    """Return the motion quantity of a ratio of motion to force, and the SI value of the ratio's unit.
 
     `where`: location in the file, for messages.
 
@@ -244,8 +242,9 @@ def _ratio(where: str, unit: str) -> tuple[str, float]:
         if motion in MOTIONS and force == "force":
             return motion, motion_unit / force_unit
     raise SceneError(
-        f"{where}: unit {unit!r}; expected motion per force, such as m/N, m/s/N, m/s^2/N or g/N. For the poles of "
-        "other responses, such as sound pressures, give `unit` m/s^2/N; their shapes then have the unit of the file."
+        f"{where}: unit {unit!r}; expected motion per force, such as m/N, m/s/N, m/s^2/N or g/N. To identify the "
+        f"poles of other responses, such as sound pressures, give `unit` m/s^2/N; the shapes then have the unit of "
+        f"the file."
     )
 
 
@@ -264,7 +263,7 @@ def _from_long_table(path: Path, unit: str | None) -> list[Response]:
         inputs: dict[str, str] = {}
         for row in reader:
             try:
-                # The test omitted frequencies with empty cells; a missing cell is an error.
+                # Empty cells are frequencies that the test omitted; a missing cell is an error.
                 parts = (float("nan" if row[name] == "" else row[name]) for name in (real, imag))
                 value = scale * complex(*parts)
                 columns = (
@@ -298,7 +297,7 @@ def _from_long_table(path: Path, unit: str | None) -> list[Response]:
 def _from_table(path: Path, unit: str | None) -> list[Response]:
     """Read a table of columns: frequency, then two columns for each response."""
     with ExitStack() as stack, warnings.catch_warnings():
-        # Without a heading, the rising first column is taken for times; here it contains frequencies.
+        # Without a heading, a rising first column is otherwise interpreted as times; here it contains frequencies.
         warnings.filterwarnings("ignore", message=".* has no heading; its first column rises evenly")
         first, *others = signals_of(path, stack)
         unnamed = [
@@ -337,7 +336,7 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
     for name, pair in components.items():
         _, coherence = pair.pop("coherence", ("", None))
         if not pair:
-            # A coherence without the name of a response.
+            # A column of coherence without the name of a response.
             continue
         if pair.keys() not in ({"real", "imag"}, {"magnitude", "phase"}):
             raise RecordingError(
@@ -367,7 +366,7 @@ def _linear_magnitude(where: str, unit: str, magnitude: Array) -> tuple[str, Arr
         return match["unit"] or "", float(match["reference"] or 1.0) * 10.0 ** (magnitude / 20.0)
     if (magnitude < 0.0).any():
         raise SceneError(
-            f"{where}: a magnitude is negative, so that the values may be decibels. Give the column the unit dB, such "
+            f"{where}: a magnitude is negative, so the values may be decibels. Give the column the unit dB, such "
             "as 'tip magnitude [dB re 1 m/s^2/N]'."
         )
     return unit, magnitude
@@ -384,7 +383,7 @@ def _from_arrays(path: Path, unit: str | None) -> list[Response]:
 
 
 def _unnamed_curve(path: Path, frequency: Array, real: Array, imag: Array, unit: str | None) -> Response:
-    """Return the curve of a table without a heading; reject a second column that may contain magnitudes."""
+    """Return the curve of a table without a heading; reject the table if its second column may contain magnitudes."""
     remedy = "a heading, such as: f [Hz],tip magnitude [m/N],tip phase [deg]"
     if not (real < 0.0).any():
         raise RecordingError(
@@ -412,7 +411,7 @@ def _curve(
 ) -> Response:
     """Build a curve from its valid lines in order of frequency.
 
-    `error`: standard uncertainty; `resolution` in Hz; `bound`: of the systematic errors, infinite if unbounded.
+    `error`: standard uncertainty; `resolution`: Hz; `bound`: limit of the systematic errors, infinite if unknown.
     """
     lines = _valid_lines(f"{path}: {name}", frequency, value)
     if resolution is None:

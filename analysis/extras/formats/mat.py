@@ -15,9 +15,9 @@ from rig.core.base.errors import SceneError
 from rig.core.numerics.memory import require_memory_with_program
 from rig.core.results.response import Response
 
-# Maximum number of samples in a variable, which the format limits to 2 GB.
+# Maximum number of samples in a variable: the format limits a variable to 2 GB.
 MAX_SAMPLES = (1 << 28) - 1024
-# Copies of a channel that are in memory at a time (measured).
+# Number of copies of a channel that are in memory at a time (measured).
 _COPIES = 2
 
 
@@ -29,7 +29,8 @@ def write_mat(segment: Slice, path: Path) -> None:
     count = segment.stop - segment.start
     if count > MAX_SAMPLES:
         raise SceneError(
-            f"{segment.recording.path}: a MATLAB file holds at most {MAX_SAMPLES} samples per channel; this segment "
+            f"{segment.recording.path}: a MATLAB file can contain at most {MAX_SAMPLES} samples per channel; this "
+            f"segment "
             f"has {count}. Export a shorter segment (`from_s`, `to_s`), or an .npz file."
         )
     names = variable_names(segment.channels, {"channels", "units", "fs", "start_s"})
@@ -37,7 +38,7 @@ def write_mat(segment: Slice, path: Path) -> None:
     require_memory_with_program(_COPIES * 8 * count, f"{segment.recording.path}: a channel in a MATLAB file")
     with path.open("wb") as file:
         for name, channel in zip(names, segment.channels, strict=True):
-            # Variables that are written one after the other need the memory of a single channel.
+            # Writing the variables one after the other requires the memory of a single channel.
             _save(file, {name: segment.read_channel(channel)})
         _save(
             file,

@@ -31,8 +31,9 @@ def read_modes(path: str | Path) -> Modes:
     -------
     Modes
         Frequencies, damping ratios and shapes, named after nodes and directions such as ``3 +Z``; directions without
-        motion in all modes are left out. The file states no uncertainty: errors are NaN. Residues are the shapes,
-        because the file need not contain modal masses, so that `receptance` has no scale.
+        motion in all modes are omitted. The file states no uncertainty, so standard uncertainties are NaN. The residues
+        equal the shapes, because the file may lack modal masses; the result of `receptance` is therefore known only up
+        to a factor.
 
     Raises
     ------
@@ -89,7 +90,7 @@ def _shapes(sets: Sequence[Mapping[str, Any]], nodes: Sequence[int]) -> tuple[Co
 
 
 def _pole(data_set: Mapping[str, Any]) -> complex:
-    """Return the pole of a mode, rad/s: the eigenvalue, or that of natural frequency and viscous damping ratio."""
+    """Return the pole of a mode, rad/s: the eigenvalue, or the pole for natural frequency and viscous damping ratio."""
     if int(data_set["analysis_type"]) == _COMPLEX:
         return complex(data_set["eig"])
     damping = min(max(float(data_set["modal_damp_vis"]), 0.0), 1.0)

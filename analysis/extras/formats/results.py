@@ -27,9 +27,9 @@ def export_results(
     """Write the FRFs or modes of a recording or of an FRF file; return messages for the user.
 
     `file`: a recording, or an FRF file that `analysis.read_frfs` can read. `path`: output file, ``.uff``, ``.unv`` or
-    ``.mat``; each sweep has a file, and the second and later files are numbered. `what`: 'frfs' or 'modes'.
-    `overwrite`: whether existing files may be replaced. Raises `SceneError` if the file name
-    ending is unknown, or the file exists.
+    ``.mat``; each sweep is written to its own file; the second and later files are numbered. `what`: 'frfs' or 'modes'.
+    `overwrite`: whether existing files may be replaced. Raises `SceneError` if the file name ending is unknown, or the
+    file exists.
     """
     kind = path.suffix.lower()
     if what not in ("frfs", "modes"):
@@ -48,7 +48,7 @@ def export_results(
                 lines.append(f"{curves.label}: {curves.name} of {curves.response} by {curves.input}")
             else:
                 modes = identify(curves)
-                # Responses of unbounded uncertainty have no element in the shapes.
+                # Responses with unbounded uncertainty have no element in the mode shapes.
                 mode_nodes = [nodes[curves.keys().index(name)] for name in modes.responses]
                 mat.write_modes(modes, temporary) if kind == ".mat" else uff.write_modes(modes, temporary, mode_nodes)
                 lines.append(modes.summary())
@@ -57,7 +57,7 @@ def export_results(
 
 
 def _sweeps(file: Path, progress: CountProgress | None) -> list[tuple[Response, list[int], list[int]]]:
-    """Return for each sweep its response, the nodes of its outputs, and the nodes of its inputs (0: several bodies)."""
+    """Return response, nodes of the outputs and nodes of the inputs (0: several bodies) of each sweep."""
     if is_frf_file(file):
         response = read_frfs(file)
         return [(response, list(range(1, len(response) + 1)), [0])]
@@ -75,7 +75,7 @@ def _sweeps(file: Path, progress: CountProgress | None) -> list[tuple[Response, 
 def _force_node(rec: Recording, name: str) -> int:
     """Return the node of a force: the body on which it acts, or 0 for several bodies.
 
-    `name`: its channel if several shakers are driven.
+    `name`: channel of the force if several shakers are driven.
     """
     place = rec.channels[name].at if name in rec.channels else ""
     bodies = rec.scene.shakers[int(place.split()[1]) - 1].bodies if place.startswith("shaker ") else rec.scene.force_on

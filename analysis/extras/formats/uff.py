@@ -17,7 +17,7 @@ from rig.core.results.universal_file import QUANTITY_NUMBERS, text_line, univers
 
 # Maximum number of samples of a channel: 340 MB of text.
 MAX_TEXT_SAMPLES = 1 << 24
-# Number of samples of a channel in memory at a time, with 200 bytes each; a line of text has four samples.
+# Number of samples of a channel in memory at a time, at 200 bytes per sample; a line of text has four samples.
 _PIECE_SAMPLES = 1 << 14
 
 
@@ -34,7 +34,7 @@ def write_uff(segment: Slice, path: Path) -> None:
     count = segment.stop - segment.start
     if not 2 <= count <= MAX_TEXT_SAMPLES:
         raise SceneError(
-            f"{segment.recording.path}: UFF 58 as text holds 2 to {MAX_TEXT_SAMPLES} samples per channel; this "
+            f"{segment.recording.path}: UFF 58 as text can contain 2 to {MAX_TEXT_SAMPLES} samples per channel; this "
             f"segment has {count}. Choose another segment (`from_s`, `to_s`), or export an .npz file."
         )
     recording = segment.recording
@@ -68,9 +68,10 @@ def _pieces(segment: Slice, name: str) -> Iterator[Array]:
 
 
 def _write_pieces(file: BinaryIO, fields: dict[str, Any], count: int, pieces: Iterator[Array]) -> None:
-    """Write a data set 58 with a number of samples in pieces.
+    """Write a data set 58 in pieces.
 
-    pyuff reads the whole file after each data set, and writes a data set as one text: it writes the first piece alone.
+    pyuff writes only the first piece, because it writes a data set as one text and reads the whole file after each data
+    set.
     """
     import pyuff
 

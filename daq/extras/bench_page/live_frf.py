@@ -39,7 +39,7 @@ class LiveCurves:
 
     names: list[str]  # names of the channels
     frequency: Array  # Hz; (frequencies,)
-    value: ComplexArray  # receptance (displacement over force), m/N; (channels, frequencies)
+    value: ComplexArray  # compliance (displacement over force), m/N; (channels, frequencies)
     coherence: Array  # (channels, frequencies)
     averages: int  # largest number of averaged blocks or impacts of a line
 

@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-# Keywords, in small letters without blanks and punctuation. Of several, the first in the file is used.
+# Keywords, in small letters without blanks and punctuation. If several occur in a file, the first is used.
 _NAMES = ("yaxisdofs", "pointid", "channelname", "channel", "signalname", "signal", "name", "measurementlabel", "title")
 _UNITS = ("yaxisunits", "yaxisunit", "amplitudeunit", "channelunit", "units", "unit")
 _ABSCISSA_UNITS = ("xaxisunits", "xaxisunit")
@@ -52,7 +52,7 @@ def keyed_heading(rows: Sequence[Sequence[str]], column_count: int) -> Heading |
     if count % 2 == 0 and (_COMPLEX.search(kind) or _POLAR.search(kind)):
         suffixes = ("real", "imag") if _COMPLEX.search(kind) else ("magnitude", "phase")
         pairs = zip(names[::2], names[1::2], strict=True)
-        # One name of a pair is empty or repeats the other.
+        # One name of a pair is empty or repeats the other name.
         names = [f"{first or second} {suffix}".strip() for first, second in pairs for suffix in suffixes]
         units = [unit for pair in zip(units[::2], units[1::2], strict=True) for unit in [pair[0] or pair[1]] * 2]
     first = "frequency" if abscissa.lower() == "hz" else "time"
@@ -60,7 +60,7 @@ def keyed_heading(rows: Sequence[Sequence[str]], column_count: int) -> Heading |
 
 
 def _for_columns(cells: Mapping[str, Sequence[str]], keys: Sequence[str], count: int) -> list[str] | None:
-    """Return the cells of the first of some keywords, for each of the columns after the first; None without them."""
+    """Return the cells of the first existing keyword for all columns but the first; None if no keyword exists."""
     for key in keys:
         texts = list(cells.get(key, []))
         stated = [text for text in texts if text]

@@ -1,6 +1,6 @@
 """Read signals from files of named arrays: numpy's .npz and .npy, MATLAB's .mat.
 
-An array contains samples, times, or a setting such as the sample rate; its size and its name decide which.
+An array contains samples, times, or a setting such as the sample rate, according to its size and its name.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _MIN_SAMPLES = 16
 _MAX_CHANNELS = 4096
 # Maximum number of structures that are read from an array.
 _MAX_STRUCTURES = 1000
-# Memory for estimating the clock, bytes per time: the times, those of an even grid, and their differences.
+# Memory for estimating the clock, bytes per time: the times, the times of an even grid, and the differences.
 _CLOCK_BYTES = 48
 
 
@@ -41,7 +41,7 @@ def array_signals(path: Path, _stack: ExitStack) -> list[Signal]:
 
 
 def arrays_of(path: Path) -> dict[str, Any]:
-    """Return the arrays of a numpy or MATLAB file by name; those in structures have paths.
+    """Return the arrays of a numpy or MATLAB file by name; the names of arrays in structures are paths.
 
     Raises `RecordingError` for a damaged file and for arrays of Python objects.
     """
@@ -126,13 +126,14 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
         raise RecordingError(
             f"{path} contains no array of samples; it contains {', '.join(listed[:8]) + ellipsis or 'nothing'}. "
             + (
-                "Give its complex numbers to `analysis frf`, if they are frequency responses."
+                "If its complex numbers are frequency responses, give the file to `analysis frf`."
                 if any(array.dtype.kind == "c" for array in arrays.values())
-                else "Save the samples as numbers: an array for each channel, or one with a row or column for each."
+                else "Save the samples as numbers: an array for each channel, or an array with a row or column for "
+                "each channel."
             )
         )
     scalars = {name: float(array.ravel()[0]) for name, array in numbers.items() if array.size == 1}
-    # Units as `analysis export` writes them: two rows of strings, ``channels`` and ``units``.
+    # Units in the form that `analysis export` writes: two rows of strings, ``channels`` and ``units``.
     texts = (arrays.get(key, np.array([])).ravel().tolist() for key in ("channels", "units"))
     units = dict(zip(*(map(str, text) for text in texts), strict=False))
     return [

@@ -25,11 +25,11 @@ from rig.core.scene.presets import complete_from_preset, input_settings
 from rig.core.scene.scene import Scene
 from rig.core.settings.quantities import ACCELERATION_SENSITIVITY, FORCE_SENSITIVITY, parse
 
-# Two units are the same, written with different numbers of digits, if they differ by less than this fraction.
+# Two units are equal if their SI values differ by less than this fraction, because they may be rounded differently.
 _UNIT_TOLERANCE = 1e-3
 # A misspelled name is compared with at most this number of names: a table may contain thousands of misspelled names.
 _MAX_COMPARED_NAMES = 200
-# Integrations of an ideal channel that measures velocity or displacement, as a laser sensor does.
+# Number of integrations of an ideal channel that measures velocity or displacement, such as a laser sensor.
 _INTEGRATION_ORDERS: dict[Quantity, int] = {"velocity": 1, "displacement": 2}
 
 
@@ -42,7 +42,7 @@ class AssignedSignal:
     signal: Signal
     column: Column
     factor: float  # volts at the converter per unit of the file, after subtraction of the offset
-    calibrated: bool  # whether the sensitivity is known, so that these are the volts of the real converter
+    calibrated: bool  # whether the sensitivity is known, so that the volts are those of the real converter
 
     def volts(self, start: int, stop: int) -> Array:
         """Read samples as volts at the converter; NaN beyond the end of the signal."""
@@ -65,7 +65,7 @@ class ChosenSignal:
 def choose_signals(
     scene: Scene, signals: Sequence[Signal], table: Mapping[str, Column]
 ) -> tuple[list[ChosenSignal], list[str]]:
-    """Choose the signal of each channel of the scene, by the table or by name; also return notes on what is left out.
+    """Choose the signal of each channel of the scene, by the table or by name; also return notes on omitted signals.
 
     Raises `SceneError` with all problems at once.
     """
@@ -116,7 +116,7 @@ def choose_signals(
     notes = [f"no signal for the channels {', '.join(missing)}: they are not recorded"] if missing else []
     unused = [signal.name for signal in signals if id(signal) not in channels_of_signal]
     if unused:
-        notes.append(f"signals left out, because the scene has no channel for them: {', '.join(unused)[:300]}")
+        notes.append(f"omitted signals, for which the scene has no channel: {', '.join(unused)[:300]}")
     return chosen, notes
 
 
@@ -163,7 +163,7 @@ def assign(scene: Scene, chosen: Sequence[ChosenSignal], rate: float) -> list[As
 
 
 def channels_of(scene: Scene) -> tuple[Channel, ...]:
-    """Return the channels of a scene; the default channels if it names none."""
+    """Return the channels of a scene; the default channels if the scene defines none."""
     return default_channels(scene, points_of(scene)) if scene.channels is None else scene.channels
 
 
@@ -179,7 +179,7 @@ def _assigned(scene: Scene, chosen: ChosenSignal, rate: float, skew: float) -> A
         expected_unit = describe_channel(scene, channel, rate, skew).unit
         raise ValueError(
             f"the unit of {signal.name!r} in {signal.file} is not stated. Give it in a channel table, as unit: "
-            f"{expected_unit}, or as unit: 5 V if the number 1 in the file means 5 V{hint}."
+            f"{expected_unit}, or as unit: 5 V if the number 1 in the file corresponds to 5 V{hint}."
         )
     measured, scale = quantity_and_scale(unit)
     is_ideal = channel.accelerometer is None and channel.integrator is None and not channel.measures_force
@@ -264,7 +264,10 @@ def _signals_of_column(column: Column, signals: Sequence[Signal]) -> Sequence[Si
 
 
 def _signals_with_name(name: str, signals: Sequence[Signal]) -> list[Signal]:
-    """Return the signals of a name, or those whose name, or its last part, differs only in case or separators."""
+    """Return the signals of a name.
+
+    Otherwise those whose name, or its last part, differs only in case or separators.
+    """
     same_name = [signal for signal in signals if signal.name == name]
     return same_name or [signal for signal in signals if _normalized(name) in _similar_names(signal.name)]
 

@@ -24,9 +24,9 @@ TableRows = list[tuple[int, str, Mapping[str, Any]]]
 class Column:
     """One line of the table.
 
-    `unit`: unit of the numbers in the file, or the quantity for the number 1, such as ``5 V``; None: as the file
-    states. `sensitivity`: sensitivity of the sensor, such as ``100 mV/g``, if the numbers are volts; None: as the scene
-    states.
+    `unit`: unit of the numbers in the file, or the quantity that the number 1 represents, such as ``5 V``; None: as the
+    file states. `sensitivity`: sensitivity of the sensor, such as ``100 mV/g``, if the numbers are volts; None: as the
+    scene states.
     """
 
     column: str  # name of a signal in the files, or its number from 1
@@ -36,7 +36,7 @@ class Column:
     sign: int = 1  # -1 reverses a sensor that was mounted upside down
     offset: float = 0.0  # reading at rest, in the file's unit
     delay: float | None = None  # delay of the signal, s; None: as the file's start times state
-    rate: float | None = None  # sample rate, Hz, if the file gives none or a wrong one
+    rate: float | None = None  # sample rate, Hz, if the file states no rate or a wrong rate
 
 
 _KEYS = [field.name for field in fields(Column)]

@@ -1,7 +1,7 @@
 """Estimate the sample clock of an imported file: its rate, and where rows are missing.
 
 Programs round the sample interval and the times that they write. The rate is the number with the fewest digits that
-agrees with them.
+agrees with these rounded values.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ TIME_NAMES = re.compile(r"(time|zeit|t|x_value)(stamp)?", re.IGNORECASE)
 
 # Relative rounding error of a number with all its digits.
 _RATE_ROUNDING = 1e-12
-# A time deviates from evenly spaced times by at most this, samples. Beyond it samples are missing, or there is no
-# clock.
+# Largest deviation of a time from evenly spaced times, samples. At a larger deviation, samples are missing or the times
+# are not those of a clock.
 _MAX_DEVIATION = 0.5
-# Jitter is reported if times deviate from even spacing by more than this and rounding, samples.
+# Jitter is reported if times deviate from even spacing by more than this plus the rounding error, samples.
 _MAX_UNREPORTED_JITTER = 0.02
 # If two successive times are farther apart than this number of sample intervals, rows are missing.
 _MAX_REGULAR_INTERVALS = 1.5
-# An interval without missing rows deviates by at most this from one sample interval, and a gap from a whole number of
+# Largest deviation of an interval from one sample interval, and of a gap from a whole number of sample intervals, in
 # sample intervals.
 _INTERVAL_TOLERANCE = 0.25
 # Maximum number of gaps in the times of a clock.
@@ -89,7 +89,7 @@ def _shortest_number(low: float, high: float) -> tuple[float, int]:
 
 
 def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
-    """Estimate the clock from times (s), rounded to `resolution` (s); warn of missing rows and jitter.
+    """Estimate the clock from times (s), rounded to `resolution` (s); warn about missing rows and jitter.
 
     Raises `RecordingError` if the times are not evenly spaced. `where` names the times in messages.
     """
@@ -106,7 +106,7 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
         sum_of_squares = float(centered_number @ centered_number)
         interval, mean_time = float(centered_number @ times) / sum_of_squares, float(times.mean())
         residual = times - mean_time - interval * centered_number
-        # Four standard errors of the slope.
+        # Four standard uncertainties of the slope.
         error = 4.0 * float(np.std(residual)) / math.sqrt(sum_of_squares)
         try:
             rate = rate_of_interval(interval, error)
@@ -115,7 +115,7 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
         first, deviation = mean_time + float(centered_number[0]) / rate, float(abs(residual).max())
         warn(
             f"{where} deviate from even spacing by up to {format_percent(deviation * rate)} of the sample interval. "
-            "The samples are imported as evenly spaced, because usually only the written times jitter."
+            "The samples are imported as evenly spaced, because usually only the written times have jitter."
         )
     else:
         rate = rate_with_gaps(first, last, times.size, missing, max(resolution, 2.0 * deviation), where)
@@ -145,7 +145,7 @@ def missing_rows(times: Iterable[Array], resolution: float) -> list[MissingRows]
         regular = intervals[~is_gap]
         if not (abs(regular - interval) <= _INTERVAL_TOLERANCE * interval + 2.0 * resolution).all():
             return []
-        # From the second block on, the first interval begins in the block before.
+        # From the second block on, the first interval begins in the previous block.
         first = rows if previous_time.size else 1
         gaps += [(first + int(index), float(intervals[index])) for index in np.flatnonzero(is_gap)]
         if len(gaps) > _MAX_GAPS:
@@ -166,7 +166,7 @@ def missing_rows(times: Iterable[Array], resolution: float) -> list[MissingRows]
 
 
 def sample_numbers(rows: NDArray[np.int64], missing: Sequence[MissingRows]) -> NDArray[np.int64]:
-    """Return the sample indices of rows, which skip the missing rows.
+    """Return the sample index of each row, counting the missing rows.
 
     >>> sample_numbers(np.arange(5), [(3, 2)])
     array([0, 1, 2, 5, 6])
@@ -179,7 +179,7 @@ def sample_numbers(rows: NDArray[np.int64], missing: Sequence[MissingRows]) -> N
 def rate_with_gaps(
     first: float, last: float, rows: int, missing: Sequence[MissingRows], resolution: float, where: str
 ) -> float:
-    """Estimate the rate (Hz) from first and last time (s) and the missing rows; warn of the missing rows."""
+    """Estimate the rate (Hz) from the first and last time (s) and the missing rows; warn about the missing rows."""
     if not last > first:
         raise RecordingError(f"{where} do not increase: from {first!r} s to {last!r} s. Sort the rows by time.")
     lost_total = sum(count for _, count in missing)
@@ -228,5 +228,5 @@ def warn_used_as_times(column: str, step: float) -> None:
 
 
 def warn(text: str) -> None:
-    """Warn of an uncertain interpretation of a file."""
+    """Warn about an uncertain interpretation of a file."""
     warnings.warn(text, RunWarning, stacklevel=3)

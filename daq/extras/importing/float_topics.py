@@ -45,7 +45,7 @@ _RATES = ("sample_rate_hz", "sample_rate", "sampleRate", "rate", "fs")
 # Largest memory for decoding, bytes per byte of a message, measured with JSON numbers `0.0,` (a list and an array) and
 # with protobuf numbers of one byte.
 _DECODED_BYTES = 20
-# Number of copies of a schema or channel record in memory.
+# Number of copies of a schema or channel record in memory at a time.
 _DESCRIPTION_COPIES = 4
 # Memory of a field in addition to its numbers, bytes.
 _FIELD_BYTES = 3000
@@ -65,7 +65,7 @@ class _TopicField:
 
 
 def mcap_signals(path: Path, _stack: ExitStack) -> list[Signal]:
-    """List the fields of topics that contain numbers or arrays of numbers, as signals in memory.
+    """List, as signals in memory, the fields of topics that contain numbers or arrays of numbers.
 
     The sample rate is stated by a field such as ``sample_rate``, or follows from the times of the messages.
     """
@@ -181,7 +181,7 @@ def _signal(path: Path, number: int, name: str, topic_field: _TopicField, unit: 
     if topic_field.rate is None and values.size == times.size:
         clock = clock_of_times(elapsed_s, 1e-9, f"{path}: the messages on {name}")._replace(start_s=0.0)
     elif topic_field.rate is None and times.size > 1 and elapsed_s[-1] > 0:
-        # The time from the first message to the last covers all arrays but the last.
+        # The time from the first to the last message is the duration of all arrays except the last.
         n_intervals = values.size - int(counts[-1])
         clock = Clock(rate_of_interval(float(elapsed_s[-1]) / n_intervals, 1e-9 / n_intervals))
     return Signal.from_array(path, number, name, unit, values, clock, int(times[0]))

@@ -17,7 +17,7 @@ _HIT_RATIO = 0.1
 _MAX_CONTACT_SHARE = 0.2
 # Time after an impact in which further pulses are ignored as bounces of the hammer, s.
 _BOUNCE_S = 0.2
-# An impact is double if such a pulse has at least this fraction of its peak.
+# An impact is double if such a bounce has at least this fraction of the impact's peak.
 _DOUBLE_RATIO = 0.1
 # Crossings of the threshold within this time belong to the same pulse, s.
 _CHATTER_S = 1e-3
@@ -73,7 +73,7 @@ class ForcePulses:
                 continue
             if peak < _HIT_RATIO * self._peak:
                 continue
-            # The ends of a pulse are below the threshold.
+            # The flanks of a pulse extend beyond the samples above the threshold.
             flank = 2 + (stop - first) // 5
             hits.append(Pulse(max(first - flank, 0), min(stop + flank, self._samples), peak))
         return hits

@@ -1,4 +1,4 @@
-"""Detect held tones (dwells) in a track of frequency and phase (see `tone_track`), and their part in steady state.
+"""Detect held tones (dwells) in a track of frequency and phase (see `tone_track`), and the steady part of each tone.
 
 A held tone has a constant frequency, so that its phase is linear in time. Segments of a track are extended as
 long as a straight line fits their phase, and rejected if the frequency drifts as in a sweep.
@@ -26,10 +26,9 @@ _MAX_TOLERANCE_RAD = 0.25
 # least `_END_MIN_RAD`.
 _END_SIGMAS = 4.0
 _END_MIN_RAD = 0.01
-# A tone ends where the amplitude changes from one block to the next by more than this, as natural logarithm of the
-# ratio.
+# A tone ends where the natural logarithm of the amplitude changes by more than this from one block to the next.
 _MAX_AMPLITUDE_STEP = 0.2
-# In the second half of a held tone, the amplitude changes by at most this, as natural logarithm of the ratio.
+# In the second half of a held tone, the natural logarithm of the amplitude changes by at most this.
 _MAX_AMPLITUDE_CHANGE = 0.2
 # The frequency of a tone drifts by at most this fraction of the distance to the next tone; the frequency of a sweep
 # drifts more.
@@ -70,7 +69,7 @@ def held_tones(tracks: Sequence[Track], tolerance: float) -> list[HeldTone]:
     intervals = [
         interval for track in tracks for interval in _tone_intervals(track) if not interval.is_amplitude_changing
     ]
-    # Of overlapping intervals, the longest is kept.
+    # If intervals overlap, only the longest is used.
     intervals.sort(key=lambda interval: interval.stop_sample - interval.first_sample, reverse=True)
     disjoint: list[_ToneInterval] = []
     for interval in intervals:
@@ -105,7 +104,7 @@ class _ToneInterval:
     """Successive blocks of a track whose phase is linear in time."""
 
     track: Track
-    first_block: int  # by its position in the track
+    first_block: int  # first block, by its position in the track
     stop_block: int  # block after the last one
 
     def middle(self, block: int) -> int:
@@ -161,7 +160,7 @@ def _tone_intervals(track: Track) -> Iterator[_ToneInterval]:
         return
     is_continuous = (np.diff(track.number) == 1) & (abs(np.diff(np.log(track.amplitude))) < _MAX_AMPLITUDE_STEP)
     is_continuous &= abs(np.diff(track.frequency)) < 1.0 / HOPS_PER_BLOCK
-    # Symmetric matrix that converts values to their residuals from a straight line.
+    # Symmetric matrix that yields the residuals of values from a straight line.
     line_basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, _MIN_BLOCKS), 2))[0]
     to_residual = np.eye(_MIN_BLOCKS) - line_basis @ line_basis.T
     for begin, end in runs_of(is_continuous):
@@ -245,8 +244,8 @@ def _measure_tone(interval: _ToneInterval, tolerance: float) -> HeldTone:
 def _steady_range(channels: ComplexArray, late_block: int, tolerance: float) -> tuple[bool, int]:
     """Return whether amplitudes, shape (channels, blocks), are steady from `late_block` on, and the first steady block.
 
-    They are steady if the means of the halves after `late_block` agree within the tolerance or the scatter. Earlier
-    blocks that agree with the mean of the late blocks belong to the steady state.
+    Amplitudes are steady if the means of the two halves after `late_block` agree within the tolerance or the scatter.
+    Earlier blocks that agree with the mean of the late blocks are steady too.
     """
     late = channels[:, late_block:]
     mean = late.mean(axis=1, keepdims=True)

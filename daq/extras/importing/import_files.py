@@ -39,12 +39,12 @@ from rig.core.scene.scene import Scene
 _BLOCK_SAMPLES = 1 << 16
 # Two sample rates are equal if they differ by less than this fraction, because files round sample rates.
 _RATE_TOLERANCE = 2e-5
-# Unit of times that were read as s, by the ratio of the true sample rate to the rate from these times.
+# Probable unit of times that were read as seconds, by the ratio of the true sample rate to the rate from these times.
 _TIME_UNITS = {1e3: "ms", 1e6: "us"}
 # Frequency band of a test if its scene specifies none, as ratios to the sample rate.
 _LOWEST_RATIO = 1e-4
 _HIGHEST_RATIO = 0.4
-# A reading of a vibration test is plausible up to these values, SI.
+# Largest plausible readings of a vibration test, SI units.
 _MAX_PLAUSIBLE = {"acceleration": 1e6, "velocity": 1e4, "displacement": 1e2, "force": 1e7, "voltage": 1e4}
 # Number of lost segments of a channel above which segments less than `_LOST_PAUSE_S` apart are merged.
 _MAX_LOST_SEGMENTS = 1000
@@ -52,7 +52,7 @@ _MAX_LOST_SEGMENTS = 1000
 _LOST_PAUSE_S = 0.1
 # Two overloads are merged up to this pause between them, s.
 _OVERLOAD_PAUSE_S = 0.01
-# In a free decay, the largest motion occurs within this fraction of the duration.
+# In a free decay, the largest motion occurs within this fraction of the duration from the start.
 _MAX_PEAK_SHARE = 0.05
 
 
@@ -70,9 +70,9 @@ def import_files(
     r"""Make a recording of time histories that other programs have measured.
 
     Signals become the channels of the scene, by name or as a table specifies, in SI. Missing samples are marked `lost`,
-    clipped samples `overload`. The scene's test specifies the excitation: impacts are detected in the force channel,
-    steps of a sine or stepped sine where a tone is held. Any other excitation is one measurement from end to end. Files
-    of an impact test that contain the same signals are joined, as impacts of one test.
+    clipped samples `overload`. The scene's test specifies the excitation. Impacts are detected in the force channel; a
+    step of a sine or stepped sine is detected where a tone is held. Any other excitation is one measurement over the
+    whole duration. Files of an impact test that contain the same signals are joined, as impacts of one test.
 
     Parameters
     ----------
@@ -84,8 +84,8 @@ def import_files(
     path : str or Path
         Recording to write (MCAP), in an existing folder.
     table : mapping, or str or Path, optional
-        The column of each channel, such as ``{"body1": {"column": "ai0", "unit": "g"}}``, or a file with it; see
-        `daq.extras.importing.channel_table`.
+        The column of each channel, such as ``{"body1": {"column": "ai0", "unit": "g"}}``, or a file with this table;
+        see `daq.extras.importing.channel_table`.
     from_s, to_s : float, optional
         Times in s after the first sample between which samples are taken.
     overwrite : bool
@@ -103,14 +103,14 @@ def import_files(
     SceneError
         If the scene or the table does not fit the files.
     RecordingError
-        If a file cannot be read, or contradicts itself or another file; no recording is left behind.
+        If a file cannot be read, or contradicts itself or another file; no incomplete recording is left.
     RunError
         If a package is missing, or the disk is full.
 
     Warns
     -----
     RunWarning
-        For data that is missing, left out or uncertain.
+        For data that is missing, omitted or uncertain.
 
     Examples
     --------
@@ -137,7 +137,7 @@ def import_files(
         files_of_signals = [signals_of(file, stack) for file in paths]
         is_joined = _detection(bench_scene) == "hits" and are_repetitions(files_of_signals)
         signals = join_repetitions(files_of_signals) if is_joined else list(chain.from_iterable(files_of_signals))
-        # Checked after the files and the scene: their errors are more helpful.
+        # This is checked after the files and the scene, because their errors are more helpful.
         resolve_output(target, overwrite, RecordingError)
         chosen, notes = choose_signals(bench_scene, signals, columns)
         notes += contradicted_units(chosen)
@@ -165,7 +165,7 @@ def import_files(
     return target
 
 
-#: The function by the name of the command; `import` itself is a keyword.
+#: `daq.import_` has the name of the command; `import` itself is a Python keyword.
 import_ = import_files
 
 
@@ -188,8 +188,8 @@ def _common_rate(chosen: Sequence[ChosenSignal], scene: Scene) -> float:
     if not rates:
         if not rate_in_scene:
             raise SceneError(
-                "the sample rate is not stated: the files have no times, and no rate. Give rate: in the channel table, "
-                "or converter: {rate: 5120 Hz} in the scene."
+                "the sample rate is not stated: the files have neither times nor a rate. Give rate: in the channel "
+                "table, or converter: {rate: 5120 Hz} in the scene."
             )
         return converter.sample_rate
     if rates[-1] > rates[0] * (1.0 + _RATE_TOLERANCE):
@@ -214,7 +214,7 @@ def _common_rate(chosen: Sequence[ChosenSignal], scene: Scene) -> float:
 
 
 def _with_start_delays(assigned: Sequence[AssignedSignal]) -> list[AssignedSignal]:
-    """Convert differences of the start below half a sample to delays; raise `RecordingError` for larger differences."""
+    """Convert start differences below half a sample to delays; raise `RecordingError` for larger differences."""
     undelayed = [assignment.signal for assignment in assigned if assignment.column.delay is None]
     delayed = []
     for assignment in assigned:
@@ -222,7 +222,7 @@ def _with_start_delays(assigned: Sequence[AssignedSignal]) -> list[AssignedSigna
         if assignment.column.delay is None:
             signal, reference_signal = assignment.signal, undelayed[0]
             delay_s = signal.start_s - reference_signal.start_s
-            # The dates count if both signals have one.
+            # The dates are used if both signals have a date.
             if signal.start_ns and reference_signal.start_ns:
                 delay_s += (signal.start_ns - reference_signal.start_ns) * 1e-9
         if abs(delay_s) * assignment.info.rate > 0.5:
@@ -282,7 +282,7 @@ def _scene_as_measured(scene: Scene, assigned: Sequence[AssignedSignal], rate: f
 
 
 def _detection(scene: Scene) -> str:
-    """Return what is searched in the samples; without a test, impacts."""
+    """Return the features to detect in the samples; without a test, impacts."""
     return "hits" if scene.test is None else procedure_of(scene.test).detection
 
 
@@ -304,7 +304,8 @@ class _RecordingWriter:
         force_rows = [row for row, info in enumerate(self._infos) if info.quantity == "force"]
         self._detection = _detection(scene)
         self._force_pulses = {row: ForcePulses() for row in force_rows if self._detection == "hits"}
-        # The power at the driving point is known if there is one force channel and a motion channel where it acts.
+        # The power at the driving point is known if there is a single force channel, and a motion channel where the
+        # force acts.
         driven_points = [f"body {number}" for number in scene.force_on]
         motion_rows = [
             row

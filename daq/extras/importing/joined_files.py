@@ -1,4 +1,7 @@
-"""Files of one hammer impact each, joined to one test: lost samples separate them, as the time between is unknown."""
+"""Joins files of one hammer impact each to one test.
+
+Lost samples separate the impacts, because the time between them is unknown.
+"""
 
 from __future__ import annotations
 

@@ -102,7 +102,8 @@ class _HdfReader:
     def __init__(self, file: Any) -> None:
         self._file = file
         self._value_count = 0
-        # Value of each item at each depth, and the number of values in it. A hostile file refers to an item many times.
+        # Value of each item at each depth, and the number of values in it; cached because a hostile file may refer to
+        # an item many times.
         self._cache: dict[tuple[int, int, int], tuple[Any, int]] = {}
 
     def value(self, item: Any, depth: int = 0) -> Any:

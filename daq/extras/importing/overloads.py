@@ -9,12 +9,12 @@ from rig.core.numerics.runs import merge_spans, runs_of
 
 # A flat top has at least this number of equal samples; a smooth peak has fewer.
 _MIN_FLAT_SAMPLES = 3
-# The signal rises to a flat top by at least this number of quantization steps; a slow, coarsely quantized signal also
-# has flat peaks.
+# The signal rises to a flat top by at least this number of quantization steps. Smaller rises do not indicate clipping:
+# a slow, coarsely quantized signal also has flat peaks.
 _MIN_RISE_COUNTS = 4.0
-# A sample is clipped from this fraction of the full scale upward.
+# A sample is clipped if it is at least this fraction of the full scale.
 _CLIPPED_RATIO = 0.9999
-# Samples above this multiple of the stated full scale show that it is wrong.
+# Samples above this multiple of the stated full scale indicate that the full scale is wrong.
 _WRONG_SCALE_RATIO = 1.05
 # Maximum number of stored runs.
 _MAX_STORED = 100_000
@@ -25,7 +25,7 @@ class _FlatTops:
 
     def __init__(self, sign: int) -> None:
         self._sign = sign
-        # Largest value of the signal times `sign`.
+        # Largest value so far of the signal times `sign`.
         self.top = self._last_value = -np.inf
         # First sample of each run, the sample after it, and the larger of the drops to its two neighbors.
         self._runs: list[tuple[int, int, float]] = []
@@ -87,7 +87,7 @@ class Overloads:
 
     @property
     def peak(self) -> float:
-        """Largest magnitude so far."""
+        """Largest magnitude of the signal so far."""
         return max(extreme.top for extreme in self._extremes)
 
     @property
@@ -107,7 +107,7 @@ class Overloads:
 
     @property
     def full_scale_is_wrong(self) -> bool:
-        """Whether samples exceed the stated full scale so far that it must be wrong."""
+        """Whether samples exceed the stated full scale by so much that it must be wrong."""
         return self.full_scale is not None and self.converter_peak > _WRONG_SCALE_RATIO * self.full_scale
 
     def add(self, first: int, samples: Array) -> None:

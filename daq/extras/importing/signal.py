@@ -22,9 +22,9 @@ class Signal:
     file: str
     number: int  # Position of the signal in the file, from 1
     name: str
-    unit: str  # Empty if the file gives none
+    unit: str  # Unit; empty if the file states none
     samples: int
-    rate: float | None  # Samples per second, Hz; None if the file gives none
+    rate: float | None  # Sample rate, Hz; None if the file states none
     # (start, stop) -> samples [start, stop) in the unit of the file. Each call continues at the last stop, or restarts
     # at 0.
     read: Callable[[int, int], Array]

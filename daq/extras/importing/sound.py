@@ -10,7 +10,7 @@ from daq.extras.importing.signal import Signal
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, RunError
 
-# Number of bits of the integer formats whose largest value is that of the converter.
+# Number of bits of the integer formats; their largest value is the full scale of the converter.
 _INTEGER_BITS = {"PCM_S8": 8, "PCM_U8": 8, "PCM_16": 16, "PCM_24": 24, "PCM_32": 32}
 _EXACT_FORMATS = {*_INTEGER_BITS, "FLOAT", "DOUBLE"}
 # Text in the reader's log about a header that states more samples than the file contains.

@@ -27,12 +27,12 @@ _SAME_FREQUENCY = 1e-5
 
 
 class StepDetector:
-    """Detects steps in the reference, the channel that shows the excitation best; takes samples block by block."""
+    """Detects steps, block by block, in the reference: the channel that best represents the excitation."""
 
     def __init__(self, scene: Scene, channels: Sequence[ChannelInfo], rate: float) -> None:
         assert scene.test is not None
         self._test, self._rate = scene.test, rate
-        # The reference is a force, the drive, the motion of the table, otherwise the first channel.
+        # The reference is a force, otherwise the drive, otherwise the motion of the table, otherwise the first channel.
         table = scene.at_driven("table") if scene.driven_shaker is not None else "table"
         reference_rows = [
             *(row for row, info in enumerate(channels) if info.quantity == "force"),

@@ -18,7 +18,7 @@ from rig.core.settings.quantities import TIME, parse
 if TYPE_CHECKING:
     from logging import LogRecord
 
-# LabVIEW's zero of time plus a day: an earlier date was not set.
+# LabVIEW's zero of time plus a day; an earlier date means that no date was set.
 _FIRST_DATE = np.datetime64("1904-01-02")
 _EPOCH = np.datetime64("1970-01-01")
 
@@ -26,7 +26,7 @@ _EPOCH = np.datetime64("1970-01-01")
 def tdms_signals(path: Path, stack: ExitStack) -> list[Signal]:
     """List the channels of a TDMS file as signals, scaled as its properties state; `stack` closes the file.
 
-    Decimated copies of the data, which SignalExpress stores, are left out.
+    Decimated copies of the data, which SignalExpress stores, are omitted.
     """
     try:
         import nptdms
@@ -78,7 +78,7 @@ def log_as_warning(path: Path) -> Iterator[None]:
 
 
 def _is_clock(channel: Any, channels: list[Any]) -> bool:
-    """Return whether a channel contains the times of the other channels of its group, which state no interval."""
+    """Return whether a channel contains the times of the other channels of its group, which lack a sample interval."""
     others = [each for each in channels if each.group_name == channel.group_name and each is not channel]
     name = str(channel.name).partition("[")[0].partition("(")[0].strip()
     return (

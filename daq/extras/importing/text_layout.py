@@ -27,7 +27,7 @@ _UNIT_IN_BRACKETS = re.compile(r"(.*?)\s*[\[(]([^\[\]()]*(?:\([^\[\]()]*\)[^\[\]
 _UNIT_AFTER_UNDERSCORE = re.compile(r"(.+)_(m/s\^2|m/s²|m/s|m|N|V|g|s|ms)")
 #: Units of time: the first cell of a line of units is one of them, or empty.
 TIME_UNITS = ("s", "ms", "us", "sec", "Seconds")
-# The same, or it is the unit of frequencies.
+# Units of time or of frequency.
 _ABSCISSA_UNITS = ("", *TIME_UNITS, "Hz")
 # Length of the longest unit, characters.
 _MAX_UNIT_LENGTH = 16
@@ -80,7 +80,7 @@ def read_beginning(path: Path) -> tuple[list[str], str]:
 
 
 def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
-    """Return the layout of a table from its first lines; raise `RecordingError` if none of them has only numbers."""
+    """Return the layout of a table from its first lines; raise `RecordingError` if no line has only numbers."""
     for heading, line in enumerate(lines):
         for delimiter in ("\t", ";", ",", None):
             row = split_cells(line, delimiter)
@@ -130,7 +130,7 @@ def _names_and_units(rows_above: list[list[str]], column_count: int) -> tuple[li
 
 
 def _without_brackets(cell: str) -> str:
-    """Return the unit in a cell of a line of units: brackets around the whole cell are not a part of it.
+    """Return the unit in a cell of a line of units: brackets around the whole cell are removed.
 
     >>> _without_brackets("[ m/s / N ]"), _without_brackets("(m/s²)/N")
     ('m/s / N', '(m/s²)/N')
@@ -212,7 +212,7 @@ class LabviewChannel(NamedTuple):
 
     name: str
     unit: str
-    cell: int  # its position in a line
+    cell: int  # position of its cell in a line
     samples: int  # -1: not stated
     rate: float | None  # Hz
     rate_error: float  # largest error of the rate from the rounding of the sample interval, Hz

@@ -47,11 +47,11 @@ from rig.core.settings.quantities import TIME, parse
 
 # Maximum number of characters in a line; longer lines are not read.
 _MAX_LINE = 1 << 20
-# The uncertainty of a sample rate is reported above this fraction of the rate.
+# The rounding error of a sample rate is reported above this fraction of the rate.
 _MAX_RATE_UNCERTAINTY = 2e-5
 # Number of lines at the beginning that are examined for the digits of times.
 _MAX_EXAMINED_LINES = 50
-# Minimum number of lines that show the usual length of the last number in a line.
+# Minimum number of lines from which the usual length of the last number in a line is determined.
 _MIN_LINES = 10
 # Number of lines in a block.
 BLOCK_LINES = 1 << 16
@@ -132,7 +132,7 @@ def _labview_signals(path: Path, heading: LabviewHeading, encoding: str, stack: 
 
 
 class _InvalidLine(RecordingError):
-    """Error of a line; `fault` is the message without the remedy, for a last line that is left out."""
+    """Error of a line; `fault` is the message without the remedy, for a last line that is omitted."""
 
     def __init__(self, fault: str, remedy: str) -> None:
         super().__init__(f"{fault}. {remedy}")
@@ -174,7 +174,7 @@ class _Table:
         except _InvalidLine as error:
             return error.fault
         last_cells = [split_cells(each, self._layout.delimiter)[-1] for each in (*self._examined_lines[:-1], line)]
-        # The digits before the decimal mark depend on the value.
+        # Only the digits after the decimal mark are compared; the digits before it depend on the value.
         lengths = [len(re.split("[.,]", cell, maxsplit=1)[-1]) if re.search("[.,]", cell) else 0 for cell in last_cells]
         if not line.endswith(("\n", "\r")) and len(lengths) > _MIN_LINES and lengths[-1] < min(lengths[:-1]):
             return f"line {line_number}: {last_cells[-1]!r:.40} is shorter than in other lines, and the line has no end"
@@ -252,7 +252,7 @@ class _Table:
         return signal.with_gaps(clock)
 
     def _read_block(self, start: int, stop: int) -> Array:
-        """Return lines of numbers, shape (lines, columns); the block is cached for the other columns."""
+        """Return a block of numbers, shape (lines, columns); the block is cached for the other columns."""
         if self._cached_block[:2] == (start, stop):
             return self._cached_block[2]
         if start < self._position:
@@ -301,7 +301,10 @@ class _Table:
         return np.array([self._parse_line(*each) for each in lines]).reshape(shape)
 
     def _parse_numbers(self, lines: list[tuple[int, str]], cells: Sequence[int] | None) -> Array | None:
-        """Return cells of lines of plain numbers, shape (lines, cells); None for other lines and for blanks between."""
+        """Return the cells of lines of plain numbers, shape (lines, cells).
+
+        The result is None for other lines and for blanks between cells.
+        """
         import pyarrow
         import pyarrow.csv
 

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array, ComplexArray
 
-# Blocks overlap: each begins one hop after the last. A hop is about one period of the lowest tone that they resolve.
+# Blocks overlap: each block begins one hop after the previous block. A hop is about one period of the lowest tone that
+# the blocks resolve.
 HOPS_PER_BLOCK = 4
-# Number of averages in a hop: enough to resolve the tone, and few enough for recordings at high rates.
+# Number of averages in a hop: enough to resolve the tone, and few enough for fast analysis at high sample rates.
 _AVERAGES_PER_HOP = 24
-# Successive block lengths have this ratio, as have the limits of the frequency band of each length.
+# Ratio of successive block lengths, and of the limits of the frequency band of each length.
 _LENGTH_RATIO = 2**0.5
 # The bands overlap by this factor, so that no tone lies between two bands.
 _BAND_OVERLAP = 1.1
@@ -60,7 +61,7 @@ class ToneTracker:
 
 
 def _append(waiting: Array | None, samples: Array) -> Array:
-    """Append samples, shape (channels, samples), to those not yet processed."""
+    """Append samples, shape (channels, samples), to the samples that are not yet processed."""
     return samples if waiting is None else np.concatenate([waiting, samples], axis=1)
 
 

@@ -19,14 +19,13 @@ from rig.core.settings.quantities import TIME, parse
 
 # Function types of data set 58.
 TIME_RESPONSE, COHERENCE = 1, 6
-# Unit for each data type. This unit is used if a label gives no unit, and data set 164 specifies that the file is in
-# SI.
+# Unit for each data type; used if a label states no unit and data set 164 specifies that the file is in SI.
 SI_UNITS = {8: "m", 11: "m/s", 12: "m/s^2", 9: "N", 13: "N"}
 # Data type of an abscissa that is time.
 _ABSCISSA_TIME = 17
 # Code of SI in data set 164.
 _UNITS_SI = 1
-# Memory for reading, bytes per byte of the file, measured: text, numbers as objects, and an array of them.
+# Memory for reading, bytes per byte of the file, measured: text, numbers as objects, and an array of the numbers.
 _MEMORY_PER_BYTE = 6
 _DIRECTIONS = {1: "+X", 2: "+Y", 3: "+Z", 4: "+RX", 5: "+RY", 6: "+RZ"}
 
@@ -130,7 +129,8 @@ def label(data_set: Mapping[str, Any], axis: str) -> str:
     """Return the unit of an axis from its label, or in an SI file from its data type; empty without a unit."""
     text = str(data_set.get(f"{axis}_axis_units_lab", "")).strip()
     if text and text.upper() != "NONE":
-        # Windows programs do not write UTF-8. The character that the reader cannot decode is the square of a unit.
+        # Windows programs do not write UTF-8. A character that the reader cannot decode is the superscript two of a
+        # unit.
         return text.replace("\ufffd", "²")
     return SI_UNITS.get(int(data_set.get(f"{axis}_spec_data_type", 0)), "") if data_set["si"] else ""
 

@@ -31,14 +31,15 @@ _SPELLINGS = {
 
 
 def quantity_and_scale(unit: str) -> tuple[Quantity, float]:
-    """Return the quantity of a unit, or of a value with a unit, and its size in SI; raise `ValueError` if not known.
+    """Return the quantity of a unit, or of a value with a unit, and its size in SI; raise `ValueError` if unknown.
 
     >>> quantity_and_scale("g"), quantity_and_scale("m/s2"), quantity_and_scale("2.5 mm")
     (('acceleration', 9.80665), ('acceleration', 1.0), ('displacement', 0.0025))
     """
     normalized = re.sub(r"\bsec(ond)?\b", "s", unit.strip(), flags=re.IGNORECASE)
     normalized = re.sub(r"(?<=[a-z])\s*(?:\*\*|\^)?\s*\(?2\)?$", "^2", normalized)
-    # The case of a prefix counts: MV is not mV, GN is not gn. Other spellings are for text that is not a unit itself.
+    # Upper and lower case of a prefix differ: MV is not mV, GN is not gn. Other spellings are tried only for text that
+    # is not a unit itself.
     spelling = "" if normalized == "Mv" else _SPELLINGS.get(normalized.lower(), "")
     for unit_name, (quantity, kind) in product((normalized, spelling), KINDS.items()):
         quantity_text = unit_name if re.match(r"[+-]?\.?\d", unit_name) else f"1 {unit_name}"
@@ -49,8 +50,8 @@ def quantity_and_scale(unit: str) -> tuple[Quantity, float]:
         if scale > 0 and unit_name and kind.supports(scale) and not re.fullmatch(r"[\d.eE+-]*", unit_name):
             return quantity, scale
     if other := _OTHER_QUANTITIES.get(normalized.lower()):
-        raise ValueError(f"{other} ({unit}) is not a quantity of this program. Leave this channel out of the table.")
+        raise ValueError(f"{other} ({unit}) is not a quantity of this program. Omit this channel in the table.")
     raise ValueError(
         f"unknown unit {unit!r}; expected a unit of acceleration, velocity, displacement, force or voltage, such as "
-        "m/s^2, g, mm, N or mV; for scaled numbers, the value for which the number 1 stands, such as 5 V"
+        "m/s^2, g, mm, N or mV; for scaled numbers, the value that the number 1 represents, such as 5 V"
     )

@@ -582,7 +582,7 @@ def test_mode_that_is_not_identified_is_named(recordings: list[Path]) -> None:
 def test_intervals_without_calibration_are_stated(recordings: list[Path], tmp_path: Path) -> None:
     text = write_report(recordings[:1], tmp_path).files[0].read_text("utf-8")
     answer = text[text.index("<main>") : text.index("<nav>")]
-    assert "Intervals do not contain calibration errors" in answer
+    assert "The intervals do not include calibration errors" in answer
     assert ">not included<" in text and "U = k u, k = 2.00" in text
 
 

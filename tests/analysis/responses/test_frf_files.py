@@ -283,7 +283,7 @@ def test_missing_systematic_errors_are_reported(tmp_path):
     frf_table(tmp_path / "a.csv", list(response))
     for name in ("a.uff", "a.csv"):
         [text] = analysis.read_frfs(tmp_path / name).warnings
-        assert "Systematic errors are not in the file" in text
+        assert "The file states no systematic errors" in text
 
 
 def test_table_of_time_histories_should_be_imported(tmp_path) -> None:

@@ -132,5 +132,5 @@ def test_negative_magnitude_suggests_decibels(tmp_path: Path) -> None:
 
 
 def test_sound_pressure_is_refused_with_remedy() -> None:
-    with pytest.raises(ValueError, match=r"sound pressure \(Pa\) is not a quantity .* Leave this channel out"):
+    with pytest.raises(ValueError, match=r"sound pressure \(Pa\) is not a quantity .* Omit this channel"):
         quantity_and_scale("Pa")

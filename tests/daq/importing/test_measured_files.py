@@ -26,7 +26,7 @@ SIGNALS = {"d7.lvm": 6, "1.tdms": 8, "2.tdms": 21, "Sample_UFF58_ascii.uff": 1, 
 }
 REFUSALS = {
     "Artemis-export---Geometry-RPBC_setup_05_14102016_105117.uff": "Export time histories or frequency responses",
-    "ruler_grid_acc_3.mat": "Give its complex numbers to `analysis frf`",
+    "ruler_grid_acc_3.mat": "give the file to `analysis frf`",
     "uff55_translation.uff": "Export time histories or frequency responses as data set 58",
     "uff55-sample_test-record10.uff": "Export time histories or frequency responses as data set 58",
     "groups_test.uff": "Export time histories or frequency responses as data set 58",

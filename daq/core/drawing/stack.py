@@ -20,21 +20,21 @@ if TYPE_CHECKING:
 
     Box = tuple[Point, Point]
 
-WIDTH = 0.16  # of a body
-DEPTH = 0.10  # of a body
+WIDTH = 0.16  # width of a body
+DEPTH = 0.10  # depth of a body
 WALL = 0.012  # thickness of the walls of a body with cavities
-DAMPER_HEIGHT = 0.030
+DAMPER_HEIGHT = 0.030  # height of a damper
 HEADROOM = 0.100  # height of the space above a damper
-HOLLOW_HEIGHT = WALL + DAMPER_HEIGHT + HEADROOM + WALL  # of a body with cavities
-SOLID_HEIGHT = 0.060  # of a body without cavities
+HOLLOW_HEIGHT = WALL + DAMPER_HEIGHT + HEADROOM + WALL  # height of a body with cavities
+SOLID_HEIGHT = 0.060  # height of a body without cavities
 _DAMPER_MARGIN = 0.003  # distance of a damper from the sides and the back of its cavity
-SPRING_LENGTH = 0.080  # at rest
-COIL_LENGTH = 0.110  # of a coil spring at rest
+SPRING_LENGTH = 0.080  # length of a spring at rest
+COIL_LENGTH = 0.110  # length of a coil spring at rest
 PLATE = 0.018  # thickness of the plate of a shaker table
 PLINTH = 0.050  # height of a shaker below its table
 LUG = 0.050  # width of a lug, a bracket of a body for a coil spring next to the rig
 BLOCK_WIDTH = 0.014  # width of the block of a stop
-BLOCK_HEIGHT = 0.010  # least height of a block
+BLOCK_HEIGHT = 0.010  # minimum height of a block
 SHAKER_PITCH = 0.120  # distance between shakers next to the rig
 
 
@@ -102,9 +102,9 @@ class Table(NamedTuple):
     """The table of a shaker; lengths in m."""
 
     point: str  # name, such as ``table``
-    glyph: Glyph  # of the shaker
+    glyph: Glyph  # symbol of the shaker
     body: int  # number of the body above it, from 1
-    x: float  # position
+    x: float  # horizontal position
     top: float  # height of its top
     has_coil_spring: bool  # whether it drives through a coil spring; otherwise the structure stands on it
 

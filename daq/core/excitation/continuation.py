@@ -79,10 +79,10 @@ _MAX_INVASIVE = 0.01
 class Point(NamedTuple):
     """A settled point of a curve."""
 
-    frequency: float  # Hz
+    frequency: float  # frequency of the tone, Hz
     motion: float  # displacement amplitude, m
     level: float  # amplitude of the force or drive
-    pole: complex  # of the mode relative to the tone, 1/s; 0 before it is known
+    pole: complex  # pole of the mode relative to the tone, 1/s; 0 before it is known
 
 
 class Lost(Exception):
@@ -183,7 +183,7 @@ class _Curve:
         self.points: list[Point] = []
         self._tangent = self._forward, 0.0
         self._holding = False
-        self._length = test.step  # of the last step
+        self._length = test.step  # length of the last step
         self._chord, self._bend = test.step, 0.0  # distance of the last two points, and change of direction, rad
         self.folds = 0  # number of points at which the curve turned back
 

@@ -29,11 +29,11 @@ class FormValues:
 
     kind: str  # title of a form
     level: float  # amplitude of a sine or sweep, rms of a random test, or peak of an impact, N
-    frequency: float  # of a sine, Hz
+    frequency: float  # frequency of a sine, Hz
     low: float  # lower limit of a sweep or random test, Hz
     high: float  # upper limit of a sweep or random test, Hz
-    duration: float  # of a sweep or random test, s
-    interval: float  # between impacts, s
+    duration: float  # duration of a sweep or random test, s
+    interval: float  # time between impacts, s
     hits: int  # number of impacts
 
 
@@ -51,7 +51,7 @@ class Form:
 
 
 class Procedure(Generic[TestT]):
-    """The procedure of a kind of test; subclasses override what differs from a drive of fixed duration.
+    """The procedure of a kind of test; subclasses override the methods that differ from a drive of fixed duration.
 
     `detection`: the features that an import detects in the samples: impacts, steps of constant frequency, the start of
     a decay, or only the band of the test. `rehearsal`: whether a long test is represented by its first part, or by

@@ -122,7 +122,7 @@ class Station:
     def check_output(self, drive: float, requiring: str, remedy: str) -> None:
         """Raise `GivenUp` if a drive exceeds `output_limit`.
 
-        `requiring`: subject of the message, which requires the drive.
+        `requiring`: subject of the message, such as the test or its profile.
         """
         shaker = self.scene.driven_shaker
         assert shaker is not None

@@ -130,7 +130,7 @@ class DamagedFile:
         chunk = self._chunk(position, length)
         if chunk is not None:
             return chunk
-        # The checksum of a metadata record does not cover its length, which must be checked by its fields.
+        # The checksum of a metadata record does not cover the length, which is therefore compared with the fields.
         has_valid_length = opcode == Opcode.ATTACHMENT or (opcode == Opcode.METADATA and self._is_consistent(position))
         if has_valid_length and length <= LARGEST_RECORD and end <= self.size:
             is_confirmed = self._is_consistent(end)

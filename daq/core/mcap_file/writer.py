@@ -275,7 +275,7 @@ class Message(NamedTuple):
     log_time: int  # ns
     publish_time: int  # ns
     data: bytes
-    sequence: int  # position in the topic
+    sequence: int  # number of the message in its topic
 
 
 class Messages(NamedTuple):
@@ -284,8 +284,8 @@ class Messages(NamedTuple):
     channels: Sequence[int]  # numbers of the channels
     log_time: NDArray[np.uint64]  # ns, in ascending order
     publish_time: NDArray[np.uint64]  # ns
-    data: NDArray[np.uint8]  # content; shape (channels, messages, bytes)
-    sequence: NDArray[np.int64]  # positions in each topic
+    data: NDArray[np.uint8]  # content of the messages; shape (channels, messages, bytes)
+    sequence: NDArray[np.int64]  # numbers of the messages in each topic
 
     def encode(self) -> NDArray[Any]:
         """Return the records, shape (channels, messages)."""

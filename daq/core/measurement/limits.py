@@ -38,8 +38,8 @@ class Exceedance:
 
     sample: int  # index of the sample
     channel: ChannelInfo
-    value: float  # in the channel's unit
-    limit: float  # in the channel's unit
+    value: float  # reading, in the channel's unit
+    limit: float  # abort limit, in the channel's unit
 
     def __str__(self) -> str:
         name, unit = self.channel.name, self.channel.unit

@@ -133,7 +133,7 @@ class RehearsedTest:
     parts: tuple[Rehearsal, ...]
     is_complete: bool  # the parts are the complete test
     rehearsed: str = ""  # description of the rehearsed part; "" for the complete test
-    extension: float = 1.0  # factor on the extremes of a test that was rehearsed in part
+    extension: float = 1.0  # ratio of the extremes of the whole test to those of the rehearsed part
 
     @property
     def aborted(self) -> str | None:

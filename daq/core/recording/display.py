@@ -227,7 +227,7 @@ class Display:
             for source in self._sources
             if source.channel is not None
         }
-        # Number of messages so far on each topic of a kind.
+        # By kind of topic: number of messages so far on each topic.
         self._n_messages = {"waveform": 0, "level": 0, "transform": 0}
 
     def _sequence(self, kind: str, count: int) -> NDArray[np.int64]:

@@ -60,7 +60,7 @@ class Salvage:
     kept: dict[str, int]  # number of samples kept, by topic
     lost: dict[str, list[SampleRange]]  # ranges of lost samples [first, stop), by topic; only topics with losses
     missing: dict[str, int]  # number of lost messages on topics without samples: markers, display, ...
-    notes: list[str]  # other losses, and what cannot be determined
+    notes: list[str]  # other losses, and losses that cannot be determined
 
     @property
     def whole(self) -> bool:

@@ -71,7 +71,7 @@ class Chain:
         self.latency = DELAY_SAMPLES if converter.filter is not None and converter.remove_delay else 0
         parts = [self._build_channel(row, channel) for row, channel in enumerate(channels)]
         self.channel_settings: tuple[Channel, ...] = tuple(channels)
-        self.overload = np.zeros((len(channels), 0), dtype=bool)  # of the latest block, like its samples
+        self.overload = np.zeros((len(channels), 0), dtype=bool)  # flags of the latest block
         self._paths = [path for path, _, _ in parts]
         self.channels: tuple[ChannelInfo, ...] = tuple(info for _, info, _ in parts)
         self.effects = {info.name: effects for _, info, effects in parts}

@@ -35,16 +35,16 @@ class ChannelInfo:
 
     name: str
     at: str  # location: "body 2", "table", "hammer", "shaker" or "drive"
-    quantity: Quantity  # after integration, if any
-    sensitivity: float  # nominal, V per unit
+    quantity: Quantity  # measured quantity, after integration by an amplifier
+    sensitivity: float  # nominal sensitivity, V per unit
     rate: float  # nominal sample rate, Hz
     zeros: tuple[complex, ...] = ()
     poles: tuple[complex, ...] = ()
     gain: float = 1.0  # factor of prod(s - zeros) / prod(s - poles), with s, zeros and poles in rad/s
     average: bool = False  # each sample is the average over the interval that ends at it
-    delay: float = 0.0  # of filter and skew, s; the delay of the averaging is not included
-    filter: Mapping[str, float] = field(default_factory=dict)  # fields of `DecimationFilter`; its delay is in `delay`
-    volts_per_count: float | None = None  # None if samples are in volts
+    delay: float = 0.0  # delay by filter and skew, s, without the delay of the averaging
+    filter: Mapping[str, float] = field(default_factory=dict)  # fields of `DecimationFilter`, without its delay
+    volts_per_count: float | None = None  # V per count; None if samples are in volts
     range: float | None = None  # full scale of the converter, ± V
     sensor: Mapping[str, str] = field(default_factory=dict)  # settings of all devices, as strings with units
 

@@ -70,7 +70,7 @@ class Bench:
         # Largest drive of each input that neither its output nor its amplifier clips; infinite without a limit.
         self.drive_limit = self._outputs.limit(plant.system.drive_limit)
         self.points: tuple[str, ...] = tuple(plant.points)
-        self.drive = np.zeros((len(self.inputs), 0))  # of the last `advance`, at the samples of the converter
+        self.drive = np.zeros((len(self.inputs), 0))  # drive of the last `advance` at the converter's samples
 
     @property
     def channels(self) -> tuple[ChannelInfo, ...]:

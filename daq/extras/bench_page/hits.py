@@ -28,7 +28,7 @@ _DISPLAYED_S = 0.05
 class Hit:
     """An impact, its faults, and whether it is accepted."""
 
-    number: int  # From 1
+    number: int  # Number of the impact, from 1
     first: int  # First sample of the window
     peak: float  # Peak force, N
     faults: list[str]  # Reasons to reject the impact

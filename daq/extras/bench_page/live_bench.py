@@ -92,7 +92,6 @@ class TestController:
         self._scene: Scene = chassis.bench.scene
         test = self._scene.test
         self.forms = offered_forms(self._scene)
-        # The settings of the scene's test.
         band = None if test is None else test.band
         low, high = band if band is not None and band[0] < band[1] else _DEFAULT_BAND
         hits, interval = (1, 0.0) if test is None else test.hits
@@ -404,7 +403,7 @@ class LiveBench:
         return lines
 
     def clients(self, most: int) -> list[str]:
-        """Return a line for each task of NI clients, at most `most`."""
+        """Return a line of text for each task of NI clients, at most `most` lines."""
         chassis = self.chassis
         with chassis.changed:
             lines = [

@@ -55,8 +55,8 @@ class BackgroundTest:
         self._is_stopping = False
         self._reason = ""  # reason why the test gave up
         self._position = 0  # position in the drive of the current block, ticks
-        self._readings: list[Array] = []  # of the current block
-        self._drive = np.zeros((len(station.inputs), 0))  # of the current block, at every tick
+        self._readings: list[Array] = []  # readings of the current block
+        self._drive = np.zeros((len(station.inputs), 0))  # drive of the current block at every tick
         # True if no test runs: the scene has no test, the test has ended or failed, or a client has used its output.
         self.is_idle = station.scene.test is None
         if not self.is_idle:

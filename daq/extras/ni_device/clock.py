@@ -1,7 +1,7 @@
 """Clocks that advance a bench: as fast as the computer allows, in real time, or on request.
 
 A bench counts its time in ticks, the steps of its simulation. Its position is the number of ticks that have passed.
-Only the clock decides when the next ticks are due. A call that must wait (a read, a write into a full buffer,
+Only the clock determines when the next ticks are due. A call that must wait (a read, a write into a full buffer,
 `wait_until_done`) waits according to the clock, and its timeout is in the clock's time.
 
 * `FastClock`: time passes only during waiting calls, as fast as the computer simulates. A run is
@@ -178,7 +178,7 @@ class ManualClock(Clock):
         self._benches: weakref.WeakSet[Timeline] = weakref.WeakSet()
 
     def start(self, bench: Timeline) -> None:
-        """Add a bench to those that `advance` moves."""
+        """Add a bench that `advance` moves."""
         self._benches.add(bench)
 
     def advance(self, seconds: float) -> None:

@@ -117,7 +117,7 @@ def identify(
 
 
 def _first_drive(station: Station, lines: Lines, period: int, desired: Array) -> Array:
-    """Return amplitudes of a weak drive: from the model of a table, or equal ones from a rough static estimate."""
+    """Return amplitudes of a weak drive: from the model of a table, or equal values from a rough static estimate."""
     shaker = station.scene.driven_shaker
     assert shaker is not None
     if shaker.prescribed:

@@ -46,7 +46,7 @@ class Observation:
     """Estimates of amplitudes from the readings of the last periods."""
 
     end: float  # time of the end, s
-    frequency: float  # of the tone in the middle, Hz
+    frequency: float  # frequency of the tone in the middle, Hz
     sweep_rate: float  # Hz/s
     length: float  # duration, s
     motion: complex  # amplitude of the driven body's displacement, m

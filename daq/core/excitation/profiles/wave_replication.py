@@ -67,8 +67,8 @@ class Pulse(Protocol):
 
     target: Array  # acceleration of one period, m/s^2, shape (period,)
     band: tuple[float, float]  # lowest and highest frequency of the drive, Hz
-    tolerance: float  # largest deviation
-    unit: str  # of the deviation
+    tolerance: float  # largest permitted deviation
+    unit: str  # unit of the deviation
 
     def deviation(self, wave: Array) -> tuple[float, str]:
         """Return the deviation of an acceleration of one period, scaled to full level, and describe it."""

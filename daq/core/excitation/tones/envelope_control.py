@@ -189,7 +189,7 @@ class EnvelopeTone(SteadyTone):
             for value, before in zip((motion, drive), previous[1:], strict=True)
         )
         if not motion or not drive or is_same:
-            # In steady state the observations determine only the ratio of l and b.
+            # In steady state, the observations determine only the ratio of the pole l and the input gain b.
             self._observed = previous
             return
         time, omega = self.station.now - samples / 2.0, 2.0 * np.pi * self.frequency

@@ -57,7 +57,7 @@ def whole_periods(frequency: float, rate: float, shortest_s: float) -> int:
     return round(float(samples[np.argmin(np.round(deviation, 9))]))
 
 
-# A test uses only a few window lengths per frequency.
+# Cached, because a test uses only a few window lengths per frequency.
 @lru_cache(maxsize=8)
 def lock_in_weights(frequency: float, rate: float, samples: int) -> Array:
     """Return the least-squares weights of the samples for real and imaginary part of the amplitude, (2, samples)."""

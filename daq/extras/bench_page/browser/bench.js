@@ -30,7 +30,7 @@ function freeze() {
   $("freeze").classList.toggle("on", frozen);
 }
 
-// A message is the length of a JSON text, the text, and the values of the arrays that it lists with their shapes.
+// A message is the length of a JSON text, the text with the shapes of the arrays, and the values of the arrays.
 function unpack(buffer) {
   const length = new DataView(buffer).getUint32(0, true);
   const content = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
@@ -62,7 +62,7 @@ function steady(key, [low, high]) {
   return [shownScales.get(key).low, shownScales.get(key).high];
 }
 
-// A panel in millimeters if its axis ends above 1000 µm.
+// A panel has the unit mm if its axis would end above 1000 µm.
 function inMillimeters(panel) {
   if (panel.name !== "µm" || panel.range[1] <= 1000) return panel;
   const curves = panel.curves.map((curve) => ({ ...curve, y: curve.y.map((value) => value / 1000) }));

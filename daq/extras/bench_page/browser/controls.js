@@ -42,7 +42,7 @@ const controls = {
     document.addEventListener("keydown", (event) => this.press(event));
   },
 
-  // Keys act unless a field is being edited; a space does not press the focused button, too.
+  // Keys have no effect while a field is edited. A space must not also press the focused button.
   press(event) {
     if (event.target.matches("input:not([type=checkbox]), select") || event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
     const actions = { " ": () => send(this.running ? "stop" : "start"), f: freeze, h: () => send("hit") };

@@ -39,7 +39,7 @@ const levels = {
   },
 };
 
-// A clipped reading equals the limit: by how much the signal exceeds the limit is not known.
+// A clipped reading equals the limit; the excess of the signal is unknown.
 function cause({ name, unit, limit }, [time, reading]) {
   const at = `(${digits(time, 4)} s)`;
   if (limit == null) return `${name}: ${withUnit(reading, unit)}, limit of its sensor ${at}`;

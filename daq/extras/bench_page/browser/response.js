@@ -24,7 +24,7 @@ const response = {
     $("theory").addEventListener("change", () => ($("theory").checked ? send("theory") : this.draw()));
   },
 
-  // Take a message; the curves of a finished test become those of the last test when the next one begins.
+  // Process a message. When a test begins, the curves of the previous test become the curves of the last test.
   update({ response: head, arrays }) {
     if (!head) return;
     if (this.curves && this.curves.test !== head.test) [this.previous, this.curves, this.chart.cursors] = [this.curves, null, []];
@@ -45,7 +45,7 @@ const response = {
     this.draw();
   },
 
-  // What the chart contains, or why it is empty.
+  // A text on the content of the chart, or on the reason why it is empty.
   note(state) {
     const hint = state.running ? "" : "Start a test: the response of the structure grows here.";
     if (this.chart.hint !== hint) {
@@ -80,12 +80,12 @@ const response = {
       const certain = determined(row.phase, row.coherence), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
       magnitude.push({ ...style, y: micro(row.magnitude), width: 0.6, opacity: 0.6 });
       magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => certain[k]), width: 1.8 });
-      // No line crosses the chart where the phase wraps.
+      // The line is interrupted where the phase wraps.
       phase.push({ ...style, y: only(row.phase, (k) => certain[k] && !(Math.abs(row.phase[k] - row.phase[k - 1]) > 180)), width: 1.6 });
       coherence.push({ ...style, y: row.coherence });
     }
     const fixed = (values) => values.map((value) => [value, true]), range = this.range();
-    // As in figures and report: logarithmic unless the band is short.
+    // The axis is logarithmic unless the band is narrow, as in figures and report.
     this.chart.x.log = range[1] >= 2 * range[0] && range[0] > 0;
     this.chart.show(range, [
       { name: "|compliance| / (µm/N)", log: true, share: 3.2, curves: magnitude },
@@ -120,9 +120,9 @@ const response = {
 
 // Color of the last test: its curves lie behind those of the present test.
 const LAST = "#8994a0";
-// Below this coherence, or where the phase scatters, the magnitude is thin and the phase empty.
+// Below this coherence, or where the phase scatters, the magnitude is a thin line and the phase is omitted.
 const COHERENT = 0.7;
-// A line is noise where the phase has larger steps, degrees, at a quarter of the lines around.
+// A spectral line is noise if the phase steps exceed this angle, degrees, at a quarter of the lines around it.
 const LARGEST_STEP = 17;
 const AROUND = 40; // lines on either side
 const DECADES = 2.5;

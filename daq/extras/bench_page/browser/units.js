@@ -1,7 +1,7 @@
 // Units as engineers read them: g, µm, mm; numbers with few digits; limits and ticks of axes.
 "use strict";
 
-// Factor from the SI unit, the name, and the smallest full scale, so that an idle bench looks idle.
+// Factor from the SI unit, name, and smallest full scale of an axis, which the noise of an idle bench must not fill.
 const QUANTITIES = {
   "m/s^2": { factor: 1 / 9.80665, name: "g", smallest: 0.1 },
   "m/s": { factor: 1e3, name: "mm/s", smallest: 0.1 },

@@ -88,7 +88,7 @@ class TedsMemory:
 
     def __init__(self, teds_of_sensor: Callable[[Port], bytes | None]) -> None:
         self._teds_of_sensor = teds_of_sensor
-        self._virtual: dict[str, bytes] = {}  # by lower-case name of the terminal
+        self._virtual: dict[str, bytes] = {}  # contents of files, by lower-case terminal
 
     def configure(self, port: Port, path: str) -> None:
         """Replace the TEDS of a sensor with a file; with an empty path, use the TEDS of the sensor."""

@@ -76,12 +76,12 @@ class Generation:
 
     def __init__(self, plan: OutputPlan, buffer: OutputBuffer, tick: int, last_volts: Array) -> None:
         self.plan, self.buffer, self.last_volts = plan, buffer, last_volts
-        self.generated = 0  # samples per channel
+        self.generated = 0  # number of generated samples per channel
         self._ticks = 0  # ticks since the first sample
         self.done = False  # complete, or stopped by `error`; the output remains at its last value
         self.error: DaqError | None = None
         self.armed_tick = tick  # tick from which the start trigger is awaited
-        self.first_tick: int | None = tick if plan.start is None else None  # of the first sample
+        self.first_tick: int | None = tick if plan.start is None else None  # tick of the first sample
 
     @property
     def has_started(self) -> bool:

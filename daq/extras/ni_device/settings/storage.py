@@ -25,7 +25,7 @@ class Storage:
     tasks: dict[str, tuple[list[Channel], dict[str, Properties]]] = field(default_factory=dict)
     channels: dict[str, Channel] = field(default_factory=dict)
     scales: dict[str, Scale] = field(default_factory=dict)
-    authors: dict[str, str] = field(default_factory=dict)  # of tasks, channels and scales, by name
+    authors: dict[str, str] = field(default_factory=dict)  # author of each saved item, by name
 
     def store(self, saved: dict[str, Value], name: str, value: Value) -> None:
         """Store a value under a name; raise `DaqError` -200077 if the maximum number of values is already stored."""

@@ -114,7 +114,9 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
         return _checked(_from_uff(file, reference, unit))
     if file.suffix.lower() in ENDINGS:
         if reference is not None:
-            raise SceneError(f"{file}: this file has no references to choose from. Leave out the reference {reference!r}.")
+            raise SceneError(
+                f"{file}: this file has no references to choose from. Leave out the reference {reference!r}."
+            )
         if file.suffix.lower() in _ARRAY_ENDINGS:
             return _checked(_from_arrays(file, unit))
         try:

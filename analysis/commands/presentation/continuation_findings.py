@@ -83,9 +83,7 @@ def present_continuation(
 
 
 def fold_lines(result: AmplitudeCurve, exact: Sequence[ExactBranch]) -> list[str]:
-    """Return a table of the folds, with the nearest folds of the exact orbits."""
-    if not result.folds:
-        return []
+    """Return a table of the folds with the nearest folds of the exact orbits, and the smallest resolved distance."""
     rows: list[tuple[str, ...]] = [("level", "fold / Hz", f"{result.body} / mm", "exact / Hz" if exact else "")]
     for fold in result.folds:
         values = [value for each in exact if each.level == fold.level for value in each.branch.folds.tolist()]
@@ -93,4 +91,9 @@ def fold_lines(result: AmplitudeCurve, exact: Sequence[ExactBranch]) -> list[str
         level = f"{format_number(fold.level)} {result.unit}"
         frequency = format_quantity(fold.frequency, fold.bound, "").strip(" ()")
         rows.append((level, frequency, f"{1e3 * fold.amplitude:.3g}", nearest))
-    return [f"  {line}" for line in table_lines(rows, ">>>>")]
+    widths = ", ".join(
+        f"{result.resolution(level):.2g} Hz at {format_number(level)} {result.unit}"
+        for level in dict.fromkeys(result.level.tolist())
+    )
+    table = table_lines(rows, ">>>>") if result.folds else []
+    return [f"  {line}" for line in [*table, f"Steps do not resolve folds closer than {widths}."]]

@@ -175,10 +175,9 @@ def backbone(rec: Recording) -> Backbone:
             float(column[line]) for column in (at_body.force, at_body.amplitude, at_body.relative)
         )
         error = float(np.remainder(np.angle(values[k]) - wanted + np.pi, 2.0 * np.pi) - np.pi)
-        # The sensitivity of a force sensor does not change the phase. Sensitivities of the sensors of a spring force
-        # and the other contributions do.
-        systematic = [limit[line, k, 0] for name, limit in response.limits.items() if rotates or name != SENSITIVITY]
-        rotation = (float(response.random_bound()[line, k, 0]) + float(np.sum(systematic))) / abs(values[k])
+        # The sensitivity of a force sensor does not change the phase. Sensitivities of the sensors of a spring force do.
+        phase = response if rotates else response.without(SENSITIVITY)
+        rotation = float(phase.expanded()[line, k, 0]) / abs(values[k])
         angle = _SLOPE * (abs(error) + rotation)
         tangent = float(np.tan(angle)) if angle < np.pi / 2.0 else np.inf
         mode = _NO_MODE

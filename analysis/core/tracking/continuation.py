@@ -2,7 +2,8 @@
 
 A fold is a point at which the curve turns back in frequency: the frequency has a maximum or minimum along the curve.
 The extreme value is computed from a cubic polynomial, fitted to the frequencies of the nearest points over the length
-of the curve. The motion between two folds is unstable at constant force.
+of the curve. At a corner, the fold lies between the last stable point and the frequency at which the motion has jumped.
+The motion between two folds is unstable at constant force.
 """
 
 from __future__ import annotations
@@ -56,8 +57,10 @@ class AmplitudeCurve(Result):
         Body whose amplitude is given.
     unit : str
         Unit of the level.
-    level, frequency : ndarray, shape (n,)
-        Level in the unit of the test, and frequency in Hz.
+    level : ndarray, shape (n,)
+        Level in the unit of the test.
+    frequency, frequency_bound : ndarray, shape (n,)
+        Frequency and half of the 95 % interval of the frequency that has this amplitude at the level, Hz.
     amplitude, amplitude_bound : ndarray, shape (n,)
         Displacement of the body and half of its 95 % interval, m.
     stable, settled : ndarray of bool, shape (n,)
@@ -71,6 +74,7 @@ class AmplitudeCurve(Result):
     unit: str
     level: Array
     frequency: Array
+    frequency_bound: Array
     amplitude: Array
     amplitude_bound: Array
     stable: NDArray[np.bool_]
@@ -84,11 +88,19 @@ class AmplitudeCurve(Result):
             f"unstable), {len(self.folds)} folds, {self.body} up to {1e3 * self.amplitude.max():.3g} mm"
         )
 
+    def resolution(self, level: float) -> float:
+        """Return the smallest distance of two folds that steps and noise resolve above half of the maximum, Hz."""
+        chosen = (self.level == level) & self.settled
+        is_high = self.amplitude[chosen] > 0.5 * self.amplitude[chosen].max()
+        steps, noise = abs(np.diff(self.frequency[chosen])), 2.0 * self.frequency_bound[chosen]
+        return float(np.maximum(steps, noise[1:])[is_high[1:]].max(initial=0.0))
+
     def columns(self) -> Mapping[str, NDArray[Any]]:
-        """Return level, frequency and amplitude with its interval and stability."""
+        """Return level, frequency and amplitude with their intervals and stability."""
         return {
             "level": self.level,
             "frequency_Hz": self.frequency,
+            "frequency_bound_Hz": self.frequency_bound,
             "amplitude_m": self.amplitude,
             "amplitude_bound_m": self.amplitude_bound,
             "stable": self.stable,
@@ -155,40 +167,41 @@ def continuation(rec: Recording) -> AmplitudeCurve:
         [response] = frequency_responses(rec, level=level)
         motion = body_motion(response, location)
         k = motion.output
-        poles = {
-            float(marker.fields["frequency"]): float(marker.fields[FOLLOWED_CURVE.field])
-            for marker in markers
-            if marker.fields["level"] == level
+        fields = {
+            float(marker.fields["frequency"]): marker.fields for marker in markers if marker.fields["level"] == level
         }
         value, frequency = response.value[:, k, 0], response.frequency
         # The drive of a force shaker is the level, independent of the sensitivities of the sensors.
         known = rec.scene.driven_shaker is not None and rec.scene.driven_shaker.drive_is_force
-        systematic = [limit[:, k, 0] for name, limit in response.limits.items() if not known or name != SENSITIVITY]
-        error = (response.random_bound()[:, k, 0] + np.sum(systematic, axis=0)) / abs(value)
+        error = (response.without(SENSITIVITY) if known else response).expanded()[:, k, 0] / abs(value)
         # Change of the frequency per relative change of the force at constant amplitude, as on the flank of a mode.
-        rate = np.array([poles[each] for each in frequency.tolist()]) / (2.0 * np.pi)
+        points = [fields[each] for each in frequency.tolist()]
+        rate = np.array([float(each[FOLLOWED_CURVE.field]) for each in points]) / (2.0 * np.pi)
+        jump = np.array([each.get("jump") or np.nan for each in points])
         per_level = rate * abs(value) / np.maximum(abs(value.real), 1e-3 * abs(value))
         bound = (error + FORCE_TOLERANCE) * per_level
         settled, amplitude = motion.settled, motion.amplitude
-        found = _folds(level, frequency[settled], amplitude[settled], bound[settled])
+        found = _folds(level, frequency[settled], amplitude[settled], bound[settled], jump[settled])
         folds += found
         number = np.searchsorted([fold.position for fold in found], np.arange(frequency.size))
         columns = (
             np.full(frequency.size, level),
             frequency,
+            bound,
             amplitude,
             motion.relative * amplitude,
             number % 2,
             settled,
         )
         rows.append(np.array(columns))
-    level_, frequency, amplitude, bound, unstable, settled_ = np.hstack(rows)
+    level_, frequency, frequency_bound, amplitude, bound, unstable, settled_ = np.hstack(rows)
     return AmplitudeCurve(
         label=rec.scene.name,
         body=rec.scene.structure.label(location),
         unit=test.level_unit(rec.scene.driven_shaker),
         level=level_,
         frequency=frequency,
+        frequency_bound=frequency_bound,
         amplitude=amplitude,
         amplitude_bound=bound,
         stable=unstable == 0,
@@ -197,12 +210,17 @@ def continuation(rec: Recording) -> AmplitudeCurve:
     )
 
 
-def _folds(level: float, frequency: Array, amplitude: Array, bound: Array) -> list[Fold]:
-    """Locate the points at which the frequency turns back; `bound`: uncertainty at constant amplitude, Hz."""
+def _folds(level: float, frequency: Array, amplitude: Array, bound: Array, jump: Array) -> list[Fold]:
+    """Locate the points at which the frequency turns back; `bound`: uncertainty at constant amplitude, Hz.
+
+    `jump`: frequency at which the motion of a point behind a corner has jumped, Hz; NaN for other points.
+    """
     folds: list[Fold] = []
     steps = np.diff(frequency)
     vertex: int
     for vertex in (np.flatnonzero(steps[1:] * steps[:-1] < 0.0) + 1).tolist():
+        if not np.isnan(jump[vertex : vertex + 2]).all():
+            continue
         first = max(vertex - _FITTED + 1, 0)
         window = slice(first, vertex + _FITTED)
         # Frequency and amplitude are scaled to the same range within the window.
@@ -221,4 +239,7 @@ def _folds(level: float, frequency: Array, amplitude: Array, bound: Array) -> li
         position = first + float(np.interp(root, s, np.arange(s.size)))
         error = float(np.hypot(bound[vertex], cubic - quadratic))
         folds.append(Fold(level, cubic, error, float(np.interp(root, s, a)), position))
-    return folds
+    for point in np.flatnonzero(np.isfinite(jump)).tolist():
+        middle, half = (jump[point] + frequency[point]) / 2.0, abs(jump[point] - frequency[point]) / 2.0
+        folds.append(Fold(level, float(middle), float(half + bound[point]), float(amplitude[point]), point - 0.5))
+    return sorted(folds, key=lambda fold: fold.position)

@@ -63,8 +63,8 @@ _SHORTER = 0.5
 _SHORTEST = 1.0 / 16.0
 # A step with feedback whose direction differs by more than this angle, rad, from that of the last step is repeated with
 # a shorter length, down to this fraction: the direction of shorter steps is determined by noise.
-_MAX_TURN = 0.5
-_SHORTEST_TURN = 0.25
+_MAX_TURN = 0.25
+_SHORTEST_TURN = 0.125
 # The frequency changes in a step by at most this fraction of the band, and by half of the fraction before the mode is
 # known.
 _MAX_BAND_RATIO = 0.05
@@ -72,6 +72,11 @@ _MAX_BAND_RATIO = 0.05
 _SMALL_TURN = 0.05
 # Without feedback, a response that changes by more than this factor has jumped to another branch.
 _JUMP_RATIO = 2.0
+# Lengths of the steps over a gap in the curve, in units of the length of a step.
+_LEAPS = 1.0, 2.0, 4.0
+# Behind a corner, the frequency changes by this fraction of a step, and at most by this number of changes.
+_CORNER_RATIO = 0.25
+_MAX_CORNER_STEPS = 12
 # Feedback that changes the drive by more than this fraction (rms) indicates a motion that does not repeat.
 _MAX_INVASIVE = 0.01
 
@@ -106,6 +111,7 @@ class _CurveTone(EnvelopeTone):
         """Discard the model of the mode."""
         super().forget_mode()
         self._flank = deque[tuple[float, complex]](maxlen=_FLANK_POINTS)  # angular frequency and ratio X / U of points
+        self._is_flank = True  # until feedback begins
 
     def _add(self, motion: complex, drive: complex, samples: int) -> None:
         """Do nothing: the mode depends on the amplitude, so that transients do not determine it (see `_learn_gain`)."""
@@ -113,8 +119,11 @@ class _CurveTone(EnvelopeTone):
     def _learn_gain(self) -> None:
         """Estimate the input gain b and the pole s of the mode by least squares.
 
-        At points measured without feedback, displacement X and drive U obey (i w - s) X = b U.
+        At points measured without feedback, displacement X and drive U obey (i w - s) X = b U. Beyond the flank, where
+        feedback has begun, impacts change the ratio of X and U more than the frequency does.
         """
+        if not self._is_flank:
+            return
         self._flank.append((2.0 * math.pi * self.frequency, self.motion / self.envelope))
         if len(self._flank) >= 2:
             omega, response = np.array(self._flank).T
@@ -161,7 +170,10 @@ class _CurveTone(EnvelopeTone):
 
         A small change of frequency needs a short transition, in which an unstable motion hardly grows.
         """
-        settle = self._test.settle
+        if not self._gain:
+            # A lost motion has shown that the model of the mode is wrong.
+            return None
+        settle, self._is_flank = self._test.settle, False
         transition_s = 0.0 if abs(frequency - self.frequency) * self.dead_time < _SMALL_TURN else TRANSITION_S
         settled = yield from self.settle_envelope(
             frequency, self.amplitude, motion, settle.tolerance, settle.longest, transition_s
@@ -185,7 +197,9 @@ class _Curve:
         self._holding = False
         self._length = test.step  # length of the last step
         self._chord, self._bend = test.step, 0.0  # distance of the last two points, and change of direction, rad
+        self._drive = 0.0  # amplitude of the drive at the level, next to the last point
         self.folds = 0  # number of points at which the curve turned back
+        self.gaps: list[str] = []  # their ends
 
     @property
     def unstable(self) -> bool:
@@ -199,7 +213,8 @@ class _Curve:
         if point is None:
             failure = f"no steady state at {test.from_:.4g} Hz within {test.settle.longest:g} s"
             raise Lost(self._limitation() or failure)
-        yield from self._measure(point)
+        if not (yield from self._add(point)):
+            raise Lost(self._reason())
         while len(self.points) < test.points and (0.0 <= self._share < 1.0 or len(self.points) == 1):
             length, shortest = min(test.step, self._length / _SHORTER), _SHORTEST * test.step
             point = None
@@ -213,9 +228,9 @@ class _Curve:
                 ):
                     point = None
                 self._length, length = length, length * _SHORTER
-            if point is None:
-                raise Lost(self._reason((yield from self._growth()) if self._holding and self.unstable else 0.0))
-            yield from self._measure(point)
+            if point is None or not (yield from self._add(point)):
+                growth = (yield from self._growth()) if self._holding and self.unstable else 0.0
+                yield from self._leap(self._reason(growth))
         if len(self.points) == test.points:
             self._station.warn(
                 f"level {self._level:g}: the curve ends at {self.points[-1].frequency:.4g} Hz after {test.points} "
@@ -227,12 +242,11 @@ class _Curve:
         """Position of the last point in the band, from 0 to 1."""
         return (self.points[-1].frequency - self._test.from_) * self._forward / self._band
 
-    def _measure(self, point: Point) -> Generator[Array, Array, None]:
-        """Measure at a settled point, and add it to the curve."""
-        test, station, tone = self._test, self._station, self._tone
+    def _add(self, point: Point) -> Generator[Array, Array, bool]:
+        """Measure at a settled point next to the last one, and add it to the curve; return whether it was steady."""
+        before = self._tangent, self._chord, self._bend, self.folds
         if self.points:
-            last = self.points[-1]
-            change = self._scaled(last, point)
+            change = self._scaled(self.points[-1], point)
             length = math.hypot(*change)
             was_unstable = self.unstable
             if length > 0.0:
@@ -240,6 +254,14 @@ class _Curve:
                 self._bend = max(-_MAX_TURN, min(_MAX_TURN, bend * length)) / length if self._holding else 0.0
                 self._tangent, self._chord = (change[0] / length, change[1] / length), length
             self.folds += self.unstable != was_unstable
+        measured = yield from self._measure(point, None)
+        if not measured:
+            self._tangent, self._chord, self._bend, self.folds = before
+        return measured
+
+    def _measure(self, point: Point, jump: float | None) -> Generator[Array, Array, bool]:
+        """Measure at a settled point; return whether it was steady. `jump`: result of `_past_corner`."""
+        test, station, tone = self._test, self._station, self._tone
         first = station.now
         samples = round(test.measure.periods * station.rate / point.frequency)
         held = yield from tone.hold_envelope(samples, point.motion, feedback=self._holding and self.unstable)
@@ -248,14 +270,23 @@ class _Curve:
             held = yield from tone.hold_envelope(samples, point.motion, feedback=True)
         settled = not held.growth and held.invasive < _MAX_INVASIVE
         tone.mark_measured(
-            first, held, settled, distance=abs(point.pole), frequency=point.frequency, level=self._level, direction="up"
+            first,
+            held,
+            settled,
+            distance=abs(point.pole),
+            frequency=point.frequency,
+            level=self._level,
+            direction="up",
+            jump=jump,
         )
         if not settled:
-            raise Lost(self._reason())
+            return False
+        self._drive = abs(held.drive) * self._level / point.level
         self.points.append(point)
         self._holding = tone.is_holdable(point, 1.0 if self._holding else _BEGIN_RATIO)
         share = min(max(self._share, 0.0), 1.0)
         station.report(share, f"{format_decimals(point.frequency, 2)} Hz, level {self._level:g}")
+        return True
 
     def _scaled(self, start: Point, end: Point) -> tuple[float, float]:
         """Return the distance between two points: change of the angular frequency / |l|, and of ln(amplitude)."""
@@ -275,11 +306,10 @@ class _Curve:
             return None
         frequency = last.frequency + self._forward * length * self._rate(last) / (2.0 * math.pi)
         limit = max if self._forward < 0.0 else min
-        drive = self._tone.amplitude * self._level / last.level
-        point = yield from self._tone.drive_to(limit(frequency, self._test.to), drive, self._level)
+        point = yield from self._tone.drive_to(limit(frequency, self._test.to), self._drive, self._level)
         if point is not None and abs(math.log(point.motion / last.motion)) > math.log(_JUMP_RATIO):
             raise Lost(
-                f"the response jumps at {frequency:.4g} Hz, where its envelope cannot be controlled yet. Start at the "
+                f"the response jumps at {frequency:.4g} Hz, where its envelope cannot be controlled. Start at the "
                 "other end of the band"
             )
         return point
@@ -314,6 +344,58 @@ class _Curve:
                 return None
             position = candidate
         return None
+
+    def _leap(self, reason: str) -> Generator[Array, Array, None]:
+        """Add a stable point at the other side of a gap in the curve; raise `Lost` for a reason if none is nearby.
+
+        Where impacts begin or end, no feedback of the envelope holds the motion: the curve has a corner, often a fold.
+        """
+        last, was_unstable, jump = self.points[-1], self.unstable, None
+        self._holding = False
+        for ratio in _LEAPS:
+            if was_unstable:
+                point, jump = yield from self._past_corner(ratio * self._test.step)
+            else:
+                point = yield from self._driven(ratio * self._test.step)
+            if point is None:
+                continue
+            self._tangent, self._chord, self._bend = (self._forward, 0.0), self._test.step, 0.0
+            if (yield from self._measure(point, jump)):
+                self.folds += was_unstable
+                self.gaps.append(f"{last.frequency:.5g} to {point.frequency:.5g} Hz")
+                return
+        raise Lost(reason)
+
+    def _past_corner(self, length: float) -> Generator[Array, Array, tuple[Point | None, float]]:
+        """Settle at the stable motion next to a corner behind the last point, which is unstable.
+
+        Return the point, None if it is not found, and the next frequency, Hz, at which this motion has jumped: the fold
+        lies between. `length`: change of ln(amplitude) in the direction of the curve, from where the motion settles.
+        """
+        last, tone, up = self.points[-1], self._tone, self._tangent[1]
+        target = last.motion * math.exp(math.copysign(length, up))
+        step = -self._forward * _CORNER_RATIO * self._test.step * self._rate(last) / (2.0 * math.pi)
+
+        def settle(*frequencies: float) -> Generator[Array, Array, Point | None]:
+            """Settle at each frequency; return the last point, None if the motion is not beyond that of the curve."""
+            point = None
+            for frequency in frequencies:
+                point = yield from tone.drive_to(frequency, self._drive, self._level)
+                if point is None or (point.motion - last.motion) * up <= 0.0:
+                    return None
+            return point
+
+        reached = jump = last.frequency
+        yield from tone.hold_at(last.frequency, target)
+        if (yield from settle(last.frequency)) is None:
+            return None, jump
+        for _ in range(_MAX_CORNER_STEPS):
+            jump = reached + step
+            if (yield from settle(jump)) is None:
+                yield from tone.hold_at(last.frequency, target)
+                return (yield from settle(last.frequency, reached)), jump
+            reached = jump
+        return None, jump
 
     def _turn(self, point: Point) -> float:
         """Return the angle from the last chord to the chord to a new point, rad."""
@@ -395,6 +477,11 @@ def excite(station: Station, test: Continuation) -> Excitation:
         except Lost as loss:
             failures.append(f"level {level:g}, {len(curve.points)} points: {loss}.")
             useless += not curve.folds
+        if curve.gaps:
+            station.warn(
+                f"level {level:g}: no points from {', '.join(curve.gaps)}, where feedback does not hold the motion: "
+                "its period has doubled, or its impacts change. Folds there are missed. Give a smaller test.step."
+            )
         yield tone.end()
     if useless == len(test.levels):
         raise GivenUp(failures[0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,36 @@ def test_fold_is_exact(recording: Path, exact: list[tuple[Any, Any]]) -> None:
     [fold] = analysis.continuation(recording).folds
     [exact_fold] = [value for branch, _ in exact for value in branch.folds if 50.4 < value < 50.7]
     assert abs(fold.frequency - exact_fold) < fold.bound < 0.02
+
+
+def test_steps_name_the_resolved_distance(recording: Path) -> None:
+    result = CliRunner().invoke(app, ["continuation", str(recording)])
+    steps = abs(np.diff(analysis.continuation(recording).frequency))
+    [distance] = re.findall(r"do not resolve folds closer than (\S+) Hz at 1\.2 N", result.stdout)
+    assert 0.3 * steps.max() < float(distance) <= 1.01 * steps.max()
+
+
+def test_curve_continues_behind_a_corner(tmp_path: Path) -> None:
+    # At 48.67 Hz the damper begins to hit the ceiling, so that no feedback of the envelope holds its motion.
+    scene = rig.load({
+        "structure": {"masses": [0.57804], "springs": [53051.78], "damping": {"modal": 0.0032672}},
+        "dampers": [{"body": 1, "mass_ratio": 0.05692, "clearance": 0.000526314}],
+        "shaker": {"kind": "force", "body": 1},
+        "test": {"kind": "continuation", "from": 48.9, "to": 48.5, "at": "body 1", "force": 0.8629473},
+        "channels": [
+            {"name": "a1", "at": "body 1", "accelerometer": {"sensitivity": "10 mV/g", "noise": "20 ug/sqrt(Hz)"}},
+            {"name": "force", "at": "shaker", "hammer": {"sensitivity": "100 mV/N"}},
+        ],
+        "converter": {"rate": 5120.0, "bits": 24, "range": 10.0},
+    })  # fmt: skip
+    with pytest.warns(daq.RunWarning, match=r"no points from 48\.\d+ to 48\.\d+ Hz"):
+        measured = analysis.continuation(daq.record(scene, tmp_path / "corner.mcap"))
+    theory = scene.replace(test={"kind": "sine", "frequency": 48.5, "force": 0.8629473}, channels=None)
+    [branch] = [b for b in rig.follow_orbits(theory, "frequency", (48.45, 48.55)).branches if b.stable.any()]
+    reference = np.array([orbit.reference_amplitude for orbit in branch.orbits])
+    order = np.argsort(branch.value)
+    exact = np.interp(measured.frequency[-1], branch.value[order], (abs(branch.frf[0]) * reference)[order])
+    assert measured.frequency[-1] <= 48.5 and measured.amplitude[-1] == pytest.approx(exact, rel=0.01)
 
 
 def test_control_does_not_change_motion(recording: Path) -> None:

@@ -28,8 +28,6 @@ _MISLEADING_ERROR = 0.05
 _EXACT_ERROR = 1e-4
 # The exact force is computed up to this relative deviation of the amplitude, and extrapolated.
 _MAX_PROBED = 0.02
-# Narrower bands between folds are within the steps of the test, relative to the half-power bandwidth.
-_MIN_BAND = 0.2
 # Orbits are followed over the drive, relative to that of the point, and over the frequency.
 _DRIVES, _FREQUENCIES = (0.75, 1.33), (0.97, 1.03)
 
@@ -202,6 +200,8 @@ def _folds(case: Case) -> Iterator[_Point | None]:
     for fold in analysis.continuation(case.recording).folds:
         curve = _orbits(case, fold.level, fold.frequency, over_drive=False)
         exact = [value for branch in (curve.branches if curve else ()) for value in branch.folds.tolist()]
+        # Where impacts begin or end, a fold is a corner.
+        exact += [end for band in (bands_between_folds(curve) if curve else ()) for end in band]
         if not exact:
             yield None
             continue
@@ -210,10 +210,10 @@ def _folds(case: Case) -> Iterator[_Point | None]:
 
 
 def _missed_folds(case: Case, kind: str) -> list[CheckResult]:
-    """Check that two folds were measured in each band between exact folds, or that the test says where it ended."""
+    """Check that both folds of each band that the steps resolve were measured, or that a gap or the end was named."""
     test, result = case.scene.test, analysis.continuation(case.recording)
     theory = case.scene.replace(test={"kind": "sine", "frequency": test.from_, "force": test.force}, channels=None)
-    width = _MIN_BAND * 2.0 * case.scene.structure.damping.modal * test.to
+    width = result.resolution(test.force)
     bands = [
         band
         for band in bands_between_folds(rig.follow_orbits(theory, "frequency", test.band))

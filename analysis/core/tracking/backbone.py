@@ -175,7 +175,7 @@ def backbone(rec: Recording) -> Backbone:
             float(column[line]) for column in (at_body.force, at_body.amplitude, at_body.relative)
         )
         error = float(np.remainder(np.angle(values[k]) - wanted + np.pi, 2.0 * np.pi) - np.pi)
-        # The sensitivity of a force sensor does not change the phase. Sensitivities of the sensors of a spring force do.
+        # The sensitivity of a force sensor does not change the phase; those of the sensors of a spring force do.
         phase = response if rotates else response.without(SENSITIVITY)
         rotation = float(phase.expanded()[line, k, 0]) / abs(values[k])
         angle = _SLOPE * (abs(error) + rotation)

@@ -1,6 +1,6 @@
 """The commands of `analysis` as Python calls: same names and arguments; each returns a result that plots itself.
 
-The commands print, draw and tabulate what these calls estimate.
+The commands print, draw and tabulate the results of these calls.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""What every test uses."""
+"""Parts of the instrument that every test uses."""

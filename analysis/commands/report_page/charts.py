@@ -67,9 +67,9 @@ class Panel:
     unit: str
     curves: Sequence[Curve] = ()
     height: int = 170  # px
-    logarithmic: bool = False  # vertical axis
-    limits: tuple[float, float] | None = None  # of the vertical axis
-    ticks: Sequence[float] | None = None  # of the vertical axis
+    logarithmic: bool = False  # whether the vertical axis is logarithmic
+    limits: tuple[float, float] | None = None  # limits of the vertical axis
+    ticks: Sequence[float] | None = None  # ticks of the vertical axis
     image: dict[str, Any] | None = None  # image from `level_image`
     marks: Sequence[tuple[float, float, str]] = ()  # abscissa, value and label of peaks, ascending
     strips: Sequence[tuple[float, float]] = ()  # ranges of the abscissa without a determined value
@@ -85,9 +85,9 @@ class Chart:
     x_name: str = "frequency"
     x_unit: str = "Hz"
     logarithmic: bool = False  # horizontal axis
-    x_limits: tuple[float, float] | None = None  # least extent of the horizontal axis
+    x_limits: tuple[float, float] | None = None  # minimum extent of the horizontal axis
     x_view: tuple[float, float] | None = None  # part of the horizontal axis that is shown first
-    names: Sequence[str] = ()  # curves in the order of the legend; default: as they are drawn
+    names: Sequence[str] = ()  # curves in the order of the legend; default: in the order of drawing
 
 
 @dataclass

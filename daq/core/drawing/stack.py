@@ -142,7 +142,7 @@ class Stack:
         self.blocks = [self._block(number, joint, exaggeration) for number, joint in enumerate(scene.joints, 1)]
 
     def _block(self, number: int, joint: Joint, exaggeration: float) -> Block:
-        """Return the block of a joint: below the upper body if this is next to the lower, otherwise at their right.
+        """Return the block of a joint: between the bodies if they are neighbors, otherwise at the right of both.
 
         A gap that exceeds the space below a body is drawn smaller.
         """

@@ -415,13 +415,13 @@ class _Curve:
         return (yield from self._tone.hold_envelope(samples, last.motion, feedback=False)).growth
 
     def _limitation(self) -> str:
-        """Describe that the amplifier limits the drive; empty if the drive is below the limit."""
+        """Return a message if the amplifier limits the drive; empty if the drive is below the limit."""
         if self._tone.amplitude < AT_LIMIT_RATIO * self._station.drive_limit:
             return ""
         return f"the amplifier is at its limit at {self._tone.frequency:.4g} Hz. Lower the level"
 
     def _reason(self, growth: float = 0.0) -> str:
-        """Describe why no further point was measured.
+        """Return the reason why no further point was measured.
 
         `growth`: growth rate of the last motion without feedback, 1/s.
         """

@@ -103,7 +103,7 @@ class Foresight(Result):
 
     @property
     def fits(self) -> bool:
-        """Whether nothing is overloaded and the test does not abort."""
+        """Whether the test runs to its end without any overload."""
         return self.aborts is None and all(entry.share < 1.0 for entry in self.expectations)
 
     def __getitem__(self, name: str) -> Expectation:

@@ -42,7 +42,7 @@ TRANSFORM_STEP = 2
 # The anti-aliasing filter is flat up to 0.27 of the display rate. It attenuates by 44 dB at 0.5, where aliasing begins,
 # and by 70 dB from 0.52 on. Half the length of the filter, display samples.
 _HALF_LENGTH = 8
-# Shape parameter of its Kaiser window.
+# Shape parameter of the filter's Kaiser window.
 _KAISER_BETA = 6.8
 # Cutoff frequency (-6 dB) of the filter, as a ratio to the display rate.
 _CUTOFF = 0.385

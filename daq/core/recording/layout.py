@@ -1,6 +1,6 @@
 """The layout of a recording: names of topics, lengths of blocks, and the exact times of sample indices.
 
-`LAYOUT.md` next to this module describes it for readers who do not use this package.
+`LAYOUT.md` next to this module describes the layout for readers who do not use this package.
 """
 
 from __future__ import annotations

@@ -174,7 +174,7 @@ class Overloads:
         # Number of intervals until the zero shift is negligible.
         decay_ratio = np.maximum((severity[overloaded] - 1.0) / NEGLIGIBLE_ZERO_SHIFT_RATIO, 1.0)
         recovery = np.ceil(self._decay_intervals * np.log(decay_ratio)).astype(np.int64)
-        # For each interval, and before the first: the interval from which samples are valid again.
+        # For each interval, and for the time before the first: interval from which samples are valid again.
         valid_from = np.zeros(severity.size + 1, dtype=np.int64)
         valid_from[0] = self._affected_ahead
         valid_from[overloaded + 1] = overloaded + self._affecting_intervals + recovery

@@ -252,7 +252,7 @@ class TestController:
     def stop(self) -> None:
         """End the test after the present window of its drive."""
         if self._background_test is not None and self.running:
-            # A manually set tone has no end of its own.
+            # A manually set tone runs until it is stopped.
             self.is_aborted = self._controls is None
             self._background_test.stop()
 

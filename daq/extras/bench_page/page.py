@@ -1,4 +1,4 @@
-"""What the page of `daq bench` shows, as messages for the scripts in the folder `browser`.
+"""Data of the page of `daq bench`, as messages for the scripts in the folder `browser`.
 
 A message is a JSON object and the arrays that it lists, as 32-bit floats: long curves as text would take a third of a
 processor at 20 messages a second.

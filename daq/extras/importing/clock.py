@@ -53,7 +53,7 @@ class Clock(NamedTuple):
 def rate_of_interval(interval: float, max_error: float = 0.0) -> float:
     """Return the rate (Hz) with the fewest digits that agrees with a sample interval (s) within `max_error` (s).
 
-    If the interval has fewer digits than this rate, it is exact: the rate is 1 / interval.
+    If the interval has fewer digits than this rate, the interval is exact, and the rate is 1 / interval.
 
     >>> rate_of_interval(1.52588e-05, 5e-11), rate_of_interval(1.95312e-05, 5e-11)
     (65536.0, 51200.0)

@@ -55,8 +55,8 @@ class HeldTone:
 
     first: int
     stop: int
-    frequency: float  # periods per sample
-    amplitude: float  # of the reference, in its unit
+    frequency: float  # frequency, periods per sample
+    amplitude: float  # amplitude of the reference, in its unit
     settled: bool  # whether all channels are steady
 
 

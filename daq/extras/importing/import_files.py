@@ -287,7 +287,7 @@ def _detection(scene: Scene) -> str:
 
 
 class _RecordingWriter:
-    """Reads the signals block by block, writes them to a recording, and marks what it detects in them."""
+    """Reads the signals block by block, writes them to a recording, and marks impacts, steps and faults."""
 
     def __init__(self, scene: Scene, assigned: Sequence[AssignedSignal], rate: float) -> None:
         self._scene, self._assigned, self._rate = scene, assigned, rate

@@ -78,7 +78,7 @@ class StepDetector:
         return []
 
     def _level(self, tones: Sequence[HeldTone], pass_number: int) -> float:
-        """Return the level of a pass: the nearest to the measured force or, without a force channel, the next one."""
+        """Return the level of a pass: nearest to the measured force or, without a force channel, the next level."""
         test = self._test
         if self._reference.quantity == "force" and test.level_key == "force":
             frequency = np.array([tone.frequency for tone in tones]) * self._rate

@@ -55,7 +55,7 @@ _MAX_EXAMINED_LINES = 50
 _MIN_LINES = 10
 # Number of lines in a block.
 BLOCK_LINES = 1 << 16
-# Memory for text and numbers per byte of a block, measured.
+# Measured memory for text and numbers, bytes per byte of a block.
 _MEMORY_PER_BYTE = 4
 
 

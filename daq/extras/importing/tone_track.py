@@ -107,7 +107,7 @@ class _BlockAnalyzer:
         reference = blocks_view[self._reference, :blocks]
         self._levels.append(np.nan_to_num(reference.std(axis=1)).astype(np.float32))
         magnitude = np.asarray(np.nan_to_num(abs(np.fft.rfft(reference * self._window, axis=1))), dtype=float)
-        # The first two lines contain the mean.
+        # The first two spectral lines contain the mean of the block, so the search begins after them.
         peak = np.argmax(magnitude[:, 2:-1], axis=1) + 2
         rows = np.arange(blocks)
         # Distance of the tone from the highest line, in lines, from the ratio of the higher neighbor (Hann window).

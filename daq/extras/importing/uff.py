@@ -159,7 +159,7 @@ def _signal(path: Path, number: int, name: str, data_set: Mapping[str, Any]) -> 
 
 
 def _time_unit(data_set: Mapping[str, Any]) -> float:
-    """Return the unit of the times, s; 1 if the label of their axis does not give a unit of time."""
+    """Return the SI value of the unit of the times, s; 1 if the label of their axis states no unit of time."""
     try:
         return parse(f"1 {label(data_set, 'abscissa')}", TIME)
     except ValueError:

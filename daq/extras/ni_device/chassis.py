@@ -379,7 +379,7 @@ class Chassis:
         self.stop_runs(DaqError(self.report_problem("the simulation of the scene", error), Code.UNKNOWN))
 
     def stop_runs(self, error: DaqError, devices: Container[str] | None = None) -> None:
-        """Stop runs with an error: of the tasks on some devices (their names in lower case), or of all tasks."""
+        """Stop with an error the runs of all tasks, or of the tasks on some devices (names in lower case)."""
         with self.changed:
             runs: dict[Runner, Acquisition | Generation] = {**self.inputs, **self.outputs}
             stopped = [task for task in runs if devices is None or task.device.lower() in devices]

@@ -34,6 +34,8 @@ _MAX_ERROR_RATIO = 0.5
 _MAX_ROUGHNESS = 0.35
 # The phase is not drawn where a quarter of the steps between neighboring points exceed this angle, rad.
 _MAX_PHASE_STEP = 0.3
+# Upper ends of the phase axis, degrees, the preferred first: compliances are between 0° and -180°.
+_PHASE_TOPS = (90.0, 180.0, 0.0)
 # A line is undetermined if less than this fraction of the lines around it is determined.
 _MIN_DETERMINED = 0.75
 # A gap of fewer undetermined lines does not end a determined range.
@@ -74,17 +76,18 @@ def frf_figure(
     styles = styles or place_styles([frf.outputs[0].at for frf in frfs])
     if len(frfs) == 1:
         styles = [styles[0]._replace(dashes=())]
+    top = phase_top([frf for frf in frfs if not folds_back(frf.frequency)])
     with new_figure(6.8) as figure:
         magnitude_axes, phase_axes, coherence_axes = figure.subplots(3, 1, height_ratios=[3.2, 1.3, 0.9])
         for curve in theory:
             color = place_style(curve.outputs[0].at).color if curve.outputs[0].at and not several else _THEORY_COLOR
             style: dict[str, Any] = {"color": color, "lw": 0.9, "ls": ":", "zorder": 3.5}
             magnitude_axes.plot(curve.frequency, curve.shown_in[1] * abs(curve.value), **style)
-            phase_axes.plot(*break_at_wraps(curve.frequency, phase_degrees(curve.value)), **style)
+            phase_axes.plot(*break_at_wraps(curve.frequency, phase_degrees(curve.value, top)), **style)
         if theory:
             magnitude_axes.plot([], [], color=_THEORY_COLOR, lw=0.9, ls=":", label=escape_figure(theory[0].label))
         for measured, curve_style in zip(frfs, styles, strict=True):
-            _draw_curve(measured, curve_style, magnitude_axes, phase_axes, coherence_axes)
+            _draw_curve(measured, curve_style, top, magnitude_axes, phase_axes, coherence_axes)
         peaks = [
             _draw_peaks(measured, color, magnitude_axes) for measured, (color, *_) in zip(frfs, styles, strict=True)
         ]
@@ -110,8 +113,8 @@ def frf_figure(
         magnitude_axes.set_ylabel(f"|{name}| / ({unit})" if "/" in unit else name)
         add_title(magnitude_axes, title)
         phase_axes.set_ylabel("phase / °")
-        phase_axes.set_yticks([-270, -180, -90, 0, 90])
-        phase_axes.set_ylim(-285, 105)
+        phase_axes.set_yticks(np.arange(top - 360.0, top + 1.0, 90.0))
+        phase_axes.set_ylim(top - 375.0, top + 15.0)
         coherence_axes.set_ylabel("coherence")
         coherence_axes.set_ylim(-0.03, 1.06)
         coherence_axes.set_yticks([0, 0.5, 1])
@@ -166,10 +169,15 @@ def _caption(frfs: Sequence[Response], has_peaks: bool, has_arrows: bool) -> lis
     return sentences
 
 
-def _draw_curve(frf: Response, style: CurveStyle, magnitude_axes: Axes, phase_axes: Axes, coherence_axes: Axes) -> None:
-    """Draw one measured curve into the three panels: tones as points, with a thin curve where the points resolve it."""
+def _draw_curve(
+    frf: Response, style: CurveStyle, top: float, magnitude_axes: Axes, phase_axes: Axes, coherence_axes: Axes
+) -> None:
+    """Draw one measured curve into the three panels: tones as points, with a thin curve where the points resolve it.
+
+    `top`: upper end of the phase axis, degrees.
+    """
     # A downward sweep has larger, open markers, so that an upward sweep remains visible where both coincide.
-    is_folded = folds_back(frf)
+    is_folded = folds_back(frf.frequency)
     is_downward = frf.frequency.size > 1 and frf.frequency[0] > frf.frequency[-1] and not is_folded
     color = style.color
     curve, frf = frf.sorted(), frf.with_gaps()
@@ -222,14 +230,14 @@ def _draw_curve(frf: Response, style: CurveStyle, magnitude_axes: Axes, phase_ax
             frf.frequency[frf.unsteady], magnitude[frf.unsteady], "x", color=color, markersize=6, zorder=4
         )
     has_phase = is_known & is_smooth(frf)
-    angle = np.where(has_phase, phase_degrees(frf.value), np.nan)
+    angle = np.where(has_phase, phase_degrees(frf.value, top), np.nan)
     value = np.where(has_phase[np.searchsorted(frf.frequency, frequency).clip(0, has_phase.size - 1)], value, np.nan)
     for half_width, opacity in () if is_folded else ((total, 0.13), (random, 0.25)):
         phase_width = np.degrees(np.arcsin(np.minimum(half_width / np.maximum(magnitude, 1e-300), 1.0)))
         band_frequency, center = break_at_wraps(frf.frequency, angle)
         width = break_at_wraps(frf.frequency, angle, phase_width)[1]
         phase_axes.fill_between(band_frequency, center - width, center + width, color=color, alpha=opacity, lw=0)
-    phase_axes.plot(*break_at_wraps(frequency, phase_degrees(value)), **line)
+    phase_axes.plot(*break_at_wraps(frequency, phase_degrees(value, top)), **line)
     phase_axes.plot(frf.frequency, angle, **points)
     if _has_scatter(frf):
         if is_unknown.any():
@@ -239,9 +247,9 @@ def _draw_curve(frf: Response, style: CurveStyle, magnitude_axes: Axes, phase_ax
         )
 
 
-def folds_back(frf: Response) -> bool:
+def folds_back(frequency: Array) -> bool:
     """Return whether the frequency of a sweep reverses, so that there are several responses at one frequency."""
-    steps = np.diff(frf.frequency)
+    steps = np.diff(frequency)
     return bool((steps > 0).any() and (steps < 0).any())
 
 
@@ -252,7 +260,7 @@ def _draw_peaks(frf: Response, color: str, axes: Axes) -> tuple[list[float], lis
     """
     heights: list[float] = []
     arrows: list[float] = []
-    if frf.resolution > 0.0 or frf.reference != "force" or folds_back(frf):
+    if frf.resolution > 0.0 or frf.reference != "force" or folds_back(frf.frequency):
         return heights, arrows
     factor, ordered = frf.shown_in[1], np.sort(frf.frequency)
     smooth, is_known = frf.frequency[is_smooth(frf)], is_determined(frf)
@@ -369,6 +377,19 @@ def break_at_wraps(frequency: Array, angle: Array, values: Array | None = None) 
     return np.insert(frequency, wraps, between), np.insert(angle if values is None else values, wraps, np.nan)
 
 
-def phase_degrees(value: ComplexArray) -> Array:
-    """Return the phase in degrees, from -270 to 90, so that a phase near ±180° does not wrap."""
-    return 90.0 - np.mod(90.0 - np.degrees(np.angle(value)), 360.0)
+def phase_degrees(value: ComplexArray, top: float = 90.0) -> Array:
+    """Return the phase in degrees, from `top` - 360 to `top`."""
+    return top - np.mod(top - np.degrees(np.angle(value)), 360.0)
+
+
+def phase_top(frfs: Sequence[Response]) -> float:
+    """Return the upper end of the phase axis, in degrees, at which the curves wrap least: scatter around ±180° does."""
+
+    def wraps(top: float) -> int:
+        count = 0
+        for frf in (frf.sorted() for frf in frfs):
+            angle = phase_degrees(frf.value[is_determined(frf) & is_smooth(frf)], top)
+            count += int(np.count_nonzero(abs(np.diff(angle)) > 180.0))
+        return count
+
+    return min(_PHASE_TOPS, key=wraps)

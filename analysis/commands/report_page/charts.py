@@ -26,9 +26,9 @@ _ABSCISSA_DIGITS = 8
 # Difference between the brightest and the darkest level of an image, dB.
 IMAGE_SPAN_DB = 80.0
 # Columns with more values are written as 32-bit binary, which halves their size.
-_MAX_TEXT_VALUES = 4000
-
-
+_MAX_TEXT_VALUES = 500
+# Distance of symbols from the ends of a horizontal axis, relative to the range of its values.
+_SIDE_MARGIN = 0.03
 _DEFAULT_STYLE = body_style(1)
 
 
@@ -55,7 +55,7 @@ class Curve:
     high: ArrayLike | None = None  # upper bound of `y`
     style: CurveStyle = _DEFAULT_STYLE
     # "points" of separate tones, the thin line "through" them, or symbols at points: "dots", "crosses", "circles",
-    # "arrows". The readout contains only values of "points".
+    # "arrows", or a thin "path" through them in their order. The readout contains only values of "points".
     draw: str = "line"
 
 
@@ -125,6 +125,22 @@ def needs_logarithmic_axis(frequencies: ArrayLike) -> bool:
     """Return whether the band of these frequencies is so wide that their axis is logarithmic."""
     values = np.asarray(frequencies, dtype=float)
     return bool(values.size and values.min() > 0 and values.max() > _MIN_LOGARITHMIC_RATIO * values.min())
+
+
+def limits_with_margin(curves: Sequence[Curve]) -> tuple[float, float]:
+    """Return limits of a linear axis that show all values and bands with a margin for symbols."""
+    columns = [column for curve in curves for column in (curve.y, curve.low, curve.high) if column is not None]
+    values = np.concatenate([np.asarray(column, dtype=float) for column in columns])
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    margin = 0.15 * (high - low or 1.0)
+    return low - margin, high + margin
+
+
+def side_limits(values: Array) -> tuple[float, float]:
+    """Return limits of a linear horizontal axis that show all values with a margin for symbols."""
+    low, high = float(values.min()), float(values.max())
+    margin = _SIDE_MARGIN * (high - low or 1.0)
+    return low - margin, high + margin
 
 
 def _panel(panel: Panel) -> dict[str, Any]:

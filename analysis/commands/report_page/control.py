@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from analysis.commands.report_page.charts import Chart, Curve, EvenlySpaced, Panel
+from analysis.commands.report_page.charts import Chart, Curve, EvenlySpaced, Panel, limits_with_margin, side_limits
 from analysis.commands.report_page.measurements import Measurement
 from analysis.core.decays.sensor_correction import correct_motion
 from analysis.core.responses.measurands import response_channels
 from analysis.core.signals.profile_check import ProfileCheck
 from analysis.core.signals.shock_spectrum import srs
-from analysis.core.tracking.backbone import Backbone, backbone
-from analysis.core.tracking.continuation import AmplitudeCurve, continuation
-from daq.core.recording.recorded_test import FOLLOWED_CURVE, HELD_PHASE, shocks_of
+from analysis.core.tracking.backbone import Backbone
+from analysis.core.tracking.body_motion import CurvePart
+from analysis.core.tracking.continuation import AmplitudeCurve
+from daq.core.recording.recorded_test import shocks_of
+from rig.core.base.arrays import Array
 from rig.core.base.palette import REFERENCE, CurveStyle, place_style, place_styles
+from rig.core.results import format_percent
+from rig.core.scene.excitation import FORCE_TOLERANCE
 from rig.core.scene.excitation.profile import from_decibels
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
 
 # The duration of a pulse is the time above this fraction of its peak.
 _VISIBLE_PART = 0.01
@@ -54,38 +53,65 @@ def _profile_chart(check: ProfileCheck) -> Chart:
     )
 
 
-def _tracking_chart(rec: Recording) -> Chart:
+def _tracking_chart(result: AmplitudeCurve | Backbone) -> Chart:
     """Return a chart of the amplitude over the frequency of followed curves or resonances."""
-    result: AmplitudeCurve | Backbone
-    if FOLLOWED_CURVE.measured(rec.markers):
-        result = continuation(rec)
-        parts = {
-            f"{level:g} {result.unit}{', unstable' if not stable else ''}": (result.level == level)
-            & (result.stable == stable)
-            & result.settled
-            for level in dict.fromkeys(result.level.tolist())
-            for stable in (True, False)
-        }
-    else:
-        result = backbone(rec)
-        parts = {"phase resonance": result.settled}
-    curves = []
-    for (label, part), style in zip(parts.items(), place_styles([""] * len(parts)), strict=True):
-        order = np.flatnonzero(part)[np.argsort(result.frequency[part])]
-        frequency, amplitude, bound = (
-            values[order] for values in (result.frequency, result.amplitude, result.amplitude_bound)
-        )
-        if order.size:
-            curves.append(Curve(label, frequency, amplitude, amplitude - bound, amplitude + bound, style, "points"))
-    panel = Panel(f"amplitude of {result.body}", "m", curves, height=300)
-    return Chart(f"{result.summary()}.", "Amplitude over the frequency of the controlled tone.", [panel])
+    curves, parts = list[Curve](), result.parts()
+    amplitude, bound = 1e3 * result.amplitude, 1e3 * result.amplitude_bound
+    for part in parts:
+        if not any(part.style == curve.style for curve in curves):
+            path = np.any([other.selected for other in parts if other.style == part.style], axis=0)
+            curves.append(Curve(part.name, result.frequency[path], amplitude[path], style=part.style, draw="path"))
+        curves.append(_bars(part, result.frequency, amplitude, bound))
+    difference = float(np.nanmax(abs(result.force / result.level - 1.0))) if result.unit == "N" else 0.0
+    notes = [
+        "Points in the order of the test, with 95 % intervals.",
+        "Hollow: unstable at constant force." * any(not part.is_stable for part in parts),
+        f"The measured force differs from its level by up to {format_percent(difference)}."
+        * (difference > FORCE_TOLERANCE),
+    ]
+    frequency = np.concatenate([np.asarray(curve.x) for curve in curves])
+    marks = [(at, 1e3 * height, text) for at, height, text in sorted(result.marks())]
+    return Chart(
+        " ".join(filter(None, notes)),
+        "Amplitude over the frequency of the controlled tone.",
+        [Panel(f"amplitude of {result.body}", "mm", curves, 300, limits=limits_with_margin(curves), marks=marks)],
+        x_limits=side_limits(frequency),
+    )
+
+
+def _modal_chart(result: Backbone) -> Chart:
+    """Return a chart of natural frequency and damping ratio over the amplitude."""
+    [part], amplitude = result.parts(), 1e3 * result.amplitude
+    panels = []
+    for name, unit, values, bound in (
+        ("natural frequency", "Hz", result.natural_frequency, result.natural_frequency_bound),
+        ("damping ratio", "%", 100.0 * result.damping, 100.0 * result.damping_bound),
+    ):
+        path = Curve(part.name, amplitude[part.selected], values[part.selected], style=part.style, draw="path")
+        curves = [path, _bars(part, amplitude, values, bound)]
+        panels.append(Panel(name, unit, curves, 170, limits=limits_with_margin(curves)))
+    return Chart(
+        "Natural frequency and damping ratio of each level over its amplitude, with 95 % intervals.",
+        "Natural frequency and damping ratio over the amplitude.",
+        panels,
+        x_name=f"amplitude of {result.body}",
+        x_unit="mm",
+        x_limits=side_limits(amplitude),
+    )
+
+
+def _bars(part: CurvePart, x: Array, y: Array, bound: Array) -> Curve:
+    """Return the points of a part with their intervals; unstable points are hollow."""
+    x, y, bound = x[part.selected], y[part.selected], bound[part.selected]
+    return Curve(part.name, x, y, y - bound, y + bound, part.style, "dots" if part.is_stable else "circles")
 
 
 def control_charts(measurement: Measurement) -> list[Chart]:
     """Return the charts of the controlled motion in a recording; empty for tests without controlled motion."""
     rec = measurement.rec
-    if FOLLOWED_CURVE.measured(rec.markers) or HELD_PHASE.measured(rec.markers):
-        return [_tracking_chart(rec)]
+    if measurement.tracked is not None:
+        charts = [_tracking_chart(measurement.tracked)]
+        return [*charts, _modal_chart(measurement.tracked)] if isinstance(measurement.tracked, Backbone) else charts
     if measurement.profile is not None:
         return [_profile_chart(measurement.profile)]
     shocks = shocks_of(rec.markers)

@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import NamedTuple, ParamSpec, Self, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.commands.presentation.comparison import MeasurementPoints
 from analysis.commands.presentation.outputs import with_recording_name, with_sweep_name
@@ -29,6 +30,9 @@ from analysis.core.modal.modes import Modes
 from analysis.core.recordings.names import OpenRecordings, reference_label, relabel, scene_labels
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.signals.profile_check import ProfileCheck, profile
+from analysis.core.tracking.backbone import Backbone, backbone
+from analysis.core.tracking.continuation import AmplitudeCurve, continuation
+from daq.core.recording.recorded_test import FOLLOWED_CURVE, HELD_PHASE, ControlledTones
 from daq.core.recording.recording import Recording
 from rig.core.base.errors import ShotrigError
 from rig.core.base.progress import CountProgress
@@ -36,6 +40,13 @@ from rig.core.results.response import Response
 
 Parameters = ParamSpec("Parameters")
 Returned = TypeVar("Returned")
+
+
+# Analyses of tones that a controller chose.
+_TRACKED: dict[ControlledTones, Callable[[Recording], AmplitudeCurve | Backbone]] = {
+    FOLLOWED_CURVE: continuation,
+    HELD_PHASE: backbone,
+}
 
 
 @dataclass(frozen=True)
@@ -113,6 +124,8 @@ class Measurement:
     dampers: tuple[Dampers, ...] = ()
     decay: Decay | None = None
     profile: ProfileCheck | None = None
+    # Followed curves and resonances have points at frequencies that the controller chose, and no sweeps.
+    tracked: AmplitudeCurve | Backbone | None = None
 
 
 @dataclass
@@ -157,8 +170,13 @@ class Measurements:
         ]
 
     def _measure(self, path: Path, label: str, rec: Recording) -> Measurement:
-        frfs_of_sweeps = None
-        if rec.test.drives:
+        frfs_of_sweeps = tracked = None
+        tracking = next((analysis for tones, analysis in _TRACKED.items() if tones.measured(rec.markers)), None)
+        if tracking is not None:
+            tracked = self._attempt(path, "Controlled motion", tracking, rec)
+            if tracked is not None:
+                tracked = relabel(tracked, rec.scene.name, f"“{label}”")
+        elif rec.test.drives:
             frfs_of_sweeps = self._attempt(
                 path, "Frequency responses", frequency_responses, rec, progress=self.progress
             )
@@ -180,7 +198,7 @@ class Measurements:
             check = self._attempt(path, "Controlled motion", profile, rec)
         if check is not None:
             check = replace(check, label=f"“{label}”")
-        return Measurement(path, label, rec, sweeps, tuple(dampers or ()), free_decay, check)
+        return Measurement(path, label, rec, sweeps, tuple(dampers or ()), free_decay, check, tracked)
 
     def _evaluate_sweep(self, path: Path, label: str, rec: Recording, frfs: Sequence[Response]) -> SweepResults:
         frfs = [relabel(frf, rec.scene.name, label) for frf in frfs]
@@ -234,6 +252,17 @@ def highest_peak(
     """
     others = [(frf, found) for frf in frfs for _, found in resonance_peaks(frf) if not found.at_end]
     return max((*filter(None, peaks), *others), key=lambda pair: pair[1].value, default=None)
+
+
+def force_deviation(measurement: Measurement, frf: Response) -> NDArray[np.float64]:
+    """Return the relative deviation of the force at each point of a response from the nearest level of its test."""
+    force = frf.amplitude
+    if force is None or frf.reference != "force":
+        return np.zeros(frf.frequency.size)
+    scene = measurement.rec.scene
+    if scene.test is None or scene.level_key != "force":
+        return np.zeros(frf.frequency.size)
+    return np.asarray(abs(force[:, None] / np.array(scene.test.levels) - 1.0).min(axis=1))
 
 
 def _peak_changes(first: Measurement, other: Measurement) -> list[SweepChange]:

@@ -17,7 +17,7 @@ from analysis.commands.report_page.drawing import mode_drawing, rig_drawing
 from analysis.commands.report_page.histories import spectrograms, time_histories
 from analysis.commands.report_page.measurements import Measurement, Measurements
 from analysis.commands.report_page.responses import (
-    damper_chart,
+    damper_charts,
     decay_charts,
     force_charts,
     response_charts,
@@ -34,6 +34,7 @@ from analysis.commands.report_page.tables import (
     test_sentence,
     typeset,
 )
+from daq.core.recording.recorded_test import own_analyses
 from rig.core.base.errors import SceneError
 from rig.core.base.escaping import escape_html
 from rig.core.base.output_files import atomic_write
@@ -92,11 +93,11 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
     sentences = summarize(results, changes)
     warnings = [f"<li>{typeset(note)}</li>" for note in measurements.warnings]
     counts = {"Warnings": f" ({len(warnings)})"}
-    dampers = [(measurement, result) for measurement in results for result in measurement.dampers]
     # The drawing shows the dampers whose effect is compared.
     drawn = next((each for each in results if each is not first), first)
     # Title and content of each section; a section without content is omitted.
     sections = {
+        "Controlled motion": [charts.write(chart) for each in results for chart in control_charts(each)],
         "Frequency responses": [
             charts.write(chart)
             for chart in (*response_charts(results, first.label, changes), *force_charts(results, first.label))
@@ -105,8 +106,7 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
         "Results": [changes_table(changes), resonances(results, first), decays(results)],
         "Mode shapes": [*_modes(results), *_macs(results, first)],
         "Stabilization diagrams": [charts.write(chart) for chart in stabilization_charts(results)],
-        "Dampers": [charts.write(damper_chart(measurement, result)) for measurement, result in dampers],
-        "Controlled motion": [charts.write(chart) for each in results for chart in control_charts(each)],
+        "Dampers": [charts.write(chart) for each in results for chart in damper_charts(each)],
         "Free decays": [charts.write(chart) for chart in decay_charts(results, first.label)],
         "Uncertainty": _budgets(results),
         **{f"Recording {each.path.name}": _recording(each, charts, each is not drawn) for each in results},
@@ -223,6 +223,7 @@ def _commands(paths: Sequence[Path], results: Sequence[Measurement]) -> list[str
         ("dampers", [measurement for measurement in results if measurement.dampers]),
         ("decay", [measurement for measurement in results if measurement.decay is not None]),
     ]
+    analyzed_by += [(each, [result]) for result in results for each in own_analyses(result.rec.markers)]
     recorded = [
         measurement for measurement in results if not measurement.rec.source and measurement.rec.scene.test is not None
     ]

@@ -18,14 +18,22 @@ from analysis.commands.figures.frf_figure import (
     is_determined,
     is_smooth,
     phase_degrees,
+    phase_top,
 )
-from analysis.commands.report_page.charts import Chart, Curve, Panel, needs_logarithmic_axis
-from analysis.commands.report_page.measurements import Measurement, SweepChange, SweepResults
+from analysis.commands.report_page.charts import (
+    Chart,
+    Curve,
+    Panel,
+    limits_with_margin,
+    needs_logarithmic_axis,
+    side_limits,
+)
+from analysis.commands.report_page.measurements import Measurement, SweepChange, SweepResults, force_deviation
 from analysis.core.damper_motion.comparison import Peak, local_model
-from analysis.core.damper_motion.dampers import Dampers
 from analysis.core.decays.free_decay import Decay
 from analysis.core.decays.modal_decay import ModalDecay
 from analysis.core.recordings.names import belongs_to, excitation_text
+from rig.core.base.arrays import Array
 from rig.core.base.palette import DAMPER, REFERENCE, CurveStyle, place_style, place_styles, recording_styles
 from rig.core.results import format_decimals, format_frequencies, format_percent
 from rig.core.results.response import Response
@@ -44,6 +52,10 @@ _VIEW_RATIO = 4.0
 _MODE_WIDTH = 0.05
 # A long curve is reduced to the highest and the lowest point of this number of intervals.
 _INTERVALS = 1200
+# Half of the gap where the phase wraps, relative to its frequency: about a pixel.
+_GAP_RATIO = 0.005
+# A drawn curve carries a peak if it reaches this part of its height.
+_CARRYING_RATIO = 0.97
 
 
 def response_charts(
@@ -61,8 +73,8 @@ def response_charts(
     charts = []
     for key in dict.fromkeys((frf.ratio if several else frf.input) for frf in frfs):
         group = [frf for frf in frfs if key == (frf.ratio if several else frf.input)]
-        names = _sweep_names(group, reference) if several else [frf.response for frf in group]
-        styles = _sweep_styles(group, reference) if several else None
+        names = _sweep_names([frf.label for frf in group], reference) if several else [frf.response for frf in group]
+        styles = _sweep_styles([frf.label for frf in group], reference) if several else None
         sweeps = [sweep for measurement in with_responses for sweep in measurement.sweeps]
         peaks = [
             [peak for sweep in sweeps for peak in sweep.peaks_of(frf)]
@@ -81,16 +93,16 @@ def response_charts(
     return charts
 
 
-def _sweep_names(frfs: Sequence[Response], reference: str) -> list[str]:
+def _sweep_names(labels: Sequence[str], reference: str) -> list[str]:
     """Return names of recordings and levels for a legend; only the levels if all sweeps are from one recording."""
-    common = f"{reference}, " if all(belongs_to(frf.label, reference) for frf in frfs) else ""
-    return [frf.label.removeprefix(common) for frf in frfs]
+    common = f"{reference}, " if all(belongs_to(label, reference) for label in labels) else ""
+    return [label.removeprefix(common) for label in labels]
 
 
-def _sweep_styles(frfs: Sequence[Response], reference: str) -> list[CurveStyle]:
+def _sweep_styles(labels: Sequence[str], reference: str) -> list[CurveStyle]:
     """Return the styles of recordings that are compared with a reference, or of the levels of a single recording."""
-    of_reference = [belongs_to(frf.label, reference) for frf in frfs]
-    return recording_styles([each and (len(frfs) == 1 or not all(of_reference)) for each in of_reference])
+    of_reference = [belongs_to(label, reference) for label in labels]
+    return recording_styles([each and (len(labels) == 1 or not all(of_reference)) for each in of_reference])
 
 
 def _mode_marks(sweep: SweepResults, frfs: Sequence[Response]) -> list[tuple[float, float, str]]:
@@ -118,21 +130,39 @@ def response_chart(
     `Panel`. `view`: part of the band that is shown first, and determines the vertical axis.
     """
     styles = styles or place_styles([frf.outputs[0].at for frf in frfs])
-    thinned = [_thinned(frf.with_gaps()) for frf in frfs]
-    unit, factor = thinned[0].shown_in
+    ordered = [frf.with_gaps() for frf in frfs]
+    unit, factor = ordered[0].shown_in
     magnitude, phase, coherence, relative = [], [], [], []
     strips: list[tuple[float, float]] = []
     extrapolated: set[float] = set()
-    rows = zip(frfs, thinned, names, styles, peaks or [()] * len(thinned), strict=True)
-    for original, frf, name, style, found in rows:
+    top = phase_top([frf for frf in frfs if not folds_back(frf.frequency)])
+    rows = zip(frfs, ordered, names, styles, peaks or [()] * len(ordered), strict=True)
+    for original, full, name, style, found in rows:
+        known = is_determined(full) & np.isfinite(full.value)
+        has_phase = known & is_smooth(full)
+        curve_f, curve_value = full.continued(known)
+        chosen = _extremes(full.frequency, full.value)
+        frf, known, angle = (
+            full.at(chosen),
+            known[chosen],
+            np.where(has_phase, phase_degrees(full.value, top), np.nan)[chosen],
+        )
         f, modulus, expanded = frf.frequency, factor * abs(frf.value), factor * frf.expanded()
-        known = is_determined(frf) & np.isfinite(frf.value)
         low, high = (np.where(known, modulus + sign * expanded, np.nan) for sign in (-1.0, 1.0))
         curve = Curve(name, f, np.where(known, modulus, np.nan), low, high, style)
-        draw = "points" if known.size <= MAX_POINTS else "line"
-        if folds_back(original):
+        draw = "points" if full.frequency.size <= MAX_POINTS else "line"
+        if folds_back(original.frequency):
             # Several responses at one frequency are not a function of frequency, and have no band.
             draw, curve, found = "dots", replace(curve, low=None, high=None), ()
+        elif draw == "line":
+            # Neighboring lines are joined also where their noise prevents interpolation.
+            is_joined = np.isfinite(curve_value) | np.isin(curve_f, full.frequency)
+            curve_f, curve_value = curve_f[is_joined], curve_value[is_joined]
+            chosen = _extremes(curve_f, curve_value)
+            center = factor * abs(curve_value[chosen])
+            ratio = np.interp(curve_f[chosen], f[known], (expanded / modulus)[known]) if known.any() else 0.0
+            low, high = (center * np.maximum(1.0 + sign * ratio, 0.0) for sign in (-1.0, 1.0))
+            curve = Curve(name, curve_f[chosen], center, low, high, style)
         magnitude.append(replace(curve, draw=draw))
         unknown = ~known & np.isfinite(frf.value)
         if unknown.any():
@@ -142,32 +172,36 @@ def response_chart(
             stored = joined | np.roll(joined, 1)
             gray = np.where(joined, modulus, np.nan)[stored]
             magnitude.append(Curve(name, f[stored], gray, style=_UNDETERMINED, draw="through"))
+        # The phase has the same gaps as the magnitude.
+        line = np.where(
+            has_phase[np.searchsorted(full.frequency, curve_f).clip(0, has_phase.size - 1)], curve_value, np.nan
+        )
         if draw == "points":
-            through = frf.continued(np.isfinite(frf.value))
-            magnitude.append(Curve(name, through[0], factor * abs(through[1]), style=style, draw="through"))
-            # The phase has the same gaps as the magnitude.
-            smooth = frf.continued(known & is_smooth(frf))
-            phase.append(Curve(name, *break_at_wraps(smooth[0], phase_degrees(smooth[1])), style=style, draw="through"))
+            magnitude.append(Curve(name, curve_f, factor * abs(curve_value), style=style, draw="through"))
+            phase.append(Curve(name, *_break_visibly(curve_f, phase_degrees(line, top)), style=style, draw="through"))
         unsteady = np.zeros(f.size, dtype=bool) if frf.unsteady is None else frf.unsteady
         magnitude += _symbols(name, style, "crosses", zip(f[unsteady], modulus[unsteady], strict=True))
         # A peak of unknown height is drawn at its highest point.
         points = {peak: (peak.frequency, factor * peak.value) for peak in found if not peak.at_end}
         interpolated = [peak for peak in points if isfinite(peak.bound)]
-        if draw == "line":
-            # The curve with the peak is not visible between the lines of a spectrum, so it is drawn.
-            models = [local_model(original, peak) for peak in interpolated]
-            magnitude += [Curve(name, at, factor * height, style=style, draw="through") for at, height in models]
+        for at, height in (local_model(original, peak) for peak in interpolated):
+            # The lines do not resolve this peak: only its local model carries it.
+            is_near = (curve_f >= at[0]) & (curve_f <= at[-1])
+            if np.nanmax(abs(curve_value[is_near]), initial=0.0) < _CARRYING_RATIO * height.max():
+                magnitude.append(Curve(name, at, factor * height, style=style, draw="through"))
         extrapolated |= {p.frequency for p in interpolated if _exceeds_points(p, f, modulus / factor)}
         magnitude += _symbols(name, style, "circles", [points[peak] for peak in interpolated])
         magnitude += _symbols(name, style, "arrows", [at for peak, at in points.items() if not peak.is_determined])
-        angle = np.where(known & is_smooth(frf), phase_degrees(frf.value), np.nan)
-        phase.append(Curve(name, *break_at_wraps(f, angle), style=style, draw=draw))
+        if draw == "line":
+            phase.append(Curve(name, *_break_visibly(curve_f[chosen], phase_degrees(line[chosen], top)), style=style))
+        else:
+            phase.append(Curve(name, *break_at_wraps(f, angle), style=style, draw=draw))
         draw = "dots" if draw == "dots" else "line"
         coherence.append(Curve(name, f, frf.coherence, style=style, draw=draw))
         relative.append(Curve(name, f, np.minimum(100.0 * expanded / modulus, _MAX_PERCENT), style=style, draw=draw))
-    quantity = thinned[0].name
-    outputs = ", ".join(dict.fromkeys(frf.response for frf in thinned))
-    band = np.concatenate([frf.frequency for frf in thinned])
+    quantity = ordered[0].name
+    outputs = ", ".join(dict.fromkeys(frf.response for frf in ordered))
+    band = np.concatenate([frf.frequency for frf in ordered])
     drawn = {curve.draw for curve in magnitude}
     listed = ", ".join(format_decimals(frequency, 2) for frequency in sorted(extrapolated))
     notes = [
@@ -179,11 +213,18 @@ def response_chart(
         "Gray, with a strip at the axis: undetermined (noise, or bound above 100 %)." * bool(strips),
     ]
     return Chart(
-        f"{quantity.capitalize()} of {outputs} / {thinned[0].input}. {' '.join(filter(None, notes))}",
-        f"{quantity.capitalize()} of {outputs} / {thinned[0].input} from {band.min():.4g} to {band.max():.4g} Hz.",
+        f"{quantity.capitalize()} of {outputs} / {ordered[0].input}. {' '.join(filter(None, notes))}",
+        f"{quantity.capitalize()} of {outputs} / {ordered[0].input} from {band.min():.4g} to {band.max():.4g} Hz.",
         [
             Panel(f"|{quantity}|", unit, magnitude, 240, True, _limits(magnitude, view), marks=marks, strips=strips),
-            Panel("phase", "°", phase, height=105, limits=(-285.0, 105.0), ticks=(-270, -180, -90, 0, 90)),
+            Panel(
+                "phase",
+                "°",
+                phase,
+                105,
+                limits=(top - 375.0, top + 15.0),
+                ticks=[top - 90.0 * k for k in range(4, -1, -1)],
+            ),
             Panel("coherence", "", coherence, height=75, limits=(0.0, 1.05), ticks=(0.0, 0.5, 1.0)),
             Panel("U", "%", relative, height=90, logarithmic=True, limits=_percent_limits(relative)),
         ],
@@ -191,6 +232,14 @@ def response_chart(
         x_limits=(float(band.min()), float(band.max())),
         x_view=view,
     )
+
+
+def _break_visibly(f: NDArray[np.float64], angle: NDArray[np.float64]) -> tuple[Array, Array]:
+    """Insert a gap of at least a pixel where the phase wraps: a narrower gap would be crossed by a line."""
+    is_step = abs(np.diff(np.nan_to_num(angle))) > 180.0
+    wraps = ((f[1:] + f[:-1]) / 2.0)[is_step & np.isfinite(angle[1:]) & np.isfinite(angle[:-1])]
+    is_near = (abs(f[:, None] / wraps - 1.0) < _GAP_RATIO).any(axis=1)
+    return break_at_wraps(f, np.where(is_near, np.nan, angle))
 
 
 def _exceeds_points(peak: Peak, f: NDArray[np.float64], modulus: NDArray[np.floating[Any]]) -> bool:
@@ -216,15 +265,14 @@ def force_charts(measurements: Sequence[Measurement], reference: str) -> list[Ch
     ]
     if not sweeps:
         return []
-    frfs = [frf for _, frf in sweeps]
-    names, styles = _sweep_names(frfs, reference), _sweep_styles(frfs, reference)
+    labels = [frf.label for _, frf in sweeps]
+    names, styles = _sweep_names(labels, reference), _sweep_styles(labels, reference)
     curves, outside = list[Curve](), list[str]()
     for (measurement, measured), name, style in zip(sweeps, names, styles, strict=True):
         frf = measured.sorted()
-        assert frf.amplitude is not None and measurement.rec.scene.test is not None
+        assert frf.amplitude is not None
         curves.append(Curve(name, frf.frequency, frf.amplitude, style=style, draw="points"))
-        levels = np.array(measurement.rec.scene.test.levels)
-        nearest = abs(frf.amplitude[:, None] / levels - 1.0).min(axis=1)
+        nearest = force_deviation(measurement, frf)
         is_outside = nearest > FORCE_TOLERANCE
         curves += _symbols(
             name, style, "circles", zip(frf.frequency[is_outside], frf.amplitude[is_outside], strict=True)
@@ -244,25 +292,16 @@ def force_charts(measurements: Sequence[Measurement], reference: str) -> list[Ch
             f"Force at each frequency, and the required force with its tolerance of {format_percent(FORCE_TOLERANCE)}. "
             + points,
             f"Force from {frequency.min():.4g} to {frequency.max():.4g} Hz.",
-            [Panel("force", "N", curves, height=170, limits=_with_margin(curves))],
+            [Panel("force", "N", curves, height=170, limits=limits_with_margin(curves))],
             logarithmic=needs_logarithmic_axis(frequency),
         )
     ]
 
 
-def _with_margin(curves: Sequence[Curve]) -> tuple[float, float]:
-    """Return limits of a linear axis that show all values and bands with a margin for symbols."""
-    columns = [column for curve in curves for column in (curve.y, curve.low, curve.high) if column is not None]
-    values = np.concatenate([np.asarray(column, dtype=float) for column in columns])
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    margin = 0.15 * (high - low or 1.0)
-    return low - margin, high + margin
-
-
 def stabilization_charts(measurements: Sequence[Measurement]) -> list[Chart]:
-    """Return the stabilization diagram of each sweep, on the frequency axis of its responses."""
+    """Return the stabilization diagram of each recording's first sweep, on the frequency axis of its responses."""
     charts = []
-    for sweep in (sweep for measurement in measurements for sweep in measurement.sweeps):
+    for sweep in (sweep for measurement in measurements for sweep in measurement.sweeps[:1]):
         if sweep.modes is None or not sweep.modes.chart:
             continue
         poles = sorted(sweep.modes.chart, key=lambda pole: pole.frequency)
@@ -342,47 +381,76 @@ def _limits(curves: Sequence[Curve], view: tuple[float, float] | None = None) ->
     return (float(values.min()) / 1.5, 1.5 * float(values.max())) if values.size else (0.1, 10.0)
 
 
-def _thinned(frf: Response) -> Response:
-    """Reduce a long curve to the highest and the lowest point of each interval."""
-    count = frf.frequency.size
-    if count <= 2 * _INTERVALS:
-        return frf
-    magnitude = np.nan_to_num(abs(frf.value))
-    intervals = np.array_split(np.arange(count), _INTERVALS)
-    extremes = (np.argmax, np.argmin)
-    selected = {int(points[extreme(magnitude[points])]) for points in intervals for extreme in extremes}
-    return frf.at(np.array(sorted(selected | {0, count - 1})))
+def _extremes(f: NDArray[np.float64], value: NDArray[np.complex128]) -> NDArray[np.intp]:
+    """Return the highest and the lowest point of a long curve in each interval of a logarithmic axis, and all gaps."""
+    if f.size <= 2 * _INTERVALS:
+        return np.arange(f.size)
+    magnitude, positive = abs(value), f[f > 0]
+    interval = np.searchsorted(np.geomspace(positive[0], positive[-1], _INTERVALS), f)
+    starts = np.flatnonzero(np.diff(interval, prepend=-1))
+    pieces = np.split(np.nan_to_num(magnitude), starts[1:])
+    selected = {
+        int(start + find(piece)) for start, piece in zip(starts, pieces, strict=True) for find in (np.argmax, np.argmin)
+    }
+    return np.array(sorted(selected | {0, f.size - 1}), dtype=np.intp)
 
 
-def damper_chart(measurement: Measurement, result: Dampers) -> Chart:
-    """Return a chart of impacts per period for each body, and the share of energy dissipated by all dampers."""
-    frequency = result.sweep.lines.frequency
-    order = np.argsort(frequency)
-    panels = []
-    impacts = []
-    for motions in result.bodies:
-        style = place_style(measurement.rec.channels[motions[0].channel].at)
-        count = np.array([sum(motion.impacts_per_period) for motion in motions])
-        impacts.append(Curve(motions[0].channel, frequency[order], count[order], style=style, draw="points"))
-    if impacts:
-        panels.append(Panel("impacts per period", "", impacts, height=150))
-    energy = result.energy
-    if energy is not None:
-        percent, bound = (_percent(energy_part, energy.supplied) for energy_part in (energy.dampers, energy.bound))
-        low, high = (percent - bound)[order], (percent + bound)[order]
-        curve = Curve("dampers", frequency[order], percent[order], low, high, CurveStyle(DAMPER), "points")
-        limits = min(-5.0, float(np.nanmin(percent)) - 5.0), max(105.0, float(np.nanmax(percent)) + 5.0)
-        panels.append(Panel("share of energy", "%", [curve], height=150, limits=limits))
-    level = f"drive level {result.sweep.level:.4g}"
-    if measurement.rec.scene.level_key == "force":
-        level = f"force {result.sweep.level:.4g} N"
-    return Chart(
-        f"{measurement.label}, {result.sweep.direction}, {level}: impacts per period on floor and ceiling (gaps: no "
-        "regular pattern), and share of the supplied energy that the dampers dissipate, with 95 % intervals.",
-        f"Damper impacts per period against frequency, {frequency.min():.4g} to {frequency.max():.4g} Hz.",
-        panels,
-        logarithmic=needs_logarithmic_axis(frequency),
-    )
+def damper_charts(measurement: Measurement) -> list[Chart]:
+    """Return a chart of impacts per period of each body, and of the share of energy that all dampers dissipate.
+
+    All sweeps share it.
+    """
+    results = measurement.dampers
+    if not results:
+        return []
+    labels = [result.label for result in results]
+    names = _sweep_names(labels, measurement.label)
+    styles = _sweep_styles(labels, measurement.label)
+    impacts: dict[str, list[Curve]] = {}
+    shares = list[Curve]()
+    for result, name, style in zip(results, names, styles, strict=True):
+        frequency = result.sweep.lines.frequency
+        draw = "dots" if frequency.size == 1 or folds_back(frequency) else "points"
+        order = np.arange(frequency.size) if draw == "dots" else np.argsort(frequency)
+        for motions in result.bodies:
+            place, count = motions[0].channel, np.array([sum(motion.impacts_per_period) for motion in motions])
+            at = style if len(results) > 1 else place_style(measurement.rec.channels[place].at)
+            label = name if len(results) > 1 else place
+            impacts.setdefault(place, []).append(Curve(label, frequency[order], count[order], style=at, draw=draw))
+        energy = result.energy
+        if energy is not None:
+            percent, bound = (_percent(part, energy.supplied)[order] for part in (energy.dampers, energy.bound))
+            label, at = (name, style) if len(results) > 1 else ("dampers", CurveStyle(DAMPER))
+            shares.append(Curve(label, frequency[order], percent, percent - bound, percent + bound, at, draw))
+    groups = impacts if len(results) > 1 else {"": [curve for curves in impacts.values() for curve in curves]}
+    panels = [
+        Panel(
+            f"impacts per period{f', {place}' * (len(groups) > 1)}",
+            "",
+            curves,
+            150,
+            limits=(0.0, 1.1 * max(2.0, *(float(np.nanmax(curve.y, initial=0.0)) for curve in curves))),
+        )
+        for place, curves in groups.items()
+        if curves
+    ]
+    if shares:
+        low, high = limits_with_margin([replace(curve, low=None, high=None) for curve in shares])
+        panels.append(Panel("share of energy", "%", shares, 150, limits=(min(-5.0, low), max(105.0, high))))
+    if not panels:
+        return []
+    band = np.concatenate([result.sweep.lines.frequency for result in results])
+    return [
+        Chart(
+            f"“{measurement.label}” ({excitation_text(measurement.rec)}): impacts per period on floor and ceiling "
+            "(gaps: no regular pattern; 0: none above the detection limit), and share of the supplied energy that the "
+            "dampers dissipate (95 %).",
+            f"Damper impacts per period against frequency, {band.min():.4g} to {band.max():.4g} Hz.",
+            panels,
+            logarithmic=needs_logarithmic_axis(band),
+            x_limits=side_limits(band) if any(curve.draw == "dots" for curve in panels[0].curves) else None,
+        )
+    ]
 
 
 def _percent(part: NDArray[np.float64], total: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 from math import inf, isfinite
 from operator import le
 
 import numpy as np
 
 from analysis.commands.presentation.damper_findings import detection_limits
-from analysis.commands.report_page.measurements import Measurement, SweepChange, SweepResults
+from analysis.commands.report_page.measurements import Measurement, SweepChange, SweepResults, force_deviation
 from analysis.commands.report_page.tables import change_heights, change_text, includes_sensors
 from analysis.core.damper_motion.dampers import Dampers
 from daq.core.recording.markers import describe_faulty_hits
 from daq.core.recording.recorded_test import deviation_unit, shocks_of
-from rig.core.results import format_decimals, format_frequencies, format_interval
+from rig.core.results import format_decimals, format_frequencies, format_interval, format_percent
+from rig.core.scene.excitation import FORCE_TOLERANCE
 
 # Number of texts in the summary.
 _MAX_TEXTS = 3
@@ -30,7 +32,7 @@ def summarize(measurements: Sequence[Measurement], changes: Sequence[SweepChange
     for measurement in measurements:
         if not changes:
             texts += _resonance_texts(measurement)
-        texts += [text for result in measurement.dampers for text in _impact_texts(result)]
+        texts += _impact_texts(measurement)
     texts = texts or [text for each in measurements for text in _response_texts(each)]
     return texts[:_MAX_TEXTS] or ["No result: see the warnings."]
 
@@ -50,6 +52,10 @@ def limitations(measurements: Sequence[Measurement]) -> list[str]:
             if frf.unsteady is not None and frf.unsteady.any():
                 where = format_frequencies(frf.frequency.tolist(), frf.unsteady.tolist())
                 faults.append(f"no steady state at {where}")
+            deviation = force_deviation(measurement, frf)
+            if (outside := deviation > FORCE_TOLERANCE).any():
+                where = format_frequencies(frf.frequency.tolist(), outside.tolist())
+                faults.append(f"force up to {format_percent(float(deviation.max()))} from its level at {where}")
         if any(faults):
             texts.append(f"“{measurement.label}”: {'; '.join(dict.fromkeys(filter(None, faults)))}.")
     curves = [frf for measurement in measurements for sweep in measurement.sweeps for frf in sweep.frfs]
@@ -62,7 +68,10 @@ def limitations(measurements: Sequence[Measurement]) -> list[str]:
 
 
 def _control_texts(measurement: Measurement) -> list[str]:
-    """Return a sentence on the controlled motion of each test: its profile, or its shocks."""
+    """Return a sentence on the controlled motion of each test: its curve, its profile, or its shocks."""
+    tracked = measurement.tracked
+    if tracked is not None:
+        return ["\n".join([f"{tracked.summary()} (95 % intervals)", *tracked.level_texts()])]
     if measurement.profile is not None:
         return [f"{measurement.profile.summary()}."]
     shocks = shocks_of(measurement.rec.markers)
@@ -139,6 +148,8 @@ def _resonance_texts(measurement: Measurement) -> list[str]:
     If there are more sweeps than texts in the summary, only the highest response is listed for all but the first sweep.
     """
     sweeps = [sweep for sweep in measurement.sweeps if sweep.modes is not None and sweep.modes.frequency.size]
+    if len(sweeps) > 1 and all(sweep.modes.frequency.size == 1 for sweep in sweeps if sweep.modes is not None):
+        return [_levels_text(measurement, sweeps)]
     if len(sweeps) <= _MAX_TEXTS:
         return [_resonance_text(sweep) for sweep in sweeps]
     others = (
@@ -147,6 +158,23 @@ def _resonance_texts(measurement: Measurement) -> list[str]:
         if (text := _highest_compliance(sweep))
     )
     return ["\n".join([_resonance_text(sweeps[0]), *others])]
+
+
+def _levels_text(measurement: Measurement, sweeps: Sequence[SweepResults]) -> str:
+    """State the ranges of frequency and damping of one resonance at several levels, and its values at each level."""
+    modes = [sweep.modes for sweep in sweeps if sweep.modes is not None]
+    values = ([float(mode.frequency[0]) for mode in modes], [100.0 * float(mode.damping[0]) for mode in modes])
+    ends = [
+        f"{format_decimals(min(each), 2)} to {format_decimals(max(each), 2)} {unit}"
+        for each, unit in zip(values, ("Hz", "%"), strict=True)
+    ]
+    lines = [
+        f"{sweep.label.removeprefix(measurement.label).removeprefix(', ')}: {mode.frequency_text(0)}, damping ratio "
+        f"{sweep.damping_text(0)}, {_highest_compliance(sweep).rpartition(' (')[0]}".removesuffix(", ")
+        for sweep, mode in zip(sweeps, modes, strict=True)
+    ]
+    heading = f"“{measurement.label}”: natural frequency from {ends[0]} and damping ratio from {ends[1]} at "
+    return "\n".join([f"{heading}{len(sweeps)} levels (95 % intervals)", *lines])
 
 
 def _response_texts(measurement: Measurement) -> list[str]:
@@ -182,34 +210,53 @@ def _highest_compliance(sweep: SweepResults) -> str:
     return f"the highest {curve.name} is {highest.height_text(curve.shown_in[1])} {curve.shown_in[0]} ({where})"
 
 
-def _impact_texts(result: Dampers) -> list[str]:
-    """Report the frequencies with detected impacts, and the largest dissipated fraction of the supplied energy."""
-    if not result.bodies:
+def _impact_texts(measurement: Measurement) -> list[str]:
+    """Report the detected impacts of all sweeps and the limit of detection, a line for each sweep."""
+    results = [result for result in measurement.dampers if result.bodies]
+    if not results:
         return []
+    limits = detection_limits([[*chain(*motions)] for motions in zip(*(each.bodies for each in results), strict=True)])
+    limit = f"impacts with a velocity step below {limits} are not detectable"
+    if len(results) == 1:
+        impacts, energy = _impact_text(results[0])
+        frequency = results[0].sweep.lines.frequency
+        every = f"{frequency.size} frequencies" if frequency.size > 1 else f"{frequency[0]:.4g} Hz"
+        none = f"no damper impact was detected at {'any of ' * (frequency.size > 1)}{every}"
+        text = f"damper impacts were detected at {impacts}" if impacts else none
+        return [f"“{results[0].label}”: {text}; {limit}{energy and f'; the dampers dissipate {energy}'}."]
+    lines = []
+    for result in results:
+        impacts, energy = _impact_text(result)
+        name = result.label.removeprefix(measurement.label).removeprefix(", ")
+        lines.append(f"{name}: {impacts or 'none'}{energy and f'; {energy}'}")
+    heading = f"“{measurement.label}”: frequencies with damper impacts, and dissipated energy; {limit}"
+    return ["\n".join([heading, *lines])]
+
+
+def _impact_text(result: Dampers) -> tuple[str, str]:
+    """Return the frequencies with detected impacts, and the largest dissipated fraction of the supplied energy."""
     frequency = result.sweep.lines.frequency
     has_impacts = np.zeros(frequency.size, dtype=bool)
     for motions in result.bodies:
         has_impacts |= [motion.floor > 0 or motion.ceiling > 0 for motion in motions]
-    limits = f"impacts with a velocity step below {detection_limits(result.bodies)} are not detectable"
-    all_points = f"{frequency.size} frequencies" if frequency.size > 1 else f"{frequency[0]:.4g} Hz"
     if not has_impacts.any():
-        undetected = f"no damper impact was detected at {'any of ' * (frequency.size > 1)}{all_points}"
-        return [f"“{result.label}”: {undetected}; {limits}."]
-    detected = all_points
+        return "", ""
+    text = f"{frequency[0]:.4g} Hz"
     if frequency.size > 1:
         listed = format_frequencies(frequency.tolist(), has_impacts.tolist())
-        detected = f"{int(has_impacts.sum())} of {all_points} ({listed})"
-    text = f"“{result.label}”: damper impacts were detected at {detected}; {limits}"
+        text = f"{int(has_impacts.sum())} of {frequency.size} frequencies ({listed})"
     energy = result.energy
-    if energy is not None:
-        share, bound = energy.dampers / energy.supplied, energy.bound / energy.supplied
-        largest = int(np.argmax(np.where(energy.supplied > 0, share - bound, -np.inf)))
-        if share[largest] > bound[largest] > 0:
-            # The chart shows whole percents.
-            percent, percent_bound = 100 * float(share[largest]), 100 * float(bound[largest])
-            value = f"{percent:.0f}" if percent_bound < 0.5 else format_interval(percent, percent_bound)
-            text += f"; the dampers dissipate up to {value} % of the supplied energy (at {frequency[largest]:.4g} Hz)"
-    return [f"{text}."]
+    if energy is None:
+        return text, ""
+    share, bound = energy.dampers / energy.supplied, energy.bound / energy.supplied
+    largest = int(np.argmax(np.where(energy.supplied > 0, share - bound, -np.inf)))
+    if not share[largest] > bound[largest] > 0:
+        return text, ""
+    # The chart shows whole percents.
+    percent, percent_bound = 100 * float(share[largest]), 100 * float(bound[largest])
+    value = f"{percent:.0f}" if percent_bound < 0.5 else format_interval(percent, percent_bound)
+    where = f" (at {frequency[largest]:.4g} Hz)" if frequency.size > 1 else ""
+    return text, f"up to {value} % of the supplied energy{where}"
 
 
 def _decay_texts(measurements: Sequence[Measurement]) -> list[str]:

@@ -156,7 +156,7 @@ def change_heights(sweep: SweepChange) -> str:
 def mac_table(before: Modes, after: Modes) -> str:
     """Return the modal assurance criterion between the shapes of two sweeps, or within one sweep, as HTML."""
     common = [name for name in before.responses if name in after.responses]
-    if len(common) < 2:
+    if len(common) < 2 or (before is after and before.frequency.size < 2):
         return ""
     shapes = [modes.shapes[[modes.responses.index(name) for name in common]] for modes in (before, after)]
     rows = [

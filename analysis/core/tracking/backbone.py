@@ -22,12 +22,13 @@ from numpy.typing import NDArray
 from analysis.core.recordings.names import takes_path
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import reference_of
-from analysis.core.tracking.body_motion import body_motion
+from analysis.core.tracking.body_motion import CurvePart, body_motion
 from daq.core.recording.recorded_test import HELD_PHASE
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import place_styles
 from rig.core.results import Result, complete_style, format_number
+from rig.core.results.text import format_quantity
 from rig.core.results.uncertainty import SENSITIVITY
 from rig.core.system.structural_model import structural_model
 
@@ -55,8 +56,10 @@ class Backbone(Result):
         Name of the scene.
     body : str
         Body whose amplitude is given.
-    level : ndarray, shape (n,)
-        Level, in the unit of the test.
+    unit : str
+        Unit of the level.
+    level, force : ndarray, shape (n,)
+        Level, and amplitude of the measured force in N.
     frequency, frequency_bound : ndarray, shape (n,)
         Frequency of phase resonance and half of its 95 % interval, which includes the deviation of the phase, Hz.
     natural_frequency, natural_frequency_bound : ndarray, shape (n,)
@@ -72,7 +75,9 @@ class Backbone(Result):
 
     label: str
     body: str
+    unit: str
     level: Array
+    force: Array
     frequency: Array
     frequency_bound: Array
     natural_frequency: Array
@@ -84,20 +89,47 @@ class Backbone(Result):
     settled: NDArray[np.bool_]
 
     def summary(self) -> str:
-        """Return the ranges of amplitude, frequency and damping."""
-        amplitude, frequency, damping = (
-            (float(values.min()), float(values.max())) for values in (self.amplitude, self.frequency, self.damping)
+        """Return the ranges of level, natural frequency, damping and amplitude."""
+        natural = self.natural_frequency if np.isfinite(self.natural_frequency).any() else self.frequency
+        level, frequency, damping, amplitude = (
+            f"{float(f'{np.nanmin(values):.{digits}g}'):.10g} to {float(f'{np.nanmax(values):.{digits}g}'):.10g}"
+            for values, digits in ((self.level, 3), (natural, 4), (100 * self.damping, 2), (1e3 * self.amplitude, 3))
         )
         return (
-            f"{self.label}: {self.level.size} levels, {self.body} from {1e3 * amplitude[0]:.3g} to "
-            f"{1e3 * amplitude[1]:.3g} mm: {frequency[0]:.5g} to {frequency[1]:.5g} Hz, damping ratio "
-            f"{100 * damping[0]:.2g} to {100 * damping[1]:.2g} %"
+            f"{self.label}: {self.level.size} levels from {level} {self.unit}: natural frequency {frequency} Hz, "
+            f"damping ratio {damping} %, amplitude of {self.body} {amplitude} mm"
         )
+
+    def level_texts(self) -> list[str]:
+        """Return level, natural frequency, damping ratio and amplitude of each point with their 95 % intervals."""
+        columns = (
+            (self.natural_frequency, self.natural_frequency_bound, 1.0, "Hz"),
+            (self.damping, self.damping_bound, 100.0, "%"),
+            (self.amplitude, self.amplitude_bound, 1e3, "mm"),
+        )
+        return [
+            f"{format_number(level)} {self.unit}: "
+            + ", ".join(
+                format_quantity(factor * float(values[k]), factor * float(bounds[k]), unit)
+                for values, bounds, factor, unit in columns
+            )
+            for k, level in enumerate(self.level.tolist())
+        ]
+
+    def parts(self) -> list[CurvePart]:
+        """Return the locked points."""
+        return [CurvePart("phase resonance", place_styles([self.body])[0], self.settled, True)]
+
+    def marks(self) -> list[tuple[float, float, str]]:
+        """Return frequency, amplitude and level of each point."""
+        texts = [f"{format_number(level)} {self.unit}" for level in self.level]
+        return [*zip(self.frequency.tolist(), self.amplitude.tolist(), texts, strict=True)]
 
     def columns(self) -> Mapping[str, NDArray[Any]]:
         """Return level, frequency, amplitude and damping ratio with their intervals."""
         return {
             "level": self.level,
+            "force_N": self.force,
             "frequency_Hz": self.frequency,
             "frequency_bound_Hz": self.frequency_bound,
             "natural_frequency_Hz": self.natural_frequency,
@@ -110,25 +142,20 @@ class Backbone(Result):
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the frequency against the amplitude: the measured points with their levels."""
+        """Draw the amplitude over the frequency: the measured points with their levels, joined in their order."""
         color = place_styles([self.body])[0].color
-        line = {"color": color, "ls": "", "marker": "o", "markersize": 4.5}
+        line = {"color": color, "lw": 0.8, "marker": "o", "markersize": 4.5}
         bars = complete_style(style, label=self.label, capsize=2, elinewidth=1.0, **line)
-        order = np.argsort(self.amplitude)
         ax.errorbar(
-            self.frequency[order],
-            1e3 * self.amplitude[order],
-            1e3 * self.amplitude_bound[order],
-            self.frequency_bound[order],
-            **bars,
-        )
+            self.frequency, 1e3 * self.amplitude, 1e3 * self.amplitude_bound, self.frequency_bound, **bars
+        )  # fmt: skip
         span, right = float(np.ptp(self.frequency)), np.sort(self.frequency)
-        for level, frequency, amplitude in zip(self.level, self.frequency, 1e3 * self.amplitude, strict=True):
+        for frequency, amplitude, level in self.marks():
             # The label is on the side where no other point is near.
             following = right[right > frequency]
             is_left = following.size > 0 and following[0] - frequency < _LABEL_RATIO * span
             ax.annotate(
-                format_number(level), (frequency, amplitude), (-7 if is_left else 7, 5), textcoords="offset points",
+                level, (frequency, 1e3 * amplitude), (-7 if is_left else 7, 5), textcoords="offset points",
                 fontsize=8, ha="right" if is_left else "left",
             )  # fmt: skip
         ax.set(xlabel="frequency / Hz", ylabel=f"amplitude of {self.body} / mm")
@@ -156,8 +183,9 @@ def backbone(rec: Recording) -> Backbone:
         If the recording contains no test of phase resonance.
     """
     markers = HELD_PHASE.measured(rec.markers)
-    held = None if rec.scene.test is None else rec.scene.test.held_phase
-    if held is None or not markers:
+    test = rec.scene.test
+    held = None if test is None else test.held_phase
+    if test is None or held is None or not markers:
         raise RecordingError(f"{rec.path}: no phase was held. Record a test of kind phase_resonance.")
     body, wanted = held
     mass = structural_model(rec.scene).mass
@@ -188,18 +216,20 @@ def backbone(rec: Recording) -> Backbone:
         bound = abs(mode.damping) * omega / (2.0 * np.pi) * tangent
         levels.append(
             (
-                marker.fields["level"], response.frequency[line], bound, *mode, amplitude, relative * amplitude,
+                marker.fields["level"], force, response.frequency[line], bound, *mode, amplitude, relative * amplitude,
                 marker.fields.get("settled") is not False,
             )
         )  # fmt: skip
     (
-        level, frequency, frequency_bound, natural, natural_bound, ratio, ratio_bound, displacement, displacement_bound,
-        settled,
+        level, force_, frequency, frequency_bound, natural, natural_bound, ratio, ratio_bound, displacement,
+        displacement_bound, settled,
     ) = (np.array(column, dtype=float) for column in zip(*levels, strict=True))  # fmt: skip
     return Backbone(
         label=rec.scene.name,
         body=rec.scene.structure.label(body),
+        unit=test.level_unit(rec.scene.driven_shaker),
         level=level,
+        force=force_,
         frequency=frequency,
         frequency_bound=frequency_bound,
         natural_frequency=natural,

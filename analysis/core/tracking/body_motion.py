@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
+from rig.core.base.palette import CurveStyle
 from rig.core.results.response import Response
 
 
@@ -19,6 +20,15 @@ class BodyMotion(NamedTuple):
     amplitude: Array  # displacement, m
     relative: Array  # half of the 95 % interval of the response, relative to the response
     settled: NDArray[np.bool_]
+
+
+class CurvePart(NamedTuple):
+    """Points of a curve with a common symbol. The curve consists of the parts with equal styles."""
+
+    name: str
+    style: CurveStyle
+    selected: NDArray[np.bool_]  # shape (points,)
+    is_stable: bool
 
 
 def body_motion(response: Response, location: str) -> BodyMotion:

@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 
 from analysis.core.recordings.names import takes_path
 from analysis.core.responses.frequency_responses import frequency_responses
-from analysis.core.tracking.body_motion import body_motion
+from analysis.core.tracking.body_motion import CurvePart, body_motion
 from daq.core.recording.recorded_test import FOLLOWED_CURVE
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import level_styles
 from rig.core.results import Result, complete_style, format_number
+from rig.core.results.text import format_quantity
 from rig.core.results.uncertainty import SENSITIVITY
 from rig.core.scene.excitation import FORCE_TOLERANCE
 
@@ -57,8 +58,8 @@ class AmplitudeCurve(Result):
         Body whose amplitude is given.
     unit : str
         Unit of the level.
-    level : ndarray, shape (n,)
-        Level in the unit of the test.
+    level, force : ndarray, shape (n,)
+        Level in the unit of the test, and amplitude of the measured force in N.
     frequency, frequency_bound : ndarray, shape (n,)
         Frequency and half of the 95 % interval of the frequency that has this amplitude at the level, Hz.
     amplitude, amplitude_bound : ndarray, shape (n,)
@@ -73,6 +74,7 @@ class AmplitudeCurve(Result):
     body: str
     unit: str
     level: Array
+    force: Array
     frequency: Array
     frequency_bound: Array
     amplitude: Array
@@ -83,9 +85,10 @@ class AmplitudeCurve(Result):
 
     def summary(self) -> str:
         """Return the numbers of points and folds, and the largest amplitude."""
+        folds = len(self.folds)
         return (
             f"{self.label}: {np.unique(self.level).size} levels, {self.level.size} points ({(~self.stable).sum()} "
-            f"unstable), {len(self.folds)} folds, {self.body} up to {1e3 * self.amplitude.max():.3g} mm"
+            f"unstable), {folds} fold{'s' * (folds != 1)}, {self.body} up to {1e3 * self.amplitude.max():.3g} mm"
         )
 
     def resolution(self, level: float) -> float:
@@ -95,10 +98,40 @@ class AmplitudeCurve(Result):
         steps, noise = abs(np.diff(self.frequency[chosen])), 2.0 * self.frequency_bound[chosen]
         return float(np.maximum(steps, noise[1:])[is_high[1:]].max(initial=0.0))
 
+    def level_texts(self) -> list[str]:
+        """Return the largest amplitude and the folds of each level with their 95 % intervals."""
+        texts = []
+        for level in dict.fromkeys(self.level.tolist()):
+            chosen = np.flatnonzero(self.level == level)
+            highest = chosen[np.argmax(self.amplitude[chosen])]
+            peak, bound = (1e3 * float(values[highest]) for values in (self.amplitude, self.amplitude_bound))
+            # The curve continues beyond its first and last point.
+            largest = "highest point" if highest in chosen[[0, -1]] else "peak"
+            folds = [format_quantity(fold.frequency, fold.bound, "Hz") for fold in self.folds if fold.level == level]
+            where = f"fold{'s' * (len(folds) > 1)} at {', '.join(folds)}" if folds else ""
+            where = where or f"no fold wider than {self.resolution(level):.2g} Hz"
+            peak_text = f"{format_quantity(peak, bound, 'mm')} at {self.frequency[highest]:.4g} Hz"
+            texts.append(f"{format_number(level)} {self.unit}: {largest} {peak_text}, {where}")
+        return texts
+
+    def parts(self) -> list[CurvePart]:
+        """Return the settled points of each level, stable and unstable."""
+        return [
+            CurvePart(f"{format_number(level)} {self.unit}{'' if is_stable else ', unstable'}", style, part, is_stable)
+            for level, style in level_styles(self.level).items()
+            for is_stable in (True, False)
+            if (part := (self.level == level) & self.settled & (self.stable == is_stable)).any()
+        ]
+
+    def marks(self) -> list[tuple[float, float, str]]:
+        """Return frequency, amplitude and name of each fold."""
+        return [(fold.frequency, fold.amplitude, f"fold {fold.frequency:.4g} Hz") for fold in self.folds]
+
     def columns(self) -> Mapping[str, NDArray[Any]]:
         """Return level, frequency and amplitude with their intervals and stability."""
         return {
             "level": self.level,
+            "force_N": self.force,
             "frequency_Hz": self.frequency,
             "frequency_bound_Hz": self.frequency_bound,
             "amplitude_m": self.amplitude,
@@ -108,21 +141,16 @@ class AmplitudeCurve(Result):
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the settled points; unstable points are hollow, and folds are crosses."""
+        """Draw the settled points, joined in their order; unstable points are hollow, and folds are crosses."""
         for level, level_style in level_styles(self.level).items():
             chosen = (self.level == level) & self.settled
-            color = level_style.color
-            frequency, amplitude = self.frequency[chosen], 1e3 * self.amplitude[chosen]
-            label = f"{format_number(level)} {self.unit}"
-            for is_stable, face in ((True, color), (False, "white")):
-                part = self.stable[chosen] == is_stable
-                points = complete_style(style, color=color, marker=level_style.marker, ms=4, ls="", zorder=3)
-                name = f"{label}, unstable" if not is_stable else label
-                if part.any():
-                    ax.plot(frequency[part], amplitude[part], markerfacecolor=face, label=name, **points)
+            ax.plot(self.frequency[chosen], 1e3 * self.amplitude[chosen], color=level_style.color, lw=0.7, zorder=2)
+        for name, (color, _, marker), part, is_stable in self.parts():
+            face = color if is_stable else "white"
+            points = complete_style(style, color=color, marker=marker, ms=4, ls="", zorder=3)
+            ax.plot(self.frequency[part], 1e3 * self.amplitude[part], markerfacecolor=face, label=name, **points)
+        for level in dict.fromkeys(fold.level for fold in self.folds):
             folds = [fold for fold in self.folds if fold.level == level]
-            if not folds:
-                continue
             ax.errorbar(
                 [fold.frequency for fold in folds],
                 [1e3 * fold.amplitude for fold in folds],
@@ -186,6 +214,7 @@ def continuation(rec: Recording) -> AmplitudeCurve:
         number = np.searchsorted([fold.position for fold in found], np.arange(frequency.size))
         columns = (
             np.full(frequency.size, level),
+            motion.force,
             frequency,
             bound,
             amplitude,
@@ -194,12 +223,13 @@ def continuation(rec: Recording) -> AmplitudeCurve:
             settled,
         )
         rows.append(np.array(columns))
-    level_, frequency, frequency_bound, amplitude, bound, unstable, settled_ = np.hstack(rows)
+    level_, force, frequency, frequency_bound, amplitude, bound, unstable, settled_ = np.hstack(rows)
     return AmplitudeCurve(
         label=rec.scene.name,
         body=rec.scene.structure.label(location),
         unit=test.level_unit(rec.scene.driven_shaker),
         level=level_,
+        force=force,
         frequency=frequency,
         frequency_bound=frequency_bound,
         amplitude=amplitude,

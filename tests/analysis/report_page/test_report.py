@@ -272,8 +272,8 @@ def test_answer_names_each_sweep(tmp_path: Path) -> None:
     path = tmp_path / "two.mcap"
     scene = rig.load("bare-structure", {"test.points": 30, "test.from": "45 Hz", "test.force": ["1 N", "2 N"]})
     daq.record(scene, path)
-    answer = write_report([path], tmp_path).lines
-    assert "1 N" in answer[0] and "2 N" in answer[1]
+    [answer] = write_report([path], tmp_path).lines
+    assert "1 N up: (" in answer and "2 N up: (" in answer
 
 
 def test_phase_has_a_gap_where_it_wraps() -> None:
@@ -540,6 +540,25 @@ def test_local_model_carries_a_peak_between_lines() -> None:
     assert found is not None
     at, height = local_model(curve, found)
     assert height.max() == pytest.approx(found.value, rel=1e-3) and at[height.argmax()] == pytest.approx(13.04, abs=0.1)
+
+
+def test_page_draws_the_interpolated_curve_of_figures() -> None:
+    f = np.linspace(8.0, 20.0, 1441)
+    exact = Response.curve(f, 1.0 / (13.04**2 - f**2 + 0.13j * f), "body1")
+    lines = np.arange(7, f.size, 2)
+    magnitude, *_ = response_chart([exact.at(lines)], ["body1"]).panels
+    x, y = (np.asarray(column) for column in (magnitude.curves[0].x, magnitude.curves[0].y))
+    assert x.size > lines.size
+    drawn = np.interp(f, x, y)[7:-7]
+    assert drawn == pytest.approx(1e6 * abs(exact.value[7:-7]), rel=2e-3)
+
+
+def test_phase_axis_has_the_fewest_wraps() -> None:
+    f = np.linspace(10.0, 20.0, 41)
+    value = np.exp(1j * np.radians(85.0 + 10.0 * (-1.0) ** np.arange(f.size)))
+    phase = response_chart([Response.curve(f, value, "body1")], ["body1"]).panels[1]
+    points = next(curve for curve in phase.curves if curve.draw == "points")
+    assert phase.limits == (-195.0, 195.0) and np.isfinite(points.y).all()
 
 
 def test_peak_far_above_its_points_is_called_extrapolated() -> None:

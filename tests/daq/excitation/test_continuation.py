@@ -189,7 +189,7 @@ def test_test_is_foreseen() -> None:
 def test_command_prints_folds(recording: Path, tmp_path: Path) -> None:
     assert f"next      analysis continuation {recording}" in str(daq.info(recording))
     result = CliRunner().invoke(app, ["continuation", str(recording), "--theory", "-o", str(tmp_path)])
-    assert result.exit_code == 0 and "1 folds, body 1" in result.stdout and "50.525" in result.stdout
+    assert result.exit_code == 0 and "1 fold, body 1" in result.stdout and "50.525" in result.stdout
     assert len(list(tmp_path.iterdir())) == 3
 
 

@@ -14,6 +14,7 @@ import analysis
 import daq
 import rig
 from analysis.commands.cli import app
+from analysis.commands.report_page.report import write_report
 from daq.core.excitation.tones.phase_loop import PhaseLoop
 from daq.core.excitation.tones.phase_plant import LoopSettings, loop_settings
 from rig.core.base.errors import RecordingError, RunError, SceneError
@@ -209,8 +210,18 @@ def test_test_is_foreseen() -> None:
 def test_command_prints_the_backbone(recording: Path, tmp_path: Path) -> None:
     assert f"next      analysis backbone {recording}" in str(daq.info(recording))
     result = CliRunner().invoke(app, ["backbone", str(recording), "-o", str(tmp_path)])
-    assert result.exit_code == 0 and "2 levels, body 1" in result.stdout
+    assert result.exit_code == 0 and "2 levels from 0.5 to 2 N: natural" in result.stdout
     assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_report_states_every_level(recording: Path, tmp_path: Path) -> None:
+    measured = analysis.backbone(recording)
+    headline = "\n".join(write_report([recording], tmp_path / "page.html").lines)
+    for k, level in enumerate(("0.5 N", "2 N")):
+        assert f"{level}: ({measured.natural_frequency[k]:.3f}" in headline
+    page = (tmp_path / "page.html").read_text("utf-8")
+    # All levels share the charts, and no response consists of one point.
+    assert "Frequency responses" not in page and "not available" not in page
 
 
 def test_other_test_has_no_backbone(tmp_path: Path) -> None:

@@ -3,14 +3,14 @@
 "use strict";
 (function () {
   const LIGHT = { text: "#1b1f24", grid: "#d8dde3", page: "#ffffff" };
-  const DARK = { text: "#dfe4ea", grid: "#333b44", page: "#14181d", undetermined: "#808c99" };
+  const DARK = { text: "#dfe4ea", grid: "#3d4752", page: "#14181d", undetermined: "#808c99" };
   const UNDETERMINED = "#9aa2ab"; // the color of undetermined curves in the data
   const PRINT_WIDTH = 700; // px: the printable width of A4
   const PRINT_HEIGHT = 0.64; // of the height on screen: two charts fit on a page
   const MIN_CONTRAST = 6; // of curves on a dark page: they are thinner than text, for which WCAG requires 4.5
   const MIN_DECADE = 120; // px: a shorter decade has no grid lines between its ends
   const MIN_LABEL = 14; // px between labels of decades
-  const SYMBOLS = ["dots", "crosses", "circles", "arrows"];
+  const SYMBOLS = ["dots", "crosses", "circles", "arrows", "path"]; // drawn over the series, in any order of the abscissa
   const FONT = "12px system-ui, sans-serif";
   // Anchors of a perceptually uniform color map (viridis), dark to bright.
   const MAP = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
@@ -142,6 +142,20 @@
     }
     for (const curve of panel.curves.filter(({ draw }) => SYMBOLS.includes(draw))) {
       if (curve.hidden) continue;
+      context.lineWidth = 1.3 * ratio;
+      context.strokeStyle = shade(curve.color);
+      context.fillStyle = curve.draw === "dots" ? shade(curve.color) : theme("page");
+      context.beginPath();
+      curve.x.forEach((value, i) => {
+        if (curve.draw === "path") context.lineTo(...position(value, curve.y[i]));
+        if (!curve.low) return;
+        context.moveTo(...position(value, curve.low[i]));
+        context.lineTo(...position(value, curve.high[i]));
+      });
+      context.globalAlpha = 0.6;
+      context.stroke();
+      context.globalAlpha = 1;
+      if (curve.draw === "path") continue;
       context.beginPath();
       curve.x.forEach((value, i) => {
         const [x, y] = position(value, curve.y[i]), r = (curve.draw === "circles" ? 3.2 : 3) * ratio;
@@ -149,9 +163,6 @@
         context.moveTo(x + (curve.draw === "dots" ? 0.7 : 1.2) * r, y);
         PATHS[curve.draw](context, x, y, r);
       });
-      context.lineWidth = 1.3 * ratio;
-      context.strokeStyle = shade(curve.color);
-      context.fillStyle = curve.draw === "dots" ? shade(curve.color) : theme("page");
       if (["dots", "circles"].includes(curve.draw)) context.fill();
       context.stroke();
     }
@@ -274,17 +285,14 @@
 
   // All panels of a chart have the axis of the last.
   function extent(chart) {
-    const ends = chart.panels.flatMap((panel) => inSeries(panel)).flatMap(({ x }) => {
-      const values = abscissa(x);
-      return values.length ? [values[0], values[values.length - 1]] : [];
-    });
+    const ends = chart.panels.flatMap((panel) => inSeries(panel)).flatMap(({ x }) => (x.length ? [x[0], x[x.length - 1]] : []));
     return ends.length ? [Math.min(...ends), Math.max(...ends)] : null;
   }
 
   function table(panel, x) {
     const tables = inSeries(panel).map((curve) => {
-      const rows = [abscissa(curve.x), column(curve.y)];
-      return curve.low ? [...rows, column(curve.low), column(curve.high)] : rows;
+      const rows = [curve.x, curve.y];
+      return curve.low ? [...rows, curve.low, curve.high] : rows;
     });
     if (panel.image) return [panel.image.x];
     if (x.range && !tables.some(([own]) => own[0] === x.range[0] && own[own.length - 1] === x.range[1])) tables.push([x.range]);
@@ -333,7 +341,7 @@
     const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
     svg.setAttribute("viewBox", "0 0 30 10");
     svg.setAttribute("class", "swatch");
-    const lines = draws.has("line") || draws.has("through");
+    const lines = draws.has("line") || draws.has("through") || draws.has("path");
     const symbol = draws.has("points") || draws.has("dots") ? '<circle cx="15" cy="5" r="2.6"/>'
       : draws.has("crosses") && !lines ? '<path fill="none" d="M12 2l6 6m0-6l-6 6"/>'
         : draws.has("circles") && !lines ? '<circle fill="none" cx="15" cy="5" r="3.4"/>' : "";
@@ -390,8 +398,8 @@
   // The curves as a table: columns of abscissa, value and limits for each curve, as the abscissae differ.
   function csv(chart) {
     const columns = chart.panels.flatMap((panel) => panel.curves.flatMap((curve) => [
-      [chart.x.label, ...abscissa(curve.x)],
-      ...["y", "low", "high"].filter((key) => curve[key]).map((key) => [`${panel.label}: ${curve.label}${key === "y" ? "" : ` ${key}`}`, ...column(curve[key])]),
+      [chart.x.label, ...curve.x],
+      ...["y", "low", "high"].filter((key) => curve[key]).map((key) => [`${panel.label}: ${curve.label}${key === "y" ? "" : ` ${key}`}`, ...curve[key]]),
     ]));
     const rows = Math.max(...columns.map((column) => column.length));
     // An apostrophe keeps spreadsheets from computing a name as a formula.
@@ -461,6 +469,9 @@
   function draw(holder, chart, number) {
     const drawn = [];
     let show = () => {};
+    for (const curve of chart.panels.flatMap(({ curves }) => curves)) {
+      for (const key of ["x", "y", "low", "high"].filter((name) => curve[name])) curve[key] = abscissa(curve[key]);
+    }
     chart.x.range = chart.x.range || extent(chart);
     chart.panels.forEach((panel, k) => {
       const last = k === chart.panels.length - 1, { shown, bands } = series(panel);

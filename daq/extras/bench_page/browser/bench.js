@@ -73,6 +73,11 @@ function panels(kind, x, values, log) {
   return groups().map(({ key, name, factor, smallest, rows }) => {
     // Bodies are in front of tables, which would hide them.
     const curves = [...rows].sort((a, b) => Boolean(channels[a].responds) - Boolean(channels[b].responds)).map((row) => ({ x, y: values[row].map((value) => factor * value), color: channels[row].color, width: 1.4 }));
+    // Dashed: the limit of overloaded channels.
+    const over = kind === "history" ? rows.filter((row) => channels[row].limit != null && isOver(channels[row].name)) : [];
+    for (const limit of new Set(over.map((row) => factor * channels[row].limit))) {
+      for (const y of [-limit, limit]) curves.push({ x: [x[0], x[x.length - 1]], y: Float32Array.of(y, y), color: OVER, width: 1.2, dash: [5, 4] });
+    }
     const label = key === "hammer" ? "hammer / N" : name, panel = { name: label, log, smallest, share: rows.length > 1 ? 2 : 1, curves };
     const [low, high] = limits(panel);
     // A spectrum shows three decades below its highest line, or below the smallest full scale.

@@ -30,7 +30,8 @@ const levels = {
       row.bar.style.width = `${part(level, channel.limit)}%`;
       row.hold.style.left = `calc(${part(row.held, channel.limit)}% - 2px)`;
       row.value.firstChild.data = withUnit(level, channel.unit);
-      row.name.classList.toggle("over", Boolean(overload));
+      row.over = Boolean(overload);
+      row.name.classList.toggle("over", row.over);
       if (!overload) return;
       causes.push(cause(channel, overload));
     });
@@ -39,9 +40,14 @@ const levels = {
   },
 };
 
+// Whether a channel was overloaded since the last Clear.
+function isOver(name) {
+  return levels.rows.some((row) => row.over && row.channel.name === name);
+}
+
 // A clipped reading equals the limit; the excess of the signal is unknown.
 function cause({ name, unit, limit }, [time, reading]) {
-  const at = `(${digits(time, 4)} s)`;
+  const at = `(${digits(time, 3)}\u00a0s)`;
   if (limit == null) return `${name}: ${withUnit(reading, unit)}, limit of its sensor ${at}`;
   return reading > 1.01 * limit ? `${name}: ${withUnit(reading, unit)}, limit ${withUnit(limit, unit)} ${at}` : `${name}: clipped at ${withUnit(limit, unit)} ${at}`;
 }

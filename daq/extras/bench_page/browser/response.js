@@ -11,6 +11,7 @@ const response = {
     this.chart = new Chart($("frf"), { name: "frequency / Hz", log: false });
     for (const { name, color } of this.channels) {
       const entry = make($("legend"), "span");
+      entry.dataset.name = name;
       make(entry, "i").style.background = color;
       entry.append(name);
     }
@@ -71,7 +72,8 @@ const response = {
     const { curves, previous, theory } = this, magnitude = [], phase = [], coherence = [];
     const showsLast = previous && $("last").checked;
     if (showsLast) for (const row of previous.rows) magnitude.push({ x: previous.frequency, y: micro(row.magnitude), color: LAST, width: 1 });
-    setText("thin", [curves ? "thin: uncertain (γ² < 0.7, or phase scatters)" : "", showsLast ? `gray: last test, ${previous.level}` : ""].filter(Boolean).join("; "));
+    const over = curves?.rows.some((row) => isOver(row.name));
+    setText("thin", [over ? "red cross: overloaded" : "", curves ? "thin: uncertain (γ² < 0.7, or phase scatters)" : "", showsLast ? `gray: last test, ${previous.level}` : ""].filter(Boolean).join("; "));
     if (theory && $("theory").checked) {
       theory.rows.forEach((row, k) => magnitude.push({ x: theory.frequency, y: micro(row), color: this.channels[k].color, dash: [7, 4], width: 1 }));
     }
@@ -83,7 +85,12 @@ const response = {
       // The line is interrupted where the phase wraps.
       phase.push({ ...style, y: only(row.phase, (k) => certain[k] && !(Math.abs(row.phase[k] - row.phase[k - 1]) > 180)), width: 1.6 });
       coherence.push({ ...style, y: row.coherence });
+      if (!isOver(row.name)) continue;
+      // A cross at the highest point: the channel was overloaded.
+      const highest = row.magnitude.reduce((best, value, k) => (value > (row.magnitude[best] || 0) ? k : best), 0);
+      magnitude.push({ x: [curves.frequency[highest]], y: Float32Array.of(1e6 * row.magnitude[highest]), color: OVER, width: 2.5, crosses: true });
     }
+    for (const entry of document.querySelectorAll("#legend [data-name]")) entry.classList.toggle("over", isOver(entry.dataset.name));
     const fixed = (values) => values.map((value) => [value, true]), range = this.range();
     // The axis is logarithmic unless the band is narrow, as in figures and report.
     this.chart.x.log = range[1] >= 2 * range[0] && range[0] > 0;
@@ -115,6 +122,7 @@ const response = {
     if (!peaks.length) return $("peaks").replaceChildren();
     fillTable($("peaks"), [["peak", "frequency", "value", "damping"], ...peaks.map(([name, f, value, damping]) => [
       name, `${digits(f, 5)} Hz`, withUnit(value, "m/N"), damping == null ? "–" : `${digits(100 * damping, 2)} %`])]);
+    peaks.forEach(([name], k) => $("peaks").rows[k + 1].cells[0].classList.toggle("over", isOver(name)));
   },
 };
 

@@ -173,7 +173,7 @@ class AveragedSpectra:
         reference_bounds = [np.sum(zero_safe_product(np.abs(contributions.reference), rounding), axis=0)]
         budget = assemble_budget(
             rec, contributions, error, degrees_of_freedom, bounds, reference_bounds,
-            MeanErrors(self.factor, (deviations,)),
+            MeanErrors.of(self.factor, deviations),
             scale=common_scale(rec, numerator.channels, denominator.channels),
         )  # fmt: skip
         return Response.curve(

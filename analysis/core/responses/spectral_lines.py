@@ -140,7 +140,7 @@ class Lines:
         amplitude = None if self.unsteady is None else abs(f)
         budget = assemble_budget(
             rec, contributions, error, degrees_of_freedom, bounds, reference_bounds,
-            MeanErrors(self.scatter.rows, (np.einsum("cn,rcn->nr", weights, scatter.rows),)),
+            MeanErrors.of(self.scatter.rows, np.einsum("cn,rcn->nr", weights, scatter.rows)),
             scale=common_scale(rec, numerator.channels, denominator.channels),
         )  # fmt: skip
         return Response.curve(

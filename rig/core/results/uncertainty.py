@@ -31,6 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
+from rig.core.numerics.memory import require_memory_with_program
 from rig.core.results.text import round_to_bound
 
 Lines = NDArray[np.bool_] | NDArray[np.intp]
@@ -41,6 +42,8 @@ SCATTER = "scatter"
 _ROOT_3 = float(np.sqrt(3.0))
 #: Coverage factor of an expanded uncertainty with many degrees of freedom, for a coverage of about 95 % (GUM 6.3.3).
 COVERAGE_FACTOR = 2.0
+# Number of arrays of the size of a covariance that its computation needs at a time (measured).
+_COVARIANCE_COPIES = 6
 # Below this number of effective degrees of freedom, the coverage factor is Student's 95 % quantile.
 _MIN_NORMAL_DEGREES = 50.0
 # Degrees of freedom above which Student's t and Fisher's F have their limits to four digits.
@@ -242,9 +245,15 @@ class UncertaintyBudget:
         return [self.contributions[index].name for index in np.argmax(standard, axis=0)]
 
     def covariance(self, shape: tuple[int, ...]) -> Covariance:
-        """Return the covariance of the random errors over the elements of a response of a given shape."""
+        """Return the covariance of the random errors over the elements of a response of a given shape.
+
+        Raises `RunError` if its arrays would exceed the memory limit.
+        """
         error = np.zeros(shape) if self.scatter is None else self.scatter.deviation
         error = np.reshape(error, (shape[0], -1))
+        n_lines, elements = error.shape
+        purpose = f"the covariance of {elements} responses at {n_lines} frequencies"
+        require_memory_with_program(_COVARIANCE_COPIES * 16.0 * n_lines * elements**2, purpose)
         if self.errors is not None:
             return self.errors.covariance(error, self.shared)
         lines = np.einsum("ka,ab->kab", 2.0 * error**2, np.eye(error.shape[1])).astype(complex)

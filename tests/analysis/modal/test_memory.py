@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 import analysis
 from analysis.core.modal import pole_residue
 from analysis.core.responses.errors import random_errors
-from analysis.core.responses.errors.random_errors import LocalErrors, SharedErrors
+from analysis.core.responses.errors.random_errors import LocalErrors, MeanErrors, SharedErrors
+from rig.core.base.errors import RunError
 from rig.core.results.response import Response, stack
+from rig.core.results.uncertainty import UncertaintyBudget
 from tests.peak_memory import peak_memory
 
 
@@ -85,3 +88,15 @@ def test_covariance_of_sums_does_not_depend_on_blocks(monkeypatch):
     whole = covariance.of_sums(gaussian(50, 4, 3))
     monkeypatch.setattr(random_errors, "_MAX_ELEMENTS", 1)
     np.testing.assert_allclose(covariance.of_sums(gaussian(50, 4, 3)), whole, rtol=1e-12)
+
+
+def test_selected_lines_share_the_array_of_their_test():
+    test = gaussian(4, 50, 200)
+    elements = [MeanErrors.of(test, gaussian(200, 4)) for _ in range(10)]
+    peak, _ = peak_memory(lambda: [each.at(np.arange(0, 200, 2)) for each in elements])
+    assert peak < test.nbytes / 2
+
+
+def test_covariance_of_too_many_responses_is_refused():
+    with pytest.raises(RunError, match="covariance of 255 responses at 1640 frequencies would need"):
+        UncertaintyBudget(()).covariance((1640, 255, 1))

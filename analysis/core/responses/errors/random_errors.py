@@ -46,18 +46,27 @@ _MAX_ELEMENTS = 1 << 21
 
 @dataclass(frozen=True)
 class MeanErrors:
-    """Errors of ratios of means, independent from line to line."""
+    """Selected lines of errors of ratios of means, independent from line to line.
+
+    The array of the test is large. All elements and selections share it.
+    """
 
     # factor of the covariance of the channels' means, the same for all elements of a test; shape (rows, channels,
     # lines)
     test: ComplexArray
+    lines: NDArray[np.intp]  # selected lines
     # deviation of each element in independent directions; the covariance of two elements is the sum of the products of
     # their deviations; shape (lines, directions)
     deviations: tuple[ComplexArray, ...]
 
+    @classmethod
+    def of(cls, test: ComplexArray, deviations: ComplexArray) -> MeanErrors:
+        """Select all lines of the errors of one element."""
+        return cls(test, np.arange(test.shape[2]), (deviations,))
+
     def at(self, lines: Lines) -> MeanErrors:
         """Select some lines."""
-        return replace(self, test=self.test[:, :, lines], deviations=tuple(each[lines] for each in self.deviations))
+        return replace(self, lines=self.lines[lines], deviations=tuple(each[lines] for each in self.deviations))
 
     def select(self, elements: Sequence[int]) -> MeanErrors:
         """Select some elements."""
@@ -71,7 +80,7 @@ class MeanErrors:
         """Join the errors of these and other elements."""
         same = [self]
         for other in others:
-            if not isinstance(other, MeanErrors):
+            if not isinstance(other, MeanErrors) or not np.array_equal(other.lines, self.lines):
                 return None
             if other.test is not self.test and not np.array_equal(other.test, self.test, equal_nan=True):
                 return None

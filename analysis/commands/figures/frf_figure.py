@@ -224,7 +224,8 @@ def _draw_curve(
         frequency, value = frequency[is_joined], value[is_joined]
     magnitude_axes.plot(frequency, factor * abs(value), **line)
     magnitude_axes.plot(frf.frequency, np.where(is_known, magnitude, np.nan), **points)
-    magnitude_axes.plot(np.nan, np.nan, **line | {"marker": points["marker"], "ms": 4}, label=escape_figure(frf.label))
+    symbol = {key: points[key] for key in ("marker", "mew", "mfc") if key in points}
+    magnitude_axes.plot(np.nan, np.nan, **line | symbol | {"ms": 4}, label=escape_figure(frf.label))
     if frf.unsteady is not None and frf.unsteady.any():
         magnitude_axes.plot(
             frf.frequency[frf.unsteady], magnitude[frf.unsteady], "x", color=color, markersize=6, zorder=4

@@ -165,10 +165,8 @@ def add_title(axes: Axes, text: str) -> None:
     from matplotlib.ticker import ScalarFormatter
 
     has_exponent = isinstance(axes.yaxis.get_major_formatter(), ScalarFormatter)
-    # A number and its unit stay on one line.
     name, subtitle = re.fullmatch(r"(.*?)(?: \(([^()]*)\))?", text, re.DOTALL).groups()  # type: ignore[union-attr]
-    lines = wrap(re.sub(r"(?<=\d) (?=[^\W\d]{1,3}\b)", "\u00a0", escape_figure(name)), _TITLE_CHARACTERS)
-    title = "\n".join(lines).replace("\u00a0", " ")
+    title = _lines(escape_figure(name), _TITLE_CHARACTERS)
     axes.set_title(title, y=None if has_exponent else 1.0, pad=_SUBTITLE_HEIGHT if subtitle else None)
     if subtitle:
         axes.annotate(
@@ -321,7 +319,17 @@ def add_legend_below(figure: Figure, *sentences: str) -> None:
 
 
 def _wrapped(figure: Figure, sentences: Sequence[str]) -> str:
-    return "\n".join(wrap(" ".join(sentences), int(_NOTE_CHARACTERS * figure.get_figwidth() / WIDTH_INCH)))
+    return _lines(" ".join(sentences), int(_NOTE_CHARACTERS * figure.get_figwidth() / WIDTH_INCH))
+
+
+def _lines(text: str, characters: int) -> str:
+    """Wrap text; a number, its uncertainty and its unit stay on one line.
+
+    >>> _lines("height 2.1 ± 0.2 mm", 14)
+    'height\\n2.1 ± 0.2 mm'
+    """
+    joined = re.sub(r"(?<=\d) (?=[^\W\d]{1,3}\b|%)|(?<=±) | (?=±)", "\u00a0", text)
+    return "\n".join(wrap(joined, characters)).replace("\u00a0", " ")
 
 
 def save_with_table(figure: Figure, stem: Path, rows: Iterable[Sequence[object]]) -> list[Path]:

@@ -323,10 +323,10 @@ def _wrapped(figure: Figure, sentences: Sequence[str]) -> str:
 
 
 def _lines(text: str, characters: int) -> str:
-    """Wrap text; a number, its uncertainty and its unit stay on one line.
+    r"""Wrap text; a number, its uncertainty and its unit stay on one line.
 
     >>> _lines("height 2.1 ± 0.2 mm", 14)
-    'height\\n2.1 ± 0.2 mm'
+    'height\n2.1 ± 0.2 mm'
     """
     joined = re.sub(r"(?<=\d) (?=[^\W\d]{1,3}\b|%)|(?<=±) | (?=±)", "\u00a0", text)
     return "\n".join(wrap(joined, characters)).replace("\u00a0", " ")

@@ -185,7 +185,7 @@
       context.moveTo(px, top);
       context.lineTo(places[k], top - 7 * ratio);
       context.stroke();
-      context.fillText(label, places[k], top - 9 * ratio);
+      context.fillText(label, places[k], top - 11 * ratio);
     });
     context.restore();
   }
@@ -477,7 +477,7 @@
       const last = k === chart.panels.length - 1, { shown, bands } = series(panel);
       const canvas = panel.image ? picture(panel.image) : null;
       const plot = new uPlot({
-        width: holder.clientWidth || PRINT_WIDTH, height: height(panel, last), padding: [panel.marks.length ? 26 : 8, 16, 0, 0],
+        width: holder.clientWidth || PRINT_WIDTH, height: height(panel, last), padding: [panel.marks.length ? 28 : 8, 16, 0, 0],
         scales: {
           x: { time: false, distr: chart.x.log ? 3 : 1, range: (u, low, high) => [low, high] },
           y: { distr: panel.log ? 3 : 1, range: range(panel.log, panel.range) },

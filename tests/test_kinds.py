@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import json
+import sys
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -48,6 +50,18 @@ def test_kind_of_test_has_procedure(kind: type[KindOfTest]) -> None:
     procedure = procedure_of(kind)
     is_complete = "excite" in vars(type(procedure)) or kind.wave is not KindOfTest.wave
     assert is_complete, f"daq.core.excitation.{kind.kind_name()}: define excite, or wave in the settings"
+
+
+@pytest.mark.parametrize("kind", TESTS, ids=lambda kind: kind.kind_name())
+def test_level_of_force_has_controller(kind: type[KindOfTest]) -> None:
+    procedure = type(procedure_of(kind))
+    excitation = inspect.getsource(sys.modules[procedure.excite.__module__])
+    controllers = {"controlled", "measured_force"}
+    is_controlled = controllers & names(ast.parse(excitation)) and procedure.excite is not Procedure.excite
+    name = f"daq.core.excitation.{kind.kind_name()}"
+    assert "force" not in kind.level_keys or is_controlled, (
+        f"{name}: a force in N would be output as a drive in V: control it, or set level_keys = ('drive',)"
+    )
 
 
 @pytest.mark.parametrize("kind", TESTS, ids=lambda kind: kind.kind_name())

@@ -4,7 +4,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from rig.core.scene.excitation.kind import Drive, Duration, Frequency, KindOfTest, Pulses, ShakerNumber, Start
+from rig.core.scene.excitation.kind import Drive, DrivenShaker, Duration, Frequency, KindOfTest, Pulses, Start
 
 
 class TwoTones(KindOfTest):
@@ -18,8 +18,7 @@ class TwoTones(KindOfTest):
     """Both frequencies, ascending [Hz]."""
     drive: Drive
     """Amplitude of the drive of each tone [V, or m for a table shaker]."""
-    shaker: ShakerNumber | None = None
-    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
+    shaker: DrivenShaker = None
     duration: Duration = 2.0
     """Duration of the test [s]."""
 

@@ -37,7 +37,6 @@ from daq.core.excitation.tones.envelope_control import (
     MAX_POLE_TIMES_DEAD_TIME,
     EnvelopeTone,
 )
-from daq.core.excitation.tones.lock_in import lock_in
 from daq.core.excitation.tones.steady_tone import TRANSITION_S, AmplitudeControl
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.text import format_decimals
@@ -140,8 +139,7 @@ class _CurveTone(EnvelopeTone):
     def amplitudes(self, readings: Array, phase: float) -> ComplexArray:
         """Return the complex amplitudes in a window, and store the amplitude of the force."""
         if self._force is not None:
-            amplitudes = lock_in(readings, self.frequency, self.rate, phase)
-            self._forces.append(float(abs(self._force.weights(self.frequency) @ amplitudes)))
+            self._forces.append(float(abs(self._force.amplitudes(readings, [self.frequency], [phase])[0])))
         return super().amplitudes(readings, phase)
 
     def point(self) -> Point:

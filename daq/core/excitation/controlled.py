@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +24,7 @@ class Controlled:
     rows: tuple[int, ...]  # rows of the readings
     factors: tuple[float, ...]  # unit of the quantity per meter of displacement, for each row
 
-    def weights(self, frequency: Array | float) -> ComplexArray:
+    def weights(self, frequency: Array | Sequence[float] | float) -> ComplexArray:
         """Return the weights of the channels' amplitudes, shape (channels, ...), at frequencies in Hz.
 
         The weights remove the responses of sensor, integrator and converter.
@@ -34,6 +34,11 @@ class Controlled:
         for row, factor in zip(self.rows, self.factors, strict=True):
             weights[row] = factor * self.station.displacement_factor(row, frequency)
         return weights
+
+    def amplitudes(self, readings: Array, frequencies: Sequence[float], phases: Sequence[float]) -> ComplexArray:
+        """Return the complex amplitudes of the quantity at simultaneous tones, (tones,), as `Station.amplitudes`."""
+        amplitudes = self.station.amplitudes(readings, frequencies, phases)
+        return np.array([each @ tone for each, tone in zip(self.weights(frequencies).T, amplitudes.T, strict=True)])
 
 
 def controlled(station: Station) -> Controlled | None:

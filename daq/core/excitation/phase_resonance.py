@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from daq.core.excitation.controlled import controlled, displacement, measured_force
+from daq.core.excitation.lock_in import whole_periods
 from daq.core.excitation.procedure import Form, FormValues
 from daq.core.excitation.station import Excitation, GivenUp, Station
 from daq.core.excitation.stepped_sine import SteadyTonesProcedure
-from daq.core.excitation.tones.lock_in import lock_in, whole_periods
 from daq.core.excitation.tones.phase_loop import PhaseLoop
 from daq.core.excitation.tones.phase_plant import loop_settings
 from daq.core.excitation.tones.settling import Settling
@@ -59,11 +59,10 @@ class _PhaseTone(SteadyTone):
 
     def window_of(self, samples: int) -> Generator[Array, Array, _Window]:
         """Hold the tone for a window."""
-        start = self.phase - 2.0 * math.pi * self.frequency * self.station.latency / self.rate
+        tone = [self.frequency], [self.phase]
         readings = yield self.station.drive(self.hold(samples))
-        amplitudes = lock_in(readings, self.frequency, self.rate, start)
         motion, force = (
-            -1j * self.amplitude if quantity is None else complex(quantity.weights(self.frequency) @ amplitudes)
+            -1j * self.amplitude if quantity is None else complex(quantity.amplitudes(readings, *tone)[0])
             for quantity in self._quantities
         )
         return _Window(motion, force, float(np.angle(motion / force)) if force else 0.0)

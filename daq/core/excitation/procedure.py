@@ -70,13 +70,13 @@ class Procedure(Generic[TestT]):
         """Run the test; by default, output its open-loop drive, and mark the intervals of `measured`."""
         wave = test.wave(station.samples(test.shortest), station.rate)
         assert isinstance(wave, Pulses), f"{test.kind_name()}: define excite, or KindOfTest.wave"
-        first, block = station.now, station.samples(_BLOCK_S)
+        first, level, block = station.now, station.drive_level, station.samples(_BLOCK_S)
         for start in range(0, wave.values.size, block):
             station.report(start / wave.values.size, test.kind_name().replace("_", " "))
             yield station.drive(wave.values[start : start + block])
         for begin_s, end_s, fields in self.measured(test, station.rate):
             begin, end = (first + round(time * station.rate) for time in (begin_s, end_s))
-            station.mark("measure", begin, end, level=station.level, settled=True, **fields)
+            station.mark("measure", begin, end, level=level, settled=True, **fields)
 
     def measured(self, test: TestT, rate: float) -> Iterable[tuple[float, float, dict[str, Any]]]:
         """Return start and end of each measured interval of an open-loop drive, s, and marker fields; `rate`: Hz."""

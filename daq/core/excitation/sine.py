@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from daq.core.excitation.controlled import controlled
+from daq.core.excitation.lock_in import whole_periods
 from daq.core.excitation.procedure import Form, FormValues, Procedure
 from daq.core.excitation.station import Excitation, Station
-from daq.core.excitation.tones.lock_in import whole_periods
 from daq.core.excitation.tones.settling import Settling
 from daq.core.excitation.tones.steady_tone import WINDOW_S, SteadyTone
 from rig.core.base.arrays import Array

@@ -9,6 +9,7 @@ from zlib import crc32
 
 import numpy as np
 
+from daq.core.excitation.lock_in import lock_in
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RunError, SceneError
 from rig.core.base.progress import FractionProgress
@@ -57,9 +58,15 @@ class Station:
 
     @property
     def level(self) -> float:
-        """Level of the test: its force in N, or its drive in the shaker's unit (V, m or N)."""
+        """Level of the test: its force in N, or its drive in the shaker's unit; without a controller `drive_level`."""
         levels = () if self.scene.test is None else self.scene.test.levels
         return levels[0] if levels else 0.0
+
+    @property
+    def drive_level(self) -> float:
+        """Level of a test without a controller, in the unit of the drive (V, m or N)."""
+        assert not self.is_controlled, "the level is not a drive: control it, or set level_keys = ('drive',)"
+        return self.level
 
     @property
     def force_is_drive(self) -> bool:
@@ -97,6 +104,15 @@ class Station:
     def zero_drive(self, samples: int) -> Array:
         """Return a zero drive for a number of samples."""
         return np.zeros((len(self.inputs), samples))
+
+    def amplitudes(self, readings: Array, frequencies: Sequence[float], phases: Sequence[float]) -> ComplexArray:
+        """Return the complex amplitudes of the channels at simultaneous tones of the drive, shape (channels, tones).
+
+        `readings`: those of a window of at least `min_samples`; `frequencies`: Hz; `phases`: of the tones in the first
+        sample of the drive of this window, rad. The converter's delay is removed.
+        """
+        delay_phases = 2.0 * np.pi * np.asarray(frequencies) * self.latency / self.rate
+        return lock_in(readings, frequencies, self.rate, np.asarray(phases) - delay_phases)
 
     def displacement_factor(self, row: int, frequency: Array | float) -> ComplexArray:
         """Return the factor from a channel's complex amplitude to its displacement in m, at frequencies in Hz."""

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from daq.core.excitation.controlled import controlled
+from daq.core.excitation.lock_in import noise_gain
 from daq.core.excitation.procedure import Procedure
 from daq.core.excitation.station import Excitation, Station
-from daq.core.excitation.tones.lock_in import noise_gain
 from daq.core.excitation.tones.steady_tone import SteadyTone
 from rig.core.base.arrays import Array
 from rig.core.results.text import format_decimals

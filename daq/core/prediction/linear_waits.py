@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from daq.core.excitation.controlled import controlled
+from daq.core.excitation.lock_in import lock_in_weights
 from daq.core.excitation.station import Station
 from daq.core.excitation.stepped_sine import excite, expected_wait
-from daq.core.excitation.tones.lock_in import lock_in_weights
 from daq.core.excitation.tones.steady_tone import SteadyTone
 from daq.core.prediction.linear import noise_density
 from daq.core.signal_chain.channel import ChannelInfo
@@ -204,7 +204,7 @@ class _PredictedTone(SteadyTone):
         self._observed = self.frequency, samples
         decay = self._decay_over(samples)
         self._decay_in_window = decay[-1]
-        weights = lock_in_weights(self.frequency, self.rate, samples)
+        weights = lock_in_weights((self.frequency,), self.rate, samples)
         lock_in_gain = (weights[0] + 1j * weights[1]) @ decay[:-1]
         state, *_ = self._modes.steady[self.frequency]
         self._steady = -1j * (self._quantities @ self._motions @ state)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.core.excitation.tones.lock_in import lock_in, min_samples, whole_periods
+from daq.core.excitation.lock_in import lock_in, min_samples, whole_periods
 from daq.core.recording.recorder import Recorder
 from daq.core.signal_chain.channel import ChannelInfo
 from daq.extras.importing.assignment import AssignedSignal
@@ -114,7 +114,7 @@ def _refine_frequencies(tones: Sequence[HeldTone], read: Callable[[int, int], Ar
     for tone in tones:
         frequency, tone_samples = tone.frequency * rate, tone.stop - tone.first
         block_samples = whole_periods(frequency, rate, min(tone_samples // _BLOCKS_PER_TONE, _MAX_BLOCK) / rate)
-        if block_samples < min_samples(frequency, rate) or 2 * block_samples > tone_samples:
+        if block_samples < min_samples([frequency], rate) or 2 * block_samples > tone_samples:
             block_samples = tone_samples // 2
         tone_blocks.append((tone, block_samples))
     segments = [
@@ -127,7 +127,7 @@ def _refine_frequencies(tones: Sequence[HeldTone], read: Callable[[int, int], Ar
 def _refined_frequency(tone: HeldTone, block_samples: int, samples: Iterator[Array], rate: float) -> float:
     """Return the frequency from the advance of the phase from block to block, periods per sample."""
     starts = np.arange(tone.first, tone.stop - block_samples + 1, block_samples)
-    phases = np.array([lock_in(next(samples)[None], tone.frequency * rate, rate)[0] for _ in starts])
+    phases = np.array([lock_in(next(samples)[None], [tone.frequency * rate], rate)[0, 0] for _ in starts])
     # Phase advance that the present frequency does not explain.
     residual = np.unwrap(np.angle(phases * np.exp(-2j * np.pi * np.fmod(tone.frequency * (starts - starts[0]), 1.0))))
     residual, starts = residual[np.isfinite(residual)], starts[np.isfinite(residual)]

@@ -204,6 +204,7 @@ def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float)
     wave = test.wave(samples, rate)
     if isinstance(wave, Pulses):
         name = "hammer" if wave.input == "hammer" else scene.at_driven("shaker")
+        assert not scene.controlled_terms, f"{test.kind}: the level is not a drive; set level_keys = ('drive',)"
         drive[system.inputs.index(name)] = wave.values
     elif isinstance(wave, Chirp):
         is_sweeping = np.arange(samples) / rate <= test.shortest

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import rig
+from daq.core.excitation.lock_in import lock_in, min_samples, whole_periods
 from daq.core.excitation.profiles.sweep_control import estimate_amplitudes, observation_samples
-from daq.core.excitation.tones.lock_in import lock_in, whole_periods
+from daq.core.excitation.station import Station
 from rig.core.base.errors import SceneError
 from rig.core.system.structural_model import receptance
 from tests.daq.measurement.bench_run import BenchRun, run, scene_with
@@ -189,7 +190,7 @@ def test_frequency_and_force_follow_sweep(sweep: dict[str, Any]) -> None:
 def test_lock_in_ignores_offset_and_drift() -> None:
     time = np.arange(1000) / RATE
     samples = (0.3 * np.cos(2 * np.pi * 17.3 * time - 1.1) + 5.0 - 40.0 * time)[None]
-    assert lock_in(samples, 17.3, RATE)[0] == pytest.approx(0.3 * np.exp(-1.1j), abs=1e-12)
+    assert lock_in(samples, [17.3], RATE)[0, 0] == pytest.approx(0.3 * np.exp(-1.1j), abs=1e-12)
 
 
 @pytest.mark.parametrize("frequency", [8.0, 13.037, 49.663, 333.3])
@@ -200,6 +201,22 @@ def test_window_is_nearly_whole_periods(frequency: float) -> None:
     assert abs(periods - round(periods)) < 0.035  # rounding to whole samples at the highest frequency
 
 
+@pytest.mark.parametrize("second", [24.0, 33.3, 40.0, 111.0])
+def test_lock_in_separates_simultaneous_tones(second: float) -> None:
+    rate, frequencies, phases = 2000.0, [20.0, second], np.array([0.4, 2.0])
+    time = np.arange(min_samples(frequencies, rate)) / rate
+    tones = np.cos(2 * np.pi * np.outer(frequencies, time) + phases[:, None])
+    samples = tones[0] + 0.3 * tones[1] + 0.2 * np.cos(2 * np.pi * 80.0 * time) + 3.0 + time
+    assert lock_in(samples[None], frequencies, rate, phases)[0] == pytest.approx(np.array([1.0, 0.3]), abs=1e-9)
+
+
+def test_level_of_force_is_not_a_drive() -> None:
+    scene = scene_with({"kind": "sine", "frequency": 20.0, "force": FORCE})
+    station = Station(scene, (), (), RATE, mark=lambda *arguments, **fields: None)
+    with pytest.raises(AssertionError, match="not a drive"):
+        _ = station.drive_level
+
+
 def test_lock_in_rejects_harmonics_and_drift() -> None:
     rate, frequency = 8192.0, 22.67
     n_samples = whole_periods(frequency, rate, 0.1)
@@ -208,7 +225,7 @@ def test_lock_in_rejects_harmonics_and_drift() -> None:
         time = (first + np.arange(n_samples)) / rate
         phase = 2.0 * np.pi * frequency * time
         samples = np.cos(phase) + 0.7 * np.cos(3.0 * phase + 1.0) + 0.2 * np.sin(5.0 * phase) + 3.0 * time**2
-        amplitudes.append(complex(lock_in(samples[None], frequency, rate, float(phase[0]))[0]))
+        amplitudes.append(complex(lock_in(samples[None], [frequency], rate, phase[:1])[0, 0]))
     np.testing.assert_allclose(amplitudes, 1.0, atol=1e-3)
 
 
@@ -223,7 +240,7 @@ def test_amplitudes_near_nyquist_are_estimated(samples_per_period: float) -> Non
     fit_window = slice(observation_samples(frequency, rate))
     for samples, tolerance in ((tone[None], 1e-9), (noisy_tone[None], 3e-3)):
         expected = pytest.approx(amplitude, abs=tolerance)
-        assert lock_in(samples[:, lock_in_window], frequency, rate)[0] == expected
+        assert lock_in(samples[:, lock_in_window], [frequency], rate)[0, 0] == expected
         assert estimate_amplitudes(samples[:, fit_window], phase[fit_window], rate)[0][0] == expected
 
 

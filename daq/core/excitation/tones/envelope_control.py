@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from daq.core.excitation.controlled import Controlled
+from daq.core.excitation.lock_in import min_samples
 from daq.core.excitation.station import Station
-from daq.core.excitation.tones.lock_in import min_samples
 from daq.core.excitation.tones.nearest_mode import NearestMode
 from daq.core.excitation.tones.settling import Settling
 from daq.core.excitation.tones.steady_tone import MAX_TOLERANCE, TRANSITION_S, SteadyTone, half_cosine
@@ -139,7 +139,7 @@ class EnvelopeTone(SteadyTone):
 
     def _window_at(self, frequency: float) -> int:
         """Return the length of a control window in samples at a frequency in Hz."""
-        return max(min_samples(frequency, self.rate), round(self.periods * self.rate / frequency))
+        return max(min_samples([frequency], self.rate), round(self.periods * self.rate / frequency))
 
     @property
     def dead_time(self) -> float:
@@ -251,7 +251,7 @@ class EnvelopeTone(SteadyTone):
         """Measure for at least a number of samples, with constant drive, or with feedback to an amplitude in m."""
         window, motions, drives = self.window, [], []
         control = self._control_to(target * self.motion / abs(self.motion)) if feedback else None
-        samples = max(samples, min_samples(self.frequency, self.rate))
+        samples = max(samples, min_samples([self.frequency], self.rate))
         for _ in range(-(-samples // window)):
             if control is None:
                 self.motion = (yield from self.observe(window))[0] * self.direction

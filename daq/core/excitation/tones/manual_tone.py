@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from daq.core.excitation.controlled import controlled
+from daq.core.excitation.lock_in import whole_periods
 from daq.core.excitation.station import Excitation, Station
-from daq.core.excitation.tones.lock_in import whole_periods
 from daq.core.excitation.tones.steady_tone import TRANSITION_S, WINDOW_S, SteadyTone
 from rig.core.base.errors import SceneError
 

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from daq.core.excitation.controlled import Controlled
+from daq.core.excitation.lock_in import min_samples, whole_periods
 from daq.core.excitation.station import Station
-from daq.core.excitation.tones.lock_in import lock_in, min_samples, whole_periods
 from daq.core.excitation.tones.settling import MIN_OBSERVATIONS, Settling
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.scene.excitation import FORCE_TOLERANCE
@@ -136,8 +136,7 @@ class SteadyTone(Tone):
             for weights, row in zip(motions, self._motion_rows, strict=True):
                 weights[row] = self.station.displacement_factor(row, self.frequency)
             self._weights = np.array([*force, *motions]).reshape(-1, channels)
-        latency_phase = 2.0 * np.pi * self.frequency * self.station.latency / self.rate
-        return self._weights @ lock_in(readings, self.frequency, self.rate, phase - latency_phase)
+        return self._weights @ self.station.amplitudes(readings, [self.frequency], [phase])[:, 0]
 
     def observe(self, samples: int) -> Generator[Array, Array, ComplexArray]:
         """Hold the tone for a window; return the amplitudes (quantities,)."""
@@ -193,7 +192,7 @@ class SteadyTone(Tone):
 
         `settled` and `fields` are fields of the marker.
         """
-        first, samples = self.station.now, max(samples, min_samples(self.frequency, self.rate))
+        first, samples = self.station.now, max(samples, min_samples([self.frequency], self.rate))
         # The tone is generated in blocks to limit the memory. The amplitudes in the blocks are used only if the force
         # is controlled.
         block_samples, remaining = whole_periods(self.frequency, self.rate, _BLOCK_SAMPLES / self.rate), samples

@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, WithJsonSchema
 
 from rig.core.scene.body_names import body_problems
-from rig.core.scene.excitation.kind import Settle, ShakerNumber
+from rig.core.scene.excitation.kind import DrivenShaker, Settle
 from rig.core.scene.excitation.stepped_sine import Measure, SteppedTest
 from rig.core.scene.shaker import Shaker
 from rig.core.settings.problems import Problem
@@ -38,8 +38,7 @@ class ConstantResponse(SteppedTest):
     """Instead of `displacement`: amplitude of its velocity [m/s]."""
     acceleration: Annotated[float | tuple[float, ...] | None, Quantity(ACCELERATION, above=0.0, listed=True)] = None
     """Instead of `displacement`: amplitude of its acceleration [m/s^2]."""
-    shaker: ShakerNumber | None = None
-    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
+    shaker: DrivenShaker = None
     settle: Settle = Settle()
     """Criterion for the steady state of a step."""
     measure: Measure = Measure()

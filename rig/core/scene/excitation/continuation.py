@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from rig.core.scene.excitation.constant_response import BodyLocation, location_problems
-from rig.core.scene.excitation.kind import MAX_STEPS, Drives, Forces, Frequency, KindOfTest, Settle, ShakerNumber, Start
+from rig.core.scene.excitation.kind import MAX_STEPS, DrivenShaker, Drives, Forces, Frequency, KindOfTest, Settle, Start
 from rig.core.scene.excitation.stepped_sine import Measure
 from rig.core.scene.shaker import Shaker
 from rig.core.settings.problems import Problem
@@ -38,8 +38,7 @@ class Continuation(KindOfTest):
     """Amplitude of the spring force, or of the force of a force shaker [N]. Several levels run one after another."""
     drive: Drives | None = None
     """Instead of `force`: amplitude of the drive [V, m for a table shaker, or m/s^2 for a base]."""
-    shaker: ShakerNumber | None = None
-    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
+    shaker: DrivenShaker = None
     settle: Settle = Settle()
     """Criterion for the steady state of a point."""
     measure: Measure = Measure()

@@ -26,6 +26,10 @@ Forces = Annotated[float | tuple[float, ...], Quantity(FORCE, above=0.0, listed=
 Drives = Annotated[float | tuple[float, ...], Quantity(VOLTAGE, LENGTH, ACCELERATION, above=0.0, listed=True)]
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
 ShakerNumber = Annotated[int, Field(ge=1)]
+DrivenShaker = Annotated[
+    ShakerNumber | None,
+    Field(description="With several shakers: the number of the driven shaker; the outputs of the others stay at zero."),
+]
 Start = Annotated[
     Literal["settled", "empty"],
     Field(

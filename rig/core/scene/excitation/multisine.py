@@ -10,6 +10,7 @@ from rig.core.scene.excitation.kind import (
     MAX_STEPS,
     Count,
     Drive,
+    DrivenShaker,
     Duration,
     Force,
     Frequency,
@@ -45,8 +46,7 @@ class Multisine(KindOfTest):
     """Root mean square of the spring force, or of the force of a force shaker [N]."""
     drive: Drive | None = None
     """Instead of `force`: root mean square of the drive [V, m for a table shaker, or m/s^2 for a base]."""
-    shaker: ShakerNumber | None = None
-    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
+    shaker: DrivenShaker = None
     also: Annotated[tuple[ShakerNumber, ...], Field(min_length=1)] | None = None
     """Numbers of other shakers to drive simultaneously: each realization then has one experiment per shaker,
     with orthogonal phases."""

@@ -8,12 +8,12 @@ from pydantic import Field
 
 from rig.core.scene.excitation.constant_response import BodyLocation, location_problems
 from rig.core.scene.excitation.kind import (
+    DrivenShaker,
     Drives,
     Forces,
     Frequency,
     KindOfTest,
     Settle,
-    ShakerNumber,
     Start,
     check_band,
 )
@@ -48,8 +48,7 @@ class PhaseResonance(KindOfTest):
     """Amplitude of the spring force, or of the force of a force shaker [N]. Several levels run one after another."""
     drive: Drives | None = None
     """Instead of `force`: amplitude of the drive [V, m for a table shaker, or m/s^2 for a base]."""
-    shaker: ShakerNumber | None = None
-    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
+    shaker: DrivenShaker = None
     settle: Settle = Settle()
     """Criterion for the steady state, and longest time to wait for the phase."""
     measure: Measure = Measure(periods=50)

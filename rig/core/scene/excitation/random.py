@@ -7,6 +7,7 @@ from pydantic import Field
 
 from rig.core.scene.excitation.kind import (
     Drive,
+    DrivenShaker,
     Duration,
     Force,
     Frequency,
@@ -40,8 +41,7 @@ class Random(KindOfTest):
     """Root mean square of the spring force, or of the force of a force shaker [N]."""
     drive: Drive | None = None
     """Instead of `force`: root mean square of the drive [V, m for a table shaker, or m/s^2 for a base]."""
-    shaker: ShakerNumber | None = None
-    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
+    shaker: DrivenShaker = None
     also: Annotated[tuple[ShakerNumber, ...], Field(min_length=1)] | None = None
     """Numbers of other shakers to drive simultaneously, with uncorrelated noise of the same spectrum."""
 

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from rig.core.scene.excitation.kind import MAX_STEPS, Count, Duration, KindOfTest, ShakerNumber, Start
+from rig.core.scene.excitation.kind import MAX_STEPS, Count, DrivenShaker, Duration, KindOfTest, Start
 from rig.core.scene.excitation.profile import (
     Control,
     Decibels,
@@ -57,8 +57,7 @@ class RandomControl(ProfileControl, KindOfTest):
     """Deviation above the profile at which a line counts for the abort [dB]."""
     abort_lines: Share = 0.1
     """Fraction of these lines at which the test ends."""
-    shaker: ShakerNumber | None = None
-    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
+    shaker: DrivenShaker = None
 
     def check_consistency(self) -> Iterable[Problem]:
         """Check that the abort line lies above the tolerance."""

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from rig.core.base.arrays import Array
-from rig.core.scene.excitation.kind import Count, Duration, KindOfTest, ShakerNumber, Start
+from rig.core.scene.excitation.kind import Count, DrivenShaker, Duration, KindOfTest, Start
 from rig.core.scene.excitation.profile import Breakpoints, ChannelName, Decibels, Ramp
 from rig.core.scene.shaker import Shaker
 from rig.core.settings.problems import KeyPath, Problem
@@ -86,8 +86,7 @@ class Shock(KindOfTest):
     """Time from one pulse to the next [s]."""
     practice: Ramp = Field((-12.0, -6.0), min_length=1)
     """Levels of the practice pulses relative to the shock [dB]."""
-    shaker: ShakerNumber | None = None
-    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
+    shaker: DrivenShaker = None
 
     def check_consistency(self) -> Iterable[Problem]:
         """Check that pulses do not overlap."""

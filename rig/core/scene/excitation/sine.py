@@ -2,7 +2,7 @@
 
 from typing import ClassVar, Literal
 
-from rig.core.scene.excitation.kind import Drive, Duration, Force, Frequency, KindOfTest, ShakerNumber, Start
+from rig.core.scene.excitation.kind import Drive, DrivenShaker, Duration, Force, Frequency, KindOfTest, Start
 
 
 class Sine(KindOfTest):
@@ -19,8 +19,7 @@ class Sine(KindOfTest):
     """Amplitude of the spring force, kept constant by the controller, or of the force of a force shaker [N]."""
     drive: Drive | None = None
     """Instead of `force`: amplitude of the drive, open loop [V, m for a table shaker, or m/s^2 for a base]."""
-    shaker: ShakerNumber | None = None
-    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
+    shaker: DrivenShaker = None
     duration: Duration = 2.0
     """Duration of the test [s]."""
 

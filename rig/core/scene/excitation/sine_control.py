@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from rig.core.scene.excitation.kind import Duration, Frequency, KindOfTest, ShakerNumber, Spacing, Start
+from rig.core.scene.excitation.kind import DrivenShaker, Duration, Frequency, KindOfTest, Spacing, Start
 from rig.core.scene.excitation.profile import Control, Decibels, MotionLimit, MotionProfile, Prescription
 from rig.core.scene.excitation.profile_control import ProfileControl
 from rig.core.scene.excitation.swept_sine import FrequencySweep
@@ -43,8 +43,7 @@ class SineControl(FrequencySweep, ProfileControl, KindOfTest):
     """Permissible deviation from the profile [dB]."""
     abort: Decibels = 6.0
     """Deviation above the profile at which the test ends [dB]."""
-    shaker: ShakerNumber | None = None
-    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
+    shaker: DrivenShaker = None
 
     def check_consistency(self) -> Iterable[Problem]:
         """Check that the profile contains the sweep, and that the abort line lies above the tolerance."""

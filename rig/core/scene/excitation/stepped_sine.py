@@ -8,12 +8,12 @@ from pydantic import Field
 from rig.core.scene.excitation.kind import (
     MAX_STEPS,
     Count,
+    DrivenShaker,
     Drives,
     Forces,
     Frequency,
     KindOfTest,
     Settle,
-    ShakerNumber,
     Spacing,
     Start,
     spaced_frequencies,
@@ -126,8 +126,7 @@ class SteppedSine(SteppedTest):
     drive: Drives | None = None
     """Instead of `force`: amplitude of the drive, open loop [V, m for a table shaker, or m/s^2 for a base].
     Several levels are run one after another."""
-    shaker: ShakerNumber | None = None
-    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
+    shaker: DrivenShaker = None
     settle: Settle = Settle()
     """Criterion for the steady state of a step."""
     measure: Measure = Measure()

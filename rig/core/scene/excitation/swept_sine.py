@@ -10,11 +10,11 @@ from rig.core.base.arrays import Array
 from rig.core.scene.excitation.kind import (
     Chirp,
     Drive,
+    DrivenShaker,
     Duration,
     Force,
     Frequency,
     KindOfTest,
-    ShakerNumber,
     Spacing,
     Start,
 )
@@ -87,8 +87,7 @@ class SweptSine(FrequencySweep, KindOfTest):
     """Amplitude of the spring force, kept constant by the controller, or of the force of a force shaker [N]."""
     drive: Drive | None = None
     """Instead of `force`: amplitude of the drive, open loop [V, m for a table shaker, or m/s^2 for a base]."""
-    shaker: ShakerNumber | None = None
-    """With several shakers: the number of the driven shaker; the outputs of the others stay at zero."""
+    shaker: DrivenShaker = None
 
     def check_consistency(self) -> Iterable[Problem]:
         """Check that the two end frequencies differ."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from math import inf, isfinite
@@ -54,6 +55,8 @@ _MODE_WIDTH = 0.05
 _INTERVALS = 1200
 # Half of the gap where the phase wraps, relative to its frequency: about a pixel.
 _GAP_RATIO = 0.005
+# The end of a sentence of a caption.
+_SENTENCE_END = re.compile(r"(?<=[.)]) (?=[A-Z])")
 # A drawn curve carries a peak if it reaches this part of its height.
 _CARRYING_RATIO = 0.97
 
@@ -71,6 +74,7 @@ def response_charts(
     frfs = [frf for measurement in with_responses for sweep in measurement.sweeps for frf in sweep.frfs]
     several = len({frf.label for frf in frfs}) > 1
     charts = []
+    stated = set[str]()
     for key in dict.fromkeys((frf.ratio if several else frf.input) for frf in frfs):
         group = [frf for frf in frfs if key == (frf.ratio if several else frf.input)]
         names = _sweep_names([frf.label for frf in group], reference) if several else [frf.response for frf in group]
@@ -89,7 +93,10 @@ def response_charts(
         equal = len(set(tests.values())) == 1
         levels = [text if equal else f"{label}: {text}" for label, text in tests.items() if text]
         test = "; ".join(dict.fromkeys(levels))
-        charts.append(replace(chart, caption=f"{chart.caption} Test: {test}." if test else chart.caption))
+        sentences = _SENTENCE_END.split(f"{chart.caption} Test: {test}." if test else chart.caption)
+        # Later charts do not repeat the sentences of the first.
+        charts.append(replace(chart, caption=" ".join(text for text in sentences if text not in stated)))
+        stated.update(sentences)
     return charts
 
 

@@ -7,6 +7,7 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 from analysis.commands.figures.modes_figure import is_known_shape
+from analysis.commands.report_page.tables import typeset
 from rig.core.base.escaping import escape_html
 from rig.core.base.palette import DAMPER, HAMMER, TABLE, place_style, place_styles
 from rig.core.results import format_number
@@ -222,5 +223,5 @@ def mode_drawing(shapes: BodyShapes, places: Sequence[str], mode: int, title: st
         f'<figure><svg role="img" aria-label="Mode shape at {escape_html(title)}" viewBox="0 0 {_SHAPE_VIEW} {height}" '
         f'width="{_SHAPE_VIEW}" height="{height}" fill="none" opacity="{opacity}"><path stroke="currentColor" '
         f'd="M10 34V14m-4 6l4 -6l4 6"/><text x="6" y="48">+</text>{"".join(parts)}</svg>'
-        f"<figcaption>{escape_html(title)}</figcaption></figure>"
+        f"<figcaption>{typeset(title)}</figcaption></figure>"
     )

@@ -431,7 +431,8 @@
       });
     }
     element(bar, "button", "PNG").addEventListener("click", () => save(`${name}.png`, png(drawn)));
-    element(bar, "span", "Drag sideways to zoom, double-click or double-tap to reset.");
+    // The same for all charts.
+    if (holder === document.querySelector(".chart")) element(bar, "span", "Drag sideways to zoom, double-click or double-tap to reset.");
   }
 
   // uPlot zooms with the mouse; a finger that moves sideways selects a range in the same way.

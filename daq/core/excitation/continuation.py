@@ -197,7 +197,7 @@ class _Curve:
         self._chord, self._bend = test.step, 0.0  # distance of the last two points, and change of direction, rad
         self._drive = 0.0  # amplitude of the drive at the level, next to the last point
         self.folds = 0  # number of points at which the curve turned back
-        self.gaps: list[str] = []  # their ends
+        self.gaps: list[tuple[float, float]] = []  # frequencies of the points at their ends, Hz
 
     @property
     def unstable(self) -> bool:
@@ -360,7 +360,9 @@ class _Curve:
             self._tangent, self._chord, self._bend = (self._forward, 0.0), self._test.step, 0.0
             if (yield from self._measure(point, jump)):
                 self.folds += was_unstable
-                self.gaps.append(f"{last.frequency:.5g} to {point.frequency:.5g} Hz")
+                is_adjacent = bool(self.gaps) and self.gaps[-1][1] == last.frequency
+                start = self.gaps.pop()[0] if is_adjacent else last.frequency
+                self.gaps.append((start, point.frequency))
                 return
         raise Lost(reason)
 
@@ -476,8 +478,9 @@ def excite(station: Station, test: Continuation) -> Excitation:
             failures.append(f"level {level:g}, {len(curve.points)} points: {loss}.")
             useless += not curve.folds
         if curve.gaps:
+            ends = ", ".join(f"{start:.5g} to {end:.5g}" for start, end in curve.gaps)
             station.warn(
-                f"level {level:g}: no points from {', '.join(curve.gaps)}, where feedback does not hold the motion: "
+                f"level {level:g}: no points from {ends} Hz, where feedback does not hold the motion: "
                 "its period has doubled, or its impacts change. Folds there are missed. Give a smaller test.step."
             )
         yield tone.end()

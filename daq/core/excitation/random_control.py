@@ -99,7 +99,7 @@ class SpectrumControl:
                 f"{test.abort:g} dB, the largest by {deviation[worst]:.1f} dB at {self.frequency[worst]:.4g} Hz. "
                 "Lower test.speed, or limit the response of a channel."
             )
-        is_notched = limits_drive(required[0], required[1:], test.tolerance).any(axis=0)
+        is_notched = limits_drive(required[0], required[1:], test.tolerance + margin).any(axis=0)
         within = (abs(deviation) <= test.tolerance + margin) | is_notched
         self.outside = int(np.sum(~within))
         self.worst = float(deviation[int(np.argmax(np.where(is_notched, 0.0, abs(deviation))))])

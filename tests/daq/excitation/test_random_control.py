@@ -131,6 +131,12 @@ def test_excess_aborts_with_zero_drive() -> None:
     assert not run.drives[-1][:, -1].any() and run.drives[-1].shape[1] < 51
 
 
+def test_notched_lines_are_not_outside() -> None:
+    # With 20 averages the limited channel scatters by more than the tolerance about its limit.
+    run = MarkedRun(scene(limits=[LIMIT], averages=20, tolerance="1.5 dB"))
+    assert [fields["outside"] for kind, _, _, fields in run.markers if kind == "tolerance"] == [0, 0]
+
+
 def test_ramp_without_progress_ends_test() -> None:
     assert "of the lines are within 3 dB after 12 updates" in MarkedRun(scene(abort_lines=0.99, **WIDE)).reason
 

@@ -77,7 +77,7 @@ _NO_UNIT_ERROR = (
     " (the factor does not correspond to a common unit error; the structure may also differ from the scene)"
 )
 # Delays of a channel that are tried for the first estimate, s.
-_TRIAL_DELAYS = np.arange(-1.2e-3, 1.21e-3, 2e-5)
+_TRIAL_DELAYS = np.arange(-5e-3, 5.01e-3, 2e-5)
 # The error of the first estimate of a delay is at most this, s.
 _MAX_DELAY_ERROR = 1e-4
 # A shorter delay than this is not reported, s.

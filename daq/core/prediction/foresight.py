@@ -166,13 +166,14 @@ class Foresight(Result):
                 share = "over" if entry.share >= 1.0 else _percent(entry.share)
             signal = str(self.signals[entry.name]) if entry.name in self.signals else ""
             rows.append((entry.name, format_quantity(entry.largest, entry.unit), entry.place, limit, share, signal))
-        about = "about " if self.rehearsed else ""
+        about, reason = "about " if self.rehearsed else "", ""
         lines = [*self.unread, *self.checks, *self.flights, *self.outside]
         shortest, longest = self.seconds_range
         if longest > _MIN_RANGE_RATIO * shortest > 0.0:
             about = f"{duration_text(shortest)} to {duration_text(longest)}, {about}"
+            reason = " (waits with dampers in flight are uncertain)" if self.nonlinear else ""
         lines.append(
-            f"the test takes {about}{duration_text(self.seconds)} on the bench; its recording has about "
+            f"the test takes {about}{duration_text(self.seconds)} on the bench{reason}; its recording has about "
             f"{self.disk / 1e6:.3g} MB"
         )
         if self.rehearsed:

@@ -157,9 +157,10 @@ def test_error_above_tolerance_gives_misfit(noisy_sweep):
         ("0.02", {"body3": {"gain": 1 / 9.80665}}, ["body3 reads 9.807 times", "(m/s² read as g)"]),
         ("0", {"body1": {"gain": 2**0.5}}, ["body1 reads 0.7071 times", "(rms value instead of amplitude)"]),
         ("0.02", {"body2": {"quantity": "velocity"}}, ["body2: it is the integral of the stated quantity"]),
-        ("0.02", {"body2": {"delay": 4e-3}}, ["body2 contradicts the other channels"]),
+        ("0.02", {"body2": {"delay": 4e-3}}, ["body2 reads 4000 µs early"]),
+        ("0.02", {"body2": {"delay": 9e-3}}, ["body2 contradicts the other channels"]),
     ],
-    ids=["swapped", "g read as SI unit", "SI unit read as g", "rms value", "integral", "delayed"],
+    ids=["swapped", "g read as SI unit", "SI unit read as g", "rms value", "integral", "delayed", "far delayed"],
 )
 def test_faulty_channel_is_named(tolerance, faults, causes, noisy_sweep):
     with daq.open(noisy_sweep(tolerance)) as recording:

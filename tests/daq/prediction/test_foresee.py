@@ -422,6 +422,7 @@ def test_range_of_duration_contains_steps_that_do_not_settle() -> None:
     # The recording takes 1225 s; several steps at the resonances do not become steady in 60 s.
     assert shortest < 1225.0 < longest and foresight.seconds == pytest.approx(1225.0, rel=0.1)
     assert f"{shortest / 60:.1f} min to {longest / 60:.1f} min, about" in str(foresight)
+    assert "(waits with dampers in flight are uncertain)" in str(foresight)
 
 
 def test_duration_of_levels_is_proportional_to_a_rehearsed_level() -> None:

@@ -127,11 +127,17 @@ def _estimate_delay(curve: Response) -> tuple[float, bool] | None:
         lines = slice(first, first + _MAX_LINES)
         alignment += (np.exp(4j * np.pi * np.outer(delays, frequency[lines])) @ direction[lines]).real
     best, misaligned = int(np.argmax(alignment)), 1.0 - float(direction.real.sum())
-    if 1.0 - alignment[best] > _MAX_MISALIGNMENT:
+    remaining = 1.0 - float(alignment[best])
+    if remaining > _MAX_MISALIGNMENT:
         return None
-    is_delayed = misaligned > _MIN_IMPROVEMENT * max(1.0 - alignment[best], _MIN_MISALIGNMENT)
+    is_delayed = misaligned > _MIN_IMPROVEMENT * max(remaining, _MIN_MISALIGNMENT)
+    # Far above the resonances, damping turns phases to a constant angle, which explains half of the band as well.
+    advanced, middle = direction * np.exp(4j * np.pi * delays[best] * frequency), 0.5 * (frequency[0] + frequency[-1])
+    is_delayed &= all(
+        advanced[half].real.sum() > abs(direction[half].sum()) for half in (frequency <= middle, frequency > middle)
+    )
     is_narrow = frequency[-1] < _MIN_BAND_RATIO * frequency[0]
-    if is_delayed and phase_range < _MAX_MODE_PHASE and (is_narrow or 1.0 - alignment[best] > _MIN_MISALIGNMENT):
+    if is_delayed and phase_range < _MAX_MODE_PHASE and (is_narrow or remaining > _MIN_MISALIGNMENT):
         return None
     return float(delays[best]), is_delayed
 

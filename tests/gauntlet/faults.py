@@ -51,9 +51,10 @@ class FaultyRecording(Recording):
         super().__init__(path)
         self._channel, (self._gain, delay) = channel, FAULTS[fault]
         self._delay = round(delay * self.rate)
-        measured = [mark for mark in self.markers if mark.kind in ("measure", "hit")]
-        last = measured[-1].last_sample if measured[-1].kind == "measure" else self.samples
-        self._middle = (measured[0].first_sample + (last or self.samples)) // 2
+        # In the middle of the measurement; the last hit ends with the recording.
+        starts = [mark.first_sample for mark in self.markers if mark.kind in ("measure", "hit")]
+        stops = [mark.last_sample or self.samples for mark in self.markers if mark.kind == "measure"]
+        self._middle = (min(starts, default=0) + max(stops, default=self.samples)) // 2
 
     def read(self, channel: str, start: int = 0, stop: int | None = None) -> Array:
         """Read a channel, with the fault."""

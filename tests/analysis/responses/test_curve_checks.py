@@ -59,6 +59,22 @@ def test_damped_mode_in_narrow_band_is_no_delay(damping: float, width: float) ->
     assert not delayed_channels(curves)
 
 
+@pytest.mark.parametrize("highest", [180.0, 220.0])
+def test_damping_above_resonances_is_no_delay(highest: float) -> None:
+    # Above the last mode at 80 Hz, the forces of modal damping turn the phase of a distant body steadily to 90 degrees.
+    masses, springs = (
+        np.array([0.603, 0.557, 2.9, 0.498, 0.323]),
+        np.array([73900.0, 21100.0, 72300.0, 58000.0, 17800.0]),
+    )
+    stiffness = np.diag(springs + np.append(springs[1:], 0.0)) - np.diag(springs[1:], 1) - np.diag(springs[1:], -1)
+    square, shapes = np.linalg.eigh(stiffness / np.sqrt(np.outer(masses, masses)))
+    frequency, ratios = np.arange(1.75, highest, 0.5), np.array([0.02, 0.029, 0.013, 0.014, 0.03])
+    omega = 2.0 * np.pi * frequency[:, None]
+    value = (shapes[1] * shapes[4] / (square - omega**2 + 2j * ratios * np.sqrt(square) * omega)).sum(axis=1)
+    curve = Response.curve(frequency, value, "body2", error=1e-3 * abs(value))
+    assert not delayed_channels([curve])
+
+
 def test_delay_in_narrow_band_without_mode_is_named() -> None:
     frequency = np.linspace(80.0, 120.0, 81)
     value = np.exp(-2j * np.pi * frequency * 5e-3)

@@ -45,6 +45,9 @@ _MIN_MISALIGNMENT = 0.03
 # such small phases must leave a misalignment below the third value, in a band whose limits have at least this ratio.
 _MAX_MODE_PHASE = 190.0
 _MIN_BAND_RATIO = 1.3
+# A line is evaluated if its receptance exceeds this fraction of the largest. Where it is smaller, as far above the
+# resonances, damping forces determine the phase, which may rise or fall over a wide band.
+_MIN_RECEPTANCE_RATIO = 1e-4
 # One response is late if the delays of the other responses are below this fraction of its delay.
 _MAX_OTHER_DELAY = 0.2
 
@@ -115,6 +118,7 @@ def _estimate_delay(curve: Response) -> tuple[float, bool] | None:
     magnitude = abs(receptance.value)
     valid = np.isfinite(magnitude) & (magnitude > 0.0)
     valid &= np.nan_to_num(receptance.bound(), nan=np.inf) < _MAX_UNCERTAINTY * magnitude
+    valid &= magnitude > _MIN_RECEPTANCE_RATIO * magnitude[valid].max(initial=0.0)
     if valid.sum() < _MIN_DELAY_LINES:
         return None
     frequency, direction = receptance.frequency[valid], (receptance.value[valid] / magnitude[valid]) ** 2
@@ -127,17 +131,11 @@ def _estimate_delay(curve: Response) -> tuple[float, bool] | None:
         lines = slice(first, first + _MAX_LINES)
         alignment += (np.exp(4j * np.pi * np.outer(delays, frequency[lines])) @ direction[lines]).real
     best, misaligned = int(np.argmax(alignment)), 1.0 - float(direction.real.sum())
-    remaining = 1.0 - float(alignment[best])
-    if remaining > _MAX_MISALIGNMENT:
+    if 1.0 - alignment[best] > _MAX_MISALIGNMENT:
         return None
-    is_delayed = misaligned > _MIN_IMPROVEMENT * max(remaining, _MIN_MISALIGNMENT)
-    # Far above the resonances, damping turns phases to a constant angle, which explains half of the band as well.
-    advanced, middle = direction * np.exp(4j * np.pi * delays[best] * frequency), 0.5 * (frequency[0] + frequency[-1])
-    is_delayed &= all(
-        advanced[half].real.sum() > abs(direction[half].sum()) for half in (frequency <= middle, frequency > middle)
-    )
+    is_delayed = misaligned > _MIN_IMPROVEMENT * max(1.0 - alignment[best], _MIN_MISALIGNMENT)
     is_narrow = frequency[-1] < _MIN_BAND_RATIO * frequency[0]
-    if is_delayed and phase_range < _MAX_MODE_PHASE and (is_narrow or remaining > _MIN_MISALIGNMENT):
+    if is_delayed and phase_range < _MAX_MODE_PHASE and (is_narrow or 1.0 - alignment[best] > _MIN_MISALIGNMENT):
         return None
     return float(delays[best]), is_delayed
 

@@ -90,7 +90,8 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
             tuple(f"{point.quantity} at {point.place or point.name}" for point in matrix.inputs),
             matrix.outputs,
         )
-    all_lines = [frf.to("displacement").sorted() for frf in frfs]
+    labeled = [replace(frf, label=frf.label or "responses") for frf in frfs]
+    all_lines = [frf.to("displacement").sorted() for frf in labeled]
     curves = remove_unbounded(reduce_lines(all_lines))
     if are_errors_stated(curves):
         fitted = fit_modes(curves, count)

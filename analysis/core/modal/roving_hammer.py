@@ -13,7 +13,7 @@ from functools import reduce
 import numpy as np
 
 from rig.core.base.errors import RecordingError, SceneError
-from rig.core.results.points import Point
+from rig.core.results.points import Point, body_number
 from rig.core.results.response import Response, stack
 
 # Minimum number of common lines.
@@ -43,7 +43,7 @@ def exchange_points(curves: Sequence[Response]) -> Response:
     exchanged = [
         replace(
             curve.at(np.isin(curve.frequency, lines)),
-            outputs=(replace(curve.outputs[0], name=point, place=point, body=0),),
+            outputs=(replace(curve.outputs[0], name=point, place=point, body=body_number(point)),),
             inputs=(Point(f"force at {sensor}", "force", sensor),),
         )
         for point in points

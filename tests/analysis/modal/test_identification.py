@@ -106,6 +106,12 @@ def test_too_few_points_are_rejected(tmp_path):
         analysis.identify(curves)
 
 
+def test_message_on_unlabeled_responses_names_them():
+    frequency = np.linspace(5.0, 60.0, 5)
+    with pytest.raises(RecordingError, match=r"^responses: 5 frequencies are too few"):
+        analysis.identify([Response.curve(frequency, 1.0 / (frequency + 1j), "body1")])
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_white_noise_has_no_mode(seed):
     random = np.random.default_rng(seed)

@@ -22,7 +22,7 @@ SHAPES = np.array([[0.4, -0.9], [0.8, -0.2], [1.0, 0.7]])
 
 def receptance(point: int, sensor: int, frequency: Array = FREQUENCY) -> ComplexArray:
     s, omega = 2j * np.pi * frequency[:, None], 2 * np.pi * NATURAL
-    return (SHAPES[point - 1] * SHAPES[sensor - 1] / (s**2 + 2 * DAMPING * omega * s + omega**2)).sum(axis=1)
+    return (SHAPES[point % 10 - 1] * SHAPES[sensor - 1] / (s**2 + 2 * DAMPING * omega * s + omega**2)).sum(axis=1)
 
 
 def hit(point: int, sensor: int, frequency: Array = FREQUENCY) -> Response:
@@ -40,6 +40,11 @@ def test_shapes_have_an_element_for_each_point() -> None:
     np.testing.assert_allclose(modes.frequency, NATURAL, rtol=1e-4)
     assert modes.places == ("body 1", "body 2", "body 3") and modes.input == "force at body 3"
     np.testing.assert_allclose(modes.shapes.real, SHAPES / [1.0, -0.9], atol=0.01)
+
+
+def test_shapes_are_in_the_order_of_bodies() -> None:
+    modes = analysis.identify(exchange_points([hit(point, 3) for point in (10, 2, 1)])).of_bodies()
+    assert modes.names == ("body 1", "body 2", "body 10")
 
 
 def test_two_fixed_sensors_are_two_references() -> None:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from analysis.core.damper_motion.comparison import resonance_peaks
+from analysis.core.damper_motion.comparison import Peak, local_model, resonance_peaks
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
@@ -46,6 +46,8 @@ _STRIP_HEIGHT = 0.015
 MAX_POINTS = 600
 # A peak between points is marked if it exceeds the highest point by this fraction.
 _MIN_PEAK_EXCESS = 0.01
+# A drawn curve carries a peak if it reaches this part of its height.
+_CARRYING_RATIO = 0.99
 # A peak at a line with a smaller coherence is a peak of the noise, and is not marked.
 _MIN_PEAK_COHERENCE = 0.9
 # A peak is marked if it is the highest point within this relative distance in frequency.
@@ -280,6 +282,10 @@ def _draw_peaks(frf: Response, color: str, axes: Axes) -> tuple[list[float], lis
             is_highest = height >= factor * np.nanmax(around)
             is_visible = is_near and is_highest and height > (1.0 + _MIN_PEAK_EXCESS) * factor * point
             if is_visible and not peak.at_end and not is_noise:
+                for at, model in missing_models(
+                    frf, [peak], *frf.with_gaps().continued(is_determined(frf.with_gaps()))
+                ):
+                    axes.plot(at, factor * model, color=color, lw=0.7, zorder=2.8)
                 axes.plot(peak.frequency, height, "o", mfc="white", mec=color, mew=1.0, ms=4.5, zorder=5)
                 heights.append(height)
         elif not peak.at_end:
@@ -289,6 +295,18 @@ def _draw_peaks(frf: Response, color: str, axes: Axes) -> tuple[list[float], lis
             )  # fmt: skip
             arrows.append(2.0 * factor * point)
     return heights, arrows
+
+
+def missing_models(
+    frf: Response, peaks: Iterable[Peak], frequency: Array, value: ComplexArray
+) -> Iterator[tuple[Array, Array]]:
+    """Yield the local models of peaks that a drawn curve does not reach: Hz, and magnitude in the unit of the curve."""
+    for peak in peaks:
+        at, height = local_model(frf, peak)
+        height = height * (2.0 * np.pi * at) ** MOTIONS.index(frf.motion)
+        is_near = (frequency >= at[0]) & (frequency <= at[-1])
+        if np.nanmax(abs(value[is_near]), initial=0.0) < _CARRYING_RATIO * height.max():
+            yield at, height
 
 
 def _omitted_ranges(frf: Response) -> list[tuple[float, float]]:

@@ -18,6 +18,7 @@ from analysis.commands.figures.frf_figure import (
     folds_back,
     is_determined,
     is_smooth,
+    missing_models,
     phase_degrees,
     phase_top,
 )
@@ -30,7 +31,7 @@ from analysis.commands.report_page.charts import (
     side_limits,
 )
 from analysis.commands.report_page.measurements import Measurement, SweepChange, SweepResults, force_deviation
-from analysis.core.damper_motion.comparison import Peak, local_model
+from analysis.core.damper_motion.comparison import Peak
 from analysis.core.decays.free_decay import Decay
 from analysis.core.decays.modal_decay import ModalDecay
 from analysis.core.recordings.names import belongs_to, excitation_text
@@ -57,8 +58,6 @@ _INTERVALS = 1200
 _GAP_RATIO = 0.005
 # The end of a sentence of a caption.
 _SENTENCE_END = re.compile(r"(?<=[.)]) (?=[A-Z])")
-# A drawn curve carries a peak if it reaches this part of its height.
-_CARRYING_RATIO = 0.97
 
 
 def response_charts(
@@ -191,11 +190,8 @@ def response_chart(
         # A peak of unknown height is drawn at its highest point.
         points = {peak: (peak.frequency, factor * peak.value) for peak in found if not peak.at_end}
         interpolated = [peak for peak in points if isfinite(peak.bound)]
-        for at, height in (local_model(original, peak) for peak in interpolated):
-            # The lines do not resolve this peak: only its local model carries it.
-            is_near = (curve_f >= at[0]) & (curve_f <= at[-1])
-            if np.nanmax(abs(curve_value[is_near]), initial=0.0) < _CARRYING_RATIO * height.max():
-                magnitude.append(Curve(name, at, factor * height, style=style, draw="through"))
+        for at, height in missing_models(original, interpolated, curve_f, curve_value):
+            magnitude.append(Curve(name, at, factor * height, style=style, draw="through"))
         extrapolated |= {p.frequency for p in interpolated if _exceeds_points(p, f, modulus / factor)}
         magnitude += _symbols(name, style, "circles", [points[peak] for peak in interpolated])
         magnitude += _symbols(name, style, "arrows", [at for peak, at in points.items() if not peak.is_determined])

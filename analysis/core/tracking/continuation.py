@@ -144,7 +144,7 @@ class AmplitudeCurve(Result):
         """Draw the settled points, joined in their order; unstable points are hollow, and folds are crosses."""
         for level, level_style in level_styles(self.level).items():
             chosen = (self.level == level) & self.settled
-            ax.plot(self.frequency[chosen], 1e3 * self.amplitude[chosen], color=level_style.color, lw=0.7, zorder=2)
+            ax.plot(self.frequency[chosen], 1e3 * self.amplitude[chosen], color=level_style.color, lw=0.5, zorder=0)
         for name, (color, _, marker), part, is_stable in self.parts():
             face = color if is_stable else "white"
             points = complete_style(style, color=color, marker=marker, ms=4, ls="", zorder=3)

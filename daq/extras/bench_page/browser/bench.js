@@ -4,6 +4,7 @@
 const $ = (name) => document.getElementById(name);
 let socket = null, frozen = false, messages = 0, channels = [], histories = null, spectra = null;
 const shownScales = new Map();
+const VISIBLE_PART = 0.1; // of the limit of a channel
 
 function make(parent, tag, content = "") {
   const element = document.createElement(tag);
@@ -73,8 +74,9 @@ function panels(kind, x, values, log) {
   return groups().map(({ key, name, factor, smallest, rows }) => {
     // Bodies are in front of tables, which would hide them.
     const curves = [...rows].sort((a, b) => Boolean(channels[a].responds) - Boolean(channels[b].responds)).map((row) => ({ x, y: values[row].map((value) => factor * value), color: channels[row].color, width: 1.4 }));
-    // Dashed: the limit of overloaded channels.
-    const over = kind === "history" ? rows.filter((row) => channels[row].limit != null && isOver(channels[row].name)) : [];
+    // Dashed: the limit of overloaded channels, unless it would hide a small motion.
+    const isNear = (row) => values[row].some((value) => Math.abs(value) > VISIBLE_PART * channels[row].limit);
+    const over = kind === "history" ? rows.filter((row) => channels[row].limit != null && isOver(channels[row].name) && isNear(row)) : [];
     for (const limit of new Set(over.map((row) => factor * channels[row].limit))) {
       for (const y of [-limit, limit]) curves.push({ x: [x[0], x[x.length - 1]], y: Float32Array.of(y, y), color: OVER, width: 1.2, dash: [5, 4] });
     }

@@ -337,7 +337,7 @@ def stabilization_charts(measurements: Sequence[Measurement]) -> list[Chart]:
                 + " Hollow: stable, but not identified as a mode."
                 * any(curve.draw == "circles" for curve in curves),
                 f"Stabilization diagram of {sweep.label}.",
-                [Panel("model order", "", curves, 150, limits=(0.0, 1.05 * top), ticks=ticks, marks=marks)],
+                [Panel("model order", "", curves, 130, limits=(0.0, 1.05 * top), ticks=ticks, marks=marks)],
                 logarithmic=needs_logarithmic_axis(band),
                 x_limits=(float(band.min()), float(band.max())),
                 x_view=_first_view(band, modes),

@@ -152,7 +152,7 @@
         context.moveTo(...position(value, curve.low[i]));
         context.lineTo(...position(value, curve.high[i]));
       });
-      context.globalAlpha = 0.6;
+      context.globalAlpha = 0.8;
       context.stroke();
       context.globalAlpha = 1;
       if (curve.draw === "path") continue;

@@ -126,8 +126,8 @@ class FirstOrderForm:
 
     @property
     def has_only_beds(self) -> bool:
-        """Whether all elements are beds with instant contact."""
-        return all(list(element.law.modes) == ["flight", "floor", "ceiling"] for element in self.system.elements)
+        """Whether all elements are beds with instant contact: no other mass falls freely."""
+        return bool(self.system.detached.all())
 
     def mode(self, j: int, modes: Modes) -> Mode:
         """Return the present mode of an element."""

@@ -130,8 +130,9 @@ def parse_request(
         )
     if scene.joints:
         raise SceneError(
-            "joints: a design measures its dampers by the peak without them, which must be the same at every level. "
-            "Remove the joints."
+            "joints: a design compares dampers at all levels with one peak without dampers, which depends on the level "
+            "in a structure with joints. Remove the joints, or compare dampers of your choice by `rig response` at "
+            "each level."
         )
     impact_law = impact_law_of(scene.dampers)
     bare = with_ideal_force(_with_controlled_force(scene.with_ideal_channels(dampers=[]), levels))

@@ -153,6 +153,12 @@ def test_engine_is_exact_with_mixed_contacts() -> None:
     assert study.points[0].error < 1e-12
 
 
+def test_masses_on_springs_are_not_computed_as_beds() -> None:
+    study = motion_study(rig.load("impact-damper-on-spring"), 13.2, periods=1)
+    assert {point.method for point in study.points} >= {"engine, tone", "scipy DOP853"}
+    assert all(point.is_correct for point in study.points if point.method.startswith("engine, tone"))
+
+
 @pytest.mark.parametrize(
     ("name", "frequency", "kinds"),
     [

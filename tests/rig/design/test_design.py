@@ -205,6 +205,11 @@ def test_invalid_requests_are_rejected(requested: dict, message: str) -> None:
         rig.design("fig9", **requested)
 
 
+def test_structures_with_joints_are_rejected() -> None:
+    with pytest.raises(SceneError, match=r"joints: .* depends on the level"):
+        parse_request(rig.load("stop"))
+
+
 def test_quantities_with_units_are_accepted() -> None:
     scene = rig.load("fig9")
     objective, space = parse_request(

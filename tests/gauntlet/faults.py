@@ -61,8 +61,10 @@ class FaultyRecording(Recording):
         if channel != self._channel:
             return super().read(channel, start, stop)
         start, stop = self._range(start, stop)
+        lost = np.isnan(super().read(channel, start, stop))
         samples = super().read(channel, max(start - self._delay, 0), max(stop - self._delay, 0))
-        samples = np.concatenate([np.zeros(stop - start - samples.size), samples])
+        samples = np.concatenate([np.zeros(stop - start - samples.size), np.nan_to_num(samples)])
+        samples[lost] = np.nan
         return np.where(np.arange(start, stop) < self._middle, samples, samples * self._gain)
 
 

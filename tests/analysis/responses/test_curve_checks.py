@@ -9,6 +9,7 @@ import pytest
 
 from analysis.core.responses.checks import curve_checks
 from analysis.core.responses.checks.curve_checks import delayed_channels, find_jumps, reversed_force
+from rig.core.results.points import Point
 from rig.core.results.response import Response
 from tests.peak_memory import peak_memory
 
@@ -80,6 +81,15 @@ def test_delay_in_narrow_band_without_mode_is_named() -> None:
     value = np.exp(-2j * np.pi * frequency * 5e-3)
     curve = Response.curve(frequency, value, "body1", error=np.full(81, 1e-3), degrees=np.full(81, 38.0))
     assert "body1 seems to be 5 ms late" in delayed_channels([curve])
+
+
+def test_late_force_among_several_is_named() -> None:
+    delay = np.exp(2j * np.pi * FREQUENCY * 2e-3)
+    curves = [
+        replace(curve, value=curve.value * delay, inputs=(Point("f2", "force"),))
+        for curve in (measured(1), measured(2))
+    ]
+    assert delayed_channels(curves).startswith("f2 seems to be 2 ms late")
 
 
 def test_other_responses_may_have_any_phase() -> None:

@@ -94,16 +94,18 @@ def delayed_channels(curves: Sequence[Response]) -> str:
     delayed = [(curve, delay) for curve, delay, is_delayed in known if is_delayed]
     if not delayed:
         return ""
-    (first, *_), reference = delayed, curves[0].reference
+    (first, *_), source = delayed, curves[0].inputs[0].name
+    # A single force has no name of its own.
+    article = "the " if source == curves[0].reference else ""
     others = [abs(delay) for _, delay, is_delayed in known if not is_delayed]
     times = np.array([delay for _, delay in delayed])
     if len(delayed) == 1 and max(others, default=0.0) < _MAX_OTHER_DELAY * abs(times[0]):
         time = f"{format_number(float(f'{1e3 * abs(times[0]):.2g}'))} ms"
         late, early = ("late", "early") if times[0] > 0.0 else ("early", "late")
-        text = f"{first[0].response} seems to be {time} {late}" + ("" if others else f", or the {reference} {early}")
+        text = f"{first[0].response} seems to be {time} {late}" + ("" if others else f", or {article}{source} {early}")
     elif not others and np.ptp(times) < _MAX_OTHER_DELAY * abs(times.mean()):
         time = f"{format_number(float(f'{1e3 * abs(times.mean()):.2g}'))} ms"
-        text = f"The {reference} seems to be {time} {'early' if times[0] > 0.0 else 'late'}"
+        text = f"{article.capitalize()}{source} seems to be {time} {'early' if times[0] > 0.0 else 'late'}"
     else:
         return ""
     return (

@@ -8,6 +8,7 @@ import pytest
 import daq
 from tests.analysis.responses import synthetic
 from tests.gauntlet.checks import channels
+from tests.gauntlet.faults import outcome_of
 from tests.gauntlet.result import Case
 
 
@@ -21,3 +22,9 @@ def test_blamed_channel_is_wrong(tmp_path, gain: float, outcome: str) -> None:
     with daq.open(path) as changed:
         (result,) = channels.check(Case(changed.scene, changed, []), "impulse")
     assert result.outcome == outcome
+
+
+@pytest.mark.parametrize(("fault", "outcome"), [("none", "silent"), ("gain halved", "named"), ("2 ms late", "named")])
+def test_fault_is_put_into_one_channel(tmp_path, fault: str, outcome: str) -> None:
+    path = synthetic.impulses(tmp_path / "a.mcap", hits=8, noise=0.1)
+    assert outcome_of(path, "body2", fault)[0] == outcome

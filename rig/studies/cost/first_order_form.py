@@ -237,11 +237,11 @@ class FirstOrderForm:
         """Leave a mode for another, in place: velocities after an impact, and what the new mode holds or remembers."""
         element, n, elements = self.system.elements[j], self.system.coordinates, len(self.system.elements)
         before, height, speed = self.mode(j, modes), self.first_height + j, self.first_height + elements + j
-        rebound = self._zero
-        if end.exit.restitution is not None:
-            rebound = self._collide(z, j, end.exit.restitution)
         modes[j] = target
-        after = self.mode(j, modes)
+        after, rebound = self.mode(j, modes), self._zero
+        if end.exit.restitution is not None:
+            # A mass that stays at its wall does not rebound: the impulse is that of a plastic impact.
+            rebound = self._collide(z, j, 0.0 if after.force is None else end.exit.restitution)
         if element.gap < 0:
             limit = self.exact(before.wall_gap if before.force is None else end.limit)[()]
             z[height], z[speed] = z[element.body] + limit, z[n + element.body] + rebound

@@ -153,6 +153,18 @@ def test_engine_is_exact_with_mixed_contacts() -> None:
     assert study.points[0].error < 1e-12
 
 
+def test_exact_motion_contains_rebounds_that_end_in_rest() -> None:
+    scene = rig.load("reference-B")
+    scene = scene.replace(dampers=[damper.replace(restitution=0.4) for damper in scene.dampers])
+    system = assemble(scene)
+    tone = tone_drive(scene, system)
+    run = rig.simulate(scene, 8 / tone.frequency, SAMPLES_PER_PERIOD * tone.frequency)
+    exact = exact_motion(system, tone, run, SAMPLES_PER_PERIOD)
+    rebounds = np.flatnonzero(run.events["kind"] == "floor")
+    assert run.events["speed"][rebounds].min() < 1e-8 and run.events["kind"][-1] != "separation"
+    np.testing.assert_allclose(run.events["time"], exact.event_time.astype(float), rtol=0.0, atol=1e-14)
+
+
 def test_masses_on_springs_are_not_computed_as_beds() -> None:
     study = motion_study(rig.load("impact-damper-on-spring"), 13.2, periods=1)
     assert {point.method for point in study.points} >= {"engine, tone", "scipy DOP853"}

@@ -359,7 +359,7 @@ def test_rebounds_that_end_in_rest_have_an_orbit(restitution: float, impacts: in
     assert orbit.stable and orbit.motion_type == response.motion_type[0] == f"{impacts} per 1"
     assert list(orbit.events["kind"]).count("separation") == 1
     np.testing.assert_allclose(orbit.compliance, response.compliance[:, 0], rtol=1e-8)
-    assert exact_orbit(scene, orbit).error(orbit.compliance) < 1e-6
+    assert exact_orbit(scene, orbit).error(orbit.compliance) < 1e-12
 
 
 def test_error_after_a_distant_start_names_the_frequency() -> None:

@@ -5,6 +5,7 @@ IEC 60068-2-27 (half sine), IEC 60068-2-81 (shock response spectrum).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,6 +30,8 @@ _MAX_PRACTICE = 3
 _BAND_RATIO = 0.4
 # Smallest number of samples in a half sine.
 _MIN_SAMPLES = 6
+# Deviations that grow by this factor do not converge: the drive does not compensate vibration of earlier pulses.
+_GROWTH = 1.2
 # Time without drive after the last pulse, as a fraction of the interval between pulses.
 _REST = 0.25
 
@@ -45,26 +48,37 @@ def excite(station: Station, test: Shock) -> Excitation:
     replication = Replication(pulse.target, lines, gain)
     _check_drive(station, replication, test)
     levels, n_practice = list(test.practice), max(_MAX_PRACTICE, len(test.practice))
-    total, number, is_within, message = n_practice + test.repeats, 0, False, ""
+    total, number, is_within, message, deviations = n_practice + test.repeats, 0, False, "", list[float]()
     while levels or not is_within:
         if number == n_practice:
-            remedy = "Add practice pulses at higher levels (test.practice), or widen the tolerance."
-            raise GivenUp(f"after {number} practice pulses {message}. {remedy}")
+            raise GivenUp(f"after {number} practice pulses {message}. {_remedy(deviations)}")
         level = levels.pop(0) if levels else test.practice[-1]
         number += 1
         station.report(number / total, f"practice pulse {number} at {level:g} dB")
         deviation, message = yield from _run_pulse(station, test, replication, pulse, level, "practice", number)
+        deviations.append(deviation)
         is_within = deviation <= pulse.tolerance
         _check_drive(station, replication, test)
     outside = []
     for number in range(1, test.repeats + 1):
         station.report((n_practice + number) / total, f"shock {number} of {test.repeats}")
         deviation, message = yield from _run_pulse(station, test, replication, pulse, 0.0, "shock", number)
+        deviations.append(deviation)
         if deviation > pulse.tolerance:
             outside.append(f"shock {number}: {message}")
     yield station.zero_drive(station.samples(_REST * test.interval))
     if outside:
-        station.warn(f"{'; '.join(outside)}. Add practice pulses at higher levels (test.practice).")
+        station.warn(f"{'; '.join(outside)}. {_remedy(deviations)}")
+
+
+def _remedy(deviations: Sequence[float]) -> str:
+    """Return what to do about pulses with these deviations, in their order."""
+    if deviations[-1] > _GROWTH * deviations[0]:
+        return (
+            "The deviation grows from pulse to pulse: the structure vibrates longer than test.interval. Give a longer "
+            "interval."
+        )
+    return "Add practice pulses at higher levels (test.practice), or widen the tolerance."
 
 
 def _run_pulse(

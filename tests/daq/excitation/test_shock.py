@@ -123,6 +123,20 @@ def test_noisy_sensor_is_named() -> None:
     )
 
 
+def test_too_short_interval_is_named() -> None:
+    # The drive of a body at its anti-resonance lasts longer than the interval.
+    test = {"kind": "shock", "half_sine": HALF_SINE, "control": "frame", "interval": "1 s"}
+    settings = rig.load({
+        "structure": {"masses": [1.0, 1.0], "springs": [3e4, 3e4], "damping": {"modal": 0.005}},
+        "shaker": {"kind": "force", "body": 1},
+        "channels": [{"name": "frame", "at": "body 1"}],
+        "converter": {"rate": RATE, "bits": 24, "range": 200.0},
+        "test": test,
+    })  # fmt: skip
+    run = MarkedRun(settings)
+    assert "Give a longer interval" in run.reason and not run.drives[-1][:, -1].any()
+
+
 def test_practice_outside_tolerance_ends_test() -> None:
     run = MarkedRun(scene(half_sine=HALF_SINE | {"tolerance": "0.01 %"}))
     assert "after 3 practice pulses the pulse deviates by" in run.reason and not run.of_kind("shock")

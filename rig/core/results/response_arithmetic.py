@@ -15,7 +15,7 @@ from rig.core.results.points import MOTIONS, Point
 from rig.core.results.response_values import ResponseValues, any_unsteady
 from rig.core.results.text import format_frequencies
 from rig.core.results.uncertainty import BudgetTable, stack_budgets
-from rig.core.settings.quantities import FREQUENCY, number
+from rig.core.settings.quantities import FREQUENCY, number, positive_values
 
 # The highest value counts as the peak if its expanded uncertainty is at most this fraction of the value.
 MAX_PEAK_UNCERTAINTY_RATIO = 0.5
@@ -121,12 +121,7 @@ class ResponseArithmetic(ResponseValues):
         >>> abs(frf.interpolated(15.1).value).round(4).tolist()
         [0.2208]
         """
-        if isinstance(frequency, str):
-            frequency = number(frequency, FREQUENCY, "frequency")
-        at = np.atleast_1d(np.asarray(frequency, dtype=float))
-        if not np.isfinite(at).all():
-            raise SceneError(f"frequency: got {frequency}; expected one or several frequencies in Hz, such as 30.5")
-        result, needed = self._interpolated(at)
+        result, needed = self._interpolated(positive_values(frequency, FREQUENCY, "frequency"))
         if np.isfinite(needed).any():
             raise SceneError(
                 f"{self.label or self.ratio}: the lines do not resolve the response at "

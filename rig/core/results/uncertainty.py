@@ -519,8 +519,8 @@ def circle_factor(confidence: float, degrees: Array) -> Array:
 
 
 def _check_confidence(confidence: float) -> None:
-    if not 0.0 < confidence < 1.0:
-        raise SceneError(f"confidence: got {confidence:g}; expected a fraction between 0 and 1, such as 0.95")
+    if not (isinstance(confidence, float) and 0.0 < confidence < 1.0):
+        raise SceneError(f"confidence: got {confidence}; expected a fraction between 0 and 1, such as 0.95")
 
 
 def known_degrees(degrees: Array) -> Array:

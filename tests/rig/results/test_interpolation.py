@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -60,10 +62,13 @@ def test_value_of_line_is_unchanged() -> None:
 def test_frequency_may_have_its_unit() -> None:
     frf = measured(0.3)
     assert frf.interpolated("30.49 Hz").value == frf.interpolated(30.49).value
+    assert frf.interpolated(["30.49 Hz", "40 Hz"]).frequency.tolist() == [30.49, 40.0]
+
+
+@pytest.mark.parametrize("frequency", [None, [20.0, "x"], -3.0, "30.49 m"])
+def test_invalid_frequency_is_named(frequency: Any) -> None:
     with pytest.raises(SceneError, match="frequency: "):
-        frf.interpolated("30.49 m")
-    with pytest.raises(SceneError, match="frequency: got None"):
-        frf.interpolated(None)  # type: ignore[arg-type]
+        measured(0.3).interpolated(frequency)
 
 
 def test_interpolated_tolerance_is_that_of_lines() -> None:
@@ -79,8 +84,8 @@ def test_interpolated_tolerance_is_that_of_lines() -> None:
     assert frf.limits[SENSITIVITY] == pytest.approx(0.1 / 0.9 * abs(frf.value), rel=1e-3)
 
 
-@pytest.mark.parametrize("confidence", [95, 1.0, 0.0])
-def test_confidence_must_be_a_fraction(confidence: float) -> None:
+@pytest.mark.parametrize("confidence", [95, 1.0, 0.0, "95 %"])
+def test_confidence_must_be_a_fraction(confidence: Any) -> None:
     with pytest.raises(SceneError, match=r"confidence: got .*expected a fraction between 0 and 1"):
         measured(0.3, 1e-3).bound(confidence)
 

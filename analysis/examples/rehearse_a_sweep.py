@@ -1,9 +1,10 @@
 """
-Rehearse a sweep: what the settle time costs
-============================================
+Settling time of a stepped sine: what it costs
+==============================================
 
 A stepped sine waits at each frequency until the transient of the previous step has decayed. A longer wait costs bench
-time; a shorter wait leaves an error. The rehearsal shows both before the test.
+time; a shorter wait leaves an error. This example records the same test with three settings on the virtual bench, and
+compares duration and error, before the test takes place on a real bench.
 """
 
 # %%

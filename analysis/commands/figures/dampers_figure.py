@@ -80,7 +80,7 @@ def _draw_motions(axes: Axes, motions: Sequence[Sequence[DamperMotion]]) -> None
 
 
 def _draw_energies(axes: Axes, energy: CycleEnergy, lines: Lines, true_loss: np.ndarray | None) -> None:
-    """Draw the energies against frequency; damper energies whose interval includes zero are drawn as upper limits."""
+    """Draw the energies against frequency; damper energies whose interval includes zero are drawn as upper bounds."""
     order = np.argsort(energy.frequency, kind="stable")
     frequency = energy.frequency[order]
     gaps = np.searchsorted(frequency, np.sort(lines.left_out))
@@ -95,12 +95,12 @@ def _draw_energies(axes: Axes, energy: CycleEnergy, lines: Lines, true_loss: np.
     draw_energy(energy.structure, color="#777777", marker="o", label="into the structure's damping, as in the scene")
     draw_energy(into_dampers, color=DAMPER, marker="o", label="into the dampers")
     axes.errorbar(energy.frequency, 1e3 * into_dampers, 1e3 * energy.bound, fmt="none", ecolor=DAMPER, elinewidth=0.9)
-    upper_limit = 1e3 * np.maximum(energy.dampers + energy.bound, 0.0)
+    upper_bound = 1e3 * np.maximum(energy.dampers + energy.bound, 0.0)
     axes.plot(
-        energy.frequency[~is_determined], upper_limit[~is_determined], "v", mfc="none", ms=3.5, mew=0.6,
+        energy.frequency[~is_determined], upper_bound[~is_determined], "v", mfc="none", ms=3.5, mew=0.6,
         color=DAMPER, alpha=0.6, label="into the dampers, upper bound",
     )  # fmt: skip
-    plotted = [1e3 * energy.supplied, 1e3 * energy.structure, 1e3 * into_dampers, upper_limit[~is_determined]]
+    plotted = [1e3 * energy.supplied, 1e3 * energy.structure, 1e3 * into_dampers, upper_bound[~is_determined]]
     if true_loss is not None:
         positive_loss = np.where(true_loss > 0, true_loss, np.nan)
         draw_energy(positive_loss, color="#a06a00", ls=":", marker="o", label="true loss in impacts")

@@ -1,4 +1,4 @@
-"""Figure of a modal identification: measured FRFs with the model, stabilization chart, mode shapes."""
+"""Figure of a modal identification: measured FRFs with the model, stabilization diagram, mode shapes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def is_known_shape(bounds: Array) -> bool:
 
 
 def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
-    """Draw measured FRFs with the modal model, the stabilization chart and the mode shapes.
+    """Draw measured FRFs with the modal model, the stabilization diagram and the mode shapes.
 
     `frfs`: the FRFs from which `analysis.core.modal.identification.identify` estimated the modes. If they have several
     inputs, only the FRFs of the modes' input are drawn.

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
 # Built-in scenes of the stepped sines and of the impact tests, which are also the names of the recordings.
-SWEEPS = ("fig8-no-damper", "fig8-three-dampers")
-IMPULSES = ("fig10b-no-damper", "fig10b-three-dampers")
+STEPPED_SINES = ("fig8-no-damper", "fig8-three-dampers")
+IMPACT_TESTS = ("fig10b-no-damper", "fig10b-three-dampers")
 
 # Coarse frequency grid over the band, Hz.
 _COARSE_HZ = np.linspace(8.0, 60.0, 34)
@@ -32,7 +32,7 @@ _FINE_HZ = (np.linspace(11.8, 13.6, 14), np.linspace(32.0, 35.6, 13), np.linspac
 
 
 def frequencies() -> list[float]:
-    """Return the frequencies of the demonstration's sweeps, Hz.
+    """Return the frequencies of the demonstration's stepped sines, Hz.
 
     >>> frequencies()[0], frequencies()[-1]
     (8.0, 60.0)
@@ -54,8 +54,8 @@ def demonstrate(
     start = time.monotonic()
     create_folder(folder)
     print_line("Recording two stepped sines (without and with three dampers) and two impact tests ...")
-    recordings = {name: folder / f"{name}.mcap" for name in (*SWEEPS, *IMPULSES)}
-    # The long sweeps start first; the short impact tests then use the first core that becomes free.
+    recordings = {name: folder / f"{name}.mcap" for name in (*STEPPED_SINES, *IMPACT_TESTS)}
+    # The long stepped sines start first; the short impact tests then use the first core that becomes free.
     jobs = [(name, path, tuple(sweep_hz or frequencies())) for name, path in recordings.items()]
     for name, path, frequencies_hz in jobs:
         if path.exists() and not (overwrite or is_recorded(_scene(name, frequencies_hz), path)):
@@ -69,12 +69,12 @@ def demonstrate(
             print_line(f"  {jobs[number][1]}: {seconds:.0f} s of test, recorded {elapsed:.0f} s after the start")
     files = list(recordings.values())
     print_line("Estimating compliance, decay and modes from the recordings alone ...")
-    sweeps, hits = [recordings[name] for name in SWEEPS], [recordings[name] for name in IMPULSES]
+    stepped_sines, impacts = [recordings[name] for name in STEPPED_SINES], [recordings[name] for name in IMPACT_TESTS]
     with allow_overwriting(True):
         results = (
-            present_frf(sweeps, folder, theory=True),
-            present_decay(hits, folder, "body3"),
-            present_modes(sweeps[:1], folder),
+            present_frf(stepped_sines, folder, theory=True),
+            present_decay(impacts, folder, "body3"),
+            present_modes(stepped_sines[:1], folder),
         )
     for result in results:
         for line in result.lines:
@@ -89,7 +89,7 @@ def demonstrate(
     for command in (
         f"daq replay {recordings['fig8-three-dampers']}",
         f"daq info {recordings['fig10b-three-dampers']}",
-        f"analysis report {' '.join(str(path) for path in sweeps)}",
+        f"analysis report {' '.join(str(path) for path in stepped_sines)}",
         "rig scenes",
     ):
         print_line(f"  {command}")
@@ -101,7 +101,7 @@ def _scene(name: str, sweep_hz: tuple[float, ...]) -> Scene:
     import rig
 
     scene = rig.load(name)
-    if name not in SWEEPS:
+    if name not in STEPPED_SINES:
         return scene
     test = {"kind": "stepped_sine", "frequencies": sweep_hz, "force": 2.6, "settle": {"longest": 20.0}}
     return scene.replace(test=test)

@@ -1,8 +1,9 @@
-"""Linear theory of a recording: the structure without moving dampers, with its supports in the test.
+"""Linear theory of a recording: the structure with its linear dampers, and with its supports in the test.
 
-The force of a shaker is measured between coil spring and structure, so the theory excludes the coil spring. In an
-impact test all shakers are idle, and their coil springs remain attached. If a table carries the structure, the modes
-are those with the table at rest.
+Linear dampers are masses that cannot move in their bodies, and masses on springs, whose walls are removed. Beds and
+sliding masses are removed completely. The force of a shaker is measured between coil spring and structure, so the
+theory excludes the coil spring. In an impact test all shakers are idle, and their coil springs remain attached. If a
+table carries the structure, the modes are those with the table at rest.
 """
 
 from __future__ import annotations
@@ -37,10 +38,10 @@ class TheoreticalModes(NamedTuple):
 
 
 def linear_theory(rec: Recording, frf: Response) -> Response:
-    """Compute the exact FRF of the linear structure without dampers, for the same response and reference as a curve."""
+    """Compute the exact FRF of the structure with its linear dampers, with the response and reference of a curve."""
     frequency = np.geomspace(float(frf.frequency.min()), float(frf.frequency.max()), _POINTS)
     if frf.reference == "table":
-        scene, drive = _without_moving_dampers(rec.scene), rec.scene.at_driven("shaker")
+        scene, drive = _with_linear_dampers(rec.scene), rec.scene.at_driven("shaker")
     else:
         scene, drive = _scene_under_force(rec), _force_input(rec, frf)
     system = assemble(scene)
@@ -50,7 +51,7 @@ def linear_theory(rec: Recording, frf: Response) -> Response:
         states = states / states[system.points.index(rec.scene.at_driven("table"))]
     curve = Response.curve(
         frequency, states[rec.channels[frf.response].body - 1], frf.response, reference=frf.reference,
-        coherence=np.ones(frequency.size), label="linear theory, no dampers",
+        coherence=np.ones(frequency.size), label=f"linear theory, {'linear' if scene.dampers else 'no'} dampers",
     )  # fmt: skip
     return curve.to(frf.motion).placed(frf.output_at, frf.input_at, frf.outputs[0].body)
 
@@ -68,8 +69,8 @@ def theoretical_modes(rec: Recording, modes: Modes) -> TheoreticalModes | None:
     return TheoreticalModes(omega / (2.0 * np.pi), shapes[bodies]) if len(bodies) > 1 else None
 
 
-def _without_moving_dampers(scene: Scene) -> Scene:
-    """Return a scene without dampers; only constant masses and masses on springs remain, without walls and weight."""
+def _with_linear_dampers(scene: Scene) -> Scene:
+    """Return a scene with only its linear dampers: masses that cannot move, and masses on springs without walls."""
     linear = tuple(
         damper.without_walls() if damper.spring is not None else damper
         for damper in scene.dampers
@@ -80,7 +81,7 @@ def _without_moving_dampers(scene: Scene) -> Scene:
 
 def _scene_under_force(rec: Recording) -> Scene:
     """Return the scene on which the measured force acts: an ideal force instead of each driven shaker."""
-    scene = _without_moving_dampers(rec.scene)
+    scene = _with_linear_dampers(rec.scene)
     if rec.test.kind.hammered or not scene.shakers:
         return scene
     driven = {rec.channels[point.name].at for point in driven_forces(rec)} or {scene.at_driven("shaker")}

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
     from rig.core.scene.damper import Damper
 
-#: Note on a mass that does not fall freely, by whether the mass can hit a wall.
+#: Reason why no impacts of a mass that does not fall freely are reported, by whether the mass can hit a wall.
 _IMPACT_TEXTS = (
     "{} has no impacts.",
     "channels cannot show the impacts of {} in this body, because it does not fall freely.",
@@ -112,7 +112,7 @@ class Dampers(Result):
 
 
 def _impact_text(damper: Damper) -> str:
-    """Return the note on the impacts of a mass that does not fall freely."""
+    """Return a sentence that explains why no impacts of a mass on a spring or a sliding mass are reported."""
     name = "a mass on a spring" if damper.friction is None else "a sliding mass"
     return _IMPACT_TEXTS[damper.has_walls].format(name)
 

@@ -210,7 +210,10 @@ def _bounds(frfs: Sequence[Response], names: Collection[str] | None = None, with
 
 
 def _reference_noise(frfs: Sequence[Response], errors: Covariance) -> tuple[Array, Array]:
-    """Return the relative bias of all responses due to reference noise, and the limit of its error, shapes (n,)."""
+    """Return the relative bias of all responses due to reference noise, and the bound of the error of this bias.
+
+    Both have the shape (lines,).
+    """
     magnitude = np.stack([np.maximum(abs(frf.value), 1e-300) for frf in frfs])
     # The coherence of a response is lowered by noise of the response, too, and gives only an upper bound of the
     # reference noise. The smallest bound is therefore the best estimate.

@@ -16,9 +16,9 @@ from analysis.core.modal.order_selection import half_width
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 
-# A part of the band omits this fraction of the band at one end.
+# Fraction of the band that a part omits at one of its ends.
 _OMITTED_SHARE = 0.2
-# A part need not contain a mode that is closer to its limit than this fraction of the part.
+# A mode is not expected in a part if its distance from an end of the part is below this fraction of the part.
 _MARGIN = 0.1
 # Two modes have the same frequency if their distance is at most this multiple of the half-width, or of the spacing of
 # the lines if this is larger.
@@ -26,8 +26,8 @@ _SAME_HALF_WIDTHS = 1.0
 # The half of the lines (every second line) resolves a pole if its half-power bandwidth contains at least this number of
 # these lines. A pole that is missing from a part that resolves it is computational.
 _MIN_RESOLVING_LINES = 2.0
-# Ratio of the standard uncertainty to the root mean square of four differences. With a ratio of 1, if only one
-# difference is not zero, the expanded uncertainty would equal this difference.
+# Ratio of the standard uncertainty to the root mean square of four differences. If only one difference is not zero, a
+# ratio of 1 would give an expanded uncertainty equal to this difference; 1.2 adds a margin of 20 %.
 _MEAN_SQUARE_RATIO = 1.2
 # Minimum number of lines of a part.
 _MIN_LINES = 16

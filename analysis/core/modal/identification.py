@@ -43,7 +43,7 @@ _MAX_COVARIANCES = 1 << 22
 def identify(frfs: Response | Sequence[Response], count: int | None = None) -> Modes:
     """Identify the common modes of a set of frequency responses of one test.
 
-    The initial poles are taken from stabilization charts (least-squares complex frequency domain). Poles and residues
+    The initial poles are taken from stabilization diagrams (least-squares complex frequency domain). Poles and residues
     are refined by least squares, weighted by the inverse standard uncertainty of each point. Poles that do not improve
     the fit beyond noise are removed, and further candidates are tried, until only significant poles remain. If the
     residuals of the best model exceed the uncertainty of the points, as for a structure with nonlinear dampers, the

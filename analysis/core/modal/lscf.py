@@ -1,4 +1,4 @@
-"""Initial poles by least-squares complex frequency-domain estimation (LSCF), and their stabilization chart.
+"""Initial poles by least-squares complex frequency-domain estimation (LSCF), and their stabilization diagram.
 
 The poles of common-denominator models of increasing order are compared. A pole that recurs at the next order is
 *stable*; a pole s with Re s < 0 is *decaying*.
@@ -22,7 +22,7 @@ _MIN_STABLE_POLES = 4
 
 @dataclass(frozen=True)
 class ChartPole:
-    """One pole of the stabilization chart."""
+    """One pole of the stabilization diagram."""
 
     order: int  # order of the denominator: number of poles of its model
     frequency: float  # Hz
@@ -75,8 +75,8 @@ def poles_by_order(
         yield order, s[inside]
 
 
-def stabilization_chart(frequency: Array, value: ComplexArray, weight: Array) -> list[ChartPole]:
-    """Compute the stabilization chart of models of order 2 to 24; arguments as in `poles_by_order`."""
+def stabilization_diagram(frequency: Array, value: ComplexArray, weight: Array) -> list[ChartPole]:
+    """Compute the stabilization diagram of models of order 2 to 24; arguments as in `poles_by_order`."""
     chart: list[ChartPole] = []
     previous: list[complex] = []
     spacing = float(np.median(np.diff(frequency)))

@@ -11,7 +11,7 @@ import scipy
 from numpy.typing import NDArray
 
 from analysis.core.modal.line_choice import is_peak, scatter
-from analysis.core.modal.lscf import ChartPole, merge_charts, stabilization_chart
+from analysis.core.modal.lscf import ChartPole, merge_charts, stabilization_diagram
 from analysis.core.modal.modes import MAX_RELATIVE_UNCERTAINTY
 from analysis.core.modal.order_selection import (
     MAX_MODES,
@@ -57,7 +57,7 @@ class FittedModes(NamedTuple):
     measured: Curves
     weighted: Curves  # curves with the weights of the fit
     model: ModalModel
-    chart: list[ChartPole]  # stabilization chart with equal weights
+    chart: list[ChartPole]  # stabilization diagram with equal weights
     # Root mean square of the residual over the highest neighboring magnitude; 0 if noise explains it.
     model_error: float
     assumed_error: float  # model error in the weights
@@ -70,7 +70,7 @@ def fit_modes(
     """Fit the model of significant poles to curves, with the smallest model error that explains the misfit."""
     measured, sigma = measured_curves(curves)
     magnitude = abs(measured.value)
-    weighted_chart = stabilization_chart(
+    weighted_chart = stabilization_diagram(
         measured.frequency, measured.value, 1.0 / np.hypot(sigma, _CHART_ERROR * magnitude)
     )
     chart = equal_weight_chart(measured)
@@ -88,10 +88,10 @@ def are_errors_stated(curves: Sequence[Response]) -> bool:
 
 
 def equal_weight_chart(measured: Curves) -> list[ChartPole]:
-    """Compute a stabilization chart in which all points of a curve have the same weight."""
+    """Compute a stabilization diagram in which all points of a curve have the same weight."""
     magnitude = abs(measured.value)
     weight = np.ones(magnitude.shape) / magnitude.max(axis=1, keepdims=True)
-    return stabilization_chart(measured.frequency, measured.value, weight)
+    return stabilization_diagram(measured.frequency, measured.value, weight)
 
 
 def remove_unbounded(curves: Sequence[Response]) -> list[Response]:

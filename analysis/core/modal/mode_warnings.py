@@ -26,8 +26,8 @@ _MAX_LINEAR_RESIDUAL = 0.005
 _MAINS_FREQUENCIES = (50.0, 60.0)  # Hz
 # Largest tested multiple: hum at higher multiples is rarely distinct.
 _MAX_MAINS_MULTIPLE = 10
-# Largest tolerance, relative to the mains frequency. A peak of another cause matches a multiple with twice this
-# probability.
+# Largest tolerance, relative to the mains frequency. At ±5 % of the mains frequency, a peak at a random frequency
+# matches a multiple with a probability of 10 %.
 _MAX_COINCIDENCE = 0.05
 
 
@@ -144,7 +144,7 @@ def extrapolates_damping(modes: Modes, curves: Sequence[Response]) -> NDArray[np
 def mains_multiple(frequency: float, tolerance: float) -> str:
     """Return the multiple of a mains frequency within `tolerance` of a frequency, both Hz, or "".
 
-    If the tolerance includes a large part of all frequencies, a multiple is a coincidence.
+    With a tolerance of `_MAX_COINCIDENCE` or more, the result is "": many frequencies would match by coincidence.
 
     >>> mains_multiple(149.8, 0.7), mains_multiple(119.9, 0.2), mains_multiple(130.0, 0.7), mains_multiple(149.8, 9.0)
     ('3 x 50 Hz', '2 x 60 Hz', '', '')

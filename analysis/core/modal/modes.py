@@ -61,7 +61,7 @@ class Modes(Result):
     responses : tuple of str
         Channels.
     chart : tuple of ChartPole
-        Stabilization chart.
+        Stabilization diagram.
     lower : ndarray, shape (responses,)
         Contribution of modes below the band: lower / s², m/N.
     upper : ndarray, shape (responses, 3)

@@ -155,7 +155,8 @@ class LockIn:
         normal_matrix = (window_to_part.mT @ grams[index] @ window_to_part).sum(axis=0)
         solution = np.linalg.solve(normal_matrix, (window_to_part.mT @ parts.projections).sum(axis=0))
         amplitude = (solution[2::2] + 1j * solution[3::2]).T
-        # Coefficients of the common fit, converted to the terms of each part.
+        # Coefficients of the common fit, converted to the functions that are fitted to each part: offset, slope, and
+        # harmonics with their phase at the first sample of the part.
         common = window_to_part @ solution
         # Offset and slope of a single part are nearly collinear with its tone, which would increase the scatter. Only
         # the harmonics of each part are therefore fitted, to the residual of the common fit.

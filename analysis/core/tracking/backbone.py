@@ -1,13 +1,13 @@
-"""Backbone of a resonance: natural frequency and damping ratio against amplitude, from a test of phase resonance.
+"""Backbone of a resonance: natural frequency and damping ratio against amplitude, from a phase-resonance test.
 
 At phase resonance the force supplies the dissipated power P, so that the damping ratio is D = P / (w0 w^2 a^2) with the
 modal amplitude a of mass-normalized modes. P is the power of the tone; the power of the harmonics is zero for a force
 shaker, and neglected for a coil spring. (M. Scheel, S. Peter, R. I. Leine, M. Krack, J. Sound Vib. 435 (2018) 56.)
 
-Other modes contribute to the phase of one body. The shape of the resonant mode alone is given by the quadrature parts
-of the bodies' motions, because other modes respond nearly in phase with the force. The motion projected on this shape
-with the mass matrix is the modal coordinate q, and its phase gives the natural frequency: w0^2 = w^2 + 2 D w0 w Re q /
--Im q.
+At phase resonance, other modes still contribute to the phase of each body. They respond nearly in phase with the force,
+so that the quadrature parts of all bodies' motions form the shape of the resonant mode. The projection of the motion on
+this shape, weighted with the mass matrix, is the modal coordinate q. Its phase gives the natural frequency: w0^2 = w^2
++ 2 D w0 w Re q / -Im q.
 """
 
 from __future__ import annotations
@@ -37,11 +37,12 @@ if TYPE_CHECKING:
 
     from daq.core.recording.recording import Recording
 
-# Factor on the frequency deviation that a phase deviation would cause with a single mode. Other modes contribute to the
-# phase, so the true deviation is larger. The largest factor with the scene `backbone` was 1.8.
-_SLOPE = 2.0
-# Largest ratio of the quadrature to the in-phase part of other modes, relative to the damping ratio.
-_OTHER_QUADRATURE = 10.0
+# Ratio of the frequency deviation that a phase deviation causes to that of a single mode. Contributions of other modes
+# to the phase make it larger than 1. The largest ratio with the scene `backbone` was 1.8.
+_FREQUENCY_DEVIATION_RATIO = 2.0
+# The quadrature part of other modes is assumed to be at most their in-phase part times the damping ratio of the
+# resonant mode times this.
+_MAX_QUADRATURE_PER_DAMPING = 10.0
 # The level of a point is written on its left if the distance of the next point is less than this fraction of the axis.
 _LABEL_RATIO = 0.08
 
@@ -61,7 +62,8 @@ class Backbone(Result):
     level, force : ndarray, shape (n,)
         Level, and amplitude of the measured force in N.
     frequency, frequency_bound : ndarray, shape (n,)
-        Frequency of phase resonance and half of its 95 % interval, which includes the deviation of the phase, Hz.
+        Frequency of phase resonance and half of its 95 % interval, Hz. The interval includes the effect of the
+        remaining phase deviation.
     natural_frequency, natural_frequency_bound : ndarray, shape (n,)
         Natural frequency of the mode without the contributions of other modes to the phase of the body, and half of its
         95 % interval, Hz.
@@ -70,7 +72,7 @@ class Backbone(Result):
     damping, damping_bound : ndarray, shape (n,)
         Damping ratio and half of its 95 % interval.
     settled : ndarray of bool, shape (n,)
-        Whether the phase was locked.
+        Whether phase and amplitude settled.
     """
 
     label: str
@@ -117,7 +119,7 @@ class Backbone(Result):
         ]
 
     def parts(self) -> list[CurvePart]:
-        """Return the locked points."""
+        """Return the settled points."""
         return [CurvePart("phase resonance", place_styles([self.body])[0], self.settled, True)]
 
     def marks(self) -> list[tuple[float, float, str]]:
@@ -163,7 +165,7 @@ class Backbone(Result):
 
 @takes_path
 def backbone(rec: Recording) -> Backbone:
-    """Estimate natural frequency and damping ratio against amplitude from a test of phase resonance.
+    """Estimate natural frequency and damping ratio against amplitude from a phase-resonance test.
 
     Natural frequency and damping ratio need a motion channel at each body, and use the mass matrix of the scene.
 
@@ -180,13 +182,13 @@ def backbone(rec: Recording) -> Backbone:
     Raises
     ------
     RecordingError
-        If the recording contains no test of phase resonance.
+        If the recording contains no phase-resonance test.
     """
     markers = HELD_PHASE.measured(rec.markers)
     test = rec.scene.test
     held = None if test is None else test.held_phase
     if test is None or held is None or not markers:
-        raise RecordingError(f"{rec.path}: no phase was held. Record a test of kind phase_resonance.")
+        raise RecordingError(f"{rec.path}: contains no phase-resonance test. Record a test of kind phase_resonance.")
     body, wanted = held
     mass = structural_model(rec.scene).mass
     driven = rec.scene.force_on
@@ -206,7 +208,7 @@ def backbone(rec: Recording) -> Backbone:
         # The sensitivity of a force sensor does not change the phase; those of the sensors of a spring force do.
         phase = response if rotates else response.without(SENSITIVITY)
         rotation = float(phase.expanded()[line, k, 0]) / abs(values[k])
-        angle = _SLOPE * (abs(error) + rotation)
+        angle = _FREQUENCY_DEVIATION_RATIO * (abs(error) + rotation)
         tangent = float(np.tan(angle)) if angle < np.pi / 2.0 else np.inf
         mode = _NO_MODE
         if all(f"body {number}" in outputs for number in range(1, len(mass) + 1)):
@@ -281,7 +283,7 @@ def _mode(
     damping = quadrature * omega / (2.0 * natural)
     share = float(np.sqrt(others @ mass @ others)) / -coordinate.imag
     drive_share = max(share, abs(float(np.sum(others[driven])) / float(np.sum(motion.imag[driven]))))
-    damping_error = 2.0 * relative + min(_OTHER_QUADRATURE * abs(damping), 1.0) * drive_share
+    damping_error = 2.0 * relative + min(_MAX_QUADRATURE_PER_DAMPING * abs(damping), 1.0) * drive_share
     angle_error = rotation + share * (share + relative)
     error = abs(damping) * ((1.0 + tangent**2) * angle_error + abs(tangent) * damping_error)
     return _Mode(natural / (2.0 * np.pi), natural * error / (2.0 * np.pi), damping, abs(damping) * damping_error)

@@ -1,4 +1,4 @@
-"""Response at constant force from a test of continuation: its stable and unstable parts, and its folds.
+"""Response at constant force from a continuation test: its stable and unstable parts, and its folds.
 
 A fold is a point at which the curve turns back in frequency: the frequency has a maximum or minimum along the curve.
 The extreme value is computed from a cubic polynomial, fitted to the frequencies of the nearest points over the length
@@ -167,7 +167,7 @@ class AmplitudeCurve(Result):
 
 @takes_path
 def continuation(rec: Recording) -> AmplitudeCurve:
-    """Return the response curves of a test of continuation, with unstable parts and folds.
+    """Return the response curves of a continuation test, with unstable parts and folds.
 
     Parameters
     ----------
@@ -182,12 +182,12 @@ def continuation(rec: Recording) -> AmplitudeCurve:
     Raises
     ------
     RecordingError
-        If the recording contains no test of continuation.
+        If the recording contains no continuation test.
     """
     markers = FOLLOWED_CURVE.measured(rec.markers)
     test = rec.scene.test
     if not markers or test is None:
-        raise RecordingError(f"{rec.path}: no curve was followed. Record a test of kind continuation.")
+        raise RecordingError(f"{rec.path}: contains no continuation test. Record a test of kind continuation.")
     [location] = rec.scene.controlled_terms
     rows: list[Array] = []
     folds: list[Fold] = []

@@ -170,10 +170,10 @@ def best_clearance(scene: Scene, force: float, mass_ratio: float, clearances: Ar
 def best_damper(
     scene: Scene, force: float, mass_ratios: Array, clearances: Array, frequencies: Array, trials: int = 30
 ) -> Arrays:
-    """Compute the clearance and mass ratio with the smallest worst peak. Returns the entries of `best_clearance`.
+    """Compute the clearance and mass ratio that minimize the largest peak compliance at `LEVELS` times the force.
 
-    The best point of a grid is improved by the Nelder-Mead simplex method. The mass ratio is limited to the range of
-    the grid.
+    Returns the same arrays as `best_clearance`. The best point of a grid is improved by the Nelder-Mead
+    simplex method. The mass ratio is limited to the range of the grid.
     """
     worst = _WorstPeak(scene, force, frequencies)
     for ratio in mass_ratios:

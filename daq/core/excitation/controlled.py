@@ -1,4 +1,8 @@
-"""The force or motion that a controller reads, as a weighted sum of displacements or forces of channels."""
+"""The force (N) or displacement (m) that a controller keeps at its level, computed from channels.
+
+Few benches measure the force of a coil spring. It is computed as k0 (x0 - x1) from the displacements x0 of the table
+and x1 of the structure. In general, a controlled quantity is therefore a weighted sum of channels.
+"""
 
 from __future__ import annotations
 
@@ -11,18 +15,18 @@ from daq.core.excitation.station import Station
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
 
-# The names of both quantities in messages, and the alternative settings if no channel measures them.
+# Each quantity as named in messages, and the setting to use instead if its channels are missing.
 _FORCE = "the spring force k0 (x0 - x1)", "test.drive instead of test.force (open loop)"
 _MOTION = "the motion", "a test of kind stepped_sine"
 
 
 @dataclass(frozen=True)
 class Controlled:
-    """A controlled quantity."""
+    """A force (N) or displacement (m) as the weighted sum of channels."""
 
     station: Station
     rows: tuple[int, ...]  # rows of the readings
-    factors: tuple[float, ...]  # unit of the quantity per meter of displacement, for each row
+    factors: tuple[float, ...]  # for each row: N/m if displacements are summed to a force, otherwise 1
 
     def weights(self, frequency: Array | Sequence[float] | float) -> ComplexArray:
         """Return the weights of the channels' amplitudes, shape (channels, ...), at frequencies in Hz.
@@ -44,7 +48,7 @@ class Controlled:
 def controlled(station: Station) -> Controlled | None:
     """Return the quantity that the test of a station controls; None in open loop.
 
-    Raises `SceneError` if no channel measures motion at one of its locations.
+    Raises `SceneError` if no channel measures one of the displacements in its sum.
     """
     terms = station.scene.controlled_terms
     is_motion = station.scene.test is not None and station.scene.test.held_motion is not None
@@ -74,7 +78,7 @@ def spring_force(station: Station) -> Controlled:
 
 
 def _sum_of_displacements(station: Station, terms: Mapping[str, float], names: tuple[str, str]) -> Controlled:
-    """Return the sum of the displacements at some locations, with the factor of each; `names`: as `_FORCE`."""
+    """Return a weighted sum of displacements; `terms`: factor of each location; `names`: as `_FORCE`."""
     rows = tuple(_row(station, place, *names) for place in terms)
     return Controlled(station, rows, tuple(terms.values()))
 

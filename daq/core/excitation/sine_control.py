@@ -190,7 +190,10 @@ class SineSweep:
 
 
 def excite(station: Station, test: SineControl) -> Excitation:
-    """Run the sweep. Markers: `measure` for the sweep, `tolerance` for deviations, `notch` for bands of the limits."""
+    """Run the sweep.
+
+    Markers: `measure` for the sweep, `tolerance` for deviations, `notch` for bands in which a limit sets the drive.
+    """
     warning = check_sweep(test, station.scene, station.channels, station.latency / station.rate).warning
     if warning:
         station.warn(warning)
@@ -287,7 +290,7 @@ class SineControlProcedure(Procedure["SineControl"]):
         return excite(station, test)
 
     def check(self, test: SineControl, scene: Scene, channels: Sequence[ChannelInfo]) -> Iterable[str]:
-        """Return the expected deviation from the profile, and the bands of the limits."""
+        """Describe the expected deviation from the profile, and the frequency bands in which a limit sets the drive."""
         return check_sweep(test, scene, channels).lines()
 
     def waits(self, test: SineControl, scene: Scene) -> float:

@@ -135,7 +135,7 @@ class DamagedFile:
         if has_valid_length and length <= LARGEST_RECORD and end <= self.size:
             is_confirmed = self._is_consistent(end)
             try:
-                if is_confirmed or self._may_verify(length):
+                if is_confirmed or self._spend_unconfirmed(length):
                     record = parse_record(opcode, self._read(position + RECORD_HEAD.size, length), True)
                     return Intact(record, length), end
             except Damage as damage:
@@ -150,8 +150,8 @@ class DamagedFile:
             return Unreadable(position, self.size, "the file ends within a record"), self.size
         return None, None
 
-    def _may_verify(self, length: int) -> bool:
-        """Return whether the limit permits to verify a record of this length that no other record follows."""
+    def _spend_unconfirmed(self, length: int) -> bool:
+        """Count the bytes of a record that no other record follows; return whether the limit permits to verify it."""
         self._unconfirmed_bytes_left -= length
         return self._unconfirmed_bytes_left >= 0
 
@@ -177,7 +177,7 @@ class DamagedFile:
             is_possible = fields_size <= content_length <= LARGEST_CHUNK + fields_size
             if not is_possible or begin + content_length > self.size:
                 continue
-            if not (is_confirmed or self._may_verify(content_length)):
+            if not (is_confirmed or self._spend_unconfirmed(content_length)):
                 continue
             content = bytearray(self._read(begin, content_length))
             if len(content) == content_length:

@@ -28,7 +28,7 @@ from daq.core.prediction.rehearsal_plan import (
     RehearsalPlan,
     affordable_seconds,
     expected_seconds,
-    level_key,
+    highest_level,
     plan_about_peaks,
     plan_rehearsal,
     shorten_to_tone,
@@ -203,7 +203,7 @@ class _Assessment:
     def __init__(self, scene: Scene, bench: Bench, rehearsed: RehearsedTest, unlimited: RehearsedTest) -> None:
         self.scene, self.bench, self.rehearsed_test, self.unlimited_test = scene, bench, rehearsed, unlimited
         self.system = assemble(scene)
-        self.key, self.level, self.level_unit = level_key(scene)
+        self.key, self.level, self.level_unit = highest_level(scene)
 
     def foresight(self) -> Foresight:
         """Return the prediction."""

@@ -43,7 +43,7 @@ _ELEMENT_CPU_S = 0.6e-9
 _LONGEST_WAIT_S = 10.0
 # Peaks of a channel's linear response below this ratio to its largest peak are omitted.
 _MIN_PEAK_RATIO = 0.15
-# The frequencies to rehearse form groups; in a group, successive indices differ by at most this number.
+# Rehearsed frequencies whose indices differ by at most this number form a group.
 _MAX_INDEX_GAP = 4
 # Number of steps at the start of each group that are run but not evaluated, because their initial motion differs from
 # the complete test.
@@ -62,7 +62,10 @@ class RehearsalPlan:
 
 
 def affordable_seconds(scene: Scene, cpu_seconds: float = 0.0) -> float:
-    """Return the duration of a test, s, that can be rehearsed in the larger of a CPU time and `_CPU_BUDGET_S`."""
+    """Return the duration of a test that can be rehearsed, s.
+
+    The CPU time of the rehearsal is limited to `cpu_seconds` or `_CPU_BUDGET_S`, whichever is longer.
+    """
     system, has_filter = assemble(scene), complete_from_preset(scene.converter).filter is not None
     channels = system.coordinates if scene.channels is None else len(scene.channels)
     states = system.states + system.dampers
@@ -176,8 +179,8 @@ def _peak_indices(
     return np.array(sorted(indices), dtype=np.intp)
 
 
-def level_key(scene: Scene) -> tuple[str, float, str]:
-    """Return the setting of the test's level (such as ``test.force``), the highest level, and its unit.
+def highest_level(scene: Scene) -> tuple[str, float, str]:
+    """Return the key of the test's level (such as ``test.force``), the highest level, and its unit.
 
     Without a level, the result is ("", nan, "").
     """
@@ -188,7 +191,7 @@ def level_key(scene: Scene) -> tuple[str, float, str]:
 
 
 def with_level(scene: Scene, level: float) -> Scene:
-    """Return the scene with another level of its test, in the unit of `level_key`."""
+    """Return the scene with another level of its test, in the unit of `highest_level`."""
     assert scene.test is not None
     return scene.replace(test=scene.test.at_level(level))
 

@@ -95,7 +95,9 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
     """
     missing = missing_rows([times], resolution)
     if times.size < 2:
-        raise RecordingError(f"{where}: number of times is {times.size}; expected at least 2. Export more samples.")
+        raise RecordingError(
+            f"{where}: the number of time stamps is {times.size}; expected at least 2. Export more samples."
+        )
     first, last = float(times[0]), float(times[-1])
     # Deviations from evenly spaced times show the rounding.
     deviation = 0.0 if missing else float(abs(times - np.linspace(first, last, times.size)).max())

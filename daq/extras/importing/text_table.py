@@ -203,7 +203,9 @@ class _Table:
         except ValueError as error:
             raise RecordingError(f"{where}: {error}; expected a unit of time such as s or ms") from None
         if self.rows < 2:
-            raise RecordingError(f"{where}: number of times is {self.rows}; expected at least 2. Export more samples.")
+            raise RecordingError(
+                f"{where}: the number of time stamps is {self.rows}; expected at least 2. Export more samples."
+            )
         first, last = (self._parse_line(0, self._examined_lines[end])[0] * scale for end in (0, -1))
         time_cells = [self._first_cell(line) for line in self._examined_lines]
         if self.has_times_of_day:

@@ -52,7 +52,7 @@ class Task:
 
     @property
     def sample_rate(self) -> float | None:
-        """See `daq.extras.ni_device.chassis.Runner`."""
+        """Sampling rate of the inputs, S/s; None on demand, or without inputs."""
         if self.settings.direction != "ai" or not self.settings.channels or not self.settings.has_sample_clock:
             return None
         try:
@@ -87,7 +87,7 @@ class Task:
                 self.chassis.keep_time_running(self)
                 self._run()
             except BaseException:
-                self._end()
+                self.end()
                 raise
             self._was_started_by_read, self.running, self._was_failure_raised = by_read, True, False
 
@@ -120,17 +120,14 @@ class Task:
         return STOPPED_BEFORE_DONE if is_early else 0
 
     def end(self) -> None:
-        """End the present run, if any."""
+        """End the present run, if any; release its modules unless the task is committed."""
         with self.chassis.changed:
-            self._end()
-
-    def _end(self) -> None:
-        self.running = False
-        if self._is_committed:
-            self.chassis.halt(self)
-        else:
-            self.chassis.release(self)
-        self._active_part.stop()
+            self.running = False
+            if self._is_committed:
+                self.chassis.halt(self)
+            else:
+                self.chassis.release(self)
+            self._active_part.stop()
 
     def close(self) -> None:
         """Stop the task and release its resources; it cannot be used again."""
@@ -252,20 +249,20 @@ class Task:
         return self.settings.device
 
     def max_ticks(self) -> int:
-        """See `daq.extras.ni_device.chassis.Runner`."""
+        """Return the number of ticks that may pass before `notify_samples` must be called."""
         part = self._active_part
         log_ticks = part.ticks_until_log()
         due = None if self.chassis.clock.is_free_running else self.events.next_due(part.samples_passed)
         return log_ticks if due is None else min(log_ticks, part.ticks_until(due))
 
     def notify_samples(self) -> bool:
-        """See `daq.extras.ni_device.chassis.Runner`."""
+        """Log new samples and send events; return whether a callback must finish before the next samples."""
         self._active_part.write_log()
         return self.running and self.events.notify(self._active_part.samples_passed, self.run)
 
     @property
     def callback_finished(self) -> bool:
-        """See `daq.extras.ni_device.chassis.Runner`."""
+        """Whether the callback for `notify_samples` has finished: all samples have been read."""
         return not self.running or self._active_part.all_read
 
     # Samples
@@ -384,7 +381,10 @@ class Task:
                 self.chassis.release(self)
 
     def default_count(self) -> int:
-        """Return the samples per channel of a read without a number: all of a finite task, else the available."""
+        """Return the samples per channel of a read without a number.
+
+        These are the unread samples of a finite task's record; otherwise the samples available now.
+        """
         settings = self.settings
         settings.require("ai")
         if not settings.has_sample_clock:

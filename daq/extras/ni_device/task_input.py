@@ -97,7 +97,7 @@ class TaskInput:
         return self.run is None or self.run.position >= self.run.readable_end
 
     def ticks_to_end(self) -> int:
-        """Return a lower bound of the ticks until the acquisition is complete; the ticks in 10 ms without an end."""
+        """Return a lower bound of the ticks until the acquisition is complete; if it has no end, the ticks in 10 ms."""
         run = self.run
         if run is None or run.plan.samples is None or run.plan.is_retriggerable:
             return max(1, int(self._chassis.rate / 100))

@@ -21,9 +21,9 @@ _DELIVERY_S = 1.0
 
 
 class _GroupProbe:
-    """A process in the process group of the script that ends at Ctrl-C.
+    """A process that shows whether Ctrl-C has reached the script.
 
-    Its end indicates that the whole group, and thus the script, received Ctrl-C.
+    It is in the process group of the script, and ends when the group receives Ctrl-C.
     """
 
     _COMMAND = (sys.executable, "-I", "-S", "-c", "import sys; sys.stdin.read()")

@@ -21,29 +21,31 @@ from rig.core.base.escaping import escape_cell
 _MAX_SCENE_LENGTH = 80
 #: Suffixes of output files, which are not accepted for folders.
 _FILE_SUFFIXES = (".png", ".svg", ".csv", ".html", ".mcap", ".npz", ".yaml", ".pdf")
-# Returns whether existing files may be replaced.
-_may_replace: ContextVar[Callable[[Sequence[Path]], bool]] = ContextVar("may_replace", default=lambda paths: False)
+# Function that is called before existing files are replaced, and returns whether they may be replaced.
+_confirm_replacement: ContextVar[Callable[[Sequence[Path]], bool]] = ContextVar(
+    "confirm_replacement", default=lambda paths: False
+)
 
 
 @contextmanager
 def allow_overwriting(allowed: bool) -> Iterator[None]:
     """Allow outputs written inside the `with` block to replace existing files, if `allowed`."""
-    token = _may_replace.set((lambda paths: True) if allowed else _may_replace.get())
+    token = _confirm_replacement.set((lambda paths: True) if allowed else _confirm_replacement.get())
     try:
         yield
     finally:
-        _may_replace.reset(token)
+        _confirm_replacement.reset(token)
 
 
 def ask_before_replacing(ask: Callable[[Sequence[Path]], bool]) -> None:
     """Ask whether existing files may be replaced, instead of raising an error."""
-    _may_replace.set(ask)
+    _confirm_replacement.set(ask)
 
 
 def _is_allowed(*existing: Path) -> bool:
     """Return whether files may be replaced; a positive answer applies to the whole command."""
-    if allowed := _may_replace.get()(existing):
-        _may_replace.set(lambda paths: True)
+    if allowed := _confirm_replacement.get()(existing):
+        _confirm_replacement.set(lambda paths: True)
     return allowed
 
 

@@ -1,4 +1,4 @@
-"""Take-off level and flight height of dampers, and the levels at which they are effective."""
+"""Take-off level and flight height of dampers, and the levels at which they reduce the peak of the response."""
 
 from __future__ import annotations
 

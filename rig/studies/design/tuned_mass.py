@@ -1,9 +1,10 @@
 """The best tuned mass damper of a given mass, as a comparison for particle dampers.
 
-Natural frequency and damping minimize the worst peak of the linear response (H-infinity optimum). The peak is searched
-up to the middle between the modes in the band and their neighbors, because a tuned mass damper splits a resonance into
-two, of which one may lie outside a narrow band. The search starts from Den Hartog's rule for the modes in the band, and
-continues with the method of Nelder and Mead. A tuned mass damper is linear: its peak does not depend on the level.
+Natural frequency and damping minimize the worst peak of the linear response (H-infinity optimum). A tuned mass damper
+splits a resonance into two, of which one may lie outside a narrow band. The peak is therefore searched in a wider band:
+up to the geometric mean of the outermost mode in the band and the mode next to it, but at most a factor of 2 beyond the
+outermost mode. The search starts from Den Hartog's rule for the modes in the band, and continues with the method of
+Nelder and Mead. A tuned mass damper is linear: its peak does not depend on the level.
 
 References
 ----------
@@ -29,7 +30,7 @@ from rig.studies.design.worst_peak import Peak, linear_peak
 
 #: Number of frequencies in the band for each peak.
 FREQUENCIES = 600
-#: The search continues from this number of initial dampers: those with the lowest peaks by Den Hartog's rule.
+#: Number of dampers by Den Hartog's rule from which the search starts: those with the lowest peaks.
 STARTS = 3
 #: A mode is damped in a body if the damper's mass is at most this ratio of the modal mass there.
 MAX_MASS_RATIO = 1.0
@@ -70,7 +71,7 @@ def _starts(objective: Objective, bodies: Iterable[int], mass: float) -> Iterato
 
 
 def _searched_band(objective: Objective) -> tuple[float, float]:
-    """Return the band of the objective, extended to the middle between its modes and the modes next to it, Hz."""
+    """Return the band of the objective, Hz, extended as described above."""
     low, high = objective.band
     natural = structural_model(objective.scenes[0]).modes.frequency
     inside, below, above = (

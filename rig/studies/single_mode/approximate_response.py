@@ -278,7 +278,7 @@ def _scale(mode: SingleMode, kind: MotionType) -> Array:
 
 
 def _search_ratios(mode: SingleMode, low: float, high: float, count: int) -> Array:
-    """Distribute the searches evenly over the take-off band, and half as many over the whole range outside it."""
+    """Return the frequency ratios at which searches start: `count` in the take-off band, and a coarser grid outside."""
     band = take_off_band(mode, (low * mode.frequency, high * mode.frequency))
     if band is None:
         return np.linspace(low, high, count + 2)[1:-1]

@@ -66,6 +66,21 @@ def test_theory_includes_spring_of_undriven_shaker(tmp_path):
             assert_theory_matches(rec, frf)
 
 
+@pytest.mark.parametrize(
+    ("damper", "expected"),
+    [
+        ("{body: 2, mass: 0.1 kg, clearance: 1 mm}", "no dampers"),
+        ("{body: 2, mass: 0.1 kg, spring: 2 kN/m}", "linear dampers"),
+    ],
+    ids=["bed", "tuned mass"],
+)
+def test_curve_states_which_dampers_theory_includes(tmp_path, damper, expected):
+    scene = FRAME.format(shaker=f"dampers: [{damper}]", test=HIT, force="- {name: force, at: hammer}")
+    with daq.open(daq.record(rig.loads(scene, where="a test"), tmp_path / "frame.mcap")) as rec:
+        [frfs] = analysis.frequency_responses(rec)
+        assert linear_theory(rec, frfs[0]).label == f"linear theory, {expected}"
+
+
 def test_theory_needs_location_of_force(tmp_path):
     path = synthetic.impulses(tmp_path / "hit.mcap", interval=3.0)
     with daq.open(path) as rec:

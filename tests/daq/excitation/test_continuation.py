@@ -200,5 +200,5 @@ def test_report_contains_the_curve(recording: Path, tmp_path: Path) -> None:
 
 def test_other_test_has_no_curve(tmp_path: Path) -> None:
     scene = rig.load("continuation").replace(test={"kind": "sine", "frequency": 20.0, "force": 0.5, "duration": 1.0})
-    with pytest.raises(RecordingError, match="no curve was followed"):
+    with pytest.raises(RecordingError, match="no continuation test"):
         analysis.continuation(daq.record(scene, tmp_path / "sine.mcap"))

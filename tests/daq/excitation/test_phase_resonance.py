@@ -226,5 +226,5 @@ def test_report_states_every_level(recording: Path, tmp_path: Path) -> None:
 
 def test_other_test_has_no_backbone(tmp_path: Path) -> None:
     scene = rig.load("held-response").replace(test={"kind": "sine", "frequency": 20.0, "force": 0.5, "duration": 1.0})
-    with pytest.raises(RecordingError, match="no phase was held"):
+    with pytest.raises(RecordingError, match="no phase-resonance test"):
         analysis.backbone(daq.record(scene, tmp_path / "sine.mcap"))

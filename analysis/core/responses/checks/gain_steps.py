@@ -108,7 +108,7 @@ def _place(frequency: float) -> str:
 def _best_step(
     frequency: Array, curve: ComplexArray, residuals: Array, positions: NDArray[np.int64], excluded: int
 ) -> _Step | None:
-    """Return the step with the smallest remaining residual, if it is significant."""
+    """Return the step with the smallest remaining residual; None if the residual remains too large."""
     candidates = positions[residuals > _MIN_RESIDUAL]
     steps = [_fit_ratio(frequency, curve, position, excluded) for position in candidates.tolist()]
     step = min(steps, key=lambda step: step.remaining, default=None)
@@ -134,7 +134,7 @@ def _residuals(
 ) -> Array:
     """Return the relative residual of a rational function around each position, for a ratio of the gains.
 
-    The points at a position, and `excluded` points on either side of it, are left out: they may contain the step.
+    The points at a position, and `excluded` points on either side of it, are omitted: they may contain the step.
     """
     offsets = np.arange(excluded + 1, excluded + 1 + _SIDE)
     points = positions[:, None] + np.concatenate([-offsets[::-1], offsets])

@@ -19,7 +19,7 @@ from daq.extras.ni_device.values import FROM_CUSTOM_SCALE, Coupling, Excitation,
 # Values of read-only properties, with the numbers of NI-DAQmx.
 _ANALOG_INPUT, _ANALOG_OUTPUT = 10100, 10102
 _RIGHT_JUSTIFIED, _BITS = 10279, 10109
-# Values of settings that no other module uses.
+# Numbers in NI-DAQmx of settings that only this module uses.
 _CURRENT, _DC, _SECONDS, _VOLTS, _MAINTAIN_EXISTING_VALUE = 10134, 10050, 10364, 10348, 12528
 # Error codes for reading a limit after it was reset: limits have no default.
 _LIMIT_ERRORS = {"ai_max": Code.AI_MAX_NOT_SPECIFIED, "ai_min": Code.AI_MIN_NOT_SPECIFIED}

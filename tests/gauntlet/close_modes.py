@@ -13,7 +13,7 @@ from tests.gauntlet.scenes import INSTRUMENT_SEED_OFFSET, Draw, Settings, with_d
 
 # Kinds: exact curves without a recording, and two kinds of recorded tests.
 CURVES, MULTISINE, STEPPED = "curves_close_modes", "multisine_close_modes", "stepped_sine_close_modes"
-# Two shakers separate modes at a fraction of their half-power bandwidths.
+# Two shakers separate modes at a fraction of their half-power widths.
 TWO_SHAKERS = "two_shakers_close_modes"
 # Exact curves: smallest relative distance of the two natural frequencies, and damping ratio of all modes.
 _EXACT_DISTANCE = 0.004
@@ -89,7 +89,7 @@ def draw_close_modes(seed: int, number: int, kind: str) -> rig.Scene:
 
 
 def exact_curves(scene: rig.Scene, seed: int, number: int) -> list[Response]:
-    """Return receptances in closed form, with 2 to 6 lines in each half-power bandwidth."""
+    """Return receptances in closed form, with 2 to 6 lines in each half-power width."""
     random = Draw(seed, number + 10**6)
     bandwidth = 2.0 * _EXACT_DAMPING_RATIO * scene.test.from_
     spacing = bandwidth / random.uniform(2.0, 6.0)

@@ -20,11 +20,11 @@ HELD, BACKBONE, CURVE = "constant_response_dampers", "phase_resonance_dampers", 
 FOLDS = "continuation_folds_dampers"
 LINEAR_HELD, LINEAR_BACKBONE, LINEAR_CURVE = "constant_response", "phase_resonance", "continuation"
 KINDS = HELD, BACKBONE, CURVE, FOLDS, LINEAR_HELD, LINEAR_BACKBONE, LINEAR_CURVE
-# The band of a linear resonance, relative to its half-power bandwidth.
+# The band of a linear resonance, relative to its half-power width.
 _BANDWIDTHS = 1.5
 # At most so many structures are drawn until the response at constant force has folds.
 _MAX_FOLD_DRAWS = 40
-# Smallest distance of two folds, relative to the half-power bandwidth.
+# Smallest distance of two folds, relative to the half-power width.
 _MIN_FOLD_WIDTH = 0.2
 
 

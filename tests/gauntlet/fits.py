@@ -179,7 +179,7 @@ def run_trial(seed: int, number: int) -> Trial:
         values.append(ComparedValue(scene.name, "frequency", status, mode.frequency / true - 1, bound))
     n_omitted = sum(int((~curve.is_fitted).sum()) for curve in fit.compared)
     note = f"{len(scene.structure.masses)} bodies, {len(scene.dampers)} dampers, variance {fit.variance:.2f}"
-    return Trial(scene.name, tuple(values), seconds, f"{note}, {n_omitted} points left out")
+    return Trial(scene.name, tuple(values), seconds, f"{note}, {n_omitted} points omitted")
 
 
 def main() -> int:

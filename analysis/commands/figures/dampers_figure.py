@@ -37,7 +37,7 @@ _MOTION_COLORS = dict(zip(_LEGEND_TEXTS, (*MOTIONS[:5], "#8c8c8c", "#444444"), s
 def dampers_figure(dampers: Dampers, title: str) -> Figure:
     """Draw the motion of each damper at each frequency and, if known, the energy per period."""
     motions, energy, lines = dampers.bodies, dampers.energy, dampers.sweep.lines
-    frequencies = np.append(lines.frequency, lines.left_out)
+    frequencies = np.append(lines.frequency, lines.omitted)
     low, high = 0.98 * float(frequencies.min()), 1.02 * float(frequencies.max())
     with new_figure(2.0 + 0.3 * len(motions) + (2.6 if energy is not None else 0.0)) as figure:
         heights = [0.45 * len(motions) + 0.15] + ([2.2] if energy is not None else [])
@@ -46,7 +46,7 @@ def dampers_figure(dampers: Dampers, title: str) -> Figure:
         add_title(rows[0], title)
         if energy is not None:
             _draw_energies(rows[1], energy, lines, dampers.true_impact_energy)
-        for frequency in lines.left_out:
+        for frequency in lines.omitted:
             rows[0].plot(
                 frequency, 0.0, "x", color="black", ms=5, clip_on=False, transform=rows[0].get_xaxis_transform()
             )
@@ -83,7 +83,7 @@ def _draw_energies(axes: Axes, energy: CycleEnergy, lines: Lines, true_loss: np.
     """Draw the energies against frequency; damper energies whose interval includes zero are drawn as upper bounds."""
     order = np.argsort(energy.frequency, kind="stable")
     frequency = energy.frequency[order]
-    gaps = np.searchsorted(frequency, np.sort(lines.left_out))
+    gaps = np.searchsorted(frequency, np.sort(lines.omitted))
     frequency_with_gaps = np.insert(frequency, gaps, np.nan)
 
     def draw_energy(joules: np.ndarray, **style: Any) -> None:
@@ -118,6 +118,6 @@ def _caption(energy: CycleEnergy | None, lines: Lines) -> list[str]:
         sentences.append("Bars: 95 % intervals of the energy (most are smaller than the points).")
     if lines.unsteady is not None and lines.unsteady.any():
         sentences.append("Crosses: steady state not reached.")
-    if lines.left_out.size:
+    if lines.omitted.size:
         sentences.append("Crosses on the axis: omitted frequencies (see the warnings).")
     return sentences

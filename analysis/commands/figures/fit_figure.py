@@ -28,7 +28,7 @@ def fit_figure(result: Fit) -> Figure:
     """Draw one row for each sweep or test: measured and fitted curves on the left, residuals on the right."""
     rows = result.compared[:MAX_ROWS]
     bands = [(float(compared.curves.frequency.min()), float(compared.curves.frequency.max())) for compared in rows]
-    crosses = "" if all(compared.is_fitted.all() for compared in rows) else " Crosses: points left out of the fit."
+    crosses = "" if all(compared.is_fitted.all() for compared in rows) else " Crosses: points omitted from the fit."
     with new_figure(_ROW_HEIGHT_IN * len(rows) + 1.0, 10.0) as figure:
         axes = figure.subplots(len(rows), 2, squeeze=False)
         for compared, band, (curve_axes, residual_axes) in zip(rows, bands, axes, strict=True):
@@ -68,5 +68,5 @@ def _draw(curve_axes: Axes, residual_axes: Axes, compared: Comparison) -> None:
     residual_axes.axhline(2.0, color="#555555", lw=0.6)
     residual_axes.set_ylabel("residual / std. deviation")
     omitted = int((~is_fitted).sum())
-    omission = f", {omitted} point{'s' if omitted > 1 else ''} left out" if omitted else ""
+    omission = f", {omitted} point{'s' if omitted > 1 else ''} omitted" if omitted else ""
     add_title(residual_axes, f"Residual {format_number(100 * compared.relative)} % of the curve, rms{omission}")

@@ -46,5 +46,5 @@ def level_lines(result: Backbone) -> list[str]:
             (result.damping[k], result.damping_bound[k], 100.0),
         )
         cells = [format_interval(factor * value, factor * bound) for value, bound, factor in values]
-        rows.append((f"{level:g}", *cells, "" if result.settled[k] else "not locked"))
+        rows.append((f"{level:g}", *cells, "" if result.settled[k] else "not settled"))
     return [f"  {line}" for line in table_lines(rows, ">>>>><")]

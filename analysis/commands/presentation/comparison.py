@@ -252,7 +252,7 @@ def _uncompared_peaks(
                     f"{path.name} was measured from {curve.frequency.min():.4g} to {curve.frequency.max():.4g} Hz"
                 )
             elif np.any((curve.omitted > low) & (curve.omitted < high)):
-                causes.append(f"frequencies near this mode were left out in {path.name} (see the warnings)")
+                causes.append(f"frequencies near this mode were omitted in {path.name} (see the warnings)")
         reason = "; ".join(causes) or "no separate peak in the first recording, or too few points around it"
         lines.append(f"  {name}, mode at {format_decimals(mode, 2)} Hz: not compared: {reason}")
     return lines

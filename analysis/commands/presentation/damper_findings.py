@@ -87,20 +87,20 @@ def describe(dampers: Dampers) -> list[str]:
     """Return the printed lines for one sweep: motions, restitution, detection limits and energies."""
     lines = [dampers.label, *(f"  {reason}" for reason in dampers.missing)]
     if dampers.bodies:
-        lines += [f"  {line}" for line in describe_motions(dampers.bodies, dampers.sweep.lines.left_out.tolist())]
+        lines += [f"  {line}" for line in describe_motions(dampers.bodies, dampers.sweep.lines.omitted.tolist())]
     if dampers.energy is not None:
         lines += [f"  {line}" for line in describe_energy(dampers.energy, dampers.true_impact_energy)]
     return lines
 
 
-def describe_motions(bodies: Sequence[list[DamperMotion]], left_out: Sequence[float] = ()) -> list[str]:
+def describe_motions(bodies: Sequence[list[DamperMotion]], omitted: Sequence[float] = ()) -> list[str]:
     r"""Return a table of the motions in each body with their frequencies, then restitution and detection limits.
 
     Parameters
     ----------
     bodies : sequence of list of DamperMotion
         One list for each body, from one channel.
-    left_out : sequence of float
+    omitted : sequence of float
         Frequencies without a result, Hz; printed frequency ranges are interrupted there.
 
     Examples
@@ -115,7 +115,7 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], left_out: Sequence[fl
     """
     rows = [("channel", "motion", "frequency")]
     for motions in bodies:
-        rows += _motion_rows(motions, left_out)
+        rows += _motion_rows(motions, omitted)
     restitutions = [text for motions in bodies for text in _restitution(motions)]
     return [
         *table_lines(rows, "<<<"),
@@ -130,9 +130,9 @@ def detection_limits(bodies: Sequence[list[DamperMotion]]) -> str:
     return ", ".join(f"{float(f'{1e3 * limit:.2g}'):.10g} mm/s ({channel})" for limit, channel in limits)
 
 
-def _motion_rows(motions: list[DamperMotion], left_out: Sequence[float]) -> list[tuple[str, str, str]]:
+def _motion_rows(motions: list[DamperMotion], omitted: Sequence[float]) -> list[tuple[str, str, str]]:
     """Return the rows of one body: each kind of motion with its frequencies; dampers at rest come last."""
-    kind_at_frequency = [(motion.frequency, _kind(motion)) for motion in motions] + [(f, "") for f in left_out]
+    kind_at_frequency = [(motion.frequency, _kind(motion)) for motion in motions] + [(f, "") for f in omitted]
     kinds = dict.fromkeys(kind for _, kind in kind_at_frequency if kind)
     if len(kinds) - (_AT_REST in kinds) > _MAX_KINDS:
         separate_kinds = (*_TYPES, _AT_REST, _NEAR_GRAVITY, "")

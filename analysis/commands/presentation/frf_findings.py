@@ -146,7 +146,7 @@ def _peaks_between_points(frf: Response) -> list[str]:
         return []
     if is_next_to_omitted(frf, frequency):
         return [
-            f"highest point is next to frequencies that were left out, {frequency:.4g} Hz: the peak may be there. "
+            f"highest point is next to frequencies that were omitted, {frequency:.4g} Hz: the peak may be there. "
             "Remove the cause, and measure again"
         ]
     # `resonance_peaks` estimates displacement.

@@ -45,7 +45,7 @@ _REQUIRED = CurveStyle("#6E7681", (2, 2))
 _UNDETERMINED = CurveStyle("#9aa2ab")
 # Upper end of the axis of relative bounds.
 _MAX_PERCENT = 100.0
-# Ratio of a peak to the points at its half-power bandwidth.
+# Ratio of a peak to the points at its half-power width.
 _HALF_POWER = float(np.sqrt(2.0))
 # The first view of a wide band begins at this fraction of the lowest natural frequency, and ends at this multiple of
 # the highest.

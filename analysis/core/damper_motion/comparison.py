@@ -47,7 +47,7 @@ _MAX_INTERPOLATION_ERROR = 0.01
 class Peak:
     """A resonance peak of a measured compliance."""
 
-    value: float  # height, m/N; a lower limit of the height if `bound` is infinite
+    value: float  # height, m/N; a lower bound of the height if `bound` is infinite
     # expanded uncertainty of the height (95 %) without errors that are common to all frequencies, m/N; infinite if the
     # curve has a jump or few points, or if a point next to the highest was omitted
     own_bound: float
@@ -129,7 +129,7 @@ def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
     errors with their covariance over frequency (GUM, section 5.2.2). They are combined (root sum of squares) with twice
     the difference of the two interpolations and the leave-one-out error of the points, because widely spaced points may
     miss the top of a peak with dampers. In a test on computed curves with dampers, with one to nine points in the
-    half-power bandwidth, the interval contained the true peak in 98 % of cases. The interval of the frequency is
+    half-power width, the interval contained the true peak in 98 % of cases. The interval of the frequency is
     limited to frequencies at which the curve is within the uncertainty of its peak, and includes all points that may be
     the highest. A tolerance of the sensors that is common to all frequencies changes the height only.
 
@@ -174,8 +174,8 @@ def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
     measured = _propagated_bounds(in_band.at(np.arange(f.size)[three_points]), sensitivity)
     leave_one_out_error = max(_leave_one_out_error(f, inverse_frf, random_bound / magnitude**2, highest), 0.0)
     difference = abs(curve_of_five.max() - height), abs(grid[np.argmax(curve_of_five)] - frequency)
-    left_out = height, float(np.linalg.norm(sensitivity[1] * magnitude[three_points]))
-    interpolation = 2.0 * (np.array(difference) + leave_one_out_error * np.array(left_out))
+    error_scales = height, float(np.linalg.norm(sensitivity[1] * magnitude[three_points]))
+    interpolation = 2.0 * (np.array(difference) + leave_one_out_error * np.array(error_scales))
     bound = hypot(measured[0], interpolation[0])
     possible = f[height - magnitude <= np.hypot(point_bound, bound)]
     frequency_bound = hypot(measured[1], interpolation[1]) + 0.5 * (grid[1] - grid[0])
@@ -471,7 +471,7 @@ def covers(curve: Response, frequency: float) -> bool:
 
 
 def is_next_to_omitted(curve: Response, frequency: float) -> bool:
-    """Return whether the test left out frequencies next to a line; `frequency`: frequency of the line, Hz.
+    """Return whether the test omitted frequencies next to a line; `frequency`: frequency of the line, Hz.
 
     If the curve is highest at this line, its peak may be among the omitted frequencies.
     """

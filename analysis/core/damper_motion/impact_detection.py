@@ -189,7 +189,7 @@ def detect_impacts(
             search, jumps = second_search, second_jumps
     noise = search.jump_noise
     fitted = [(item.time, item.time_error, item.velocity_jump, item.error) for item in jumps]
-    # Times in averaged samples, until they are converted to samples below.
+    # Positions are in averaged samples here; they are converted to samples below.
     position, position_error, jump, error = np.array(fitted).reshape(-1, 4).T
     largest = float(abs(jump).max(initial=0.0))
     threshold = search.detection_limit(noise, largest)

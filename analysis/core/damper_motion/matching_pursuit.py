@@ -324,7 +324,7 @@ class MatchingPursuit:
         return self._cache[order]
 
     def _unexplained_segments(self, jump_size: float) -> list[tuple[int, int]]:
-        """Return the first and last window of each segment with a residual larger than a jump of this size in m/s."""
+        """Return first and last window of each segment with a larger residual than that of a velocity jump, m/s."""
         first = self._windows()
         squares, jump_norm = self._residual_squares(self.window_model.polynomial_order), self.window_model.template_norm
         is_above = squares > (jump_size * jump_norm) ** 2

@@ -26,7 +26,7 @@ _HALF_FALL_NEPERS = 3.0 / 20.0 * np.log(10.0)
 # The band-pass and the fit over 6 dB average a damping ratio that depends on amplitude. The bias is estimated by two
 # more fits. In the first fit, the impulse response of the band-pass is longer by this factor.
 _RESPONSE_RATIO = 2.0**0.5
-# In the second fit, the fall is larger by this factor.
+# The second fit uses a fall of the envelope that is larger by this factor.
 _FALL_RATIO = 1.5
 # The bias grows with the square of the length of the impulse response if damping changes smoothly with amplitude, and
 # linearly if it has a kink. In the linear case the bias is the observed difference times 1 / (sqrt(2) - 1), rounded up.

@@ -160,7 +160,7 @@ class _Explanation:
 
     @property
     def square(self) -> float:
-        """Sum of squares of the residuals, -2 times the logarithm of the likelihood, with a penalty for an unknown."""
+        """Sum of squares of the residuals (-2 ln of the likelihood), plus `margin` unless a mistake is known."""
         return self.refit.square + (0.0 if self.is_known_mistake else self.margin)
 
     @property
@@ -265,7 +265,7 @@ def _corrected(linear_curves: list[Curves], sensor: Sensor, mistake: _Mistake) -
 
 
 def _free_factor(start: _Refit, linear_curves: list[Curves], sensor: Sensor, factor: float) -> _Explanation:
-    """Fit the factor of a sensor from an initial value; the structure may also differ from the scene."""
+    """Fit the gain factor of a sensor, starting from `factor`, together with the structure."""
     freed_sensor = replace(sensor, tolerance=_FREE_TOLERANCE)
     freed = [
         replace(

@@ -153,7 +153,7 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
             f"{label}: all responses read zero throughout: dead or not connected ({', '.join(zero_responses)}). Check "
             "the sensors and cables."
         )
-    notes = [f"{name} is left out: it reads zero throughout (dead or not connected)." for name in zero_responses]
+    notes = [f"{name} is omitted: it reads zero throughout (dead or not connected)." for name in zero_responses]
     frfs = [frf for frf in frfs if frf.response not in zero_responses]
     value = np.stack([frf.value for frf in frfs])
     bounds = np.vstack([_bounds(frfs, without=_EXCLUDED_FROM_CORRELATED), _bounds(frfs, IRREGULAR)])

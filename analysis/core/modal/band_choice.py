@@ -23,7 +23,7 @@ _MARGIN = 0.1
 # Two modes have the same frequency if their distance is at most this multiple of the half-width, or of the spacing of
 # the lines if this is larger.
 _SAME_HALF_WIDTHS = 1.0
-# The half of the lines (every second line) resolves a pole if its half-power bandwidth contains at least this number of
+# The half of the lines (every second line) resolves a pole if its half-power width contains at least this number of
 # these lines. A pole that is missing from a part that resolves it is computational.
 _MIN_RESOLVING_LINES = 2.0
 # Ratio of the standard uncertainty to the root mean square of four differences. If only one difference is not zero, a

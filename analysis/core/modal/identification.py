@@ -107,7 +107,7 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
             f"{curves[0].label}: no resonance is higher than the noise and wider than the frequency resolution. "
             "Measure for longer, with a smaller frequency step, or in another band."
         )
-    # A pole is left out if the uncertainty of the curves at its frequency is unbounded.
+    # A pole is omitted if the uncertainty of the curves at its frequency is unbounded.
     frequency: Array = np.asarray(abs(found.poles) / (2 * np.pi), dtype=float)
     is_unbounded = expand(found.frequency_error) >= frequency
     is_in_gap = ~is_unbounded & are_in_gaps(measured.frequency, found.poles)
@@ -116,7 +116,7 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     if not accepted.any() and unmeasured.size:
         raise RecordingError(
             f"{curves[0].label}: all resonances ({', '.join(f'{f:.4g}' for f in unmeasured)} Hz) lie where points of "
-            "the curves were left out. `analysis frf` prints the reasons; correct them, and record again."
+            "the curves were omitted. `analysis frf` prints the reasons; correct them, and record again."
         )
     if not accepted.any():
         raise RecordingError(

@@ -76,7 +76,7 @@ def scatter(value: ComplexArray) -> Array:
 
 
 def are_in_gaps(frequency: Array, poles: ComplexArray) -> NDArray[np.bool_]:
-    """Return whether poles, rad/s, lie in gaps between lines and no line is within their half-power bandwidths.
+    """Return whether poles, rad/s, lie in gaps between lines and no line is within their half-power widths.
 
     The flanks of a peak determine its pole only for an isolated mode and a complete model of all other modes.
 

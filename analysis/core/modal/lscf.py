@@ -114,5 +114,5 @@ def merge_charts(frequency: Array, charts: Sequence[list[ChartPole]]) -> tuple[C
 
 
 def _is_same_pole(first: complex, second: complex, spacing: float) -> bool:
-    """Return whether two poles are closer than a quarter of the half-power bandwidth, or of the line spacing in Hz."""
+    """Return whether two poles are closer than a quarter of the half-power width, or of the line spacing in Hz."""
     return abs(first - second) < max(0.5 * max(-first.real, -second.real), 0.5 * np.pi * spacing)

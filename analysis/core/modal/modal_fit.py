@@ -241,7 +241,7 @@ def _standard_deviations(curves: Sequence[Response]) -> Array:
             # The uncertainty stated in a file may be incomplete. It is at least the scatter between the lines.
             row[:] = np.maximum(row, scatter(curve.value))
         row[:] = np.maximum(row, _local_median(row, curve.degrees))
-    # Systematic errors that differ from line to line act like noise. Smooth errors are left out, because they do not
+    # Systematic errors that differ from line to line act like noise. Smooth errors are omitted, because they do not
     # resemble a mode.
     error = np.hypot(error, standard_of_limit(systematic_bound(curves, IRREGULAR)))
     largest = np.nanmax(magnitude, axis=1, keepdims=True)

@@ -18,7 +18,7 @@ from rig.core.results.uncertainty import expand
 
 # A larger relative standard uncertainty of a damping ratio causes a warning.
 _MAX_DAMPING_UNCERTAINTY = 0.02
-# At this ratio of resolution to half of the half-power bandwidth, leakage increases the damping ratio by
+# At this ratio of resolution to half of the half-power width, leakage increases the damping ratio by
 # `_MAX_DAMPING_UNCERTAINTY`.
 _WIDENING_RATIO = float(np.sqrt(_MAX_DAMPING_UNCERTAINTY / LEAKAGE_FACTOR))
 # For a linear structure with lightly damped modes, the residual is below this fraction of the peak height.
@@ -43,7 +43,7 @@ def mode_warnings(
     """Yield warnings about modes; `count` modes were requested."""
     for name in unused_responses:
         yield (
-            f"{name} was left out: its uncertainty is unbounded. Record again with a sensor and a converter range that "
+            f"{name} was omitted: its uncertainty is unbounded. Record again with a sensor and a converter range that "
             "suit its level."
         )
     if modes.model_error:
@@ -79,7 +79,7 @@ def mode_warnings(
         yield f"Rejected the stable poles at {listed} Hz: the uncertainty of the curves is too large there."
     if unmeasured.size:
         yield (
-            f"Rejected the stable poles at {_listed(unmeasured)} Hz: the lines around them were left out. There may be "
+            f"Rejected the stable poles at {_listed(unmeasured)} Hz: the lines around them were omitted. There may be "
             "several modes there."
         )
     f, zeta, zeta_error = modes.frequency, modes.damping, modes.damping_error
@@ -105,7 +105,7 @@ def mode_warnings(
     leaking = widened & ~narrow
     if leaking.any():
         yield (
-            f"{_listed(f[leaking])} Hz: the resolution of {resolution:.3g} Hz widens the peaks (half-power bandwidths "
+            f"{_listed(f[leaking])} Hz: the resolution of {resolution:.3g} Hz widens the peaks (half-power widths "
             f"{_listed(2.0 * half_widths[leaking], 3)} Hz), which raises the damping ratios by more than "
             f"{format_percent(_MAX_DAMPING_UNCERTAINTY)}. Use blocks of at least "
             f"{1.5 / (_WIDENING_RATIO * half_widths[leaking].min()):.3g} s, burst random, multisine or stepped sine."
@@ -115,7 +115,7 @@ def mode_warnings(
         narrowest = half_widths[undersampled].min()
         remedy = estimator.line_remedy(narrowest / 2.0)
         yield (
-            f"{_listed(f[undersampled])} Hz: fewer than two measured points lie within a half-power bandwidth of "
+            f"{_listed(f[undersampled])} Hz: fewer than two measured points lie within a half-power width of "
             f"{_listed(2.0 * half_widths[undersampled], 3)} Hz on either side, so the damping is extrapolated from the "
             f"flanks. {remedy}"
         )
@@ -131,7 +131,7 @@ def mode_warnings(
 def extrapolates_damping(modes: Modes, curves: Sequence[Response]) -> NDArray[np.bool_]:
     """Return whether each damping ratio is extrapolated from the flanks: the lines do not resolve the peak."""
     half_widths = modes.damping * modes.frequency
-    # Lines within the half-power bandwidth on either side of the resonance.
+    # Lines within the half-power width on either side of the resonance.
     distance = abs(curves[0].frequency - modes.frequency[:, None])
     n_points = np.sum(distance < 2.0 * half_widths[:, None], axis=1)
     resolution = max(curve.resolution for curve in curves)

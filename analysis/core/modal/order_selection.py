@@ -24,13 +24,13 @@ MAX_MODES = 12
 _MIN_DEGREES = 8
 # A pole must reduce the misfit by this multiple of the penalty term of Schwarz's criterion (BIC) [1]_.
 _PENALTY_FACTOR = 2.0
-# With a single reference, two poles are resolved if their distance is at least this, in mean half-power bandwidths.
+# With a single reference, two poles are resolved if their distance is at least this, in mean half-power widths.
 # With several references, closer poles are distinguished by their shapes.
 _MIN_DISTANCE_WIDTHS = 0.4
 # The same distance if a model error is assumed, or if curves state no uncertainty. Closer poles may represent an error,
 # because two poles fit a peak of any shape. Tuned on a measured milling tool: at 0.4 its modes depended on the band.
 _MIN_ERRONEOUS_DISTANCE_WIDTHS = 0.8
-# Two poles are close if their distance is at most this, in mean half-power bandwidths. Close poles are accepted only if
+# Two poles are close if their distance is at most this, in mean half-power widths. Close poles are accepted only if
 # their local misfit is at noise level, because two close poles can fit the skewed peak of a nonlinear structure.
 _CLOSE_POLE_WIDTHS = 4.0
 # The local misfit of close poles is at noise level if it is at most this multiple of its expected value for noise.
@@ -48,7 +48,7 @@ _APPROXIMATE_EVALUATIONS = 5
 
 
 def half_width(poles: ComplexArray) -> Array:
-    """Compute half of the half-power bandwidths, Hz."""
+    """Compute half of the half-power widths, Hz."""
     return np.asarray(-poles.real / (2 * np.pi))
 
 
@@ -103,7 +103,7 @@ def select_model(
 
 
 def _fit_without_spurious_poles(curves: Curves, poles: ComplexArray, max_evaluations: int) -> ModalModel:
-    """Fit a model, and remove its spurious poles step by step: the least significant pole of each group of neighbors.
+    """Fit a model, and remove its computational poles in steps: the least significant pole of each group of neighbors.
 
     Without this pole, the other poles of the group may not be spurious.
     """
@@ -175,7 +175,7 @@ def correlation_length(residual: ComplexArray) -> float:
 
 
 def spurious_poles(curves: Curves, model: ModalModel) -> NDArray[np.intp]:
-    """Return the indices of spurious poles.
+    """Return the indices of computational poles.
 
     A pole is spurious if its damping ratio exceeds `MAX_DAMPING`, or if it and its neighbor are fitted to one peak.
     """

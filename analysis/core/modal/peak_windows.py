@@ -73,7 +73,7 @@ def peak_windows(frequency: Array, values: Sequence[ComplexArray]) -> list[Windo
 
 
 def _half_width(frequency: Array, log_magnitude: Array, peak: int, drop: float) -> float:
-    """Return half of the half-power bandwidth of a peak, Hz, from its width where the logarithm is lower by `drop`."""
+    """Return half of the half-power width of a peak, Hz, from its width where the logarithm is lower by `drop`."""
     below = log_magnitude < log_magnitude[peak] - drop
     first = peak - int(np.argmax(below[peak::-1]))
     last = peak + int(np.argmax(below[peak:]))

@@ -22,7 +22,7 @@ _STIFFNESS_ERRORS = (SENSITIVITY, CLOCK, SYSTEMATIC)
 _PHASE_ERRORS = (ALIASING,)
 # Systematic errors that may change the width of a peak.
 _WIDTH_ERRORS = (ALIASING, RESOLUTION, MODEL, REFERENCE_NOISE)
-# Systematic errors are evaluated up to this distance from a pole, in half-widths (halves of the half-power bandwidth).
+# Systematic errors are evaluated up to this distance from a pole, in half-widths (halves of the half-power width).
 _FLANK_HALF_WIDTHS = 10.0
 # Leakage of a Hann window increases a fitted half-width by this factor times the squared resolution over the
 # half-width.
@@ -102,7 +102,7 @@ def systematic_pole_errors(
     A relative error d(s) of a curve shifts the pole p by up to ``d |s - p|``; a constant error only scales the curve.
     For example, unequal gains at the two ends of a spring act like an error of its stiffness. An error at the peak
     alone, and the leakage of a window, may also change the width of the peak. The errors named in `already_counted` are
-    left out, because the random errors include them.
+    omitted, because the random errors include them.
     """
     width_errors = tuple(name for name in _WIDTH_ERRORS if name not in already_counted)
     half_width_hz = half_width(poles)

@@ -48,7 +48,7 @@ _MIN_POWER_RATIO = 1e-2
 # The readings are rounded again as by coarser converters: quantization step of these in counts, and mean square of the
 # resulting changes, relative to the mean square of the original rounding error (1/12).
 _COARSER_CONVERTERS = ((2.0, 6.0), (3.0, 8.0))
-# Smallest signal, in counts, that can be rounded again without noise as dither.
+# Signals below this number of counts are rounded again only if they contain noise, which acts as dither.
 _MIN_COUNTS = 6.0
 # If noise dithers the signal, at most this fraction of the rounding error repeats from impact to impact (the value for
 # noise of half a count).

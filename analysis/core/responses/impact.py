@@ -69,7 +69,7 @@ def averaged_spectra(
         )
     notes = []
     if averaged.used < len(begins):
-        notes.append(f"{len(begins) - averaged.used} of {len(begins)} impacts left out: {reasons}.")
+        notes.append(f"{len(begins) - averaged.used} of {len(begins)} impacts omitted: {reasons}.")
     if averaged.used == 1:
         notes.append(
             "Only one impact was used, so that the coherence is 1 for any noise and the random error is unknown. "

@@ -158,7 +158,7 @@ def _realizations(
         if len(group) < n_inputs:
             was = "was" if len(group) == 1 else "were"
             notes.append(
-                f"Realization {number} left out: only {len(group)} of its {n_inputs} experiments {was} recorded."
+                f"Realization {number} omitted: only {len(group)} of its {n_inputs} experiments {was} recorded."
             )
             continue
         spectra = [period_spectra(rec, names, marker) for marker in group]
@@ -255,9 +255,9 @@ def period_spectra(rec: Recording, names: Sequence[str], marker: Marker) -> Peri
     if len(clean) < periods:
         reasons = describe_flaws(rec, [flaw for period_flaws in all_flaws for flaw in period_flaws])
         reasons = reasons or "the recording ends"
-        notes.append(f"{periods - len(clean)} of {periods} periods of realization {number} left out: {reasons}.")
+        notes.append(f"{periods - len(clean)} of {periods} periods of realization {number} omitted: {reasons}.")
     if len(clean) < 2:
-        notes.append(f"Realization {number} left out: fewer than two of its periods are without faults.")
+        notes.append(f"Realization {number} omitted: fewer than two of its periods are without faults.")
         no_samples = np.zeros((0, len(names), 0))
         return PeriodSpectra(frequency, no_samples.astype(complex), no_samples, tuple(notes))
     samples = np.stack(list(read_slices(rec, names, clean)))

@@ -98,9 +98,9 @@ def averaged_spectra(
     starts = [first + i * step for i in range(count)]
     averaged = block_spectra(rec, channels, starts, step, weights, low, high, progress)
     reasons = describe_flaws(rec, averaged.flaws)
-    notes = [f"The beginning is left out: {describe_flaws(rec, unsettled)}."] if unsettled else []
+    notes = [f"The beginning is omitted: {describe_flaws(rec, unsettled)}."] if unsettled else []
     if averaged.used < count:
-        notes.append(f"{count - averaged.used} of {count} blocks left out: {reasons}.")
+        notes.append(f"{count - averaged.used} of {count} blocks omitted: {reasons}.")
     if averaged.used < 2:
         raise RecordingError(
             f"{rec.path}: fewer than two blocks are usable ({reasons}). {remedy(rec, averaged.flaws)}, or choose "

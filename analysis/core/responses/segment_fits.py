@@ -122,7 +122,7 @@ class SegmentFits:
         if all_flaws:
             used_ratio = sum(stop - start for start, stop in segments) / (self.stop - self.first)
             notes.insert(
-                0, f"{format_percent(1.0 - used_ratio)} of the test left out: {describe_flaws(rec, all_flaws)}."
+                0, f"{format_percent(1.0 - used_ratio)} of the test omitted: {describe_flaws(rec, all_flaws)}."
             )
         if not segments:
             flawed = {flaw.channel for flaw in all_flaws}

@@ -66,7 +66,7 @@ class Lines:
     # flags of lines at which steady state was not reached; shape (n,). None for a multisine
     unsteady: NDArray[np.bool_] | None = None
     # frequencies of discarded measurements, Hz
-    left_out: Array = field(default_factory=lambda: np.empty(0))
+    omitted: Array = field(default_factory=lambda: np.empty(0))
     # number of lines on either side that moderate the noise of each line, for lines with few averages
     n_neighbors: int = 0
     noise: Scatter | None = None  # contribution of noise alone to `scatter`; None: all scatter is noise
@@ -146,7 +146,7 @@ class Lines:
         return Response.curve(
             self.frequency, value, numerator.channels[0], reference=reference_name(reference), motion=motion,
             uncertainty=budget, coherence=coherence, label=self.label, warnings=self.warnings, unsteady=self.unsteady,
-            amplitude=amplitude, omitted=self.left_out,
+            amplitude=amplitude, omitted=self.omitted,
         )  # fmt: skip
 
     def _positions(self, names: Sequence[str], reference: Measurand) -> list[int]:

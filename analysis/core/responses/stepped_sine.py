@@ -460,11 +460,11 @@ def _notes(sweep_name: str, points: list[_Point], omissions: list[_Omission]) ->
         cause = f"their windows are {reason}" if reason in _LENGTHS else f"{reason} in their windows"
         if len(group) == 1:
             details = f"its window is {reason}" if reason in _LENGTHS else f"{group[0].details} in its window"
-            notes.append(f"{prefix}{low:.4g} Hz left out: {details}.")
+            notes.append(f"{prefix}{low:.4g} Hz omitted: {details}.")
         elif low == high:
-            notes.append(f"{prefix}{low:.4g} Hz left out {len(group)} times: {cause}.")
+            notes.append(f"{prefix}{low:.4g} Hz omitted {len(group)} times: {cause}.")
         else:
-            notes.append(f"{prefix}{len(group)} frequencies from {low:.4g} to {high:.4g} Hz left out: {cause}.")
+            notes.append(f"{prefix}{len(group)} frequencies from {low:.4g} to {high:.4g} Hz omitted: {cause}.")
     if not points:
         notes.append(f"{prefix}no frequency of this sweep is usable.")
     unsteady = [not point.steady for point in points]
@@ -536,7 +536,7 @@ def _sweep(
         residual_transient=np.maximum(_residual_transients(tones), undetected * abs(mean)),
         resolution=_resolution(rec, channels, mean, np.stack([tone.noise for tone in tones], axis=1)),
         unsteady=np.array([not point.steady for point in points]),
-        left_out=np.array([omission.frequency for omission in omissions]),
+        omitted=np.array([omission.frequency for omission in omissions]),
         wait=wait if rec.scene.is_linear else None,
         duration=np.diff(windows)[:, 0] / rec.rate if rec.scene.is_linear else None,
     )

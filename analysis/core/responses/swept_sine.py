@@ -73,7 +73,7 @@ class SweptTone:
     warnings: tuple[str, ...]
     # lines at which all dampers stay on their floors, so that the structure is linear; shape (lines,)
     on_floor: NDArray[np.bool_]
-    left_out: Array  # frequencies without a line, Hz
+    omitted: Array  # frequencies without a line, Hz
     shared: float = 1.0  # number of neighboring lines with a common error
 
     def frf(
@@ -93,7 +93,7 @@ class SweptTone:
         (fit_errors,) = budget.errors.elements
         fit_errors = replace(fit_errors, has_single_reference=False, shared=self.shared)
         errors = replace(budget.errors, elements=(fit_errors,))
-        frf = replace(frf, uncertainty=replace(budget, shared=self.shared, errors=errors), omitted=self.left_out)
+        frf = replace(frf, uncertainty=replace(budget, shared=self.shared, errors=errors), omitted=self.omitted)
         if not warn_of_dampers(rec):
             return frf
         error = np.where(self.on_floor, 0.0, self._sweep_error(frf))
@@ -145,7 +145,7 @@ def sweep_spectra(
     notes = []
     if not all(is_clean):
         reasons = describe_flaws(rec, all_flaws) or "the sweep is too short"
-        notes.append(f"{is_clean.count(False)} of {_POINTS} frequencies left out: {reasons}.")
+        notes.append(f"{is_clean.count(False)} of {_POINTS} frequencies omitted: {reasons}.")
     if not any(is_clean):
         raise RecordingError(
             f"{rec.path}: no part of the sweep can be used ({reasons}). {remedy(rec, all_flaws)}, or sweep for longer."
@@ -217,8 +217,8 @@ def sweep_spectra(
     sweep_rate = abs(np.gradient(frequency, [_sample_at(marker, f, rec.rate) / rec.rate for f in frequency]))
     shared = max(float(np.median(_BINS_PER_VALUE * rec.rate / lengths / np.gradient(frequency))), 1.0)
     on_floor = _dampers_on_floor(rec, names, frequency[clean_points], variances[:, clean_points])
-    left_out = frequency[~np.array(is_clean)]
-    return SweptTone(spectra, sweep_rate[clean_points], rec.scene.name, tuple(notes), on_floor, left_out, shared)
+    omitted = frequency[~np.array(is_clean)]
+    return SweptTone(spectra, sweep_rate[clean_points], rec.scene.name, tuple(notes), on_floor, omitted, shared)
 
 
 def _dampers_on_floor(rec: Recording, names: Sequence[str], frequency: Array, variances: Array) -> NDArray[np.bool_]:

@@ -287,7 +287,7 @@ class _Curve:
         return True
 
     def _scaled(self, start: Point, end: Point) -> tuple[float, float]:
-        """Return the distance between two points: change of the angular frequency / |l|, and of ln(amplitude)."""
+        """Return the changes between two points, without unit: angular frequency over `_rate`, and ln(amplitude)."""
         turn = 2.0 * math.pi * (end.frequency - start.frequency) / self._rate(start)
         return turn, math.log(end.motion / start.motion)
 

@@ -87,7 +87,7 @@ def _observation_samples(frequency: float, rate: float) -> int:
 
 
 class Caution:
-    """Reduction of the gain while the logarithmic error oscillates: at an anti-resonance, sidebands are amplified."""
+    """Reduction of the gain while the logarithmic error oscillates: at an antiresonance, sidebands are amplified."""
 
     def __init__(self) -> None:
         self._factor, self._swing = 1.0, 0.0

@@ -195,7 +195,7 @@ class _Salvager:
             schema_numbers[number] = self._file.add_schema(schema.name, schema.encoding, schema.data)
         for number, channel in sorted(channels.items()):
             if channel.schema_id not in schema_numbers:
-                self._notes.append(f"{channel.topic} is left out, because its schema is lost")
+                self._notes.append(f"{channel.topic} is omitted, because its schema is lost")
                 continue
             self._new_numbers[number] = self._file.add_channel(
                 channel.topic, channel.message_encoding, schema_numbers[channel.schema_id], channel.metadata
@@ -229,7 +229,7 @@ class _Salvager:
         try:
             messages = messages_in(records, stored_bytes)
         except Damage as damage:
-            self._notes.append(f"a chunk with a correct checksum is left out, because it is malformed: {damage}")
+            self._notes.append(f"a chunk with a correct checksum is omitted, because it is malformed: {damage}")
             return
         readable_messages = []
         for message in messages:
@@ -265,7 +265,7 @@ class _Salvager:
             if ranges and first < ranges[-1][1]:
                 # Samples may repeat if a damaged file system repeats parts of a file.
                 raise RecordingError(
-                    f"samples {first} to {block.stop - 1} are left out, because later samples precede them"
+                    f"samples {first} to {block.stop - 1} are omitted, because later samples precede them"
                 )
             if ranges and ranges[-1][1] == first:
                 first = ranges.pop()[0]
@@ -319,7 +319,7 @@ class _Salvager:
                 missing_messages[channels[number].topic] = expected - self._n_messages[number]
         if self._n_without_topic:
             self._notes.append(
-                f"{self._n_without_topic} messages are left out, because the description of their topics is lost"
+                f"{self._n_without_topic} messages are omitted, because the description of their topics is lost"
             )
         if not self._has_scene:
             self._notes.append(f"the scene ({layout.SCENE_FILE}) is lost")

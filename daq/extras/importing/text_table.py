@@ -51,7 +51,7 @@ _MAX_LINE = 1 << 20
 _MAX_RATE_UNCERTAINTY = 2e-5
 # Number of lines at the beginning that are examined for the digits of times.
 _MAX_EXAMINED_LINES = 50
-# Minimum number of lines from which the usual length of the last number in a line is determined.
+# The usual length of the last number in a line is determined from at least this number of lines.
 _MIN_LINES = 10
 # Number of lines in a block.
 BLOCK_LINES = 1 << 16

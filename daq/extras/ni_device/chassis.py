@@ -58,7 +58,7 @@ class Runner(Protocol):
 
     @property
     def sample_rate(self) -> float | None:
-        """Sampling rate of its inputs, S/s; None on demand, or without inputs."""
+        """Sample rate of its inputs, S/s; None on demand, or without inputs."""
 
     def max_ticks(self) -> int:
         """Return the number of ticks that may pass before `notify_samples` must be called."""

@@ -52,7 +52,7 @@ class Task:
 
     @property
     def sample_rate(self) -> float | None:
-        """Sampling rate of the inputs, S/s; None on demand, or without inputs."""
+        """Sample rate of the inputs, S/s; None on demand, or without inputs."""
         if self.settings.direction != "ai" or not self.settings.channels or not self.settings.has_sample_clock:
             return None
         try:

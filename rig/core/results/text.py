@@ -109,7 +109,7 @@ def format_frequencies(frequencies: Sequence[float], chosen: Sequence[bool]) -> 
 def table_lines(rows: Sequence[Sequence[str]], alignment: str) -> list[str]:
     """Return the lines of a table with a header; `alignment` has ``<`` or ``>`` for each column.
 
-    Columns that are empty below the header are left out.
+    Columns that are empty below the header are omitted.
 
     >>> table_lines([("channel", "peak / Hz", "note"), ("body1", "12.54", "")], "<><")
     ['channel  peak / Hz', 'body1        12.54']

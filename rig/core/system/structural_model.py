@@ -184,7 +184,7 @@ def bed_masses(scene: Scene, mass: Array) -> Array:
 
 
 def receptance(scene: Scene, frequencies_hz: ArrayLike, riding: Iterable[int] = ()) -> ComplexArray:
-    """Compute the receptance of each body for the force of the shaker or, without shaker, of the hammer.
+    """Compute the compliance of each body for the force of the shaker or, without shaker, of the hammer.
 
     `frequencies_hz`: shape (frequencies,); `riding`: numbers of the dampers that ride, from 1. Their masses are added
     to their bodies. The masses of dampers that are locked or have no clearance are always added. Masses on springs are

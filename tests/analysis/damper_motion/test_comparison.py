@@ -213,7 +213,7 @@ def test_reason_names_recording_with_omitted_frequencies(tmp_path) -> None:
     daq.record(scene.replace(converter={"rate": "1024 Hz", "range": "10 V"}), tmp_path / "overloaded.mcap")
     comparison = compare_peaks([tmp_path / "complete.mcap", tmp_path / "overloaded.mcap"])
     assert comparison.lines[-1].endswith(
-        "Hz: not compared: frequencies near this mode were left out in overloaded.mcap (see the warnings)"
+        "Hz: not compared: frequencies near this mode were omitted in overloaded.mcap (see the warnings)"
     )
 
 

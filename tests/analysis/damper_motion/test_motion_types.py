@@ -285,7 +285,7 @@ def test_command_prints_motion_and_energy(fig9, tmp_path):
     assert re.search(r"type III +49 Hz", result.output) and "true impact loss" in result.output
     rows = (tmp_path / "fig9-dampers.csv").read_text(encoding="utf-8").splitlines()
     assert len(rows) == 4 and rows[0].startswith("scene,frequency_Hz,supplied_J")
-    # A window with its ends left out contains no whole number of periods, but one impact per wall and period.
+    # A window with its ends omitted contains no whole number of periods, but one impact per wall and period.
     impacts = [(row["floor_per_period"], row["ceiling_per_period"]) for row in csv.DictReader(rows)]
     assert impacts == [("1", "0"), ("1", "1"), ("1", "1")]
 

@@ -215,7 +215,7 @@ def test_dead_channel_is_omitted(tmp_path):
             if expected_names:
                 (curves,) = measured_curves(recording, "b")
                 assert [sensor.name for sensor in curves.sensors] == expected_names
-                assert "body2 is left out: it reads zero throughout" in curves.warnings[0]
+                assert "body2 is omitted: it reads zero throughout" in curves.warnings[0]
                 continue
             with pytest.raises(RecordingError, match="read zero throughout: dead or not connected"):
                 measured_curves(recording, "b")
@@ -293,7 +293,7 @@ def test_omitted_points_are_drawn_as_crosses():
     curves = replace(demo, frequency=np.arange(10.0, 14.0), value=value, sensors=demo.sensors[:1])
     result = SimpleNamespace(compared=[Comparison(curves, value, is_fitted, np.ones((1, 4)), 1.0)])
     axes = fit_figure(result).axes  # type: ignore[arg-type]
-    assert axes[1].get_title(loc="left") == "Residual 100 % of the curve, rms, 1 point left out"
+    assert axes[1].get_title(loc="left") == "Residual 100 % of the curve, rms, 1 point omitted"
     for ax in axes:
         crosses = [line for line in ax.lines if line.get_marker() == "x"]
         assert [np.isfinite(line.get_ydata()).tolist() for line in crosses] == [(~is_fitted).tolist()]

@@ -1,4 +1,4 @@
-"""Poles of a band are compared with those of its parts: differences add uncertainty, unconfirmed poles are left out."""
+"""Poles of a band are compared with those of its parts: differences add uncertainty, unconfirmed poles are omitted."""
 
 from dataclasses import replace
 from typing import Any

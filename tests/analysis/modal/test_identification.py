@@ -182,7 +182,7 @@ def test_stabilization_diagram_shows_poles_and_modes():
 def test_model_error_does_not_split_a_peak(has_model_error):
     _, frfs = two_modes(30.0, 0.012, 0.01, 250, noise=1e-5, seed=3)
     value = np.stack([frf.value for frf in frfs])
-    # The poles are 0.6 half-power bandwidths apart.
+    # The poles are 0.6 half-power widths apart.
     curves = Curves(
         frfs[0].frequency, value, np.full(value.shape, 1e5 / abs(value).max()), has_model_error=has_model_error
     )
@@ -348,7 +348,7 @@ def test_spring_force_tolerance_is_in_frequency_uncertainty():
 
 
 PEAK_IN_GAP = 12.85  # Hz
-DAMPING_IN_GAP = 0.0117  # half-power bandwidth of 0.3 Hz
+DAMPING_IN_GAP = 0.0117  # half-power width of 0.3 Hz
 
 
 def peak_in_gap(lines):
@@ -374,7 +374,7 @@ def test_damping_from_a_single_line_lies_within_error():
 
 def test_peak_without_lines_is_no_mode():
     # The flanks would determine a single pole with small errors, although there may be two.
-    with pytest.raises(RecordingError, match=r"12\.8.* Hz\) lie where points of the curves were left out"):
+    with pytest.raises(RecordingError, match=r"12\.8.* Hz\) lie where points of the curves were omitted"):
         analysis.identify(peak_in_gap([]))
 
 

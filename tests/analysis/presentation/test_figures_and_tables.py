@@ -171,7 +171,7 @@ def test_highest_of_all_resonances_is_reported():
 def test_highest_point_next_to_omitted_frequencies_is_reported():
     f = np.array([15.0, 16.0, 17.0, 18.0, 25.0, 26.0])
     curve = Response.curve(f, 1e-6 / (1.0 - (f / 20.0) ** 2 + 0.01j), "body1", omitted=np.arange(19.0, 25.0))
-    assert "body1: highest point is next to frequencies that were left out, 18 Hz" in describe_frfs([curve])[3]
+    assert "body1: highest point is next to frequencies that were omitted, 18 Hz" in describe_frfs([curve])[3]
 
 
 def test_omitted_frequencies_are_marked_as_a_range():

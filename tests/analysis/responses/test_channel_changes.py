@@ -188,7 +188,7 @@ def test_changed_channel_of_few_tones_is_named(tmp_path):
 
 @pytest.mark.parametrize("kind", ["random_test", "stepped_sine", "swept_sine"])
 @pytest.mark.parametrize("channel", ["force", "body3"])
-def test_dead_channel_is_named_and_left_out(request, tmp_path, kind, channel):
+def test_dead_channel_is_named_and_omitted(request, tmp_path, kind, channel):
     path = request.getfixturevalue(kind)
     with daq.open(path) as rec:
         middle, time = rec.samples // 2, rec.samples // 2 / rec.rate

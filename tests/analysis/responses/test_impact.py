@@ -200,7 +200,7 @@ def test_channel_of_few_counts_is_excluded(tmp_path):
     assert [np.isfinite(frf.bound(0.95)).any() for frf in curves] == [True, False]
     modes = analysis.identify(curves)
     assert modes.responses == ("a1",)
-    assert any(note.startswith("a2 was left out") for note in modes.warnings)
+    assert any(note.startswith("a2 was omitted") for note in modes.warnings)
     with pytest.raises(RecordingError, match="uncertainty of the responses at a2"):
         analysis.identify(curves[1:])
 

@@ -171,7 +171,7 @@ def test_note_on_missing_periods_gives_the_reason(tmp_path):
         [marker] = [marker for marker in rec.markers if marker.kind == "measure"]
         marker.fields["periods"] += 1
         [curves] = analysis.frequency_responses(rec)
-    assert "1 of 5 periods of realization 1 left out: the recording ends." in curves[0].warnings
+    assert "1 of 5 periods of realization 1 omitted: the recording ends." in curves[0].warnings
 
 
 def test_linear_structure_shows_no_distortion(multisine_file):

@@ -150,7 +150,7 @@ def test_error_bars_exist_without_overloaded_realisation(multisine_path):
         last = [marker for marker in rec.markers if marker.kind == "measure"][-1]
         rec.markers.append(Marker("overload", last.first_sample, last.stop - 1, {"channel": "a1"}))
         (response,) = analysis.frequency_responses(rec)
-    assert np.isfinite(response.error).all() and "Realization 2 left out" in " ".join(response.warnings)
+    assert np.isfinite(response.error).all() and "Realization 2 omitted" in " ".join(response.warnings)
 
 
 def test_missing_experiment_omits_realisation(multisine_path):
@@ -158,7 +158,7 @@ def test_missing_experiment_omits_realisation(multisine_path):
         last = [marker for marker in rec.markers if marker.kind == "measure"][-1]
         rec.markers.remove(last)
         (response,) = analysis.frequency_responses(rec)
-    assert "Realization 2 left out: only 1 of its 2 experiments was recorded." in response.warnings
+    assert "Realization 2 omitted: only 1 of its 2 experiments was recorded." in response.warnings
 
 
 def test_shapes_use_the_input_that_excites_every_mode():

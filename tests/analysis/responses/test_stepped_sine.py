@@ -157,7 +157,7 @@ def test_overloaded_and_unsettled_points_warn(tmp_path):
     with daq.open(synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, samples, markers)) as rec:
         frf = analysis.compliance(rec)
     warnings = " ".join(frf.warnings)
-    assert "20 Hz left out: body3 overloaded" in warnings and "No steady state at 30 Hz" in warnings
+    assert "20 Hz omitted: body3 overloaded" in warnings and "No steady state at 30 Hz" in warnings
     assert frf.frequency.tolist() == [30.0] and frf.unsteady.tolist() == [True]
 
 
@@ -186,8 +186,8 @@ def test_overloaded_points_of_sweeps_are_listed(tmp_path):
         [[frf]] = analysis.frequency_responses(rec, ["body3"])
     assert frf.frequency.tolist() == [20.0, 40.0, 60.0] and frf.omitted.tolist() == [30.0, 50.0]
     assert frf.warnings == (
-        "1 N up: 2 frequencies from 30 to 50 Hz left out: body3 overloaded in their windows.",
-        "2 N up: 5 frequencies from 20 to 60 Hz left out: body3 overloaded in their windows.",
+        "1 N up: 2 frequencies from 30 to 50 Hz omitted: body3 overloaded in their windows.",
+        "2 N up: 5 frequencies from 20 to 60 Hz omitted: body3 overloaded in their windows.",
         "2 N up: no frequency of this sweep is usable.",
     )
 
@@ -217,7 +217,7 @@ def test_lost_samples_omit_only_their_frequency(tmp_path):
         frf = analysis.compliance(rec)
     # The second measurement, at 40 Hz, is omitted.
     assert frf.frequency.tolist() == [20.0, 20.0]
-    assert any("40 Hz left out: samples of " in warning for warning in frf.warnings)
+    assert any("40 Hz omitted: samples of " in warning for warning in frf.warnings)
     assert frf.omitted.tolist() == [40.0]
 
 

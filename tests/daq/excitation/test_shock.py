@@ -124,7 +124,7 @@ def test_noisy_sensor_is_named() -> None:
 
 
 def test_too_short_interval_is_named() -> None:
-    # The drive of a body at its anti-resonance lasts longer than the interval.
+    # The drive of a body at its antiresonance lasts longer than the interval.
     test = {"kind": "shock", "half_sine": HALF_SINE, "control": "frame", "interval": "1 s"}
     settings = rig.load({
         "structure": {"masses": [1.0, 1.0], "springs": [3e4, 3e4], "damping": {"modal": 0.005}},

@@ -122,7 +122,7 @@ def test_loop_is_stable_at_antiresonance() -> None:
 
 @pytest.mark.parametrize(("spring", "first", "last"), [(10e3, 13.7, 14.5), (30e3, 14.1, 15.0)], ids=["above", "below"])
 def test_loop_is_stable_beside_resonance_outside_band(spring: float, first: float, last: float) -> None:
-    # The anti-resonance is at 14.2 Hz; the resonance lies outside the band, 4 % above or 2 % below it.
+    # The antiresonance is at 14.2 Hz; the resonance lies outside the band, 4 % above or 2 % below it.
     settings = scene(control={"channels": ["frame"]}, abort="20 dB", duration="100 s", **{"from": first, "to": last})
     structure = settings.structure.replace(masses=[2.0, 0.1], springs=[spring, 800.0], damping={"modal": 0.006})
     run = MarkedRun(settings.replace(structure=structure))

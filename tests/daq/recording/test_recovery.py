@@ -155,7 +155,7 @@ def test_overwritten_bytes_affect_only_their_chunks(intact_file, tmp_path, lengt
         assert check_readable(tmp_path / "fixed.mcap")[intact].all()
 
 
-def test_repeated_chunk_is_left_out(intact_file, tmp_path):
+def test_repeated_chunk_is_omitted(intact_file, tmp_path):
     data, chunks = intact_file.read_bytes(), chunks_of(intact_file)
     (begin, _, _), (end, _, _) = [chunk for chunk in chunks if "/raw/body1" in chunk[2]][:2]
     (tmp_path / "a.mcap").write_bytes(data[:end] + data[begin:])
@@ -398,7 +398,7 @@ T0, FIRST_SAMPLE = 1, 10
     ("position", "value"),
     [(FIRST_SAMPLE, FLUSH_LENGTH + 2**40), (FIRST_SAMPLE, 2**64 - 1), (T0, 2**63 - 1), (T0, 0), (T0, 2**63)],
 )
-def test_block_with_contradicting_times_is_left_out(tmp_path, write_damaged_blocks, position, value):
+def test_block_with_contradicting_times_is_omitted(tmp_path, write_damaged_blocks, position, value):
     path = write_damaged_blocks(position, struct.pack("<Q", value))
     salvage = daq.recover(path, tmp_path / "fixed.mcap")
     is_readable = check_readable(tmp_path / "fixed.mcap")

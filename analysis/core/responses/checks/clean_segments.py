@@ -27,7 +27,7 @@ DEAD = "dead or disconnected"
 _SETTLED_BLOCKS = 32
 # The second half of a test with at least this number of blocks is assumed to be settled.
 _MIN_BLOCKS = 16
-# The mean of a block drifts if it deviates by more than this number of standard deviations of settled blocks.
+# A block drifts if its mean deviates from that of settled blocks by more than this number of their standard deviations.
 _DRIFT_SIGMAS = 5.0
 # Number of successive blocks without drift after which a channel is settled.
 _SETTLED_IN_A_ROW = 3

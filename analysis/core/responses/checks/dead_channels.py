@@ -86,7 +86,7 @@ def _find(rec: Recording) -> dict[str, int]:
         block = _first_dead_block(levels[row])
         if block is None:
             continue
-        # The force may continue while all motion falls, for example beyond the last resonance.
+        # Motion is compared with other motion: beyond the last resonance, all motion falls while the force continues.
         others = is_motion if is_motion.sum() > is_motion[row] else ~is_motion
         others = others & (np.arange(len(names)) != row)
         falls = [_fall(level, block) for level in levels[others]]

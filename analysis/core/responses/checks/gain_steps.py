@@ -30,7 +30,7 @@ _DEGREE = 3
 # Iterations of the weighted linear fit.
 _ITERATIONS = 3
 # If neighboring lines have common errors, this number of independent lines on either side may contain the step, and is
-# left out.
+# omitted.
 _BLURRED_SIDE = 5
 # At a resonance, the ratio of such a step cannot be fitted. The step is then in a channel with a residual above the
 # first value, if the residuals of the other channels are below the second value, a fraction of this residual.

@@ -30,9 +30,9 @@ _CONSTANT_NOISE_WIDTHS = 5
 _ITERATIONS = 4
 # The noise power of a response is at least this fraction of the residual of a local fit.
 _MIN_NOISE_RATIO = 1e-6
-# Weight of the normal equations of the whole test in the equations of each line, if there is a single response. Noise
-# of the reference and noise of the response are then distinguished only by the variation of the response's magnitude,
-# which is small far from peaks.
+# With a single response, noise of the reference and noise of the response are distinguished only where the magnitude of
+# the response varies, which is near peaks. The equations of each line therefore include those of the whole test, with
+# this weight.
 _WHOLE_TEST_WEIGHT = 0.1
 # Value that replaces zero power; it is so large that its square does not underflow to zero.
 _ZERO_POWER = 1e-40

@@ -40,7 +40,7 @@ IRREGULAR = (UNSETTLED, RESOLUTION, MODEL, REFERENCE, JITTER)
 _LATERAL_RATIO = 0.1
 # Minimum number of lines that determine the slope of a curve.
 _MIN_SLOPE_LINES = 3
-# For fewer lines, the slope is assumed to be this multiple of value / frequency. Peaks with a half-power bandwidth of a
+# For fewer lines, the slope is assumed to be this multiple of value / frequency. Peaks with a half-power width of a
 # fifth of their frequency or more are not steeper.
 _ASSUMED_SLOPE_RATIO = 10.0
 # Between lines, the slope of a peak is at most this multiple of the slope of its chords.
@@ -288,7 +288,7 @@ def clock_sources(rec: Recording, contributions: ChannelContributions) -> dict[s
 
 
 def _conversion_error(rec: Recording, contributions: ChannelContributions) -> ComplexArray:
-    """Return the error of a response per relative error of the frequencies by which readings are converted."""
+    """Return the error due to integration or differentiation of readings, per relative frequency error."""
     measured = [rec.channels[name].quantity for name in contributions.names]
     powers = np.array([[MOTIONS.index(name) if name in MOTIONS else 0.0] for name in measured])
     error = np.sum((powers - MOTIONS.index(contributions.motion)) * contributions.response, axis=0)

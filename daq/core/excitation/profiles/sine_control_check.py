@@ -2,7 +2,7 @@
 
 The drive amplitude d is changed after each window by ln d += gain * ln(required / measured amplitude). An integrator
 with a delay of m windows is stable for a gain below 2 sin(pi / (2 (2m + 1))). The changing drive has sidebands about
-the tone. At an anti-resonance, or near a resonance, the structure amplifies the sidebands by a ratio R relative to the
+the tone. At an antiresonance, or near a resonance, the structure amplifies the sidebands by a ratio R relative to the
 tone. Where R is large, the loop gain, gain R / (2 sin(pi T f)) at the distance f of the sidebands, must be below 1. In
 a sweep, the logarithmic deviation at a resonance with the damping ratio D and the decay rate d is S (T / gain + 1 / d)
 / (2 D), for the relative sweep rate S and the window T. The check uses the slope of the required drive, whose largest
@@ -169,7 +169,7 @@ def check_sweep(test: SineControl, scene: Scene, channels: Sequence[ChannelInfo]
         for index, limit in enumerate(test.limits, 1)
         for start, stop in runs_of(limiting[inside] == index)
     ]
-    # The slope is largest at the half-power points of the resonance or anti-resonance.
+    # The slope is largest at the half-power points of the resonance or antiresonance.
     near = abs(np.log(frequency / frequency[worst])) < _NEAR
     damping = 0.5 / max(float(slopes[near].max()), 1e-12)
     return SweepCheck(test, float(frequency[worst]), max(deviations), damping, tuple(notches))

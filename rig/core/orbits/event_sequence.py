@@ -119,7 +119,7 @@ class Plan:
         return tuple(name for row in names for name in [*row, *[""] * (count - len(row))])
 
     def has_same_cycle(self, other: Plan) -> bool:
-        """Return whether the events are the same in the same cyclic order."""
+        """Return whether the events of both plans are equal after a cyclic shift."""
         events, others = self.label.split(), other.label.split()
         return len(events) == len(others) and (events == others or " ".join(events) in " ".join(others + others))
 

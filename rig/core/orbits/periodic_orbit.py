@@ -1,9 +1,8 @@
 """Exact periodic motions (orbits) of a scene with all its modes and dampers, stable or not.
 
 The motion is simulated until it almost repeats, and is then refined by Newton's iteration for the equations of
-`rig.core.orbits.shooting`. A *cycle* is one repetition of the motion, which takes one or more periods of the drive.
-A *plan* is the sequence of contact events in a cycle. A *setting* is an operating point: frequency, force, clearance,
-mass ratio.
+`rig.core.orbits.shooting`. The motion repeats after a *cycle* of one or more periods of the drive. A *plan* is the
+sequence of contact events in a cycle. A *setting* is an operating point: frequency, force, clearance, mass ratio.
 """
 
 from __future__ import annotations
@@ -45,7 +44,8 @@ EARLY_LIMITS = IterationLimits(corrections=8, first_size=0.5, growth=0.5)
 MAX_EARLY_CHANGE = 0.2
 # A motion is in steady state if it changes by at most this fraction from period to period.
 MAX_STEADY_CHANGE = 1e-7
-# A motion is almost periodic if it changes by at most this fraction from period to period.
+# A search that has found no repetition attempts each number of periods if the motion changes by at most this fraction
+# from period to period.
 MAX_ALMOST_PERIODIC_CHANGE = 1e-6
 # A motion settles to an orbit if its relative distance from the orbit is at most this.
 MAX_ORBIT_DISTANCE = 0.05
@@ -224,7 +224,7 @@ def _refine_cycle(
 
 
 def shortest_cycle(orbit: Orbit) -> tuple[Plan, OperatingPoint, Array] | None:
-    """Reduce an orbit that consists of equal cycles to one cycle; return None if it does not."""
+    """Reduce an orbit whose cycle consists of equal parts to one part; return None if it has no equal parts."""
     sequence, events = orbit.plan.sequence, len(orbit.plan.sequence.kind)
     instants = orbit.plan.instants(orbit.unknowns)
     for cycles in range(orbit.repetition, 1, -1):

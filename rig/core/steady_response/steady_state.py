@@ -102,9 +102,11 @@ def _integrate(
 
 
 def _distances(comparison: StateSamples, state_scales: Array) -> tuple[Array, Array]:
-    """Compute relative changes over 1, 2, ... periods, and estimated distances from motions with these repetitions.
+    """Compare the motion with itself 1, 2, ... periods of the drive earlier.
 
-    Both have the shape (MAX_REPETITION,).
+    Returns two arrays of shape (MAX_REPETITION,): the relative change of the motion over each number of periods, and
+    the estimated relative distance from the motion with this period to which it settles (inf: the change does not
+    decrease).
     """
     heights = np.where(comparison.contact == FLIGHT, comparison.height, 0.0)
     vectors = np.concatenate([comparison.state[:, : state_scales.size] * state_scales, heights], axis=1)

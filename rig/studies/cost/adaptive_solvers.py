@@ -19,10 +19,10 @@ from rig.core.laws.events import CEILING_IMPACT, EVENT_NAMES, FLOOR_IMPACT, NO_E
 from rig.core.laws.law import GAP
 from rig.studies.cost.first_order_form import FLIGHT, ComputedMotion, End, FirstOrderForm
 
-#: Detection of an event is suspended for this time after a change of mode at which its guard is at rounding level, s,
-#: such as that of a wall after a damper has left it.
+#: After a change of mode, detection of an event is suspended for this time, s, if its guard is at rounding level, such
+#: as the guard of a wall that a damper has just left.
 GUARD_PAUSE_S = 2e-5
-#: A guard is at rounding level if its value is at most this fraction of its terms.
+#: A guard is at rounding level if its value is at most this fraction of the magnitudes of its terms.
 AT_LIMIT = 1e-9
 #: Events at which velocities jump.
 IMPACTS = (FLOOR_IMPACT, CEILING_IMPACT)

@@ -1,7 +1,7 @@
 """Cost and error of models of a bed of grains: one mass, finite-duration contact, longer time steps, and softer grains.
 
-The reference is the steady-state motion of the grains as in the scene, a mean over chaotic motion. Its deviation from
-another packing of the same grains is the smallest significant error.
+The reference is the steady-state motion with the grains of the scene, a mean over chaotic motion. The deviation of
+another packing of the same grains from this reference is the smallest significant error.
 """
 
 from __future__ import annotations

@@ -78,7 +78,7 @@ class DormandPrince:
     def integrate(self, rtol: float, guard_pause: float, max_step: float) -> ComputedMotion:
         """Compute the motion.
 
-        `rtol`: relative tolerance; the absolute tolerance is a thousandth of it, as for the other adaptive solvers;
+        `rtol`: relative tolerance; the absolute tolerance is a thousandth of `rtol`, as for the other adaptive solvers;
         `guard_pause`: time for which a guard is disabled after the damper leaves the wall, s; `max_step`: s. Raises
         `RunError` if events repeat endlessly, or there are too many steps.
         """
@@ -268,7 +268,8 @@ def _change(tables: Tables, contacts: Contacts, t: float, z: Array, j: int, wall
 @inlined_kernel
 def _release(tables: Tables, contacts: Contacts, t: float, z: Array, guard_pause: float) -> int:
     """Separate dampers with a tensile contact force, one by one; return the configuration, or -1 if the log is full."""
-    # Damping couples a velocity jump into the contact forces of adjacent bodies, so that each may cause another.
+    # Through damping, a velocity jump changes the contact forces in adjacent bodies, so one separation may cause
+    # another.
     while contacts.logged_events[0] < contacts.time.shape[0]:
         configuration = 0
         for j in range(contacts.state.shape[0]):

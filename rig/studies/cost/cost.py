@@ -158,7 +158,7 @@ def cost(scene: Scene, frequency: float | None, periods: int, report: Callable[[
 
 
 def _compare_methods(points: Sequence[Point]) -> list[str]:
-    """Compare the engine with the fastest of the other methods whose error is within ten times their smallest error."""
+    """Compare the engine with the fastest other method whose error is at most ten times the smallest error."""
     correct = [point for point in points if np.isfinite(point.error) and point.is_correct]
     engine = [point for point in correct if point.method == "engine, tone"]
     others = [point for point in correct if not point.method.startswith("engine")]

@@ -39,10 +39,10 @@ class ComputedMotion:
 
 
 class End(NamedTuple):
-    """A way to leave a mode: the mode lasts while the product of the row with z is positive."""
+    """An end of a mode: the mode lasts while the product of the row with z is positive."""
 
     row: NDArray[Any]
-    limit: float  # of the signal
+    limit: float  # limit of the signal
     exit: Exit
 
 
@@ -187,11 +187,11 @@ class FirstOrderForm:
         return matrix, hold
 
     def _direction(self, element: Element) -> list[tuple[int, Any]]:
-        """Return the coordinates whose sum with these factors is the gap."""
+        """Return each coordinate that changes the gap, with its sign: the gap is the sum of signs times coordinates."""
         return [(i, self._unit if factor > 0.0 else -self._unit) for i, factor in element.direction]
 
     def row(self, j: int, row: Row) -> NDArray[Any]:
-        """Return a row of a law without holding force as a row vector, whose product with z is its value."""
+        """Return a row of a law without holding force as a row vector, whose product with z is the value of the row."""
         element, n = self.system.elements[j], self.system.coordinates
         gap, speed, constant, rest, memory = self.exact([row.gap, row.speed, row.constant, row.rest, row.memory])
         vector = np.full(self.size, self._zero)
@@ -234,7 +234,7 @@ class FirstOrderForm:
     def leave(
         self, z: MutableSequence[Any] | Array, j: int, modes: MutableSequence[int], end: End, target: int
     ) -> None:
-        """Leave a mode for another, in place: velocities after an impact, and what the new mode holds or remembers."""
+        """Change the mode in place: velocities after an impact, held gap and memory of the new mode."""
         element, n, elements = self.system.elements[j], self.system.coordinates, len(self.system.elements)
         before, height, speed = self.mode(j, modes), self.first_height + j, self.first_height + elements + j
         modes[j] = target

@@ -1,7 +1,7 @@
 """Motions and periodic orbits to forty digits, the reference for the error of every method of `rig cost`.
 
-The engine provides the system matrices and the order of the events, and the laws of the elements the modes between
-them. Each event is located again as the root of its signal in decimal arithmetic, and the flow between events is a
+The engine provides the system matrices and the order of the events; the laws of the elements provide the modes between
+events. Each event is located again as the root of its signal in decimal arithmetic, and the flow between events is a
 Taylor series. Newton's method refines a periodic orbit to all digits, from the initial state computed by shooting. The
 difference between two precisions indicates the number of correct digits.
 """
@@ -45,7 +45,8 @@ MAX_RATE_STEP = 3.0
 EVENT_ITERATIONS = 8
 #: The time of an event may differ from the time in the engine by at most this, s.
 MAX_EVENT_DIFFERENCE_S = Decimal("1e-9")
-#: An event at the instant of another is caused by it, and has no root of its own, unless its root is this close, s.
+#: An event at the instant of another event is located by its own root if this root is within this time, s; otherwise
+#: the other event has caused it.
 MAX_ROOT_DISTANCE_S = Decimal("1e-12")
 #: A state does not determine the motion if no scaled derivative with respect to it exceeds this.
 NEUTRAL = Decimal("1e-10")
@@ -259,7 +260,7 @@ class DecimalMotion:
     def _flow(
         self, modes: Sequence[int] | None = None
     ) -> tuple[NDArray[Any], list[list[End]], list[tuple[Vector, Callable[[Vector], Vector]]]]:
-        """Return matrix, ends of the modes and sparse rows of the matrix: values, and a function that selects states.
+        """Return matrix, ends of the modes, and sparse rows of the matrix: values and a function that selects states.
 
         `modes`: of all elements; None: the present modes.
         """
@@ -320,7 +321,8 @@ class _ClosedOrbit:
                     shifted = [self._residual(values + step) for step in np.diag(steps)]
                     jacobian = ((np.array(shifted) - closure_error) / steps[:, None]).T
                     scaled = np.abs(jacobian * scale / scale[:, None])
-                    # Without suspension, the motion does not depend on the gap; a mass that sticks keeps its gap.
+                    # The motion of a mass without suspension does not depend on its gap, and a mass that sticks keeps
+                    # its gap.
                     determined = np.flatnonzero((scaled.max(axis=0) > NEUTRAL) & (scaled.max(axis=1) > NEUTRAL))
                 part = jacobian[np.ix_(determined, determined)]
                 values[determined] -= solve(part, closure_error[determined, None])[:, 0]

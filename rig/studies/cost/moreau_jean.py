@@ -27,10 +27,10 @@ class Step(NamedTuple):
 
     transition: Array  # z at the end of a step without drive and contact, from z at its start; (size, size)
     cosine: Array  # response of z to the sum of the drive's cosine at both ends of the step, (size,)
-    sine: Array  # the same for the sine
+    sine: Array  # response of z to the sum of the drive's sine at both ends of the step, (size,)
     impulse_response: Array  # change of z by a unit impulse between damper and body, (size, dampers)
     gap: Array  # row vectors whose product with z is the height above the floor, (dampers, size)
-    gap_rate: Array  # the same for its rate
+    gap_rate: Array  # row vectors for the rate of this height
     clearance: Array  # m, (dampers,)
     restitution: Array  # (dampers,)
     omega: float  # angular frequency of the drive, rad/s

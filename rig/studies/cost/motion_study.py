@@ -43,7 +43,8 @@ STEPS_PER_PERIOD = (320, 1600, 8000, 40_000)
 DRIVE_SAMPLES_PER_PERIOD = (64, 256, 1024, 4096)
 #: Maximum step of a general solver that misses no events, in periods of the drive.
 SHORT_STEP_RATIO = 1 / 40
-#: Label of this setting; it also suspends event detection at a wall after a separation (guard pause).
+#: Label of the setting with this maximum step, which also suspends event detection at a wall after a separation (guard
+#: pause).
 SHORT_STEP_SETTING = "rtol 1e-12, step T/40, guard pause"
 #: The reference must be this many times as accurate as the best method.
 MIN_REFERENCE_MARGIN = 1e3

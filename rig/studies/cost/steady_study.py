@@ -37,7 +37,7 @@ class SteadyStudy:
 
     points: tuple[Point, ...]  # error: largest compliance error of any body, relative to the largest compliance
     frequency: float  # Hz
-    motion_type: str  # of the steady-state motion at this frequency; "" if there is none
+    motion_type: str  # motion type at this frequency; "" without steady state
     reference: str  # reference of the errors; without periodic motion, the reason why there are no errors
 
 

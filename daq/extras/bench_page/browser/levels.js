@@ -13,7 +13,7 @@ const levels = {
       value.className = "value";
       const limit = channel.limit == null ? "no limit" : `full scale ${withUnit(channel.limit, channel.unit)}`;
       name.title = level.title = value.title = `${channel.name}: peak of the last 0.25 s; white: held peak; ${limit}; from ${FLOOR_DB} to 0 dB`;
-      return { channel, name, bar: make(level, "i"), hold: make(level, "b"), value, held: 0, since: 0 };
+      return { channel, name, bar: make(level, "i"), hold: make(level, "b"), value, held: 0, since: 0, over: false };
     });
     make($("levels"), "span");
     const scale = make($("levels"), "span");
@@ -24,12 +24,14 @@ const levels = {
 
   update({ state }) {
     const now = performance.now(), causes = [];
+    let changed = false;
     this.rows.forEach((row, k) => {
       const { channel } = row, level = state.levels[k], overload = state.overloads[k];
       if (level >= row.held || now - row.since > HOLD_MS) [row.held, row.since] = [level, now];
       row.bar.style.width = `${part(level, channel.limit)}%`;
       row.hold.style.left = `calc(${part(row.held, channel.limit)}% - 2px)`;
       row.value.firstChild.data = withUnit(level, channel.unit);
+      changed ||= row.over !== Boolean(overload);
       row.over = Boolean(overload);
       row.name.classList.toggle("over", row.over);
       if (!overload) return;
@@ -37,6 +39,8 @@ const levels = {
     });
     if (causes.length) causes.push("Lower the level or extend the range, then Clear.");
     setText("causes", causes.join("\n"));
+    // The response of a finished test is not sent again.
+    if (changed) response.draw();
   },
 };
 

@@ -66,16 +66,21 @@ def write_report(
     def template(name: str) -> str:
         return (templates / name).read_text(encoding="utf-8")
 
-    page = Template(template("page.html")).substitute(
-        title=escape_html(title),
-        body=body,
-        uplot_css=template("uPlot.min.css"),
-        page_css=template("page.css"),
-        uplot=template("uPlot.iife.min.js"),
-        charts=template("charts.js"),
-    )
-    with atomic_write(target) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    texts = {
+        "title": escape_html(title),
+        "uplot_css": template("uPlot.min.css"),
+        "page_css": template("page.css"),
+        "uplot": template("uPlot.iife.min.js"),
+        "charts": template("charts.js"),
+    }
+    before, after = (Template(part).substitute(texts) for part in template("page.html").split("$body"))
+    # The charts of many channels take tens of megabytes: joining them would take several times as much.
+    with atomic_write(target) as temporary, temporary.open("w", encoding="utf-8") as file:
+        file.write(before)
+        for part in body:
+            file.write(part)
+            file.write("\n")
+        file.write(after)
     return CommandOutput((target,), tuple(sentences), tuple(measurements.warnings))
 
 
@@ -86,8 +91,8 @@ def _page(paths: Sequence[Path], output: Path | None) -> Path:
     return with_ending(output_stem(paths, output, "report"), "html")
 
 
-def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple[list[str], str]:
-    """Return the sentences of the summary, and all sections of the page as HTML."""
+def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple[list[str], list[str]]:
+    """Return the sentences of the summary, and the parts of all sections of the page as HTML."""
     results, charts = measurements.results, ChartWriter()
     changes, first = measurements.changes(), measurements.reference
     sentences = summarize(results, changes)
@@ -112,7 +117,7 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
         **{f"Recording {each.path.name}": _recording(each, charts, each is not drawn) for each in results},
         "How to repeat this": _commands(paths, results),
     }
-    filled = {title: "\n".join(filter(None, parts)) for title, parts in sections.items() if any(parts)}
+    filled = {title: list(filter(None, parts)) for title, parts in sections.items() if any(parts)}
     anchors = {title: f"section-{number}" for number, title in enumerate(filled, 1)}
     links = "".join(
         f'<li><a href="#{anchors[title]}">{escape_html(title)}{counts.get(title, "")}</a></li>' for title in filled
@@ -135,9 +140,10 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
         f'<p class="test">{escape_html(note)}</p>' if note else "",
         f'</div><figure class="rig">{rig_drawing(drawn.rec.scene)}{caption}</figure></div>',
         f"<nav><ul>{links}</ul></nav>",
-        *(f'<h2 id="{anchors[title]}">{escape_html(title)}</h2>\n{content}' for title, content in filled.items()),
     ]
-    return sentences, "\n".join(body)
+    for title, parts in filled.items():
+        body += [f'<h2 id="{anchors[title]}">{escape_html(title)}</h2>', *parts]
+    return sentences, body
 
 
 def _answer(text: str) -> str:

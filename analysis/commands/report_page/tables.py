@@ -190,8 +190,9 @@ def decays(measurements: Sequence[Measurement]) -> str:
             rows.append((frequency, *damping_texts))
     heading = ["natural frequency / Hz", "damping ratio / % at the largest amplitude", "at the smallest"]
     caption = (
-        "Free decay of each mode, with 95 % intervals. The frequency is that at the best determined amplitude. Moving "
-        "dampers lower it, so that it differs from the resonance frequency of the response"
+        "Free decay of each mode, with 95 % intervals. The frequency is that at the best determined amplitude. "
+        "Dampers that ride on their body add their mass and lower it; dampers in flight do not, so that it depends on "
+        "the amplitude and differs from the resonance frequency of the response"
     )
     return table(caption, heading, rows) if rows else ""
 

@@ -349,6 +349,9 @@ class _Curve:
         Where impacts begin or end, no feedback of the envelope holds the motion: the curve has a corner, often a fold.
         """
         last, was_unstable, jump = self.points[-1], self.unstable, None
+        if not self._tone.is_holdable(last, 1.0):
+            # The dead time is too long: steps without feedback would jump past folds.
+            raise Lost(reason)
         self._holding = False
         for ratio in _LEAPS:
             if was_unstable:

@@ -147,7 +147,7 @@ def _propagate(
             total = np.sqrt(budget.shared) * np.linalg.norm(sizes * deviation, axis=1)
             degrees = None if cause.degrees is None else cause.degrees[window].min(axis=1)
             return replace(cause, deviation=np.minimum(total, np.sum(sizes * deviation, axis=1)), degrees=degrees)
-        if cause.sources:
+        if any(cause.sources):
             changes = {key: np.sum(weights * change[window], axis=1) for key, change in cause.sources[0].items()}
             total = np.linalg.norm(list(changes.values()), ord=1, axis=0)
             # The limits of large tolerances exceed their first-order changes, by about the same factor at neighbors.

@@ -60,7 +60,7 @@ def write_report(
     check_outputs(paths, target)
     with Measurements(paths, progress) as measurements:
         sentences, body = _body(measurements, paths, note)
-    title = f"Vibration test: {' · '.join(dict.fromkeys(each.label for each in measurements.results))}"
+    title = page_title(measurements)
     templates = files("analysis.commands.report_page") / "browser"
 
     def template(name: str) -> str:
@@ -82,6 +82,14 @@ def write_report(
             file.write("\n")
         file.write(after)
     return CommandOutput((target,), tuple(sentences), tuple(measurements.warnings))
+
+
+def page_title(measurements: Measurements) -> str:
+    """Return the title, which states whether the recordings are those of the virtual rig."""
+    simulated = [not each.rec.source for each in measurements.results]
+    test = "Vibration test" if not any(simulated) else "Simulated vibration test"
+    partly = " (partly measured)" * (any(simulated) and not all(simulated))
+    return f"{test}{partly}: {' · '.join(dict.fromkeys(each.label for each in measurements.results))}"
 
 
 def _page(paths: Sequence[Path], output: Path | None) -> Path:

@@ -28,7 +28,7 @@ from analysis.commands.report_page.charts import Chart, ChartWriter, Curve, Even
 from analysis.commands.report_page.drawing import mode_drawing, rig_drawing
 from analysis.commands.report_page.histories import time_histories
 from analysis.commands.report_page.measurements import Measurements, SweepChange, highest_peak
-from analysis.commands.report_page.report import write_report
+from analysis.commands.report_page.report import page_title, write_report
 from analysis.commands.report_page.responses import (
     force_charts,
     response_chart,
@@ -89,6 +89,15 @@ def test_page_needs_no_network(page: Path) -> None:
     text = page.read_text("utf-8")
     assert not re.search(r"(src|href)=\"(?!#)|url\(|@import", text)
     assert page.stat().st_size < 2e6
+
+
+def test_title_states_that_recordings_are_simulated(recordings: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    with Measurements(recordings) as measurements:
+        assert page_title(measurements).startswith("Simulated vibration test: ")
+        monkeypatch.setitem(measurements.results[0].rec.metadata["run"], "source", "bench.csv")
+        assert page_title(measurements).startswith("Simulated vibration test (partly measured): ")
+        monkeypatch.setitem(measurements.results[1].rec.metadata["run"], "source", "bench.csv")
+        assert page_title(measurements).startswith("Vibration test: ")
 
 
 def test_page_contains_answer_settings_and_commands(recordings: list[Path], tmp_path: Path) -> None:

@@ -151,9 +151,11 @@ def _covariance_factors(curves: Curves, model: ModalModel) -> tuple[Array, Array
     errors, so the misfit hardly increases. The errors of the reference are at most as large as the errors of the most
     precise response. The factors have the shape (parameters, columns).
     """
-    derivatives = jacobian(curves, model.poles)
-    rows = derivatives.reshape(len(derivatives), -1)
-    information = (rows @ rows.conj().T).real
+    # A line of zero weight in all responses has no error of the reference.
+    precision = np.max(curves.weight * abs(curves.value), axis=0)
+    relative = np.divide(1.0, precision, out=np.zeros_like(precision), where=precision > 0.0)
+    information, score, gradient = _sums_over_responses(curves, model)
+    gradient = gradient * relative
     eigenvalues, axes = np.linalg.eigh(information)
     determined = eigenvalues > _MIN_EIGENVALUE_RATIO * eigenvalues[-1]
     root = axes[:, determined] / np.sqrt(eigenvalues[determined])
@@ -161,7 +163,6 @@ def _covariance_factors(curves: Curves, model: ModalModel) -> tuple[Array, Array
     # The fit reduces the degrees of freedom of the misfit.
     degrees_of_freedom = curves.degrees_of_freedom(model.poles.size)
     variance = model.misfit / degrees_of_freedom
-    score = np.einsum("pmn,mn->pn", derivatives.conj(), model.residual).real
     # The Bartlett weights must extend beyond the correlation length; otherwise they include only half of the
     # correlation.
     length = max(correlation_length(model.residual), curves.shared)
@@ -176,11 +177,24 @@ def _covariance_factors(curves: Curves, model: ModalModel) -> tuple[Array, Array
     independent = np.concatenate([independent, np.diag(np.sqrt(omitted))], axis=1)
     # With few data the fit reduces each residual considerably. The reduction is corrected (HC3).
     correlated = np.asarray(inverse @ sums * (curves.n_values / degrees_of_freedom), dtype=float)
-    # A line of zero weight in all responses has no error of the reference.
-    precision = np.max(curves.weight * abs(curves.value), axis=0)
-    relative = np.divide(1.0, precision, out=np.zeros_like(precision), where=precision > 0.0)
-    gradient = np.einsum("pmn,mn->pn", derivatives.conj(), curves.weight * curves.value) * relative
     # If the residual is due to the errors of the curves, residual and errors have the same correlation between lines.
     correlated_lines = length if variance > _MIN_NOISE_RATIO else curves.shared
     common = inverse @ np.concatenate([gradient.real, gradient.imag], axis=1) * np.sqrt(correlated_lines)
     return independent, correlated, np.asarray(common, dtype=float)
+
+
+def _sums_over_responses(curves: Curves, model: ModalModel) -> tuple[Array, Array, ComplexArray]:
+    """Return the information matrix, (parameters, parameters), and two sums over responses, (parameters, n).
+
+    The sums are those of the derivatives times the residual (real part), and times the weighted responses.
+    """
+    parts = []
+    # The derivatives of all of many responses would take several times the memory of the responses.
+    for rows, part in curves.blocks(4 * model.poles.size):
+        derivatives = jacobian(part, model.poles)
+        flat, conjugate = derivatives.reshape(len(derivatives), -1), derivatives.conj()
+        score = np.einsum("pmn,mn->pn", conjugate, model.residual[rows]).real
+        gradient = np.einsum("pmn,mn->pn", conjugate, part.weight * part.value)
+        parts.append(((flat @ flat.conj().T).real, score, gradient))
+    information, score, gradient = (np.sum(terms, axis=0) for terms in zip(*parts, strict=True))
+    return information, score, gradient

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import analysis
-from analysis.core.modal import pole_residue
+from analysis.core.modal import pole_errors, pole_residue
 from analysis.core.responses.errors import random_errors
 from analysis.core.responses.errors.random_errors import LocalErrors, MeanErrors, SharedErrors
 from rig.core.base.errors import RunError
@@ -41,6 +41,18 @@ def test_blocks_of_responses_give_the_same_modes(monkeypatch):
     by_response = analysis.identify(curves)
     np.testing.assert_allclose(by_response.frequency, whole.frequency, rtol=1e-9)
     np.testing.assert_allclose(by_response.damping, whole.damping, rtol=1e-6)
+    np.testing.assert_allclose(by_response.damping_error, whole.damping_error, rtol=1e-6)
+
+
+def test_uncertainties_need_no_memory_for_all_responses(monkeypatch):
+    monkeypatch.setattr(pole_residue, "_MAX_ELEMENTS", 1 << 18)
+    peaks = []
+    for count in (64, 128):
+        curves = many_curves(count)
+        part = pole_residue.Curves(curves.frequency, curves.value[:, :, 0].T, np.ones((count, 400)))
+        model = pole_residue.fit(part, 2 * np.pi * np.array([15.0, 40.0]) * (-0.01 + 1j))
+        peaks.append(peak_memory(pole_errors.pole_errors, part, model)[0])
+    assert peaks[1] < 1.3 * peaks[0]
 
 
 def test_candidates_need_no_memory_for_all_responses(monkeypatch):

@@ -50,19 +50,19 @@ def poles_by_order(
     f_min, f_max = float(frequency.min()), float(frequency.max())
     phase = np.pi * (frequency - f_min) / (f_max - f_min)
     basis = np.exp(-1j * phase[:, None] * np.arange(max(orders) + 1))
-    # The numerators are eliminated from the normal equations. The orthonormal basis of an order contains the bases of
-    # all lower orders, so each order removes one more direction from the columns.
-    numerator_bases = [np.linalg.qr(basis * scale[:, None])[0] for scale in weight]
-    columns = [-basis * (row * scale)[:, None] for row, scale in zip(value, weight, strict=True)]
-    removed = 0
-    for order in orders:
-        reduced_normal_matrix = np.zeros((order + 1, order + 1), dtype=complex)
-        for residual, numerator_basis in zip(columns, numerator_bases, strict=True):
+    reduced_normal_matrices = [np.zeros((order + 1, order + 1), dtype=complex) for order in orders]
+    for row, scale in zip(value, weight, strict=True):
+        # The numerator is eliminated from the normal equations. The orthonormal basis of an order contains the bases of
+        # all lower orders, so each order removes one more direction from the columns.
+        numerator_basis, residual = np.linalg.qr(basis * scale[:, None])[0], -basis * (row * scale)[:, None]
+        removed = 0
+        for order, normal_matrix in zip(orders, reduced_normal_matrices, strict=True):
             directions = numerator_basis[:, removed : order + 1]
             residual -= directions @ (directions.conj().T @ residual)
             used = residual[:, : order + 1]
-            reduced_normal_matrix += used.conj().T @ used
-        removed = order + 1
+            normal_matrix += used.conj().T @ used
+            removed = order + 1
+    for order, reduced_normal_matrix in zip(orders, reduced_normal_matrices, strict=True):
         matrix, right_side = reduced_normal_matrix[:order, :order], -reduced_normal_matrix[:order, order]
         coefficients = np.linalg.lstsq(matrix, right_side, rcond=None)[0]
         roots = np.roots(np.append(coefficients, 1.0)[::-1])

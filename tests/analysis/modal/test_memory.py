@@ -7,6 +7,7 @@ import pytest
 
 import analysis
 from analysis.core.modal import pole_errors, pole_residue
+from analysis.core.modal.lscf import stabilization_diagram
 from analysis.core.responses.errors import random_errors
 from analysis.core.responses.errors.random_errors import LocalErrors, MeanErrors, SharedErrors
 from rig.core.base.errors import RunError
@@ -42,6 +43,15 @@ def test_blocks_of_responses_give_the_same_modes(monkeypatch):
     np.testing.assert_allclose(by_response.frequency, whole.frequency, rtol=1e-9)
     np.testing.assert_allclose(by_response.damping, whole.damping, rtol=1e-6)
     np.testing.assert_allclose(by_response.damping_error, whole.damping_error, rtol=1e-6)
+
+
+def test_stabilization_diagram_needs_no_memory_for_all_responses():
+    peaks = []
+    for count in (16, 64):
+        curves = many_curves(count)
+        value = curves.value[:, :, 0].T
+        peaks.append(peak_memory(stabilization_diagram, curves.frequency, value, np.ones(value.shape))[0])
+    assert peaks[1] < 1.3 * peaks[0]
 
 
 def test_uncertainties_need_no_memory_for_all_responses(monkeypatch):

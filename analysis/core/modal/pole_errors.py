@@ -188,13 +188,14 @@ def _sums_over_responses(curves: Curves, model: ModalModel) -> tuple[Array, Arra
 
     The sums are those of the derivatives times the residual (real part), and times the weighted responses.
     """
-    parts = []
+    count = 2 * model.poles.size
+    information = np.zeros((count, count))
+    score, gradient = np.zeros((count, curves.frequency.size)), np.zeros((count, curves.frequency.size), dtype=complex)
     # The derivatives of all of many responses would take several times the memory of the responses.
     for rows, part in curves.blocks(4 * model.poles.size):
         derivatives = jacobian(part, model.poles)
         flat, conjugate = derivatives.reshape(len(derivatives), -1), derivatives.conj()
-        score = np.einsum("pmn,mn->pn", conjugate, model.residual[rows]).real
-        gradient = np.einsum("pmn,mn->pn", conjugate, part.weight * part.value)
-        parts.append(((flat @ flat.conj().T).real, score, gradient))
-    information, score, gradient = (np.sum(terms, axis=0) for terms in zip(*parts, strict=True))
+        information += (flat @ flat.conj().T).real
+        score += np.einsum("pmn,mn->pn", conjugate, model.residual[rows]).real
+        gradient += np.einsum("pmn,mn->pn", conjugate, part.weight * part.value)
     return information, score, gradient

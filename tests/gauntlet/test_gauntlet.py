@@ -53,8 +53,15 @@ def test_results_of_random_scene_are_correct(kind: str) -> None:
 
 
 @pytest.mark.thorough
+def test_folds_between_corners_are_measured() -> None:
+    results = run_trial(SEED, 7, FOLDS)
+    assert {result.outcome for result in results} == {"correct"}
+    assert any(result.note.startswith("2 folds") for result in results)
+
+
+@pytest.mark.thorough
 def test_unmeasured_fold_has_a_named_reason() -> None:
-    # The motion of this scene does not repeat before its fold.
-    results = run_trial(SEED, 5, FOLDS)
+    # Feedback does not hold the motion behind the first fold of this scene.
+    results = run_trial(SEED, 1, FOLDS)
     assert {result.outcome for result in results if result.check == "folds"} == {"warned"}
     assert {result.outcome for result in results if result.check != "folds"} == {"correct"}

@@ -91,9 +91,12 @@ def fold_lines(result: AmplitudeCurve, exact: Sequence[ExactBranch]) -> list[str
         level = f"{format_number(fold.level)} {result.unit}"
         frequency = format_quantity(fold.frequency, fold.bound, "").strip(" ()")
         rows.append((level, frequency, f"{1e3 * fold.amplitude:.3g}", nearest))
+    resolutions = {level: result.resolution(level) for level in dict.fromkeys(result.level.tolist())}
     widths = ", ".join(
-        f"{result.resolution(level):.2g} Hz at {format_number(level)} {result.unit}"
-        for level in dict.fromkeys(result.level.tolist())
+        f"{resolution:.2g} Hz at {format_number(level)} {result.unit}"
+        for level, resolution in resolutions.items()
+        if np.isfinite(resolution)
     )
     table = table_lines(rows, ">>>>") if result.folds else []
-    return [f"  {line}" for line in [*table, f"Steps do not resolve folds closer than {widths}."]]
+    limits = [f"Steps do not resolve folds closer than {widths}."] if widths else []
+    return [f"  {line}" for line in [*table, *limits]]

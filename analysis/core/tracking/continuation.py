@@ -92,8 +92,13 @@ class AmplitudeCurve(Result):
         )
 
     def resolution(self, level: float) -> float:
-        """Return the smallest distance of two folds that steps and noise resolve above half of the maximum, Hz."""
+        """Return the smallest distance of two folds that steps and noise resolve above half of the maximum, Hz.
+
+        It is infinite if no point of the level is in steady state.
+        """
         chosen = (self.level == level) & self.settled
+        if not chosen.any():
+            return float("inf")
         is_high = self.amplitude[chosen] > 0.5 * self.amplitude[chosen].max()
         steps, noise = abs(np.diff(self.frequency[chosen])), 2.0 * self.frequency_bound[chosen]
         return float(np.maximum(steps, noise[1:])[is_high[1:]].max(initial=0.0))
@@ -109,7 +114,9 @@ class AmplitudeCurve(Result):
             largest = "highest point" if highest in chosen[[0, -1]] else "peak"
             folds = [format_quantity(fold.frequency, fold.bound, "Hz") for fold in self.folds if fold.level == level]
             where = f"fold{'s' * (len(folds) > 1)} at {', '.join(folds)}" if folds else ""
-            where = where or f"no fold wider than {self.resolution(level):.2g} Hz"
+            resolution = self.resolution(level)
+            resolved = f"no fold wider than {resolution:.2g} Hz" if np.isfinite(resolution) else "no steady state"
+            where = where or resolved
             peak_text = f"{format_quantity(peak, bound, 'mm')} at {self.frequency[highest]:.4g} Hz"
             texts.append(f"{format_number(level)} {self.unit}: {largest} {peak_text}, {where}")
         return texts

@@ -213,7 +213,9 @@ def _missed_folds(case: Case, kind: str) -> list[CheckResult]:
     """Check that both folds of each band that the steps resolve were measured, or that a gap or the end was named."""
     test, result = case.scene.test, analysis.continuation(case.recording)
     theory = case.scene.replace(test={"kind": "sine", "frequency": test.from_, "force": test.force}, channels=None)
-    width = result.resolution(test.force)
+    resolution = result.resolution(test.force)
+    # Without a point in steady state nothing is resolved, and every band is missed.
+    width = resolution if np.isfinite(resolution) else 0.0
     bands = [
         band
         for band in bands_between_folds(rig.follow_orbits(theory, "frequency", test.band))

@@ -1,0 +1,30 @@
+"""`analysis.continuation`: texts of a measured curve."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from analysis.commands.presentation.continuation_findings import fold_lines
+from analysis.core.tracking.continuation import AmplitudeCurve
+
+
+def curve_of(settled: bool) -> AmplitudeCurve:
+    """Return a curve of three points at one level."""
+    ones = np.ones(3)
+    return AmplitudeCurve(
+        "test", "body 1", "N", level=ones, force=ones, frequency=np.array([10.0, 10.2, 10.5]),
+        frequency_bound=0.01 * ones, amplitude=1e-3 * ones, amplitude_bound=1e-5 * ones,
+        stable=np.full(3, True), settled=np.full(3, settled), folds=(),
+    )  # fmt: skip
+
+
+def test_level_without_steady_state_resolves_nothing() -> None:
+    curve = curve_of(settled=False)
+    assert curve.resolution(1.0) == np.inf
+    assert curve.level_texts()[0].endswith("no steady state") and fold_lines(curve, []) == []
+
+
+def test_widest_step_limits_resolved_folds() -> None:
+    curve = curve_of(settled=True)
+    assert np.isclose(curve.resolution(1.0), 0.3)
+    assert fold_lines(curve, []) == ["  Steps do not resolve folds closer than 0.3 Hz at 1 N."]

@@ -45,36 +45,36 @@ def test_blocks_of_responses_give_the_same_modes(monkeypatch):
     np.testing.assert_allclose(by_response.damping_error, whole.damping_error, rtol=1e-6)
 
 
-def test_stabilization_diagram_needs_no_memory_for_all_responses():
-    peaks = []
-    for count in (16, 64):
-        curves = many_curves(count)
-        value = curves.value[:, :, 0].T
-        peaks.append(peak_memory(stabilization_diagram, curves.frequency, value, np.ones(value.shape))[0])
-    assert peaks[1] < 1.3 * peaks[0]
+POLES = 2 * np.pi * np.array([15.0, 40.0]) * (-0.01 + 1j)
 
 
-def test_uncertainties_need_no_memory_for_all_responses(monkeypatch):
+def unweighted(count):
+    """Return `many_curves` as input of a modal fit, all lines with equal weight."""
+    curves = many_curves(count)
+    return pole_residue.Curves(curves.frequency, curves.value[:, :, 0].T, np.ones((count, curves.frequency.size)))
+
+
+def diagram_memory(count):
+    curves = unweighted(count)
+    return peak_memory(stabilization_diagram, curves.frequency, curves.value, curves.weight)[0]
+
+
+def uncertainty_memory(count):
+    curves = unweighted(count)
+    return peak_memory(pole_errors.pole_errors, curves, pole_residue.fit(curves, POLES))[0]
+
+
+def candidate_memory(count):
+    added = 2 * np.pi * np.linspace(10.0, 50.0, 40) * (-0.01 + 1j)
+    return peak_memory(pole_residue.misfits_with, unweighted(count), POLES, added)[0]
+
+
+@pytest.mark.parametrize(
+    ("memory", "count", "more"), [(diagram_memory, 16, 64), (uncertainty_memory, 64, 128), (candidate_memory, 32, 64)]
+)
+def test_memory_does_not_grow_with_responses(monkeypatch, memory, count, more):
     monkeypatch.setattr(pole_residue, "_MAX_ELEMENTS", 1 << 18)
-    peaks = []
-    for count in (64, 128):
-        curves = many_curves(count)
-        part = pole_residue.Curves(curves.frequency, curves.value[:, :, 0].T, np.ones((count, 400)))
-        model = pole_residue.fit(part, 2 * np.pi * np.array([15.0, 40.0]) * (-0.01 + 1j))
-        peaks.append(peak_memory(pole_errors.pole_errors, part, model)[0])
-    assert peaks[1] < 1.3 * peaks[0]
-
-
-def test_candidates_need_no_memory_for_all_responses(monkeypatch):
-    monkeypatch.setattr(pole_residue, "_MAX_ELEMENTS", 1 << 18)
-    peaks = []
-    for count in (32, 64):
-        curves = many_curves(count)
-        part = pole_residue.Curves(curves.frequency, curves.value[:, :, 0].T, np.ones((count, 400)))
-        poles = 2 * np.pi * np.array([15.0, 40.0]) * (-0.01 + 1j)
-        added = 2 * np.pi * np.linspace(10.0, 50.0, 40) * (-0.01 + 1j)
-        peaks.append(peak_memory(pole_residue.misfits_with, part, poles, added)[0])
-    assert peaks[1] < 1.3 * peaks[0]
+    assert memory(more) < 1.3 * memory(count)
 
 
 def gaussian(*shape):

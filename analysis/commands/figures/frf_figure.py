@@ -78,7 +78,7 @@ def frf_figure(
     styles = styles or place_styles([frf.outputs[0].at for frf in frfs])
     if len(frfs) == 1:
         styles = [styles[0]._replace(dashes=())]
-    top = phase_top([frf for frf in frfs if not folds_back(frf.frequency)])
+    top = phase_top(frfs)
     with new_figure(6.8) as figure:
         magnitude_axes, phase_axes, coherence_axes = figure.subplots(3, 1, height_ratios=[3.2, 1.3, 0.9])
         for curve in theory:
@@ -267,6 +267,7 @@ def _draw_peaks(frf: Response, color: str, axes: Axes) -> tuple[list[float], lis
         return heights, arrows
     factor, ordered = frf.shown_in[1], np.sort(frf.frequency)
     smooth, is_known = frf.frequency[is_smooth(frf)], is_determined(frf)
+    marked: list[Peak] = []
     for resonance, peak in resonance_peaks(frf):
         if frf.frequency[resonance.line] not in smooth or not is_known[resonance.line]:
             continue
@@ -282,10 +283,7 @@ def _draw_peaks(frf: Response, color: str, axes: Axes) -> tuple[list[float], lis
             is_highest = height >= factor * np.nanmax(around)
             is_visible = is_near and is_highest and height > (1.0 + _MIN_PEAK_EXCESS) * factor * point
             if is_visible and not peak.at_end and not is_noise:
-                for at, model in missing_models(
-                    frf, [peak], *frf.with_gaps().continued(is_determined(frf.with_gaps()))
-                ):
-                    axes.plot(at, factor * model, color=color, lw=0.7, zorder=2.8)
+                marked.append(peak)
                 axes.plot(peak.frequency, height, "o", mfc="white", mec=color, mew=1.0, ms=4.5, zorder=5)
                 heights.append(height)
         elif not peak.at_end:
@@ -294,6 +292,10 @@ def _draw_peaks(frf: Response, color: str, axes: Axes) -> tuple[list[float], lis
                 arrowprops={"arrowstyle": "<-", "color": color, "lw": 1.0, "shrinkB": 1}, zorder=5,
             )  # fmt: skip
             arrows.append(2.0 * factor * point)
+    if marked:
+        curve = frf.with_gaps()
+        for at, model in missing_models(frf, marked, *curve.continued(is_determined(curve))):
+            axes.plot(at, factor * model, color=color, lw=0.7, zorder=2.8)
     return heights, arrows
 
 
@@ -402,13 +404,14 @@ def phase_degrees(value: ComplexArray, top: float = 90.0) -> Array:
 
 
 def phase_top(frfs: Sequence[Response]) -> float:
-    """Return the upper end of the phase axis, in degrees, at which the curves wrap least: scatter around ±180° does."""
+    """Return the upper end of the phase axis, in degrees, at which the curves wrap least: scatter around ±180° does.
+
+    Curves that fold back are not counted, because their points are not joined.
+    """
+    ordered = [frf.sorted() for frf in frfs if not folds_back(frf.frequency)]
+    values = [frf.value[is_determined(frf) & is_smooth(frf)] for frf in ordered]
 
     def wraps(top: float) -> int:
-        count = 0
-        for frf in (frf.sorted() for frf in frfs):
-            angle = phase_degrees(frf.value[is_determined(frf) & is_smooth(frf)], top)
-            count += int(np.count_nonzero(abs(np.diff(angle)) > 180.0))
-        return count
+        return sum(int(np.count_nonzero(abs(np.diff(phase_degrees(each, top))) > 180.0)) for each in values)
 
     return min(_PHASE_TOPS, key=wraps)

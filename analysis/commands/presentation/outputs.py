@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from analysis.core.recordings.names import require_file
+from analysis.core.recordings.names import require_file, sweep_name
 from rig.core.base.output_files import prepare_outputs
 
 # Maximum number of characters of a channel name in a file name.
@@ -43,7 +43,7 @@ def with_sweep_name(sweep: str, recording: str, warnings: Sequence[str], named: 
     >>> with_sweep_name("beam, 2 N up", "beam", ["no mode"]), with_sweep_name("beam", "beam", ["no mode"])
     (['2 N up: no mode'], ['no mode'])
     """
-    name = sweep.removeprefix(recording).removeprefix(", ")
+    name = sweep_name(sweep, recording)
     return [f"{name}: {warning}" if name and warning not in named else warning for warning in warnings]
 
 

@@ -29,6 +29,8 @@ IMAGE_SPAN_DB = 80.0
 _MAX_TEXT_VALUES = 500
 # Distance of symbols from the ends of a horizontal axis, relative to the range of its values.
 _SIDE_MARGIN = 0.03
+# Distance of values from the ends of a linear vertical axis, relative to their range.
+_VERTICAL_MARGIN = 0.15
 _DEFAULT_STYLE = body_style(1)
 
 
@@ -130,16 +132,18 @@ def needs_logarithmic_axis(frequencies: ArrayLike) -> bool:
 def limits_with_margin(curves: Sequence[Curve]) -> tuple[float, float]:
     """Return limits of a linear axis that show all values and bands with a margin for symbols."""
     columns = [column for curve in curves for column in (curve.y, curve.low, curve.high) if column is not None]
-    values = np.concatenate([np.asarray(column, dtype=float) for column in columns])
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    margin = 0.15 * (high - low or 1.0)
-    return low - margin, high + margin
+    return _widened(np.concatenate([np.asarray(column, dtype=float) for column in columns]), _VERTICAL_MARGIN)
 
 
 def side_limits(values: Array) -> tuple[float, float]:
     """Return limits of a linear horizontal axis that show all values with a margin for symbols."""
-    low, high = float(values.min()), float(values.max())
-    margin = _SIDE_MARGIN * (high - low or 1.0)
+    return _widened(values, _SIDE_MARGIN)
+
+
+def _widened(values: Array, ratio: float) -> tuple[float, float]:
+    """Return the range of values, with a fraction of its width added at both ends."""
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    margin = ratio * (high - low or 1.0)
     return low - margin, high + margin
 
 

@@ -27,7 +27,7 @@ from analysis.core.decays.free_decay import Decay, decay
 from analysis.core.modal.identification import identify
 from analysis.core.modal.mode_warnings import extrapolates_damping
 from analysis.core.modal.modes import Modes
-from analysis.core.recordings.names import OpenRecordings, reference_label, relabel, scene_labels
+from analysis.core.recordings.names import OpenRecordings, reference_label, relabel, scene_labels, sweep_name
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.signals.profile_check import ProfileCheck, profile
 from analysis.core.tracking.backbone import Backbone, backbone
@@ -110,7 +110,7 @@ class SweepChange(NamedTuple):
     @property
     def level(self) -> str:
         """Level and direction of the other sweep; empty if its recording has a single sweep."""
-        return self.after.removeprefix(self.recording).removeprefix(", ")
+        return sweep_name(self.after, self.recording)
 
 
 @dataclass(frozen=True)

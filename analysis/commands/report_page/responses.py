@@ -141,7 +141,7 @@ def response_chart(
     magnitude, phase, coherence, relative = [], [], [], []
     strips: list[tuple[float, float]] = []
     extrapolated: set[float] = set()
-    top = phase_top([frf for frf in frfs if not folds_back(frf.frequency)])
+    top = phase_top(frfs)
     rows = zip(frfs, ordered, names, styles, peaks or [()] * len(ordered), strict=True)
     for original, full, name, style, found in rows:
         known = is_determined(full) & np.isfinite(full.value)
@@ -406,7 +406,7 @@ def damper_charts(measurement: Measurement) -> list[Chart]:
     results = measurement.dampers
     if not results:
         return []
-    labels = [result.label for result in results]
+    labels, is_single = [result.label for result in results], len(results) == 1
     names = _sweep_names(labels, measurement.label)
     styles = _sweep_styles(labels, measurement.label)
     impacts: dict[str, list[Curve]] = {}
@@ -417,15 +417,15 @@ def damper_charts(measurement: Measurement) -> list[Chart]:
         order = np.arange(frequency.size) if draw == "dots" else np.argsort(frequency)
         for motions in result.bodies:
             place, count = motions[0].channel, np.array([sum(motion.impacts_per_period) for motion in motions])
-            at = style if len(results) > 1 else place_style(measurement.rec.channels[place].at)
-            label = name if len(results) > 1 else place
+            label, at = (place, place_style(measurement.rec.channels[place].at)) if is_single else (name, style)
             impacts.setdefault(place, []).append(Curve(label, frequency[order], count[order], style=at, draw=draw))
         energy = result.energy
         if energy is not None:
             percent, bound = (_percent(part, energy.supplied)[order] for part in (energy.dampers, energy.bound))
-            label, at = (name, style) if len(results) > 1 else ("dampers", CurveStyle(DAMPER))
+            label, at = ("dampers", CurveStyle(DAMPER)) if is_single else (name, style)
             shares.append(Curve(label, frequency[order], percent, percent - bound, percent + bound, at, draw))
-    groups = impacts if len(results) > 1 else {"": [curve for curves in impacts.values() for curve in curves]}
+    # The bodies of a single sweep share a panel; several sweeps have a panel for each body.
+    groups = {"": [curve for curves in impacts.values() for curve in curves]} if is_single else impacts
     panels = [
         Panel(
             f"impacts per period{f', {place}' * (len(groups) > 1)}",

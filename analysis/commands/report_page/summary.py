@@ -13,6 +13,7 @@ from analysis.commands.presentation.damper_findings import detection_limits
 from analysis.commands.report_page.measurements import Measurement, SweepChange, SweepResults, force_deviation
 from analysis.commands.report_page.tables import change_heights, change_text, includes_sensors
 from analysis.core.damper_motion.dampers import Dampers
+from analysis.core.recordings.names import sweep_name
 from daq.core.recording.markers import describe_faulty_hits
 from daq.core.recording.recorded_test import deviation_unit, shocks_of
 from rig.core.results import format_decimals, format_frequencies, format_interval, format_percent
@@ -153,7 +154,7 @@ def _resonance_texts(measurement: Measurement) -> list[str]:
     if len(sweeps) <= _MAX_TEXTS:
         return [_resonance_text(sweep) for sweep in sweeps]
     others = (
-        f"{sweep.label.removeprefix(measurement.label).removeprefix(', ')}, {text}"
+        f"{sweep_name(sweep.label, measurement.label)}, {text}"
         for sweep in sweeps[1:]
         if (text := _highest_compliance(sweep))
     )
@@ -169,8 +170,10 @@ def _levels_text(measurement: Measurement, sweeps: Sequence[SweepResults]) -> st
         for each, unit in zip(values, ("Hz", "%"), strict=True)
     ]
     lines = [
-        f"{sweep.label.removeprefix(measurement.label).removeprefix(', ')}: {mode.frequency_text(0)}, damping ratio "
-        f"{sweep.damping_text(0)}, {_highest_compliance(sweep).rpartition(' (')[0]}".removesuffix(", ")
+        f"{sweep_name(sweep.label, measurement.label)}: "
+        + ", ".join(
+            filter(None, [mode.frequency_text(0), f"damping ratio {sweep.damping_text(0)}", _highest_height(sweep)])
+        )
         for sweep, mode in zip(sweeps, modes, strict=True)
     ]
     heading = f"“{measurement.label}”: natural frequency from {ends[0]} and damping ratio from {ends[1]} at "
@@ -196,6 +199,16 @@ def _resonance_text(sweep: SweepResults) -> str:
     return "\n".join(filter(None, [heading, *lines, _highest_compliance(sweep)]))
 
 
+def _highest_height(sweep: SweepResults) -> str:
+    """Write the height of the highest peak; empty without a peak."""
+    if sweep.highest is None:
+        return ""
+    curve, highest = sweep.highest
+    if highest.value < highest.bound < inf:
+        return f"the height of the highest peak of the {curve.name} is not determined"
+    return f"the highest {curve.name} is {highest.height_text(curve.shown_in[1])} {curve.shown_in[0]}"
+
+
 def _highest_compliance(sweep: SweepResults) -> str:
     """Write the highest peak, at the natural frequency of its mode if it is known; empty without a peak."""
     if sweep.highest is None:
@@ -205,9 +218,7 @@ def _highest_compliance(sweep: SweepResults) -> str:
     where = f"{curve.ratio}, {highest.frequency:.4g} Hz"
     if mode is not None and sweep.modes is not None:
         where = f"{curve.ratio}, mode at {format_decimals(float(sweep.modes.frequency[mode]), 2)} Hz"
-    if highest.value < highest.bound < inf:
-        return f"the height of the highest peak of the {curve.name} is not determined ({where})"
-    return f"the highest {curve.name} is {highest.height_text(curve.shown_in[1])} {curve.shown_in[0]} ({where})"
+    return f"{_highest_height(sweep)} ({where})"
 
 
 def _impact_texts(measurement: Measurement) -> list[str]:
@@ -227,8 +238,7 @@ def _impact_texts(measurement: Measurement) -> list[str]:
     lines = []
     for result in results:
         impacts, energy = _impact_text(result)
-        name = result.label.removeprefix(measurement.label).removeprefix(", ")
-        lines.append(f"{name}: {impacts or 'none'}{energy and f'; {energy}'}")
+        lines.append(f"{sweep_name(result.label, measurement.label)}: {impacts or 'none'}{energy and f'; {energy}'}")
     heading = f"“{measurement.label}”: frequencies with damper impacts, and dissipated energy; {limit}"
     return ["\n".join([heading, *lines])]
 

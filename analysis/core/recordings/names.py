@@ -144,6 +144,15 @@ def belongs_to(label: str, recording: str) -> bool:
     return bool(recording) and (label == recording or label.startswith(f"{recording}, "))
 
 
+def sweep_name(label: str, recording: str) -> str:
+    """Return the part of the label of a sweep that follows the label of its recording; empty for a single sweep.
+
+    >>> sweep_name("beam, 2 N up", "beam"), sweep_name("beam", "beam")
+    ('2 N up', '')
+    """
+    return label.removeprefix(recording).removeprefix(", ")
+
+
 def excitation_text(rec: Recording) -> str:
     """Describe the test and its level, on which the response of a nonlinear structure depends: stepped sine, 2.6 N."""
     test = rec.scene.test

@@ -113,10 +113,12 @@ class AmplitudeCurve(Result):
             # The curve continues beyond its first and last point.
             largest = "highest point" if highest in chosen[[0, -1]] else "peak"
             folds = [format_quantity(fold.frequency, fold.bound, "Hz") for fold in self.folds if fold.level == level]
-            where = f"fold{'s' * (len(folds) > 1)} at {', '.join(folds)}" if folds else ""
-            resolution = self.resolution(level)
-            resolved = f"no fold wider than {resolution:.2g} Hz" if np.isfinite(resolution) else "no steady state"
-            where = where or resolved
+            if folds:
+                where = f"fold{'s' * (len(folds) > 1)} at {', '.join(folds)}"
+            elif self.settled[chosen].any():
+                where = f"no fold wider than {self.resolution(level):.2g} Hz"
+            else:
+                where = "no steady state"
             peak_text = f"{format_quantity(peak, bound, 'mm')} at {self.frequency[highest]:.4g} Hz"
             texts.append(f"{format_number(level)} {self.unit}: {largest} {peak_text}, {where}")
         return texts

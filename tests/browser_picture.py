@@ -1,7 +1,5 @@
 """Draw a page as the browser shows it: `python -m tests.browser_picture PAGE.html|bench PICTURE.png`."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

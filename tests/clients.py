@@ -7,8 +7,6 @@ the oldest that can be installed with this project, an intermediate release and 
 than the `nidaqmx` of this project, whose message classes the server uses.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tempfile

@@ -1,7 +1,5 @@
 """Settings of all tests: property-based tests use the same cases on every machine, without a time limit."""
 
-from __future__ import annotations
-
 import functools
 import gc
 import signal

@@ -4,8 +4,6 @@
 that the results of a version are computed when they are compared, and are not stored.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial

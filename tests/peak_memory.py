@@ -1,7 +1,5 @@
 """Largest memory of Python objects and arrays during a call."""
 
-from __future__ import annotations
-
 import tracemalloc
 from collections.abc import Callable
 from typing import Any

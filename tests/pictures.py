@@ -1,7 +1,5 @@
 """Draw the pictures of README and guides again: `python -m tests.pictures [NAME.png ...]`."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

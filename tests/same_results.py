@@ -6,8 +6,6 @@ results of a version. Compared are recordings, arrays of rig, printed texts, mes
 (`tests.engine_results`), which takes a minute. The exit code is 1 if a result differs.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import io

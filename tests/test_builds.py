@@ -3,8 +3,6 @@
 A bench at rest is built for each run: the rehearsal of a test and its recording are two.
 """
 
-from __future__ import annotations
-
 import gc
 from collections import Counter
 from importlib import import_module

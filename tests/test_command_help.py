@@ -1,7 +1,5 @@
 """The help of every command: options in groups, and an example that the command accepts."""
 
-from __future__ import annotations
-
 import shlex
 from importlib import import_module
 

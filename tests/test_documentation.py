@@ -4,8 +4,6 @@ Blocks marked `sh` and `python` run. Blocks marked `bash` are only parsed: their
 package or wait for a user.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

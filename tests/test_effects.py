@@ -1,7 +1,5 @@
 """Removing an effect from a scene changes no bit of the results that it does not influence."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Within each package no module imports itself indirectly, including deferred and type-only imports."""
 
-from __future__ import annotations
-
 import ast
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path

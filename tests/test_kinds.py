@@ -1,7 +1,5 @@
 """Every kind of test and shaker has all its parts, and nothing outside these parts asks for a kind."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import json

@@ -1,7 +1,5 @@
 """Kinds that exist only here are used in all ways: a test with three files, a shaker with two, and no other change."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Every picture of the pages has a command that draws it (`python -m tests.pictures`)."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Emulated differences between operating systems: Windows rules for open files, consoles with few characters."""
 
-from __future__ import annotations
-
 import errno
 import io
 import os

@@ -1,7 +1,5 @@
 """The wheel contains every file of the packages, and its commands run outside a checkout."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Compile the kernels of the tests once, before the workers of pytest start: otherwise each would compile them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import daq

@@ -1,7 +1,5 @@
 """Arguments of the public functions: paths and mappings are accepted; errors explain wrong types and names."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The `analysis` commands as Python functions: their results equal the written files and can be plotted."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The example scripts run with the recordings of the repository and give their results."""
 
-from __future__ import annotations
-
 import os
 import runpy
 import warnings

@@ -1,7 +1,5 @@
 """All commands display text of a recording as it is: it is not interpreted as markup or control codes."""
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

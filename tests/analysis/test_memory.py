@@ -1,7 +1,5 @@
 """Memory of commands that read a whole recording: it does not grow with the duration."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The worked example of the guide on uncertainty, computed again."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """All benchmarks in one run: `make bench`."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 

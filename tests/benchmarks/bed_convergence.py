@@ -7,8 +7,6 @@ four layers that hit a ceiling, and six layers that barely take off. The motion 
 stiffness. Grains and structure are coupled at every time step. Each setting takes six minutes of one core.
 """
 
-from __future__ import annotations
-
 import math
 from itertools import product
 

@@ -5,8 +5,6 @@
 Times are CPU times of one thread. Set OPENBLAS_NUM_THREADS=1: otherwise idle threads of BLAS are included.
 """
 
-from __future__ import annotations
-
 import tempfile
 import time
 from collections.abc import Iterator

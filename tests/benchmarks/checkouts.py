@@ -1,7 +1,5 @@
 """Checkouts of other commits in separate folders, for comparison with this checkout."""
 
-from __future__ import annotations
-
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager

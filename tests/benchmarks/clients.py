@@ -5,8 +5,6 @@ no sample is lost. It prints the latencies of the reads after the time of their 
 processor load of the server. All clients read the same four channels; with `--separate` each has its own four.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

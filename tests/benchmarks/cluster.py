@@ -5,8 +5,6 @@
 It takes some minutes on an otherwise idle machine.
 """
 
-from __future__ import annotations
-
 import pickle
 import sys
 import tempfile

@@ -6,8 +6,6 @@ Commands that use all cores have a limit of elapsed time, the others of processo
 calls on a machine, with an empty cache of compiled code.
 """
 
-from __future__ import annotations
-
 import os
 import resource
 import subprocess

@@ -4,8 +4,6 @@ Both commits run `compared_times` of this checkout in its environment. A time is
 commit took longer than all runs of the other. With five runs each, chance alone does this for one time in 126.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

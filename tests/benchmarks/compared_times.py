@@ -5,8 +5,6 @@ load. The reference is the duration of the test (real time), the import of numpy
 the studies, the compilation of a first run, and the analysis of a long recording.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -5,8 +5,6 @@ this problem: DOP853, CVODE and a compiled Dormand-Prince method with a relative
 fortieth of a period, and guards (event functions) that are disabled for 20 us after a damper leaves a wall.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import time
 from collections.abc import Callable

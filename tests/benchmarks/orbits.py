@@ -3,8 +3,6 @@
 python -m tests.benchmarks.orbits
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from typing import TypeVar

@@ -4,8 +4,6 @@ The scene has three dampers, an electrodynamic shaker, all sensor effects, 24 bi
 device logs into a recording with display channels, and a client reads ten times a second.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import tempfile

@@ -1,7 +1,5 @@
 """Speed and memory of writing and reading recordings: `python -m tests.benchmarks.recordings`."""
 
-from __future__ import annotations
-
 import resource
 import sys
 import tempfile

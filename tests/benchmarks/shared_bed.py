@@ -7,8 +7,6 @@ is the processor time of the first rank, including its waiting for the others. S
 shortest time of each group over several runs counts, because a rank with a busy core delays all others.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

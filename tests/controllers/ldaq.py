@@ -5,8 +5,6 @@ the scene excites the structure with a tone. LDAQ's `Core` reads three accelerom
 trigger on; its data must contain this tone.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile

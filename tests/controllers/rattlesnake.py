@@ -7,8 +7,6 @@ the script below sends the commands of a user into its queues. Rattlesnake ident
 and controls the acceleration to a flat spectrum. The control error that it reports must be below 3 dB RMS.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile

@@ -1,7 +1,5 @@
 """The `daq` commands as Python functions: signatures, results and errors."""
 
-from __future__ import annotations
-
 import inspect
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Options of `daq` commands that are invalid, or would have no effect, are rejected; the message names the option."""
 
-from __future__ import annotations
-
 import pytest
 from typer.testing import CliRunner
 

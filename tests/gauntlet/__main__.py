@@ -5,8 +5,6 @@ point is a value with a 95 % interval. The printed table has a row for each chec
 result was wrong without a warning, or the fraction of points within their 95 % intervals is too small or too large.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

@@ -6,8 +6,6 @@ modes that are missing or added, and those that differ by more than their expand
 differ.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Random structures with two close modes, as exact curves and as scenes to record, for the check of modes."""
 
-from __future__ import annotations
-
 import numpy as np
 import yaml
 

@@ -3,8 +3,6 @@
 The structure has dampers in flight, which orbits describe, or none, so that its modes are known.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import yaml
 

@@ -6,8 +6,6 @@ recorded and analyzed. Exit code 1: brute force is more than 1 % better, or the 
 0.3 dB.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

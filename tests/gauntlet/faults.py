@@ -6,8 +6,6 @@ each kind of test and fault: in how many scenes the channel is named, nothing is
 recording. Exit code 1: an intact channel was blamed.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

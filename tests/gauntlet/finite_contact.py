@@ -3,8 +3,6 @@
 The rig is that of Inoue, Yokomichi, Hiraki (2011).
 """
 
-from __future__ import annotations
-
 import yaml
 
 import rig

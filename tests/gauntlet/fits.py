@@ -7,8 +7,6 @@ undetermined. Printed are the number of values and their coverage for each statu
 in their 95 % intervals, or the error of a determined value is too large.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

@@ -3,8 +3,6 @@
 The checks of impacts, restitution, motion types and decays use them.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import yaml
 

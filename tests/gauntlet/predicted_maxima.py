@@ -5,8 +5,6 @@ are a line for each random scene, and the largest relative errors of scenes with
 error exceeds the documented limit, or a test aborts although no abort was predicted, or the reverse.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

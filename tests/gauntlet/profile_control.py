@@ -1,7 +1,5 @@
 """Random scenes of tests with profile control: chains on a base, a force shaker or an electrodynamic shaker."""
 
-from __future__ import annotations
-
 import numpy as np
 import yaml
 

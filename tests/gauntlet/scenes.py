@@ -4,8 +4,6 @@ Every test takes about a second to record. Scenes are drawn as the content of a 
 can be written to a file and run by hand.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The check of intact channels counts a blamed channel as wrong."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A fit to one random scene; `make fits` draws dozens."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.gauntlet.fits import Trial, draw_scene, run_trial

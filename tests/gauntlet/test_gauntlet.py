@@ -1,7 +1,5 @@
 """The analysis is correct for one random scene of each kind of test; `make gauntlet` draws hundreds of scenes."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.gauntlet.controlled_tones import FOLDS

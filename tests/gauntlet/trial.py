@@ -1,7 +1,5 @@
 """Trial of one random scene: draw the scene, record its test, and compare the analysis with the truth."""
 
-from __future__ import annotations
-
 import tempfile
 import traceback
 import warnings

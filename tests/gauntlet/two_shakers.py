@@ -1,7 +1,5 @@
 """Random structures with two shakers, driven simultaneously by uncorrelated noise or orthogonal multisines."""
 
-from __future__ import annotations
-
 import numpy as np
 import yaml
 from numpy.typing import NDArray

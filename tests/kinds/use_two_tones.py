@@ -1,7 +1,5 @@
 """Use two tones at once in all ways in which a kind of test is used, and print the results as JSON."""
 
-from __future__ import annotations
-
 import json
 import sys
 import warnings

@@ -1,7 +1,5 @@
 """Use a voice coil in all ways in which a kind of shaker is used, and print the results as JSON."""
 
-from __future__ import annotations
-
 import json
 import sys
 import warnings

@@ -1,7 +1,5 @@
 """A voice coil with a current amplifier: a kind of shaker that exists only in the test suite."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import Annotated, ClassVar, Literal
 

@@ -1,7 +1,5 @@
 """Print all mistakes of the catalogue with the messages that they cause: `python -m tests.mistakes`."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import os

@@ -1,7 +1,5 @@
 """Forty mistakes of users, and the facts that each message must contain: where, what, and what to do."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 # A valid scene.

@@ -1,7 +1,5 @@
 """The message about every mistake of the catalogue says where it is, what is wrong and what to do."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -5,8 +5,6 @@ with their tests. The seed chooses among all mutations of a group: `python -m te
 --each 40`.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

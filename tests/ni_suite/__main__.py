@@ -7,8 +7,6 @@ tests that use gRPC run unchanged, against a server of the devices that they exp
 that a vibration rig does not have are not counted, see `OUT_OF_SCOPE`.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Pytest plugin: NI's tests start this project's server instead of NI's server."""
 
-from __future__ import annotations
-
 import os
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Start a server of the devices that NI's tests expect; it prints its port as NI's server does."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Writes `ours.npz` and `hits.uff`, which `theirs.py` reads in an environment with the other programs.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

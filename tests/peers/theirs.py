@@ -5,8 +5,6 @@
 It runs in an environment with these programs. FOLDER contains the files of `tests.peers.ours`.
 """
 
-from __future__ import annotations
-
 import sys
 import warnings
 from collections.abc import Callable, Iterator

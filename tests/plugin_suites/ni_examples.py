@@ -5,8 +5,6 @@ passes if it ends without an error; one that runs until Ctrl-C is interrupted af
 failure is printed: it must be a kind of device that the guide names as missing.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -6,8 +6,6 @@ flies and lands without rebound. It sticks if the body's downward acceleration i
 off at once, with the velocity of the body.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The peak force of a finite-duration impact (linear spring and dashpot), in closed form."""
 
-from __future__ import annotations
-
 import math
 
 

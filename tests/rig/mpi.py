@@ -1,7 +1,5 @@
 """Run programs on two MPI ranks (processes), for tests; and `Part`, an object with a part on each rank."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

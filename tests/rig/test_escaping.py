@@ -1,7 +1,5 @@
 """Text from a file is displayed completely in terminals, browsers and Markdown, and never interpreted."""
 
-from __future__ import annotations
-
 from html.parser import HTMLParser
 from typing import Any
 

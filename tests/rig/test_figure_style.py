@@ -1,7 +1,5 @@
 """Figures with logarithmic axes can be drawn for extreme numbers, and their labels do not overlap."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Input files are read completely, or rejected immediately."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

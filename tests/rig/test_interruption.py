@@ -1,7 +1,5 @@
 """A command that is interrupted during its imports ends with at most a short message."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """An output file is written completely or not at all, and existing files are replaced only if that is allowed."""
 
-from __future__ import annotations
-
 import contextvars
 import io
 import os

@@ -1,7 +1,5 @@
 """MPI ranks (processes) with shared objects: operations of all ranks, work of the first rank, and termination."""
 
-from __future__ import annotations
-
 import os
 import sys
 import threading

@@ -1,7 +1,5 @@
 """The table of a study: recovery after a termination, rejection of other files, order, and digest of the code."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

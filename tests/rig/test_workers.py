@@ -1,7 +1,5 @@
 """Workers compute each piece of a study once, and no process remains."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Studies that compute their pieces in this process, without the start of worker processes, and small designs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

@@ -1,7 +1,5 @@
 """Functions that workers call in tests, in a module that they import quickly."""
 
-from __future__ import annotations
-
 import logging
 import os
 import signal

@@ -1,7 +1,5 @@
 """The processes that compute pieces of a study for this process."""
 
-from __future__ import annotations
-
 import psutil
 
 

@@ -4,8 +4,6 @@ A command must report a fault without a traceback, and must not lose or change f
 reproduces it: `python -m tests.soak --only damage --seed 1234 --cases 1`.
 """
 
-from __future__ import annotations
-
 import argparse
 import random
 import signal

@@ -1,7 +1,5 @@
 """Attacks on the page and on the server of `daq bench`: afterwards both must serve their own user as before."""
 
-from __future__ import annotations
-
 import logging
 import random
 import socket

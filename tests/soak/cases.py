@@ -3,8 +3,6 @@
 Each function returns the result of the command and the faults of the files. It draws all random choices from ``rng``.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import random

@@ -1,7 +1,5 @@
 """Run a command in a child process, and measure its exit code, output, time without output, duration and memory."""
 
-from __future__ import annotations
-
 import os
 import resource
 import select

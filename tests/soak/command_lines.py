@@ -1,7 +1,5 @@
 """Random command lines: any command with any of its options, valid and invalid."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import random

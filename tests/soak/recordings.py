@@ -1,7 +1,5 @@
 """Damaged recordings, as from a failing disk, and recordings with invalid contents but correct checksums."""
 
-from __future__ import annotations
-
 import json
 import random
 import struct

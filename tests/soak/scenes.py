@@ -1,7 +1,5 @@
 """Random scene files with invalid or extreme entries, and commands on them."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """Run `daq bench` and `daq serve` as a user does, and kill or interrupt them while they record."""
 
-from __future__ import annotations
-
 import random
 import re
 import signal

@@ -1,7 +1,5 @@
 """The study of the measurement chain: error and computing time of variants, each of which changes a single effect."""
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Interpolated resonance peaks with their error bounds, and their changes between two recordings."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

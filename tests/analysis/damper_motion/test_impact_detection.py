@@ -1,7 +1,5 @@
 """Detection of damper impacts: times, walls and velocity jumps, compared with known impacts."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

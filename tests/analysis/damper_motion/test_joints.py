@@ -1,7 +1,5 @@
 """Recordings of a structure with a stop: its true events, and what channels determine of it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

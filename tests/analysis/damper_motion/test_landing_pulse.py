@@ -1,7 +1,5 @@
 """Velocity change of a body during an impact of finite duration, compared with a numerical solution."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

@@ -4,8 +4,6 @@ Types of Inoue, Yokomichi, Hiraki (2011): I, impacts on the floor; II, on floor 
 at the ceiling.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 import warnings

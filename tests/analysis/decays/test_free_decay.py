@@ -1,7 +1,5 @@
 """Free decays: frequency, damping as a function of amplitude, energy and envelope, compared with known decays."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ The force is periodic and band-limited. Its spectrum is multiplied by the exact 
 of force and responses. White noise is added to the force and to each response.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

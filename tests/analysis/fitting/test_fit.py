@@ -1,7 +1,5 @@
 """Fits of a scene to recordings: 95 % intervals of the parameters, misfits, and diagnosis of faulty channels."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Derivatives of the residuals against finite differences, and detection of undetermined parameter combinations."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 

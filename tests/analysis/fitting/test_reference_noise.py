@@ -1,7 +1,5 @@
 """Fits to a random test with noise in the measured force, which another simulator made: intervals and delays."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

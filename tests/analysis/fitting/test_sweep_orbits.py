@@ -1,7 +1,5 @@
 """Steady-state motion of dampers during a fit: failed trials, derivatives, motions that cannot be computed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

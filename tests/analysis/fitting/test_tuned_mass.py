@@ -1,7 +1,5 @@
 """Recordings of a tuned mass damper: its modes are those of theory, and a fit finds spring and dashpot."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Modes identified from frequency responses: frequency, damping, shapes, and their uncertainties."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Modal identification of many responses, and of long tests: bounded memory and the same modes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Refinement of modal parameters: normal equations and reduced problem, compared with full matrices."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

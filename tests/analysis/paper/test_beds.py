@@ -3,8 +3,6 @@
 A setting is a level of the body's acceleration in g, a clearance, a number of layers of grains and a seed.
 """
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor

@@ -1,7 +1,5 @@
 """A single mass with finite-duration contact: its table of results, and the fit of the contact to beds of grains."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Recordings of the reproduction are reused if the same version of the program made them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """One color for one body in figures, report, bench page and replay."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Command-line errors for unsuitable recordings and options: the message names the remedy, and the exit code is 2."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from typer.testing import CliRunner

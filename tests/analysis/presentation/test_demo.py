@@ -1,7 +1,5 @@
 """`analysis demo` makes recordings and figures, and prints results and further commands."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

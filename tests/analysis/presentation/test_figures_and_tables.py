@@ -1,7 +1,5 @@
 """Outputs of the analysis commands: files, tables, figures and their captions."""
 
-from __future__ import annotations
-
 import csv
 import re
 from contextlib import nullcontext

@@ -1,8 +1,6 @@
 """Recordings that cannot be combined (they differ in driven body, band or channels, or are copies) are reported or
 kept separate."""
 
-from __future__ import annotations
-
 import csv
 import re
 import shutil

@@ -1,7 +1,5 @@
 """Names of the files that analysis commands write, and tables with any text."""
 
-from __future__ import annotations
-
 import csv
 import os
 from pathlib import Path

@@ -3,8 +3,6 @@
 They create the folder of their output, and check before they compute that it can be written.
 """
 
-from __future__ import annotations
-
 import shutil
 import warnings
 from importlib import import_module

@@ -1,7 +1,5 @@
 """Linear theory of a recording: the force at its place, on the structure with the coil springs of idle shakers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

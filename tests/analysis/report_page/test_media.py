@@ -1,7 +1,5 @@
 """The report on a phone, on a dark screen and on paper, in chromium."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

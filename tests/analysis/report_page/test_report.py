@@ -1,7 +1,5 @@
 """`analysis report`: the page's summary, sections and charts, without a network and in a browser."""
 
-from __future__ import annotations
-
 import csv
 import re
 import shutil

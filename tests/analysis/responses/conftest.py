@@ -1,7 +1,5 @@
 """Fixture of tests that spend most of their time on local fits."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -1,7 +1,5 @@
 """Recordings with known content: linear motion of three bodies, computed with scipy, written by the recorder."""
 
-from __future__ import annotations
-
 from itertools import product
 from pathlib import Path
 

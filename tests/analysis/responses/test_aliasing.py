@@ -4,8 +4,6 @@ A drive that is linear between samples contains images of each tone, at multiple
 frequency. Without a filter, the response to the images is aliased to the frequency of the tone.
 """
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

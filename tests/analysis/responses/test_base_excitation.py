@@ -1,7 +1,5 @@
 """Tests on a shaker table that carries the structure: recordings, responses, modes, comparison, fit and drawings."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

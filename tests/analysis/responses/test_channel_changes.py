@@ -1,7 +1,5 @@
 """Channels that change their gain, die or are late are named; intact channels and structures are not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

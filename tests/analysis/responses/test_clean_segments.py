@@ -1,7 +1,5 @@
 """Segments of a recording without overloads and lost samples, compared with a classification of each sample."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import pytest

@@ -1,7 +1,5 @@
 """A reversed force is detected from the driving-point response, which would supply energy; delay and noise are not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One entry estimates all frequency responses: a matrix for each sweep; the other names are short forms of it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Double and clipped hits are named in the results of hammer tests, recorded or imported."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 

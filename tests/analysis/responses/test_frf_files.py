@@ -1,7 +1,5 @@
 """Frequency responses in files of other programs and of ours, and block averages against scipy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import pyuff

@@ -1,7 +1,5 @@
 """Frequency responses from hammer hits: truth within the uncertainty, overloads, drifts, delays and missed hits."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Responses to random, burst, multisine and swept excitation, compared with exact receptances."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

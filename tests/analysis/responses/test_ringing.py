@@ -1,7 +1,5 @@
 """The bound of the transient that remains from the previous tone, against a closed form and a recording."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import analysis

@@ -1,7 +1,5 @@
 """Variances of estimates from few averages: not negative, pooled with neighboring lines (moderated), accurate."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import stats

@@ -1,7 +1,5 @@
 """A sensor's bias that decays at the beginning of a test: excluded samples, and uncertainties with its error."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

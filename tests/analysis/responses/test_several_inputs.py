@@ -1,7 +1,5 @@
 """Frequency response matrices of two simultaneous shakers, compared with closed form: bounds, coherences and modes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import pyuff

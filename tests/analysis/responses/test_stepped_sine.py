@@ -1,7 +1,5 @@
 """Frequency responses from stepped sines: exact values, bounds, and points without steady state or with overloads."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bounds of systematic errors of a response are compared with the largest error that each effect can cause."""
 
-from __future__ import annotations
-
 from itertools import product
 from types import SimpleNamespace
 

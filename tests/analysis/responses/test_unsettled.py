@@ -1,7 +1,5 @@
 """Warnings about tests that were measured before steady state."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

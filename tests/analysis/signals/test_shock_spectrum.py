@@ -1,7 +1,5 @@
 """Shock response spectra of recordings: channels with different sensors, options, and their messages."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`analysis.continuation`: texts of a measured curve."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from analysis.commands.presentation.continuation_findings import fold_lines

@@ -1,7 +1,5 @@
 """Harmonic force surfaces, and the responses at constant force that follow from them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

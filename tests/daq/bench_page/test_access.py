@@ -1,7 +1,5 @@
 """Access to the bench page requires the token of its address, or the cookie that the page sets."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import socket

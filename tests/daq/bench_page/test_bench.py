@@ -1,7 +1,5 @@
 """The bench page with a clock that advances on request: signal output, display and recording."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import re

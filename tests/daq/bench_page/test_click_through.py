@@ -1,7 +1,5 @@
 """A user session on the bench page in a real browser: start a sweep, observe the resonance, record, analyze."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import http.server

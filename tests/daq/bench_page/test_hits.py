@@ -1,7 +1,5 @@
 """Hammer hits are detected in the force and checked for faults at the end of their windows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

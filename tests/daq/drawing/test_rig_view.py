@@ -3,8 +3,6 @@
 Bodies are stacked on their springs from the ground up; each damper moves in a cavity of its body.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """State-space circuits of a signal chain, alone and in series, compared with textbook transfer functions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

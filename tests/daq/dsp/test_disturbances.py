@@ -1,7 +1,5 @@
 """Disturbances of a channel (noise, offset) as polynomials within a sample interval, and their spectra."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.polynomial.legendre import legval

@@ -1,7 +1,5 @@
 """The cubic of a segment has the four numbers that describe it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

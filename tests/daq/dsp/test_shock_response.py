@@ -1,7 +1,5 @@
 """Extremes of oscillators on a moving base, compared with closed form."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """`AmplitudeControl` determines the drive for a force level: convergence, stability, and jumps of the force."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Random, multisine, impulse and free-decay tests: force, timing and markers on the virtual bench."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 from unittest.mock import Mock

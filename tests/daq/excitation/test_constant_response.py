@@ -1,7 +1,5 @@
 """Response-controlled stepped sine: the law of its control, runs on the bench, and comparison with exact orbits."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Control-based continuation: runs on the bench, and curves with folds compared with exact orbits."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

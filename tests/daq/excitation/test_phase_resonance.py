@@ -1,7 +1,5 @@
 """Phase resonance: the law of its loop, runs on the bench, and backbones compared with exact orbits."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

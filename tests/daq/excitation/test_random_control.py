@@ -1,7 +1,5 @@
 """Random tests with profile control: control law, profile and limits on the bench, and messages."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

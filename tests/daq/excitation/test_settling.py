@@ -3,8 +3,6 @@
 The amplitude is observed at a constant interval; its steady value is 1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Shock tests: pulses within their tolerance, messages of tests that give up, and a device with a queue."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Sine tests on the virtual bench: a single tone, stepped and swept, and the estimates of a tone's amplitude."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Sine tests with profile control: control law, profile and limits on the bench, and messages."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Force control during a sweep, measured by an independent lock-in on the channels."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

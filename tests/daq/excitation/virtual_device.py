@@ -1,7 +1,5 @@
 """A device that plays volts from a queue on the virtual bench of a scene, as nidaqmx does on hardware."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

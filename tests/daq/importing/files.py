@@ -3,8 +3,6 @@
 A writer takes a path and an array of samples (channels, samples) in the units of the file.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta

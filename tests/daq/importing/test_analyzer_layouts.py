@@ -1,7 +1,5 @@
 """Tables that analyzers export as text: names and units of the columns are recognized."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from pathlib import Path
 

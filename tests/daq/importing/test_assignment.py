@@ -1,7 +1,5 @@
 """Columns of a channel table are assigned to the signals of files, also in wide files."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

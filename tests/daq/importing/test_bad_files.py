@@ -1,7 +1,5 @@
 """Import of damaged and unusual files of every format: an error message, no recording, and no changed file."""
 
-from __future__ import annotations
-
 import gc
 import json
 import struct

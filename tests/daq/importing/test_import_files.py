@@ -1,7 +1,5 @@
 """Import of foreign files: samples, rate, units, clock, overloads, gaps, channel tables and `daq import`."""
 
-from __future__ import annotations
-
 import warnings
 from contextlib import ExitStack
 from pathlib import Path

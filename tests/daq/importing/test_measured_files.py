@@ -1,7 +1,5 @@
 """Measured files of other people: each is read, or refused in one sentence with the remedy."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Frequency steps are detected in the force of an imported stepped-sine test, and not in other tests."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import signal

@@ -1,7 +1,5 @@
 """Missing rows of a file become lost samples; an incomplete last line is ignored."""
 
-from __future__ import annotations
-
 import warnings
 from contextlib import ExitStack
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Records of an MCAP file, packed by hand after its specification (https://mcap.dev/spec), for tests of the readers."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 

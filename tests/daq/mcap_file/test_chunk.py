@@ -1,7 +1,5 @@
 """Chunks of an MCAP file: damage is reported, and sizes are limited before memory is taken."""
 
-from __future__ import annotations
-
 import zlib
 
 import numpy as np

@@ -4,8 +4,6 @@ The file of these tests has six small records: a chunk of each compression, a me
 attachment. Each test damages a byte, cuts the file, or puts foreign bytes between the records.
 """
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 

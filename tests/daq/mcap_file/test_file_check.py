@@ -1,7 +1,5 @@
 """`Recording.check` reports damage of any significant bit; a file that passes the check has unchanged content."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

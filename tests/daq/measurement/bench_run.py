@@ -1,7 +1,5 @@
 """Run of a test on the virtual bench without a recorder, and an independent estimate of its spring force."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any

@@ -3,8 +3,6 @@
 In the scene, channels t and a have abort limits of 5 and 4 m/s^2. Channels t and b have alarm limits of 3 and 2 m/s^2.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

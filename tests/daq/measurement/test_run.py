@@ -1,7 +1,5 @@
 """Recording of a complete test with `daq.record` and `daq record`: files, limits, interruptions and errors."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

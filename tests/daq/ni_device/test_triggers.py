@@ -1,7 +1,5 @@
 """Detection of triggers in a signal, compared with their specification applied sample by sample."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from itertools import combinations
 from math import ceil

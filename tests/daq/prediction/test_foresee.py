@@ -1,7 +1,5 @@
 """`daq.foresee` predicts a test: maxima against closed form and recordings, limits, suitable levels, flights, noise."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """`daq record` reports the predicted test, and rejects a test that would abort."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

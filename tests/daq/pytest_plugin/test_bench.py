@@ -1,7 +1,5 @@
 """Benches for tests: wires, sources, modules, transfers and faults, through NI's client."""
 
-from __future__ import annotations
-
 import nidaqmx
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Options and fixtures of the pytest plugin, and the examples of its guide, in runs of pytest of their own."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -3,8 +3,6 @@
 A replacement is written as `NAME.part`, and renamed to `NAME` when it is complete: this is a committed file.
 """
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Metadata, markers and events are validated when a file is read: invalid values are reported immediately."""
 
-from __future__ import annotations
-
 import itertools
 import json
 from contextlib import nullcontext

@@ -1,7 +1,5 @@
 """Drive channels measure the output voltage that drives a shaker, as a T-piece in its cable allows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

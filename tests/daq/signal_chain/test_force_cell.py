@@ -1,7 +1,5 @@
 """A force cell between a coil spring and its body measures the exact force of the spring, with moving dampers too."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

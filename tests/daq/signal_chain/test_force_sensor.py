@@ -1,7 +1,5 @@
 """A force sensor between shaker and body: frequency responses with it, and messages if the force is not measured."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The acceleration pulse of a damper's impact of finite duration: its closed form, and clipping at any sample rate."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Samples without a filter: point samples, and interval averages, which include every impulse."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.linalg import expm

@@ -1,7 +1,5 @@
 """IEPE sensors require a supply current, and their bias is removed by AC coupling; otherwise readings are wrong."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

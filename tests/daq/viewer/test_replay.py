@@ -1,7 +1,5 @@
 """A replay for the rerun viewer contains the data of the recording: .rrd files, read by rerun's own reader."""
 
-from __future__ import annotations
-
 import sys
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The rerun viewer itself: pictures with a graphics device, a clear message without; sessions in the browser."""
 
-from __future__ import annotations
-
 import ctypes.util
 import os
 import signal

@@ -1,7 +1,5 @@
 """The virtual bench converts drive into samples: blocks, counts, overloads and the sample clock."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

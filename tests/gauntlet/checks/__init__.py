@@ -1,7 +1,5 @@
 """Checks: functions that compare one kind of result of the analysis with the truth, and return their results."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from tests.gauntlet.checks import (

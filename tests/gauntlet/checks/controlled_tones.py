@@ -1,7 +1,5 @@
 """Check of tests that control motion or phase: points lie within their 95 % intervals of exact orbits or modes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 

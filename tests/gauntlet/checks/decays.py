@@ -4,8 +4,6 @@ Below 1 g the exact damping ratio has a closed form. Above 1 g the exact ratio a
 simulated amplitude within 3 dB of the level, divided by the mean angular frequency. The estimate has this definition.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -6,8 +6,6 @@ within two samples (the main lobe of the converter's filter). With finite-durati
 the contact; wall, time and velocity jump must agree within the errors that the result gives.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -3,8 +3,6 @@
 Both modes of a close pair must be identified. Of other structures a mode may be missing, because noise may hide it.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import linalg
 

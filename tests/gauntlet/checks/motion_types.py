@@ -4,8 +4,6 @@ Type I: one impact on the floor in each period. Type II: also one impact on the 
 damper stays at the ceiling for a time. Riding: the damper stays at rest on the floor.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

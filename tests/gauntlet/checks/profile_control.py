@@ -1,7 +1,5 @@
 """Check of tests with profile control: the control lies within the promised deviation, limits are kept within 1 dB."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import analysis

@@ -6,8 +6,6 @@ sheets. The second comparison reveals errors that wide tolerances would hide. "m
 uncertainties of magnitudes, at lines and between them, where the response is interpolated or refused.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 

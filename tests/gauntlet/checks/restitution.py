@@ -1,7 +1,5 @@
 """Check of restitution: the coefficient of restitution estimated from velocity jumps, compared with the scene."""
 
-from __future__ import annotations
-
 from analysis.core.damper_motion.free_flight import BodyMotion, restitution
 from tests.gauntlet.instant_contact import TONE
 from tests.gauntlet.result import Case, CheckResult

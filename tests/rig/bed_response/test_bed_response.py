@@ -1,7 +1,5 @@
 """Steady-state motion of beds of grains: properties that do not depend on the grains, and the table of results."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Simplified models of a bed of grains, compared with the grains."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

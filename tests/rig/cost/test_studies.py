@@ -1,7 +1,5 @@
 """The work-precision study (`rig cost`): exact reference, convergence of other methods, and written results."""
 
-from __future__ import annotations
-
 import csv
 from decimal import Decimal
 from pathlib import Path

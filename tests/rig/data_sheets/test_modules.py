@@ -3,8 +3,6 @@
 A module has an input engine, an output engine, or both; an engine is the part with its own clock and sample rates.
 """
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

@@ -5,8 +5,6 @@ design (bodies, masses in kg, clearances in m); a trial is a choice with its pea
 Peak(compliance, frequency, level, body, acceleration, irregular share).
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

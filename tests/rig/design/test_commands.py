@@ -1,7 +1,5 @@
 """The commands that a design prints can be run as printed, and name the required equipment."""
 
-from __future__ import annotations
-
 import shlex
 from importlib import import_module
 from pathlib import Path

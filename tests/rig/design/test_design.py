@@ -5,8 +5,6 @@ design (bodies, masses in kg, clearances in m); a trial is a choice with its pea
 table is a file of computed trials, from which an interrupted design continues.
 """
 
-from __future__ import annotations
-
 import shlex
 from dataclasses import replace
 from pathlib import Path

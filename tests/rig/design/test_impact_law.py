@@ -1,7 +1,5 @@
 """The impact law of a design: its dampers have the restitution and contact of those in the scene."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -3,8 +3,6 @@
 The check is the test that verifies the design. A prediction has a reason and the changes of the scene that prevent it.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -4,8 +4,6 @@ A trial is a choice of dampers with its computed peak (largest |X| / F) at each 
 0.05 dB (0.6 %) are equal; within 3 % if part of the motion is irregular.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -6,8 +6,6 @@ space is the set of choices: bodies, total mass, and the smallest and largest cl
 Objective(scenes, levels, band, bodies), Peak(compliance, frequency, level, body, acceleration, irregular share).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path

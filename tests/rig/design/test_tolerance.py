@@ -5,8 +5,6 @@ with its peaks. Arguments are positional: Objective(scenes, levels, band, bodies
 body, acceleration, irregular share), SearchSpace(locations, largest mass, clearance limits).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The best tuned mass damper of an undamped body is that of Den Hartog, and is compared with particle dampers."""
 
-from __future__ import annotations
-
 from math import sqrt
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The list of active effects agrees with the compiled system, and disabled effects add nothing."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

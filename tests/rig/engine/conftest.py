@@ -1,7 +1,5 @@
 """Fixture of the engine tests that selects the tables of power series and step matrices."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 
 import pytest

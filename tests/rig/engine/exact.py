@@ -4,8 +4,6 @@ It shares only the matrices of the scene with the engine. The state z is augment
 bodies, cos w t, sin w t, 1. It obeys z' = A z; A is called the generator.
 """
 
-from __future__ import annotations
-
 import mpmath
 from mpmath import mp, mpf
 

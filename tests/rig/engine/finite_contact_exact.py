@@ -8,8 +8,6 @@ which is checked at several times of every short step. The drive is F sin(w t) o
 damper is FREE, FLOOR or CEILING. A bed is the mass of a damper.
 """
 
-from __future__ import annotations
-
 import decimal
 import itertools
 from decimal import Decimal

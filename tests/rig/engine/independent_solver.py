@@ -4,8 +4,6 @@ It is slow, and as accurate as its tolerances, but shares only the matrices of t
 function that becomes negative at an event: a gap in flight, a contact force in contact.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """A long chain with modal damping has full matrices: steps by a matrix product equal steps by power series."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import numpy as np

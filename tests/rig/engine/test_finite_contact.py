@@ -1,7 +1,5 @@
 """Finite-duration contact, compared with 40-digit solutions, closed forms, energy balance and instant contact."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from itertools import pairwise

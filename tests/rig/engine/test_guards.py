@@ -6,8 +6,6 @@ series. `tau` is the time from the start of the step, in full time steps; `lengt
 shorter than a full step. The contact of a damper, and its mode, is FLIGHT, FLOOR or CEILING.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from itertools import cycle
 

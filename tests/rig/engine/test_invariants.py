@@ -4,8 +4,6 @@ A break is an instant at which a velocity or an acceleration jumps: an impact or
 before and after each break. The contact of a damper is FLIGHT, FLOOR or CEILING.
 """
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

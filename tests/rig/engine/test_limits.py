@@ -1,7 +1,5 @@
 """Limits of the engine: simultaneous events, many periods, extreme ratios, free structures, bouncing to rest."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -4,8 +4,6 @@ The reference cases A, B and C are bundled scenes of the published problem, from
 tests with `each_table_size` run for each set of tables that the engine may compute (`conftest`).
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -8,8 +8,6 @@ contacts have not been looked up.
 after a separation without relative velocity; negative at the ceiling. Otherwise it is 0.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Packings (settled positions of grains) are cached for one run of the tests, separate from the user's cache."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -1,7 +1,5 @@
 """Scenes with beds of grains small enough for tests."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

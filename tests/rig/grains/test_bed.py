@@ -4,8 +4,6 @@ Spheres are the properties of the grains of a bed; a bed has their motion, in th
 positions of grains that have settled under gravity.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

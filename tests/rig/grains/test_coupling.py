@@ -1,7 +1,5 @@
 """Coupled motion of grains and structure: momentum, energy, agreement with a single mass, and rejected scenes."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

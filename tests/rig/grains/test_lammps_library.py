@@ -1,7 +1,5 @@
 """Messages about beds of grains: missing LAMMPS, contradictory and impossible settings."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

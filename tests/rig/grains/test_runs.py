@@ -3,8 +3,6 @@
 A run writes its checkpoint, the file `keep`, after each section, a fixed number of time steps.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

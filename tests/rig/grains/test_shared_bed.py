@@ -1,7 +1,5 @@
 """A bed of grains shared by two MPI ranks (processes), compared with the same bed on one rank."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 

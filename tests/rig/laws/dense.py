@@ -5,8 +5,6 @@ X = (coordinates, velocities, drive, 1), where every gap is a coordinate, so tha
 Impulses and holding forces that act on several elements are found by enumeration.
 """
 
-from __future__ import annotations
-
 from itertools import product
 from math import isfinite
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Multipliers and derivatives of a computed orbit, compared with differences of simulated motions and of residuals."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

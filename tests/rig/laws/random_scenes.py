@@ -1,7 +1,5 @@
 """Random structures with dampers and joints of given kinds, also several in one body, to compare with the oracle."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from math import inf, sqrt
 from typing import Any

@@ -4,8 +4,6 @@ The reference (`rig.studies.cost.high_precision`) shares the declarations of the
 with the engine, but no code that solves the equations or locates events.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import count, islice
 from typing import Any

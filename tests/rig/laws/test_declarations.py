@@ -1,7 +1,5 @@
 """The engine moves as the laws declare: same events, times, speeds and states as an oracle with dense matrices."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

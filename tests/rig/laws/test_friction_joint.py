@@ -1,7 +1,5 @@
 """Joints with friction: an independent oracle, the loss of a cycle, the start of slip, and every study."""
 
-from __future__ import annotations
-
 from math import pi
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Impact dampers on springs: an independent oracle, the limit without contact, hard cases, and every study."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import inf
 from typing import Any

@@ -1,7 +1,5 @@
 """The declarations of contact laws are complete, and the check of a declaration finds each fault."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from math import inf

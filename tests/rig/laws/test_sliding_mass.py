@@ -1,7 +1,5 @@
 """Horizontal dampers with friction: closed forms, an independent oracle, orbits, hard cases, and mistakes in scenes."""
 
-from __future__ import annotations
-
 from math import asin, inf, pi, sqrt, tan
 from typing import Any
 

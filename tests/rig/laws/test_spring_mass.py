@@ -1,7 +1,5 @@
 """Tuned mass dampers: fixed points of Den Hartog, an independent oracle, and every study of the product."""
 
-from __future__ import annotations
-
 from math import pi, sqrt
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Stops: an independent oracle, the bilinear oscillator, hard cases, and every study."""
 
-from __future__ import annotations
-
 from math import pi, sqrt
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Only laws, and files that print the names of events, know that a wall is a floor or a ceiling."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import rig.core

@@ -1,7 +1,5 @@
 """The motion map (types of damper motion over frequency and force): its boundaries and its files are correct."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """`with_one_blas_thread`."""
 
-from __future__ import annotations
-
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from rig.core.numerics.blas_threads import with_one_blas_thread

@@ -1,7 +1,5 @@
 """Interpolation of responses between lines, compared with closed form."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

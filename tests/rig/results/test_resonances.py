@@ -1,7 +1,5 @@
 """Resonance peaks between the lines of a curve, compared with closed form."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rig.core.results.resonances import find_resonances

@@ -1,7 +1,5 @@
 """Frequency responses: selection, ratios, bands, uncertainty budgets and export."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

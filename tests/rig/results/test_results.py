@@ -1,7 +1,5 @@
 """Results in a Python session: one-line summary, table, plot and page; quantities as arguments."""
 
-from __future__ import annotations
-
 import re
 import sys
 

@@ -1,7 +1,5 @@
 """A valid scene with any value in place of any entry loads, or is rejected with a message that names the file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

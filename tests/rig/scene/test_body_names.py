@@ -1,7 +1,5 @@
 """Bodies may be given by their names: in scene files, changes, messages and Python."""
 
-from __future__ import annotations
-
 import pytest
 
 import rig

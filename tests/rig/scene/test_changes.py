@@ -1,7 +1,5 @@
 """Changes to a scene as it is loaded, from Python and from the command lines."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The bundled scene `fe-beam`, a cantilever beam of finite elements condensed to few bodies."""
 
-from __future__ import annotations
-
 import runpy
 
 import numpy as np

@@ -4,8 +4,6 @@ An effect is a physical property of the rig that a key activates, such as sensor
 equations of motion.
 """
 
-from __future__ import annotations
-
 import pytest
 
 import rig

@@ -1,7 +1,5 @@
 """Mistakes in scenes: each is reported, all at once, with its line, the value and what was expected."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Unphysical scenes are rejected before a simulation, with all errors at once."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 
 import pytest

@@ -1,7 +1,5 @@
 """A scene written to a file loads back as an identical scene."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Quantities: units have their engineering meaning, and the conversion to SI is lossless."""
 
-from __future__ import annotations
-
 import math
 from fractions import Fraction
 

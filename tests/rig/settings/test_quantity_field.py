@@ -4,8 +4,6 @@
 a text or a number to SI units.
 """
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import pytest

@@ -1,7 +1,5 @@
 """Simulated steady response against the closed form of linear structures."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Steady responses and orbits are relative to the force, or to the motion of a table that gives no force."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Printed text of a steady response: a row for each peak, motion types as ranges, all frequencies on request."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The assembled equations of motion, compared with transfer functions, static deflections and initial states."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Base excitation, `shaker: {kind: base}`, against closed forms and against forces in relative coordinates."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

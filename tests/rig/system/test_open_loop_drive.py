@@ -1,7 +1,5 @@
 """The open-loop drive of a swept sine."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

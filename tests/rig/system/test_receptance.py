@@ -1,7 +1,5 @@
 """Receptances and transmissibilities, compared with independent closed forms."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

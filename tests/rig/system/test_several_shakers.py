@@ -1,7 +1,5 @@
 """Several shakers in one scene: their motions superpose, and each keeps its own properties."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Matrices and modes of the structure, compared with closed forms and with Inoue, Yokomichi, Hiraki (2011)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Responses to hits sampled by a clock with jitter: the stated uncertainty contains the error due to jitter."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

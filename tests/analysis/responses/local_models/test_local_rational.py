@@ -1,7 +1,5 @@
 """The local rational method, on independently computed spectra: exact for rational functions, and with noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Spectra of the lowest bins, computed from decimated samples, compared with the complete Fourier transform."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The command `analysis`, also as `python -m analysis`."""
 
-from __future__ import annotations
-
 import os
 
 # The matrices are so small that the threads of OpenBLAS would wait for each other longer than they compute.

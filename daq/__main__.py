@@ -1,7 +1,5 @@
 """The command `daq`, also as `python -m daq`."""
 
-from __future__ import annotations
-
 import os
 import sys
 

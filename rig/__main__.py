@@ -1,7 +1,5 @@
 """The command `rig`, also as `python -m rig`."""
 
-from __future__ import annotations
-
 import os
 
 # The matrices are so small that the threads of OpenBLAS would wait for each other longer than they compute.

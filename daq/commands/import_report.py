@@ -1,7 +1,5 @@
 """Lines that the command `daq import` prints: the signals of files, or the result of an import."""
 
-from __future__ import annotations
-
 import json
 import sys
 import warnings

@@ -1,7 +1,5 @@
 """Layout of the help that `COMMAND --help` prints: options in groups, and an example for each command."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -6,8 +6,6 @@ the displacement of each body per static displacement of the ground. By default 
 replace it with a coordinate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 

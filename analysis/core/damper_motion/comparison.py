@@ -4,8 +4,6 @@ The *bare* structure is the structure without dampers. Its modes define a freque
 a height is asymmetric where the points may miss the top of the peak; an end of the interval may be unbounded.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from math import floor, hypot, inf, isfinite, isinf, log10, sqrt

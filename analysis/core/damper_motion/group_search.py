@@ -6,8 +6,6 @@ segment. The number of jumps is chosen by a penalty for each jump (information c
 (1978) 461).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

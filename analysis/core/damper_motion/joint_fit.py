@@ -4,8 +4,6 @@ The data are the differenced readings of a channel (see `impact_model`). Steps a
 Gaussian priors (ridge regression), because closely spaced jumps determine them poorly.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache

@@ -9,8 +9,6 @@ which one jump is fitted. A *step* and a *kink* are changes of the acceleration 
 *bed* is the filling of a damper, which moves as one mass.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

@@ -8,8 +8,6 @@ A *group* contains the curves of one sweep or test. An *orbit* is the periodic m
 a group (see `problem`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product

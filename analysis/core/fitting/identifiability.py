@@ -1,7 +1,5 @@
 """Identifiability of a fit: combinations of values that leave the curves unchanged, and the damping of each sweep."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 A parameter is fitted as its *unknown*, which has no bounds: its logarithm, or the log odds of a ratio below 1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -3,8 +3,6 @@
 A riding damper rests on the floor of its cavity, and moves with its body.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

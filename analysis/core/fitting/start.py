@@ -3,8 +3,6 @@
 A test band may contain only some of the model's modes, so the identified modes are assigned to model modes first.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache

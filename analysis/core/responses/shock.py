@@ -1,7 +1,5 @@
 """Shock tests: they have no frequency responses, because their drive is known only about each pulse."""
 
-from __future__ import annotations
-
 from analysis.core.responses.estimator import Estimator, Request
 from rig.core.base.errors import RecordingError
 from rig.core.results.response import Response

@@ -1,7 +1,5 @@
 """Amplitude of one body along a measured response, for results against amplitude."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Frequency responses in MATLAB and numpy files: complex arrays, with frequencies, or with rate and block length."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass

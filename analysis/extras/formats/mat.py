@@ -1,7 +1,5 @@
 """Export of channels, frequency responses and modes as MATLAB 5 files for MATLAB, Octave and scipy."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from pathlib import Path

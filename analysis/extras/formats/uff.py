@@ -1,7 +1,5 @@
 """Export of channels and modes as Universal Files (data sets 58 and 55) for modal analysis programs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO

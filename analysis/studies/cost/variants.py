@@ -1,7 +1,5 @@
 """Variants of a scene for `analysis cost`: one part of its measurement chain is changed at a time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any

@@ -3,8 +3,6 @@
 The claim: a bed of grains moves as a single mass without rebound (the single-mass model).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

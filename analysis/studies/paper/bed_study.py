@@ -9,8 +9,6 @@ yields the compliance at resonance of a body ten times as heavy as its bed. The 
 beds` recomputes them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import cache

@@ -1,7 +1,5 @@
 """A claim of Inoue, Yokomichi, Hiraki (2011), with the evidence from the reproduction and the verdict."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

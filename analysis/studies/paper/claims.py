@@ -1,7 +1,5 @@
 """Claims C1 to C6 of Inoue, Yokomichi, Hiraki (2011), each with results of the reproduction and a verdict."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from analysis.core.damper_motion.comparison import resonance_peak

@@ -7,8 +7,6 @@ from the compliance with grains. Without a ceiling, instantaneous contact is clo
 for each acceleration, the contact is fitted to the other accelerations.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Virtual experiments of the reproduction: recordings of scenes, and the results of their analysis."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 

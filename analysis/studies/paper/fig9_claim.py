@@ -3,8 +3,6 @@
 The claim concerns the motion types, and the agreement of the approximate method, the exact orbits and the recording.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from analysis.studies.paper.claim import Claim, Evidence

@@ -1,7 +1,5 @@
 """Page with the verdicts and figures of the reproduction, as Markdown and as HTML."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path

@@ -1,7 +1,5 @@
 """All parts of the reproduction (simulations and virtual experiments) with their inputs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

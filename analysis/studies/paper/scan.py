@@ -4,8 +4,6 @@ Each frequency response consists of exact stable orbits (`rig.orbit_response`). 
 simulated and averaged, and the share of these frequencies is reported.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import scipy
 

@@ -3,8 +3,6 @@
 The results come from simulation to steady state, from exact orbits, and from the approximate method of the authors.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from analysis.studies.paper.scan import REPORTED_BODY

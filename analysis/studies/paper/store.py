@@ -4,8 +4,6 @@ The results of a part are stored with a digest of its inputs and of the program.
 instead of computed.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 from collections.abc import Callable, Mapping

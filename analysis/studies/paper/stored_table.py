@@ -1,7 +1,5 @@
 """CSV tables of the studies of grain beds (claim C7): their columns, the bundled tables, and how to complete them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from importlib.resources import files

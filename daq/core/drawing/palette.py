@@ -1,7 +1,5 @@
 """Colors of drawings and curves on a dark page: those of figures and report (`rig.core.base.palette`), lightened."""
 
-from __future__ import annotations
-
 from rig.core.base import palette
 
 Color = tuple[int, int, int]

@@ -1,7 +1,5 @@
 """Arrays for blocks of samples: a working array that all channels share, and an overlap with the previous block."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rig.core.base.arrays import Array

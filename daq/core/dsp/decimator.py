@@ -4,8 +4,6 @@ An oversampling converter has several intervals in each sample interval. The mom
 the signal times Legendre polynomials (`daq.core.dsp.discretization`).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from daq.core.dsp.block_buffers import SharedScratch

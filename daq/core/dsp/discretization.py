@@ -8,8 +8,6 @@ over an interval. Over a part of an interval, one matrix propagates whole 64ths,
 series the remainder. No eigenvectors are used, because a circuit may have repeated poles.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import comb, factorial
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Voltages that enter a channel besides its signal: noise and offsets."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Protocol

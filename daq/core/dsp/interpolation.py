@@ -8,8 +8,6 @@ segment's length. A jump of velocity at a break is an impulse of acceleration. A
 its samples.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 

@@ -9,8 +9,6 @@ The state of an integrator is limited to the *rails*, the largest voltages of it
 the output of the sensor above the limit. In each step, the excess is subtracted as a linear function of time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

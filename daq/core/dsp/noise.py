@@ -1,7 +1,5 @@
 """Noise with the density of a data sheet: white, or with a power density that rises as 1/f below a corner."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from itertools import pairwise
 from zlib import crc32

@@ -4,8 +4,6 @@ A break is an instant in a sample interval at which an impact changes the input 
 offsets. Moments are computed from the output over each interval (`daq.core.dsp.discretization`).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from daq.core.dsp.discretization import DiscreteCircuit

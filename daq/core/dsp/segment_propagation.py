@@ -4,8 +4,6 @@ A break is an instant between samples at which an impact changes the input abrup
 interval between two breaks (`daq.core.dsp.interpolation`).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from daq.core.dsp.discretization import CUBIC_DERIVATIVES, SUBDIVISIONS, DiscreteCircuit

@@ -3,8 +3,6 @@
 Ramp-invariant filter for the absolute acceleration: D. O. Smallwood, Shock Vib. Bull. 51 (1981) 279; ISO 18431-4.
 """
 
-from __future__ import annotations
-
 from math import ceil
 
 import numpy as np

@@ -3,8 +3,6 @@
 A break is an instant between samples at which an impact changes the velocity abruptly.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

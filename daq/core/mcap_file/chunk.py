@@ -3,8 +3,6 @@
 A chunk is a compressed sequence of records: messages, and the schemas and channels that they require.
 """
 
-from __future__ import annotations
-
 import struct
 import threading
 import zlib

@@ -4,8 +4,6 @@ zstd compresses messages with repeated fields to a fifth. No compression shrinks
 lz4 packs them four times as fast as zstd and unpacks them eight times as fast.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 

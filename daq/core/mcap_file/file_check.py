@@ -6,8 +6,6 @@ kinds of damage have no effect and are not detected: a changed program name in t
 to the same records. A checksum of the data section covers both and is verified if it exists.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from array import array

@@ -1,7 +1,5 @@
 """Encodes protobuf messages without the protobuf package, and describes their types for MCAP."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any, NamedTuple
 

@@ -3,8 +3,6 @@
 Chunks, metadata and attachments are read on request. Every length is limited, every checksum verified.
 """
 
-from __future__ import annotations
-
 import os
 import shlex
 import struct

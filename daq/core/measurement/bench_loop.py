@@ -5,8 +5,6 @@ windows, and receives the readings of each window. The loop applies each window 
 reading exceeds a limit.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from typing import Any

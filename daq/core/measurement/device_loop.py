@@ -4,8 +4,6 @@ A device outputs samples from a queue. A new drive therefore takes effect only a
 The readings of a window begin earlier than its drive, as with the delay of a converter's filter (`Station.latency`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The effects of a scene in the measurement chain and the recording, for `rig.explain`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from daq.core.recording.sample_block import stored_as

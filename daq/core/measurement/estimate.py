@@ -1,7 +1,5 @@
 """Estimates the duration, samples, disk space and memory of a test, and rejects an impossible test before it runs."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import dataclass
 from pathlib import Path

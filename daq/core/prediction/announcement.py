@@ -1,7 +1,5 @@
 """Text about the predicted test for `rig explain` and `rig design`, and the check at the start of `daq record`."""
 
-from __future__ import annotations
-
 from daq.core.prediction.foresee import foresee
 from daq.core.prediction.foresight import Foresight
 from rig.core.base.errors import SceneError, ShotrigError

@@ -1,7 +1,5 @@
 """The limits of a measuring chain (sensor, integrator, converter input), and the scene without such limits."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from daq.core.signal_chain.channel import ChannelInfo

@@ -4,8 +4,6 @@ A damper leaves its floor if the acceleration of the body exceeds gravity, and a
 product of friction and gravity.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -5,8 +5,6 @@ both ends move by many times the extension of the spring. The relative error of 
 a reading times this multiple.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

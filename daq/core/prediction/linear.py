@@ -1,7 +1,5 @@
 """Linear response of a scene at its channels, with all dampers on their floors, and the signal-to-noise ratio."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 The size of the recording is estimated by recording a few blocks.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace

@@ -6,8 +6,6 @@ These peaks are computed with the dampers on their floors and without dampers. A
 beginning, equal impacts by the first impacts, and repeated periods by one period.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

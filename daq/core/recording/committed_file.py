@@ -4,8 +4,6 @@ A commit writes all bytes that were collected since the previous commit. A file 
 written next to it (a recorder names it `NAME.part`), and renamed when it is complete.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

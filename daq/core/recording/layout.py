@@ -3,8 +3,6 @@
 `LAYOUT.md` next to this module describes the layout for readers who do not use this package.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

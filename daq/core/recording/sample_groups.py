@@ -4,8 +4,6 @@ A cell of the grid contains the sample indices from one multiple of the group le
 recording depend on the grid only, not on the lengths of the arrays.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any

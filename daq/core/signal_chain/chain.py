@@ -1,7 +1,5 @@
 """The signal chain of a scene: computes the samples in volts from motion and forces, block by block."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import compress
 

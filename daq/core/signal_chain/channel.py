@@ -1,7 +1,5 @@
 """Description of a measurement channel: its location, quantity, and response from true quantity to reading."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields

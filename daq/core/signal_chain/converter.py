@@ -3,8 +3,6 @@
 One count is the quantization step. A sample in counts is the integer code of the converter.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Converts data sheets into the stages of a channel: sensor, integrating amplifier, AC coupling."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

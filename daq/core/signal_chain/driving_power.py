@@ -6,8 +6,6 @@ force sensor or the motion sensor has the wrong sign. Near resonances the real p
 filters and delays, well below a quarter of a period, do not change its sign.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

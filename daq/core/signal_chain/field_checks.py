@@ -1,7 +1,5 @@
 """Checks the metadata fields of a recording when it is opened, so that later code can rely on their values."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple

@@ -3,8 +3,6 @@
 `DriveInterpolator` interpolates the drive from the sample rate to the oversampled rate.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ The voltage is computed in equal intervals, one or more per sample (oversampling
 integrals of the voltage times the Legendre polynomials; the first is the average.
 """
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import numpy as np

@@ -5,8 +5,6 @@ a high pass. The oversampling divides each sample interval into equal intervals;
 to interval.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -3,8 +3,6 @@
 An effect is a property by which a real channel deviates from an ideal one, such as noise, saturation or a resonance.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Resamples the motion of the plant from ticks (time steps of the bench) to the instants of another rate."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any

@@ -5,8 +5,6 @@ Siemens Testlab (``Function class``, ``Point id``), ME'scope (``Y Axis DOFs``, `
 ``Unit``). A line has a cell for the whole file, for each column, or for each pair of columns.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple

@@ -3,8 +3,6 @@
 An array contains samples, times, or a setting such as the sample rate, according to its size and its name.
 """
 
-from __future__ import annotations
-
 import re
 import zipfile
 from collections.abc import Iterator, Mapping

@@ -1,7 +1,5 @@
 """Assign the signals of files to the channels of a scene, and determine the factor from their numbers to volts."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Read the table of an import, a YAML or CSV file: the column of each channel in the files, and its unit."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Mapping

@@ -4,8 +4,6 @@ Programs round the sample interval and the times that they write. The rate is th
 agrees with these rounded values.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import warnings

@@ -1,7 +1,5 @@
 """List the signals of a file of another program, with the reader that its suffix selects."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import ExitStack
 from importlib import import_module

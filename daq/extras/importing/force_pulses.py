@@ -1,7 +1,5 @@
 """Detect hammer impacts in the force channel of an imported file, which has no markers."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

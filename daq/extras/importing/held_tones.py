@@ -4,8 +4,6 @@ A held tone has a constant frequency, so that its phase is linear in time. Segme
 long as a straight line fits their phase, and rejected if the frequency drifts as in a sweep.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

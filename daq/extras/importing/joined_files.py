@@ -3,8 +3,6 @@
 Lost samples separate the impacts, because the time between them is unknown.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -4,8 +4,6 @@ This module is also the program of the child process: it writes the variables of
 Its arguments are the file and the allowed memory in bytes.
 """
 
-from __future__ import annotations
-
 import os
 import pickle
 import subprocess

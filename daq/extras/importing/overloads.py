@@ -1,7 +1,5 @@
 """Detection of clipping in the samples of an imported signal: flat tops, and samples at the converter's full scale."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rig.core.base.arrays import Array

@@ -1,7 +1,5 @@
 """Read the tracks of a sound file (WAV, RF64, W64, FLAC, AIFF, CAF) with soundfile; samples are read when needed."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from functools import lru_cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Detect the steps of a sine or stepped-sine test in an imported file, which has no markers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 

@@ -5,8 +5,6 @@ LabVIEW's text tables (.lvm) have a heading with names, units, clocks, and the c
 heading has two parts, for the file and for the first segment. The names of the columns and the numbers follow.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Sequence

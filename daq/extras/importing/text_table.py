@@ -1,7 +1,5 @@
 """Read the columns of a text table, separated by commas, semicolons, tabs or blanks, with or without a heading."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack

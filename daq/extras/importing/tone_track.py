@@ -3,8 +3,6 @@
 The frequency is interpolated between the lines of a Hann-windowed spectrum.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

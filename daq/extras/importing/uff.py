@@ -1,7 +1,5 @@
 """Read functions (data sets 58 and 58b) of Universal Files with pyuff: time histories and frequency responses."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack

@@ -1,7 +1,5 @@
 """Quantity and SI scale of a unit, in the notations of measurement programs."""
 
-from __future__ import annotations
-
 import re
 from itertools import product
 

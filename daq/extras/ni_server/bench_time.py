@@ -1,7 +1,5 @@
 """Lets bench time pass while a script in `daq run` sleeps or waits for Enter."""
 
-from __future__ import annotations
-
 import math
 
 import grpc

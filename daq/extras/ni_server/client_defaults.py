@@ -8,8 +8,6 @@ With the fast clock, simulated time (*bench time*) advances only during calls to
 are therefore replaced with such calls; Python has no other public way to do this.
 """
 
-from __future__ import annotations
-
 import builtins
 import functools
 import os

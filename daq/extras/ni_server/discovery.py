@@ -1,7 +1,5 @@
 """Describes the server to clients in other languages: reflection service and health service."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

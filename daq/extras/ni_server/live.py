@@ -1,7 +1,5 @@
 """Records the bench while clients of a server use it, and ends the thread of a live display."""
 
-from __future__ import annotations
-
 import queue
 import sys
 import threading

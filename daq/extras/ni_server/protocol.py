@@ -4,8 +4,6 @@ The protocol is public; every release of `nidaqmx[grpc]` contains its message cl
 The server uses the descriptors of the installed release, so that releases may have more or fewer calls.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache

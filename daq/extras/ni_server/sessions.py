@@ -4,8 +4,6 @@ Several clients can use a session by its name; only the client that created it c
 client's connection.
 """
 
-from __future__ import annotations
-
 import itertools
 import threading
 import time

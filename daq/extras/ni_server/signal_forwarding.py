@@ -1,7 +1,5 @@
 """Forwards signals from `daq run` to its script, so that the script ends too."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

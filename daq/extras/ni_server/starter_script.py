@@ -1,7 +1,5 @@
 """Writes an example script that reads the inputs of a bench, and reports sensors without excitation current."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """A bench for tests: the emulated devices, the samples that a program has read and written, and faults."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

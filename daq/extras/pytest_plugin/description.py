@@ -1,7 +1,5 @@
 """Description of a bench without mechanics: modules, wires from outputs to inputs, and voltage sources."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace

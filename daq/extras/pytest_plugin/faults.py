@@ -1,7 +1,5 @@
 """Faults of a device, injected while a program uses it: failed calls, overloads, reserved and missing devices."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any

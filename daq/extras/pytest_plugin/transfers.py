@@ -1,7 +1,5 @@
 """Samples that tasks have read and written on a bench."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

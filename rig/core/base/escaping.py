@@ -3,8 +3,6 @@
 Names, notes and reasons in a scene or recording are untrusted text.
 """
 
-from __future__ import annotations
-
 import re
 
 # Control characters except line feed and tab; bidirectional, invisible and line-ending characters; surrogates, which

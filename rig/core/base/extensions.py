@@ -3,8 +3,6 @@
 The functions are imported when they are called, so the package `rig` does not depend on these packages.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from importlib.metadata import entry_points
 from typing import Any

@@ -1,7 +1,5 @@
 """Locks of open files against other processes, where the operating system and the disk support them."""
 
-from __future__ import annotations
-
 from typing import IO, Any
 
 

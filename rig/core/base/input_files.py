@@ -1,7 +1,5 @@
 """Reading of input files into memory: scenes, tables, certificates, data sheets; and detection of duplicate files."""
 
-from __future__ import annotations
-
 import errno
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Results that are computed once for an immutable object, and shared, such as the matrices of a scene."""
 
-from __future__ import annotations
-
 import weakref
 from collections.abc import Callable
 from functools import wraps

@@ -5,8 +5,6 @@ reference of a comparison is dark gray. Bodies 1 to 3, table and damper remain d
 and Ito); dashes and markers distinguish curves in gray prints.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple

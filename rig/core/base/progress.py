@@ -1,7 +1,5 @@
 """Types of the functions by which long computations report their progress."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 #: Called with the number of completed steps and the total number.

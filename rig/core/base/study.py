@@ -3,8 +3,6 @@
 Workers compute the pieces. A CSV table stores their values, so that an interrupted study continues where it stopped.
 """
 
-from __future__ import annotations
-
 import csv
 import functools
 import hashlib

@@ -1,7 +1,5 @@
 """Data sheets of common sensors, shakers and converter modules, which a scene names as `preset`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache

@@ -17,8 +17,6 @@ output; without a preset, inputs and outputs are ideal. A client's choice of cou
 becomes a setting of that channel: `channel.replace(coupling="DC", excitation=0.0)`.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ not reach a wall, and riding dampers (at rest on a wall) must stay pressed on it
 *margin*. The margin is negative beyond the border and smooth across it, so that borders can be located as roots.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

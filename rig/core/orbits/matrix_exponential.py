@@ -1,7 +1,5 @@
 """The matrix exponential, and the derivative of its product with a state with respect to the matrix."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rig.core.base.arrays import Array

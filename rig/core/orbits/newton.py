@@ -1,7 +1,5 @@
 """Newton's iteration for the unknowns of an orbit, and the monodromy matrix of the orbit."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

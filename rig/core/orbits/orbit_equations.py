@@ -4,8 +4,6 @@ The state is (coordinates, velocities, further states such as the coil current).
 and 1, so that the equations of motion are x' = A x with the *generator* A. Quantities are in SI units.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

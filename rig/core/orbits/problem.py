@@ -6,8 +6,6 @@ damper is at rest on a wall, so its mass is added to its body. A *plan* is the s
 The *mass factor* multiplies the masses of all dampers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple

@@ -11,8 +11,6 @@ instants from the Jacobian is equivalent to the use of saltation matrices, so th
 multipliers.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -3,8 +3,6 @@
 The guard of a damper is its gap or contact force, which must stay positive between events.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

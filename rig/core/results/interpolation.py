@@ -12,8 +12,6 @@ References
 .. [1] A. C. Antoulas, Approximation of Large-Scale Dynamical Systems, SIAM 2005, section 4.5.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

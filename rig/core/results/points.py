@@ -1,7 +1,5 @@
 """Outputs and inputs of a response: channels with their quantity and location, and their selection by name."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Names and units of frequency responses: motion over the reference, which is a force or the motion of a table."""
 
-from __future__ import annotations
-
 from typing import TypeVar
 
 from rig.core.base.errors import SceneError

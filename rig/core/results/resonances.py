@@ -1,7 +1,5 @@
 """Resonance peaks of a response, refined between its lines, with the number of lines that resolve them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Responses computed from responses: other quantities, ratios, and values between lines, with their uncertainty."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any, Self
 

@@ -3,8 +3,6 @@
 A line is one frequency of a response. An element is one output over one input; a curve is a response of one element.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property

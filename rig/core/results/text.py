@@ -1,7 +1,5 @@
 """Numbers, expanded uncertainties (`bound`) and ranges of frequencies as text."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import floor, isfinite, log10
 

@@ -1,7 +1,5 @@
 """Writing of frequency responses to Universal Files (data set 58), which programs for modal analysis read."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any

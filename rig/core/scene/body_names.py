@@ -3,8 +3,6 @@
 A *key path* is the position of a key in the scene (`rig.core.settings.settings`); a *location* is a point on the bench.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any

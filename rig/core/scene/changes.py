@@ -1,7 +1,5 @@
 """Changes of a scene before its validation: from `--set test.force=5N` on a command line, or a mapping in Python."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Warnings for quantities that are valid but implausible: the unit was probably forgotten, or has the wrong prefix."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import inf, pi, sqrt

@@ -1,7 +1,5 @@
 """The JSON Schema of scene files, with which editors check and complete them."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

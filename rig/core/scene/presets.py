@@ -1,7 +1,5 @@
 """Completion of settings from the data sheet that the scene names as `preset`."""
 
-from __future__ import annotations
-
 from typing import TypeVar
 
 from pydantic import ValidationError

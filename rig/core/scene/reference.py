@@ -1,7 +1,5 @@
 """The reference of scene files, generated from their JSON Schema: meaning and values of every key."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator, Mapping

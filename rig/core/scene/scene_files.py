@@ -1,7 +1,5 @@
 """Scene files as text: bundled scenes by their names, other files by their paths."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from rig.core.base.errors import SceneError, suggestion

@@ -5,8 +5,6 @@ type that the key requires. So `1e-5` is a number, `name: off` is a name, and no
 number, as it would in YAML 1.1.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field

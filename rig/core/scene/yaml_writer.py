@@ -1,7 +1,5 @@
 """Writing of a scene as a scene file that loads as an equal scene: in the user's notation, or in SI."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Fields of settings with several forms: classes that a key selects, and one item or a list of items."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any, get_args

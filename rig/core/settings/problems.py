@@ -5,8 +5,6 @@ A problem has a key path and a message. The key path is a tuple of keys and posi
 a line of the file.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any

@@ -5,8 +5,6 @@ custom table in which the turn is a dimension. With the usual table (radian = 1)
 and accept the ambiguous `50 1/s`.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Numbers with a unit as fields of settings."""
 
-from __future__ import annotations
-
 from typing import Any, get_args
 
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler

@@ -8,8 +8,6 @@ A table index is the position of a contact configuration (which dampers are in c
 tables. A segment is a time interval under one drive, such as a sample interval.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

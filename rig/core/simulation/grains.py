@@ -1,7 +1,5 @@
 """Entry point of the simulation of grains, so that the core does not depend on the extra `grains`."""
 
-from __future__ import annotations
-
 from functools import cache
 from importlib.metadata import entry_points
 from typing import Any

@@ -1,7 +1,5 @@
 """Output of `rig simulate`: a summary as text, and files for other programs."""
 
-from __future__ import annotations
-
 import csv
 from collections import Counter
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Classification of a damper's periodic motion; Types I to III are those of Inoue, Yokomichi and Hiraki (2011)."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Output of a steady response as a text table or CSV, and the frequencies at which it is computed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -5,8 +5,6 @@ over p periods decreases by the factor q in p periods, the distance from the ste
 steady when this distance is below the tolerance, relative to the motion. A motion that never repeats is irregular.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import exp, expm1, log

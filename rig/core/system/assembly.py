@@ -4,8 +4,6 @@ A damper's *bed* is its particles, modeled as one mass in a cavity of a body. Th
 cavity; otherwise it *flies*.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Largest acceleration that an accelerometer indicates due to impacts of dampers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ The *level* of a test is its force, or its drive in the unit of the shaker's inp
 the linear structure with all dampers *riding*: the particles are at rest in their cavities, and act as an added mass.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """The reference of a scene's steady responses: the force or table displacement to which displacements are related."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

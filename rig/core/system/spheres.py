@@ -1,7 +1,5 @@
 """Number, diameters, density and time step of the grains of a bed (the particles of one damper)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

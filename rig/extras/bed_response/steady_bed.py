@@ -4,8 +4,6 @@ A *bed* is the material of one damper. A bed is simulated as grains, or modeled 
 blocks of periods until two successive blocks agree.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 
 import numpy as np

@@ -6,8 +6,6 @@ impulses follow from LAMMPS's velocity Verlet scheme: with the force F of the wa
 grains receive the impulse (F + F') h / 2.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

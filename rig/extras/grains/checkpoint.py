@@ -1,7 +1,5 @@
 """Checkpoint file of a run with grains, from which the run can be continued."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import astuple
 from pathlib import Path

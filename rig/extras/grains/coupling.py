@@ -12,8 +12,6 @@ the exact change. The exchange is of second order in h, as is LAMMPS's scheme, a
 A *break* is an instant at which a velocity or an acceleration of the structure jumps: an impact or a separation.
 """
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ motion. Therefore every run recomputes them at the end of every section: interru
 identical to the bit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 

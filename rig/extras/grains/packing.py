@@ -6,8 +6,6 @@ positions alone: a run begins in exact equilibrium, with the whole weight on the
 than many periods of motion, so the result is stored in the user's cache.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 from contextlib import suppress

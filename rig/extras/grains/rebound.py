@@ -5,8 +5,6 @@ fifty steps in a contact, the rebound is therefore slower than desired, by 1 % f
 scheme to one central contact, and computes the setting that gives the desired restitution.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

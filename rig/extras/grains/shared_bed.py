@@ -1,7 +1,5 @@
 """A bed of grains on several ranks (processes) of MPI: each rank computes the grains of a part of the cavity."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from typing import Any, cast

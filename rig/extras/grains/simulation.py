@@ -1,7 +1,5 @@
 """Simulation of scenes with beds of grains: the entry point `shotrig.grains`."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Contact events are events: the solver locates the root of a guard, a function th
 `penalty` needs no events, because it replaces the walls with stiff springs.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from functools import partial

@@ -4,8 +4,6 @@ The reference is the steady-state motion with the grains of the scene, a mean ov
 another packing of the same grains from this reference is the smallest significant error.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from functools import partial
 

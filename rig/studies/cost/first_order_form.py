@@ -4,8 +4,6 @@
 compares error and computing time. The engine itself does not use this form.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, MutableSequence, Sequence
 from dataclasses import dataclass

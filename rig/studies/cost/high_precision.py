@@ -6,8 +6,6 @@ Taylor series. Newton's method refines a periodic orbit to all digits, from the 
 difference between two precisions indicates the number of correct digits.
 """
 
-from __future__ import annotations
-
 import decimal
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ It needs no event detection: in each step, contact acts as an impulse that corre
 M. Jean, The non-smooth contact dynamics method, Comput. Methods Appl. Mech. Engrg. 177 (1999) 235-257.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -4,8 +4,6 @@ The methods are the engine, general solvers, time stepping and penalty springs. 
 arithmetic.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Work-precision study of the steady state: time integration to steady state, shooting, approximate method."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """The grid of a map: levels or clearances (rows), and frequencies with a finer spacing near resonances (columns)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rig.core.base.arrays import Array

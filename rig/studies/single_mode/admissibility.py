@@ -5,8 +5,6 @@ stable if its Floquet multipliers are inside the unit circle. Quantities are dim
 `rig.studies.single_mode.periodic_motion`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

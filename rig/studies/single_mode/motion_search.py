@@ -6,8 +6,6 @@ one, two or three equations in the same number of instants between 0 and 2 pi. T
 over the whole range. From each cell in which every equation changes sign, Newton's method is started.
 """
 
-from __future__ import annotations
-
 from itertools import product
 from typing import Any
 

@@ -25,8 +25,6 @@ in the instants (18-20) and a linear equation (21). The reduction is valid for T
 are used here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple

@@ -12,8 +12,6 @@ equivalent damper. Normalizing the shape at the damper's own body (`at`) avoids 
 for a single damper.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -5,8 +5,6 @@ every frequency; see `daq.core.signal_chain.driving_power`. A curve jumps where 
 stable branch.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -12,8 +12,6 @@ References
    Transactions on Automatic Control 8 (1963) 56-58.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

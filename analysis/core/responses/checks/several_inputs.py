@@ -4,8 +4,6 @@ Inputs are separated by their spectra. Two coherent forces, for example from one
 to a factor. The condition number of their spectral matrix at unit power is then large.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

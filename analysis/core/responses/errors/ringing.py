@@ -6,8 +6,6 @@ response. Around each point, a ratio of two polynomials in frequency is fitted t
 Transactions on Automatic Control 4 (1959) 37-43); the poles of this ratio are the poles of the neighboring resonances.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.polynomial import polynomial
 

@@ -11,8 +11,6 @@ References
    experiments, Statistical Applications in Genetics and Molecular Biology 3 (2004), article 3.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

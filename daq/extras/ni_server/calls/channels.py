@@ -1,7 +1,5 @@
 """Handlers of the calls that create channels. A TEDS is the electronic data sheet in a sensor (IEEE 1451.4)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from daq.extras.ni_device.devices.measurements import Measurement

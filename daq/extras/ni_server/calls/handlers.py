@@ -1,7 +1,5 @@
 """Finds the handler of a remote call; a call that no device supports returns the error of real hardware."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from typing import NoReturn

@@ -1,7 +1,5 @@
 """Handlers of the calls that read and write samples."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Handlers of the calls that configure timing, triggers, buffers and logging of tasks, scales, and saved tasks."""
 
-from __future__ import annotations
-
 from daq.extras.ni_device.errors import invalid_value, unsupported
 from daq.extras.ni_device.settings.scales import LINEAR, MAP_RANGES, POLYNOMIAL, TABLE, Scale, reverse_polynomial
 from daq.extras.ni_device.task_properties import get_value, set_value, set_values, time_of

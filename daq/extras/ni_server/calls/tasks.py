@@ -1,7 +1,5 @@
 """Handlers of calls about tasks as a whole, devices, and the names that clients reserve."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

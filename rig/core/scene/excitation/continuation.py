@@ -1,7 +1,5 @@
 """A tone that follows the response at constant force through its folds, even where the motion is unstable."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, ClassVar, Literal
 

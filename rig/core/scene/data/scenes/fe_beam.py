@@ -5,8 +5,6 @@ matrices from a finite-element program and condense them to the points of sensor
 numpy.save, and name the files in the scene: ``matrices: {mass: M.npy, stiffness: K.npy}``.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rig.core.base.arrays import Array

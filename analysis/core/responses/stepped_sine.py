@@ -342,7 +342,7 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
     """Apply lock-in detection to every window marked ``measure``, and group the windows by level and direction."""
     markers = sorted(
         (marker for marker in rec.markers if marker.kind == "measure" and "frequency" in marker.fields),
-        key=lambda marker: marker.first_sample,
+        key=lambda marker: (marker.first_sample, float(marker.fields["frequency"])),
     )
     points: dict[_SweepKey, list[_Point]] = {}
     omissions: dict[_SweepKey, list[_Omission]] = {}

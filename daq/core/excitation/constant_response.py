@@ -7,7 +7,7 @@ Process. 146 (2021) 107023.)
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -65,9 +65,10 @@ class HeldMotion(EnvelopeTone):
         return float(self._level / (2.0 * np.pi * frequency) ** self._order)
 
     def settle(
-        self, frequency: float, drive: float, tolerance: float, max_wait_s: float
+        self, drives: Mapping[float, float], tolerance: float, max_wait_s: float
     ) -> Generator[Array, Array, bool]:
         """Change to a frequency in Hz and bring the motion to the level; return whether the level was reached."""
+        [(frequency, drive)] = drives.items()
         self.target = self._displacement(frequency)
         settled, end = False, self.station.now + max_wait_s * self.rate
         while not settled and (remaining_s := (end - self.station.now) / self.rate) > _MIN_WAIT_S:
@@ -75,8 +76,8 @@ class HeldMotion(EnvelopeTone):
                 settled = yield from self.settle_envelope(frequency, drive, self.target, tolerance, remaining_s)
             else:
                 super().start(self.target)
-                settled = yield from super().settle(frequency, drive, tolerance, min(_AMPLITUDE_WAIT_S, remaining_s))
-                self.motion = (yield from self.observe(self.window))[0] * self.direction
+                settled = yield from super().settle({frequency: drive}, tolerance, min(_AMPLITUDE_WAIT_S, remaining_s))
+                self.motion = (yield from self.observe(self.window))[0, 0] * self.direction
             drive = self.amplitude
         if not settled and self.amplitude >= AT_LIMIT_RATIO * self.station.drive_limit:
             self.limited[frequency] = abs(self.motion) / self.target

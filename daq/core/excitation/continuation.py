@@ -136,11 +136,11 @@ class _CurveTone(EnvelopeTone):
         self.frequency = self._test.from_
         return level if self._force is None else level * self.station.cautious_drive
 
-    def amplitudes(self, readings: Array, phase: float) -> ComplexArray:
-        """Return the complex amplitudes in a window, and store the amplitude of the force."""
+    def amplitudes(self, readings: Array, phases: Sequence[float]) -> ComplexArray:
+        """Return the complex amplitudes (tones, quantities) in a window, and store the amplitude of the force."""
         if self._force is not None:
-            self._forces.append(float(abs(self._force.amplitudes(readings, [self.frequency], [phase])[0])))
-        return super().amplitudes(readings, phase)
+            self._forces.append(float(abs(self._force.amplitudes(readings, [self.frequency], phases)[0])))
+        return super().amplitudes(readings, phases)
 
     def point(self) -> Point:
         """Return the present point, which has settled."""
@@ -152,8 +152,8 @@ class _CurveTone(EnvelopeTone):
         self.control, control = None, AmplitudeControl(level, self.station.drive_limit)
         settle = self._test.settle
         for _ in range(_MAX_CORRECTIONS):
-            settled = yield from self.settle(frequency, drive, settle.tolerance, settle.longest)
-            self.motion = (yield from self.observe(self.window))[0] * self.direction
+            settled = yield from self.settle({frequency: drive}, settle.tolerance, settle.longest)
+            self.motion = (yield from self.observe(self.window))[0, 0] * self.direction
             if not settled or not self.motion:
                 return None
             point = self.point()

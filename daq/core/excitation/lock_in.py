@@ -10,7 +10,7 @@ import numpy as np
 from rig.core.base.arrays import Array, ComplexArray
 
 # A window has at least this number of periods, also of the difference between two tones.
-_MIN_PERIODS = 2
+MIN_PERIODS = 2
 # A window has at least this number of samples: more than the six fitted terms of a tone without harmonics.
 _MIN_SAMPLES = 8
 # A window has at least this number of beats. Near half the sample rate, the samples of a tone beat, and amplitude and
@@ -40,7 +40,7 @@ def min_samples(frequencies: Sequence[float], rate: float) -> int:
     # Duration of the minimum number of beats, samples.
     beat = _MIN_BEATS / (1.0 - 2.0 * max(frequencies) / rate)
     lowest = min(*frequencies, *np.diff(np.sort(frequencies)), np.inf)
-    return max(_MIN_SAMPLES, int(np.ceil(max(_MIN_PERIODS * rate / lowest, beat) - 1e-9)))
+    return max(_MIN_SAMPLES, int(np.ceil(max(MIN_PERIODS * rate / lowest, beat) - 1e-9)))
 
 
 def whole_periods(frequency: float, rate: float, shortest_s: float) -> int:

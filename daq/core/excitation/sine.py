@@ -35,7 +35,7 @@ def excite(station: Station, test: Sine) -> Excitation:
     if station.is_controlled:
         fields = {"frequency": test.frequency, "level": level}
         station.report(0.0, f"{format_decimals(test.frequency, 2)} Hz, settling at {level:g} N")
-        settled = yield from tone.settle_and_mark(test.frequency, tone.start(level), _TOLERANCE, _MAX_WAIT_S, fields)
+        settled = yield from tone.settle_and_mark({test.frequency: tone.start(level)}, _TOLERANCE, _MAX_WAIT_S, fields)
         if not settled:
             station.warn(
                 f"{format_decimals(test.frequency, 3)} Hz, {level:g} N: no steady state within {_MAX_WAIT_S:g} s. "
@@ -55,7 +55,7 @@ def excite(station: Station, test: Sine) -> Excitation:
         n_samples, phase = min(window, remaining), tone.phase
         readings = yield station.drive(tone.hold(n_samples))
         if n_samples == window and steady_from is None:
-            detector.add(tone.amplitudes(readings, phase))
+            detector.add(tone.amplitudes(readings, [phase])[0])
             steady_from = station.now if detector.settled else None
     settled = steady_from is not None and station.now - steady_from >= window
     # Without a steady state, the second half of the test is measured.

@@ -61,7 +61,7 @@ def excite(station: Station, test: SteppedTest, tone: SteadyTone) -> Generator[A
                 drive = min(extrapolate_drive(last_drives, frequency), station.drive_limit)
             fields = {"frequency": frequency, "level": level, "direction": direction}
             settled = yield from tone.settle_and_mark(
-                frequency, drive, test.settle.tolerance, test.settle.longest, fields
+                {frequency: drive}, test.settle.tolerance, test.settle.longest, fields
             )
             yield from tone.measure(round(test.measure.periods * station.rate / frequency), settled, fields)
             if not settled:

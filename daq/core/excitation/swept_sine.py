@@ -68,7 +68,7 @@ def excite(station: Station, test: SweptSine) -> Excitation:
         law = yield from pretest(station, force, *test.band, level)
     station.report(0.0, f"settling at {format_decimals(test.from_, 2)} Hz")
     first = station.now
-    settled = yield from tone.settle(test.from_, tone.start(level), _TOLERANCE, _MAX_WAIT_S)
+    settled = yield from tone.settle({test.from_: tone.start(level)}, _TOLERANCE, _MAX_WAIT_S)
     station.mark("settle", first, station.now, frequency=test.from_, level=level, settled=settled)
 
     first, start_phase = station.now, tone.phase

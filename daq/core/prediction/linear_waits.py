@@ -196,7 +196,7 @@ class _PredictedTone(SteadyTone):
         amplitudes = self.amplitude * self._steady + self._transient_gain @ relative + self._scatter @ self._noise()
         self._transient = self._transient * self._decay_in_window
         self._advance_phase(samples)
-        return amplitudes
+        return amplitudes[None]
         yield
 
     def _set_window(self, samples: int) -> None:

@@ -26,6 +26,19 @@ def test_response_to_ideal_stepped_sine_is_exact(tmp_path):
             np.testing.assert_allclose(frf.value, exact, rtol=1e-9)
 
 
+def test_tones_at_once_are_in_ascending_order(tmp_path):
+    scene, frequencies, count = synthetic.scene(), np.array([33.3, 20.0]), 5120
+    motions = receptance(scene, frequencies)
+    motions = np.vstack([motions, 1.0 / synthetic.SPRING + motions[0]])
+    phasors = np.exp(2j * np.pi * np.outer(frequencies, np.arange(count)) / synthetic.RATE)
+    marks = [("measure", 0, count - 1, {"frequency": each, "level": 1.0}) for each in frequencies.tolist()]
+    path = synthetic.write(tmp_path / "r.mcap", scene, synthetic.channels(), (motions @ phasors).real, marks)
+    with daq.open(path) as rec:
+        response = analysis.frfs(rec)
+    assert response.frequency.tolist() == [20.0, 33.3]
+    assert response["body3"].value == pytest.approx(motions[2, ::-1], rel=1e-9)
+
+
 def test_high_pass_filter_and_delay_are_corrected(tmp_path):
     corner = 2 * np.pi * 1.0  # rad/s
     chain = {"zeros": (0j, 0j), "poles": (-corner * (0.7 + 0.7j), -corner * (0.7 - 0.7j)), "delay": 3e-4}

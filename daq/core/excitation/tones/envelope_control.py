@@ -158,16 +158,16 @@ class EnvelopeTone(SteadyTone):
         return self._gain != 0.0 and abs(relative_pole) * dead_time <= MAX_POLE_TIMES_DEAD_TIME
 
     def observe(self, samples: int) -> Generator[Array, Array, ComplexArray]:
-        """Hold the tone for a window; return the amplitudes (quantities,), and update the model of the mode."""
+        """Hold the tone for a window; return the amplitudes (tones, quantities), and update the model of the mode."""
         amplitudes = yield from super().observe(samples)
-        self._add(amplitudes[0] * self.direction, self.envelope, samples)
+        self._add(amplitudes[0, 0] * self.direction, self.envelope, samples)
         return amplitudes
 
     def steer(self, drive: complex) -> Generator[Array, Array, ComplexArray]:
         """Change the drive to an envelope within a window; return the envelopes of all quantities."""
         samples, start, direction = self.window, self.envelope, self.direction
         readings = yield self.station.drive(self._steered(samples, drive))
-        envelopes = self.amplitudes(readings, self._start_phase) * direction
+        envelopes = self.amplitudes(readings, [self._start_phase])[0] * direction
         self._add(envelopes[0], (start + drive) / 2.0, samples)
         return envelopes
 
@@ -216,7 +216,7 @@ class EnvelopeTone(SteadyTone):
         station = self.station
         end = station.now + station.samples(max_wait_s)
         yield station.drive(self.transition(max(station.samples(transition_s), self.window), frequency, drive))
-        self.motion = (yield from self.observe(self.window))[0] * self.direction
+        self.motion = (yield from self.observe(self.window))[0, 0] * self.direction
         if not self.motion:
             return False
         self.control = None
@@ -254,7 +254,7 @@ class EnvelopeTone(SteadyTone):
         samples = max(samples, min_samples([self.frequency], self.rate))
         for _ in range(-(-samples // window)):
             if control is None:
-                self.motion = (yield from self.observe(window))[0] * self.direction
+                self.motion = (yield from self.observe(window))[0, 0] * self.direction
             else:
                 self.motion = complex((yield from self.steer(self._next_drive(control)))[0])
             motions.append(self.motion)

@@ -88,7 +88,7 @@ class ManualTone:
         while True:
             first, settled = station.now, False
             try:
-                settled = yield from tone.settle(frequency, drive, _TOLERANCE, _MAX_WAIT_S)
+                settled = yield from tone.settle({frequency: drive}, _TOLERANCE, _MAX_WAIT_S)
             finally:
                 if station.now > first:
                     station.mark("settle", first, station.now, drive=tone.amplitude, settled=settled, **fields)
@@ -104,7 +104,7 @@ class ManualTone:
                 phase = tone.phase
                 readings = yield station.drive(tone.hold(window))
                 if tone.control is not None:
-                    force = float(abs(tone.amplitudes(readings, phase)[0]))
+                    force = float(abs(tone.amplitudes(readings, [phase])[0, 0]))
                 deviating_windows = deviating_windows + 1 if abs(force / fields["level"] - 1.0) > _MAX_DEVIATION else 0
         finally:
             if station.now > first:

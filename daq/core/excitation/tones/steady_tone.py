@@ -1,23 +1,26 @@
-"""Sine source, with amplitude estimates of the channels in the steady state, and control of the force amplitude.
+"""Sine sources, with amplitude estimates of the channels in the steady state, and control of the force amplitudes.
+
+`SteadyTones` are tones driven at once, `SteadyTone` is one tone.
 
 A *transition* is a smooth change to another frequency and amplitude. The *level* is the required amplitude of the
-force. If the force is not controlled, the level is the amplitude of the drive.
+force. If the force is not controlled, the level is the amplitude of the drive. Each of several tones has the level.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Generator
-from functools import lru_cache
+from collections.abc import Generator, Mapping, Sequence
+from functools import lru_cache, reduce
 from typing import Any
 
 import numpy as np
 
 from daq.core.excitation.controlled import Controlled
-from daq.core.excitation.lock_in import min_samples, whole_periods
+from daq.core.excitation.lock_in import MIN_PERIODS, min_samples, whole_periods
 from daq.core.excitation.station import Station
 from daq.core.excitation.tones.settling import MIN_OBSERVATIONS, Settling
 from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.errors import SceneError
 from rig.core.scene.excitation import FORCE_TOLERANCE
 
 # Duration of a transition to a new frequency, s. It is so slow that it does not excite modes more than a few hertz
@@ -27,6 +30,9 @@ TRANSITION_S = 0.4
 _MAX_TRANSITION_S = 3.0
 # An amplitude is estimated from a window of at least this duration, s.
 WINDOW_S = 0.1
+# Within the longest wait, several tones need this number of windows for two drives: for each, a transition and the
+# observations that predict its steady force.
+_MIN_WINDOWS = 2 * (MIN_OBSERVATIONS + 2)
 # Above this multiple of the force level, the drive is reduced before the steady state, to protect the rig.
 _MAX_FORCE_RATIO = 3.0
 # Largest sudden change of the drive with a negligible transient, as ln(new / old).
@@ -52,6 +58,7 @@ class Tone:
         self.frequency = frequency
         self.amplitude = 0.0
         self.phase = 0.0
+        self.control: AmplitudeControl | None = None
 
     def hold(self, samples: int) -> Array:
         """Generate samples of constant frequency and amplitude; shape (samples,)."""
@@ -101,132 +108,184 @@ def _elapsed_phases(frequency: float, samples: int) -> Array:
     return _phases(frequency * np.arange(samples + 1, dtype=float))
 
 
-class SteadyTone(Tone):
-    """A tone that drives a shaker, and the complex amplitudes of the response.
+def _window(frequencies: Sequence[float], rate: float, shortest_s: float) -> int:
+    """Return the length of a window in samples: whole periods of the lowest tone, and at least two beats of tones."""
+    return max(whole_periods(min(frequencies), rate, shortest_s), min_samples(frequencies, rate))
+
+
+class SteadyTones:
+    """Tones that drive a shaker at once, and the complex amplitudes of the response at the frequency of each tone.
 
     The amplitudes are the spring force in N, if it is controlled, and the displacements in m at the motion channels.
     """
 
-    def __init__(self, station: Station, frequency: float, controlled: Controlled | None) -> None:
-        super().__init__(station.rate, frequency)
-        self.station, self._controlled = station, controlled
-        self.control: AmplitudeControl | None = None
+    def __init__(self, station: Station, tones: Sequence[Tone], controlled: Controlled | None) -> None:
+        self.station, self.tones, self._controlled = station, tones, controlled
         self._motion_rows = [
             row for row, info in enumerate(station.channels) if info.quantity not in ("force", "voltage")
         ]
-        self._weights_frequency, self._weights = -1.0, np.zeros((0, len(station.channels)), dtype=complex)
+        self._weights_frequencies: list[float] = []
+        self._weights: list[ComplexArray] = []  # of each tone, (quantities, channels)
 
     def start(self, level: float) -> float:
-        """Start the control of the spring force, if prescribed, at a level in N; return the first drive amplitude."""
+        """Start the control of the spring force, if prescribed, at a level in N; return the first drive of a tone.
+
+        The limit of the drive is divided equally among the tones.
+        """
         if self._controlled is None:
             return level
-        self.control = AmplitudeControl(level, self.station.drive_limit)
+        for tone in self.tones:
+            tone.control = AmplitudeControl(level, self.station.drive_limit / len(self.tones))
         return level * self.station.cautious_drive
+
+    def _drive(self, waves: Sequence[Array]) -> Array:
+        """Return the drive whose wave is the sum of the waves of the tones."""
+        return self.station.drive(reduce(np.add, waves))
+
+    def _transition(self, samples: int, drives: Mapping[float, float]) -> Array:
+        """Return the drive of a transition; `drives`: amplitudes by frequency in Hz, in the order of the tones."""
+        return self._drive(
+            [tone.transition(samples, *target) for tone, target in zip(self.tones, drives.items(), strict=True)]
+        )
 
     def end(self) -> Array:
         """Return the drive of a transition to zero amplitude."""
-        return self.station.drive(self.transition(self.station.samples(TRANSITION_S), self.frequency, 0.0))
+        return self._transition(self.station.samples(TRANSITION_S), {tone.frequency: 0.0 for tone in self.tones})
 
-    def amplitudes(self, readings: Array, phase: float) -> ComplexArray:
-        """Return the complex amplitudes (quantities,) in a window that begins at a phase of the tone in rad."""
-        if self.frequency != self._weights_frequency:
-            self._weights_frequency, channels = self.frequency, len(self.station.channels)
-            force = [] if self._controlled is None else [self._controlled.weights(self.frequency)]
-            motions = np.zeros((len(self._motion_rows), channels), dtype=complex)
-            for weights, row in zip(motions, self._motion_rows, strict=True):
-                weights[row] = self.station.displacement_factor(row, self.frequency)
-            self._weights = np.array([*force, *motions]).reshape(-1, channels)
-        return self._weights @ self.station.amplitudes(readings, [self.frequency], [phase])[:, 0]
+    def amplitudes(self, readings: Array, phases: Sequence[float]) -> ComplexArray:
+        """Return the complex amplitudes (tones, quantities) in a window; `phases`: of the tones at its start, rad."""
+        frequencies = [tone.frequency for tone in self.tones]
+        if frequencies != self._weights_frequencies:
+            self._weights_frequencies = frequencies
+            self._weights = [self._weights_at(frequency) for frequency in frequencies]
+        amplitudes = self.station.amplitudes(readings, frequencies, phases)
+        return np.array([weights @ tone for weights, tone in zip(self._weights, amplitudes.T, strict=True)])
+
+    def _weights_at(self, frequency: float) -> ComplexArray:
+        """Return the weights of the channels in each quantity at a frequency in Hz, (quantities, channels)."""
+        channels = len(self.station.channels)
+        force = [] if self._controlled is None else [self._controlled.weights(frequency)]
+        motions = np.zeros((len(self._motion_rows), channels), dtype=complex)
+        for weights, row in zip(motions, self._motion_rows, strict=True):
+            weights[row] = self.station.displacement_factor(row, frequency)
+        return np.array([*force, *motions]).reshape(-1, channels)
 
     def observe(self, samples: int) -> Generator[Array, Array, ComplexArray]:
-        """Hold the tone for a window; return the amplitudes (quantities,)."""
-        phase = self.phase
-        return self.amplitudes((yield self.station.drive(self.hold(samples))), phase)
+        """Hold the tones for a window; return the amplitudes (tones, quantities)."""
+        phases = [tone.phase for tone in self.tones]
+        return self.amplitudes((yield self._drive([tone.hold(samples) for tone in self.tones])), phases)
 
     def settle(
-        self, frequency: float, drive: float, tolerance: float, max_wait_s: float
+        self, drives: Mapping[float, float], tolerance: float, max_wait_s: float
     ) -> Generator[Array, Array, bool]:
-        """Change to a frequency in Hz and wait for the steady state; return whether it was reached at the level.
+        """Change frequencies and drives, and wait for the steady state; return whether it was reached at the level.
 
-        `drive`: amplitude of the drive after the transition; `tolerance`: permitted remaining relative change of any
-        amplitude.
+        `drives`: amplitude of the drive at each frequency in Hz after the transition; `tolerance`: permitted remaining
+        relative change of any amplitude. Raises `SceneError` if several tones are too close to settle in `max_wait_s`.
         """
-        station, control, detector = self.station, self.control, Settling(tolerance)
+        station, observed = self.station, [(tone, Settling(tolerance)) for tone in self.tones]
         end = station.now + station.samples(max_wait_s)
-        window = whole_periods(frequency, self.rate, WINDOW_S)
-        if control is not None:
-            control.restart()
-        yield station.drive(self.transition(max(station.samples(TRANSITION_S), window), frequency, drive))
+        window = _window([*drives], station.rate, WINDOW_S)
+        spacing, required = min(np.diff(sorted(drives)), default=np.inf), MIN_PERIODS * _MIN_WINDOWS / max_wait_s
+        if spacing < required:
+            raise SceneError(
+                f"test: tones that differ by {spacing:.2g} Hz do not settle within {max_wait_s:g} s. Space the tones "
+                f"by at least {required:.2g} Hz, or allow a longer wait."
+            )
+        for tone in self.tones:
+            if tone.control is not None:
+                tone.control.restart()
+        yield self._transition(max(station.samples(TRANSITION_S), window), drives)
         while station.now + window <= end:
-            detector.add((yield from self.observe(window)))
-            new_drive = None if control is None else _new_drive(control, detector, self.amplitude)
-            if new_drive is not None:
-                transition_samples = window
-                if abs(np.log(new_drive / self.amplitude)) >= _MAX_SUDDEN_CHANGE:
-                    # The transient of a mode beats with the drive. A transition of two beat periods hardly excites the
-                    # mode.
-                    two_beats = round(window * 4 * np.pi / detector.phase_change())
-                    transition_samples = max(window, min(station.samples(_MAX_TRANSITION_S), two_beats))
-                detector.restart()
-                yield station.drive(self.transition(transition_samples, frequency, new_drive))
-            elif detector.settled:
-                return control is None or control.is_at_level(
-                    float(abs(detector.predicted_final())), detector.standard_error()
+            for (_, detector), amplitudes in zip(observed, (yield from self.observe(window)), strict=True):
+                detector.add(amplitudes)
+            new_drives = {tone.frequency: _new_drive(tone, detector) for tone, detector in observed}
+            if any(new_drives[tone.frequency] != tone.amplitude for tone in self.tones):
+                samples = window
+                for tone, detector in observed:
+                    if abs(np.log(new_drives[tone.frequency] / tone.amplitude)) >= _MAX_SUDDEN_CHANGE:
+                        # The transient of a mode beats with the drive. A transition of two beat periods hardly excites
+                        # the mode.
+                        two_beats = round(window * 4 * np.pi / detector.phase_change())
+                        samples = max(samples, min(station.samples(_MAX_TRANSITION_S), two_beats))
+                    detector.restart()
+                yield self._transition(samples, new_drives)
+            elif all(detector.settled for _, detector in observed):
+                return all(
+                    tone.control is None
+                    or tone.control.is_at_level(float(abs(detector.predicted_final())), detector.standard_error())
+                    for tone, detector in observed
                 )
         return False
 
     def settle_and_mark(
-        self, frequency: float, drive: float, tolerance: float, max_wait_s: float, fields: dict[str, Any]
+        self, drives: Mapping[float, float], tolerance: float, max_wait_s: float, fields: dict[str, Any]
     ) -> Generator[Array, Array, bool]:
-        """Call `settle`, and mark the interval in the recording; return the result of `settle`.
+        """Call `settle`, and mark the interval in the recording for each tone; return the result of `settle`.
 
-        `fields`: further fields of the marker.
+        `fields`: further fields of the markers.
         """
         first = self.station.now
-        settled = yield from self.settle(frequency, drive, tolerance, max_wait_s)
-        self.station.mark("settle", first, self.station.now, drive=self.amplitude, settled=settled, **fields)
+        settled = yield from self.settle(drives, tolerance, max_wait_s)
+        for tone in self.tones:
+            marked = {"frequency": tone.frequency, **fields}
+            self.station.mark("settle", first, self.station.now, drive=tone.amplitude, settled=settled, **marked)
         return settled
 
     def measure(self, samples: int, settled: bool, fields: dict[str, Any]) -> Generator[Array, Array, None]:
-        """Hold the tone for at least a number of samples, and mark the interval with its force amplitude in N.
+        """Hold the tones for at least a number of samples; mark the interval with the force amplitude of each in N.
 
-        `settled` and `fields` are fields of the marker.
+        `settled` and `fields` are fields of the markers.
         """
-        first, samples = self.station.now, max(samples, min_samples([self.frequency], self.rate))
-        # The tone is generated in blocks to limit the memory. The amplitudes in the blocks are used only if the force
+        frequencies = [tone.frequency for tone in self.tones]
+        first, samples = self.station.now, max(samples, min_samples(frequencies, self.station.rate))
+        # The tones are generated in blocks to limit the memory. The amplitudes in the blocks are used only if the force
         # is controlled.
-        block_samples, remaining = whole_periods(self.frequency, self.rate, _BLOCK_SAMPLES / self.rate), samples
-        amplitude: complex = 0.0
+        block_samples, remaining = _window(frequencies, self.station.rate, _BLOCK_SAMPLES / self.station.rate), samples
+        is_controlled = any(tone.control is not None for tone in self.tones)
+        amplitudes = np.zeros(len(self.tones), dtype=complex)
         while remaining:
             window = block_samples if remaining >= 2 * block_samples else remaining
             remaining -= window
-            if self.control is None:
-                yield self.station.drive(self.hold(window))
+            if is_controlled:
+                amplitudes += window / samples * (yield from self.observe(window))[:, 0]
             else:
-                amplitude += window / samples * (yield from self.observe(window))[0]
-        force = fields["level"] if self.station.force_is_drive else None
-        if self.control is not None:
-            force = float(abs(amplitude))
-        self.station.mark(
-            "measure", first, self.station.now, drive=self.amplitude, force=force, settled=settled, **fields
-        )
+                yield self._drive([tone.hold(window) for tone in self.tones])
+        for tone, amplitude in zip(self.tones, amplitudes, strict=True):
+            force = fields["level"] if self.station.force_is_drive else None
+            if is_controlled:
+                force = float(abs(amplitude))
+            marked = {"frequency": tone.frequency, **fields}
+            self.station.mark(
+                "measure", first, self.station.now, drive=tone.amplitude, force=force, settled=settled, **marked
+            )
 
 
-def _new_drive(control: AmplitudeControl, detector: Settling, drive: float) -> float | None:
-    """Return a new drive amplitude; None if the present drive is correct or the force is not yet predictable."""
+class SteadyTone(Tone, SteadyTones):
+    """One tone that drives a shaker, and the complex amplitudes of the response."""
+
+    def __init__(self, station: Station, frequency: float, controlled: Controlled | None) -> None:
+        Tone.__init__(self, station.rate, frequency)
+        SteadyTones.__init__(self, station, [self], controlled)
+
+
+def _new_drive(tone: Tone, detector: Settling) -> float:
+    """Return the next drive of a tone: the present one if it is correct, or if the force is not yet predictable."""
+    control, drive = tone.control, tone.amplitude
+    if control is None:
+        return drive
     force = float(abs(detector.predicted_final()))
     if detector.count < MIN_OBSERVATIONS + 1:
         latest_force = float(abs(detector.latest))
         is_excessive = detector.is_rising and latest_force > _MAX_FORCE_RATIO * control.level
-        return control.reduce_drive(drive, latest_force) if is_excessive else None
+        return (is_excessive and control.reduce_drive(drive, latest_force)) or drive
     # The predicted force is usable long before the transient has decayed, as soon as the prediction is constant.
     max_change = _MAX_PREDICTION_CHANGE * abs(force / control.level - 1.0)
     is_predictable = detector.settled or detector.prediction_change() < max_change
     if not is_predictable or control.is_at_level(force, detector.standard_error()):
-        return None
-    new_drive = control.next_drive(drive, force)
-    # At the limit of the amplifier, the point is measured as not settled.
-    return None if new_drive == drive else new_drive
+        return drive
+    # At the limit of the amplifier the drive remains, and the point is measured as not settled.
+    return control.next_drive(drive, force)
 
 
 #: If the force scatters, its relative tolerance is twice its standard error, up to this value.

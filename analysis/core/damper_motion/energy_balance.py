@@ -1,22 +1,17 @@
 """Energy dissipated by the dampers per period of a steady tone: supplied work minus dissipation of the structure."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from analysis.core.responses.errors.aliasing import aliased_ratios
 from analysis.core.responses.errors.systematic import ChannelContributions, tolerance
 from analysis.core.responses.measurands import motion_of, reference_of, response_channels
+from analysis.core.responses.stepped_sine import Sweep
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.results.uncertainty import expand
-
-if TYPE_CHECKING:
-    from analysis.core.responses.stepped_sine import Sweep
-    from daq.core.recording.recording import Recording
 
 
 @dataclass(frozen=True)

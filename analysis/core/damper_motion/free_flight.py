@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,14 +20,11 @@ from analysis.core.damper_motion.landing_pulse import landing_pulse
 from analysis.core.damper_motion.matching_pursuit import RESIDUAL_RATIO
 from analysis.core.decays.sensor_correction import CorrectedMotion
 from analysis.core.responses.errors.systematic import tolerance
+from daq.core.recording.recording import Recording
+from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
-    from daq.core.signal_chain.channel import ChannelInfo
-    from rig.core.scene.damper import Damper
-    from rig.core.scene.scene import Scene
-
+from rig.core.scene.damper import Damper
+from rig.core.scene.scene import Scene
 
 # This fraction of the segment is excluded at each end, because the correction mirrors the samples there.
 _EXCLUDED_END_RATIO = 0.05

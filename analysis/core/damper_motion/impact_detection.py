@@ -4,16 +4,13 @@ An impact is an instant velocity jump of the damper's body or, with *finite-dura
 force pulse, which ends at the *release*. A *bed* is the filling of a damper, which moves as one mass.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.core.damper_motion.impact_model import impact_models
-from analysis.core.damper_motion.landing_pulse import landing_pulse
+from analysis.core.damper_motion.landing_pulse import Pulse, landing_pulse
 from analysis.core.damper_motion.matching_pursuit import (
     DETECTION_MARGIN_SIGMAS,
     DETECTION_SIGMAS,
@@ -26,16 +23,12 @@ from analysis.core.damper_motion.matching_pursuit import (
 from analysis.core.decays.sensor_correction import correct_motion
 from analysis.core.recordings.slices import interpolated
 from analysis.core.responses.measurands import find_channel
+from daq.core.recording.recording import Recording
+from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 from rig.core.numerics.runs import runs_of
 from rig.core.results.response import MOTIONS
-
-if TYPE_CHECKING:
-    from analysis.core.damper_motion.landing_pulse import Pulse
-    from daq.core.recording.recording import Recording
-    from daq.core.signal_chain.channel import ChannelInfo
-
 
 # At least this fraction of the samples in a segment must be valid.
 _MIN_VALID_RATIO = 0.5

@@ -9,22 +9,17 @@ Detection Theory*, 1998, ch. 4. Step, kink and a polynomial for the smooth motio
 orthogonal to them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.core.damper_motion.landing_pulse import Pulse
+from daq.core.signal_chain.channel import ChannelInfo, Quantity
 from rig.core.base.arrays import Array
 from rig.core.results.response import MOTIONS
-
-if TYPE_CHECKING:
-    from analysis.core.damper_motion.landing_pulse import Pulse
-    from daq.core.signal_chain.channel import ChannelInfo, Quantity
-
 
 # A jump is at most this distance from the middle of its window, samples.
 MAX_SHIFT = 4

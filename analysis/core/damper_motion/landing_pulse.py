@@ -3,11 +3,8 @@
 Floor and ceiling of the damper's cavity are springs with dashpots, so the scene determines the pulse of each impact.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +12,7 @@ from numpy.typing import NDArray
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 from rig.core.scene.damper import TimedContact, walls_of
-
-if TYPE_CHECKING:
-    from rig.core.scene.scene import Scene
-
+from rig.core.scene.scene import Scene
 
 # An impact is treated as instant up to this duration, in sample intervals.
 _MAX_INSTANT_RATIO = 0.25

@@ -6,10 +6,7 @@ and ceiling per period; the damper leaves the ceiling at once (II), or stays the
 rises to -g (III). Other patterns are described by their numbers of impacts.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,16 +19,13 @@ from analysis.core.damper_motion.free_flight import (
 )
 from analysis.core.damper_motion.impact_detection import Impacts
 from analysis.core.damper_motion.landing_pulse import transmissibility
+from analysis.core.responses.stepped_sine import Sweep
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array
 from rig.core.base.progress import CountProgress
 from rig.core.results.response import MOTIONS
 from rig.core.results.uncertainty import expand
-
-if TYPE_CHECKING:
-    from analysis.core.responses.stepped_sine import Sweep
-    from daq.core.recording.recording import Recording
-    from rig.core.scene.damper import Damper
-
+from rig.core.scene.damper import Damper
 
 # Tolerance of one impact per period: of about twenty impacts, one or two may be at an end of the measurement or too
 # close to another impact.

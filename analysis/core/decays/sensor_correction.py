@@ -1,17 +1,11 @@
 """Correction of sampled data for the frequency response of sensor, amplifier and converter."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 from scipy import fft
 
+from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import MOTIONS
-
-if TYPE_CHECKING:
-    from daq.core.signal_chain.channel import ChannelInfo
 
 
 class CorrectedMotion:

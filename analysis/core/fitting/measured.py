@@ -3,11 +3,8 @@
 Each response is divided by the *reference*: the force or, with a coil spring, the displacement of the table.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,15 +19,12 @@ from analysis.core.responses.measurands import (
     response_channels,
 )
 from analysis.core.responses.stepped_sine import sweep_name, sweeps
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.results.response import Response, stack
 from rig.core.results.uncertainty import CLOCK, SENSITIVITY, Covariance, standard_of_limit
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
-    from rig.core.scene.scene import Scene
-
+from rig.core.scene.scene import Scene
 
 # The standard deviation of a point is at least this fraction of the value.
 _MIN_RELATIVE_STD = 2e-5

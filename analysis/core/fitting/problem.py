@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +17,10 @@ from numpy.typing import NDArray
 from analysis.core.fitting.measured import Curves, Sensor
 from analysis.core.fitting.parameters import Parameter, with_values
 from analysis.core.fitting.predicted import linear_derivatives, linear_response, scene_of_test
+from analysis.core.fitting.sweep_orbits import StoredOrbit, SweepOrbits
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.uncertainty import standard_of_limit
 from rig.core.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from analysis.core.fitting.sweep_orbits import StoredOrbit, SweepOrbits
 
 # Prior standard deviation of the unknown of a parameter. The prior is so wide that it affects only undetermined values.
 PRIOR_SD = 1.0

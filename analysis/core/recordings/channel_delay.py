@@ -1,12 +1,8 @@
 """Delay of a channel due to the filter of its converter: the samples that contain an event at a given time."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from daq.core.signal_chain.channel import ChannelInfo
+from daq.core.signal_chain.channel import ChannelInfo
 
 
 def arrival(info: ChannelInfo, first: int, last: int) -> tuple[int, int]:

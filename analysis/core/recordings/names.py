@@ -1,18 +1,14 @@
 """Names of recordings in legends, tables and text: scene names, with file names if scenes have equal names."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import replace
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Concatenate, ParamSpec, Protocol, TypeVar
+from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
+from daq.core.recording.recording import Recording
 from rig.core.base.errors import RecordingError
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
 
 
 class _Labeled(Protocol):

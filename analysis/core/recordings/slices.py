@@ -5,18 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.core.recording.layout import require_ordered_times
+from daq.core.recording.recording import Recording
+from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, SceneError
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
-    from daq.core.signal_chain.channel import ChannelInfo
 
 # Number of samples of each channel that are read at a time.
 PIECE_SAMPLES = 1 << 16

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from analysis.core.responses.checks.channel_changes import Parts
 from analysis.core.responses.checks.curve_checks import delayed_channels, reversed_force
@@ -16,13 +16,11 @@ from analysis.core.responses.checks.several_inputs import check_matrix
 from analysis.core.responses.checks.tone_steps import ToneInterval
 from analysis.core.responses.estimators import ESTIMATORS
 from analysis.core.responses.measurands import Measurand, force_of, input_location, output_point
+from daq.core.recording.markers import Marker
+from daq.core.recording.recording import Recording
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.base.progress import CountProgress
 from rig.core.results.response import Point, Response, stack
-
-if TYPE_CHECKING:
-    from daq.core.recording.markers import Marker
-    from daq.core.recording.recording import Recording
 
 #: Module of the estimator of each kind of recording (`TestKind`).
 MODULES = {

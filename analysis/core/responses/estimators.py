@@ -6,12 +6,10 @@ References
    the 3rd International Modal Analysis Conference (1985).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -39,15 +37,13 @@ from analysis.core.responses.measurands import (
     reference_of,
     reject_zero_reference,
 )
+from analysis.core.responses.segment_fits import SegmentFits
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
 from rig.core.base.progress import CountProgress
 from rig.core.numerics.memory import require_memory_with_program
 from rig.core.results.response import Response
-
-if TYPE_CHECKING:
-    from analysis.core.responses.segment_fits import SegmentFits
-    from daq.core.recording.recording import Recording
 
 ESTIMATORS = ("H1", "H2", "Hv")
 # Number of copies of the factor of the spectral matrix that are in memory at a time.

@@ -3,18 +3,11 @@
 The high-pass filters of a force channel are the discharge of the sensor and the AC coupling of amplifier and converter.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 import scipy
 
+from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array, ComplexArray
-
-if TYPE_CHECKING:
-    from daq.core.signal_chain.channel import ChannelInfo
-
 
 # Time for which the force window is 1 after the last sample of the impact, and then the duration of its taper, s.
 TAPER_S = 2e-3

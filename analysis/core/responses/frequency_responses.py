@@ -1,10 +1,7 @@
 """Frequency responses of any recording, by the estimator for its kind of test."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from analysis.core.recordings.names import takes_path
 from analysis.core.responses.checks.channel_changes import change_warnings
@@ -21,15 +18,13 @@ from analysis.core.responses.measurands import (
 )
 from daq.core.recording.markers import describe_faulty_hits
 from daq.core.recording.recorded_test import TestKind
+from daq.core.recording.recording import Recording
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.base.progress import CountProgress
 from rig.core.numerics.blas_threads import with_one_blas_thread
 from rig.core.results.response import MOTIONS
 from rig.core.results.response import Response as Response
 from rig.core.settings.quantities import FORCE, number
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
 
 
 @takes_path

@@ -5,7 +5,6 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
@@ -20,12 +19,9 @@ from analysis.core.responses.errors.systematic import quantization_steps, reprod
 from analysis.core.responses.force_pulse import isolate_pulse, samples_after_hit
 from analysis.core.responses.local_models.local_rational import ORDER
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
-
 
 # Interval before an impact, s, in which residual motion is detected and the zero offset of each channel is measured.
 PRE_HIT_S = 0.2

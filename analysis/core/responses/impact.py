@@ -1,10 +1,7 @@
 """Impact test: frequency responses from impacts with an instrumented hammer, by local fits or by averages of blocks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import fft
@@ -17,14 +14,11 @@ from analysis.core.responses.estimators import AveragedSpectra, block_spectra, n
 from analysis.core.responses.hits import Hits
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH
 from analysis.core.responses.segment_fits import SegmentFits, warn_of_dampers
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.results import format_percent
 from rig.core.results.response import Response
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
-
 
 # Length of a block, relative to its pretrigger (its samples before the impact).
 _BLOCK_PER_PRETRIGGER = 50

@@ -3,23 +3,17 @@
 A *response* is the numerator of a frequency response, a *reference* is its denominator.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.core.recording.recording import Recording
+from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.errors import RecordingError, SceneError, suggestion
 from rig.core.results.points import body_number
 from rig.core.results.response import MOTIONS, Point
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
-    from daq.core.signal_chain.channel import ChannelInfo
-
 
 # A shaker counts as driven if its force, relative to the largest force, exceeds this level, dB.
 _MIN_FORCE_LEVEL_DB = -40.0

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,15 +36,12 @@ from analysis.core.responses.estimator import Estimator, Request
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH
 from analysis.core.responses.measurands import force_of, motion_channel_at, reference_of
 from analysis.core.responses.spectral_lines import Lines, residual_transient
+from daq.core.recording.markers import Marker
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.base.progress import CountProgress
 from rig.core.results.response import Response
-
-if TYPE_CHECKING:
-    from daq.core.recording.markers import Marker
-    from daq.core.recording.recording import Recording
-
 
 NONLINEAR = (
     "The structure is nonlinear: the curve is the best linear approximation for this level and kind of excitation, and "

@@ -1,10 +1,7 @@
 """Random and burst random tests: local rational method for whole segments, or spectra averaged over blocks (Welch)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,14 +11,12 @@ from analysis.core.responses.errors.systematic import noise_gain_error, power_in
 from analysis.core.responses.estimator import Blocks, Estimator, Request
 from analysis.core.responses.estimators import AveragedSpectra, block_spectra, noise_bandwidth_bins, sampled_window
 from analysis.core.responses.segment_fits import SegmentFits, warn_of_dampers
+from daq.core.recording.markers import Marker
+from daq.core.recording.recording import Recording
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.base.progress import CountProgress
 from rig.core.results import format_percent
 from rig.core.results.response import Response
-
-if TYPE_CHECKING:
-    from daq.core.recording.markers import Marker
-    from daq.core.recording.recording import Recording
 
 # Default number of blocks, for an uncertainty of about 10 % at a coherence of 0.7. The blocks are as long as this
 # number permits.

@@ -6,37 +6,29 @@ beginning and end of a segment are part of the fit. The response need not decay,
 impacts are acceptable.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 from scipy import fft
 
-from analysis.core.responses.checks.clean_segments import clean_segments, describe_flaws, find_flaws, remedy
+from analysis.core.responses.checks.clean_segments import Flaw, clean_segments, describe_flaws, find_flaws, remedy
 from analysis.core.responses.errors.systematic import noise_gain_error, power_in_counts
 from analysis.core.responses.force_pulse import high_pass_response
-from analysis.core.responses.hits import PRE_HIT_S
+from analysis.core.responses.hits import PRE_HIT_S, Hits
 from analysis.core.responses.local_models.jitter import jitter_factor
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH, LocalSpectra
 from analysis.core.responses.local_models.low_spectra import low_spectra
 from analysis.core.responses.measurands import Measurand, motion_of, reference_of, response_channels
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.results import format_percent
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import UncertaintyBudget
-
-if TYPE_CHECKING:
-    from analysis.core.responses.checks.clean_segments import Flaw
-    from analysis.core.responses.hits import Hits
-    from daq.core.recording.recording import Recording
-
 
 # A segment is used if it has at least this fraction of the length of the longest segment; the transients of shorter
 # segments would need too many parameters.

@@ -4,11 +4,9 @@ A *line* is a frequency of the excitation. The measurement of a line consists of
 multisine. The *scatter* of their amplitudes determines the uncertainty of the mean.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy
@@ -20,13 +18,10 @@ from analysis.core.responses.errors.ringing import ringing
 from analysis.core.responses.errors.scatter import Scatter, moderate
 from analysis.core.responses.errors.systematic import RESOLUTION, UNSETTLED, ChannelContributions, common_scale
 from analysis.core.responses.measurands import Measurand, motion_of, reference_name, reference_of, reject_zero_reference
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import circle_factor
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
-
 
 # Transients are assumed to decay equally at this number of neighboring lines.
 _COMMON_DECAY_LINES = 5

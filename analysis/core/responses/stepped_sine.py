@@ -6,12 +6,10 @@ subtracted. The window is split into *parts* of whole periods, whose scatter det
 pass through the frequencies at one *level* (nominal amplitude of the force or drive) in one *direction*, up or down.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -24,14 +22,12 @@ from analysis.core.responses.errors.scatter import Scatter, stacked
 from analysis.core.responses.errors.systematic import quantization_steps, reproducible_rounding
 from analysis.core.responses.estimator import Estimator, Request
 from analysis.core.responses.spectral_lines import Lines, residual_transient
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.base.progress import CountProgress
 from rig.core.results import format_frequencies, format_number
 from rig.core.results.response import Response
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
 
 # Maximum number of fitted harmonics, including the tone.
 HARMONICS = 10

@@ -4,12 +4,9 @@ A *line* is a frequency of the result. For each line, the method is applied to t
 frequency of the tone is near the line. A *bin* is a frequency of the discrete Fourier transform of the segment.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
@@ -31,16 +28,13 @@ from analysis.core.responses.local_models.local_rational import ORDER
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH, LocalSpectra
 from analysis.core.responses.measurands import Measurand, motion_of, reference_of
 from analysis.core.responses.segment_fits import warn_of_dampers
+from daq.core.recording.markers import Marker
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.base.progress import CountProgress
 from rig.core.results import format_number
 from rig.core.results.response import MOTIONS, Response
-
-if TYPE_CHECKING:
-    from daq.core.recording.markers import Marker
-    from daq.core.recording.recording import Recording
-
 
 # Smallest ratio of the last to the first frequency of a segment. Such short segments exclude the harmonics of a
 # nonlinear structure.

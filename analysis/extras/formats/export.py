@@ -1,7 +1,5 @@
 """Export of recordings: CSV, NPZ, MATLAB, UFF 58 and WAV files; SEP-005 dictionaries."""
 
-from __future__ import annotations
-
 import csv
 import math
 import re
@@ -12,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -20,13 +18,11 @@ from analysis.core.recordings.names import takes_path
 from analysis.core.recordings.slices import Slice
 from analysis.extras.formats.mat import write_mat
 from analysis.extras.formats.uff import write_uff
+from daq.core.recording.recording import Recording
 from rig.core.base.errors import RunError, SceneError
 from rig.core.base.escaping import escape_cell
 from rig.core.base.output_files import atomic_write
 from rig.core.base.progress import CountProgress
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
 
 SEP_QUANTITIES = {"acceleration": "a", "velocity": "v", "displacement": "d", "force": "f", "voltage": "V"}
 

@@ -1,22 +1,17 @@
 """Export of frequency responses and modes: UFF 58 and 55, MATLAB."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from analysis.core.modal.identification import identify
 from analysis.core.recordings.names import open_existing
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.extras.formats import mat, uff
 from analysis.extras.formats.frf_files import is_frf_file, read_frfs
+from daq.core.recording.recording import Recording
 from rig.core.base.errors import SceneError
 from rig.core.base.output_files import atomic_write, resolve_output
 from rig.core.base.progress import CountProgress
 from rig.core.results.response import Response
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
 
 ENDINGS = (".uff", ".unv", ".mat")
 

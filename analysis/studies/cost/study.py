@@ -4,14 +4,11 @@ Short stepped-sine tests are recorded through the whole chain of the scene, in c
 of the chain is changed at a time. Each measured compliance is compared with the exact compliance.
 """
 
-from __future__ import annotations
-
 import time
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +16,7 @@ from numpy.typing import NDArray
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.studies.cost.variants import Variant, expand_chain, variants, without_noise
 from daq.core.measurement.run import record
+from daq.core.recording.recording import Recording
 from daq.core.recording.recording import open as open_recording
 from rig.core.base.arrays import ComplexArray
 from rig.core.base.errors import RunError, ShotrigError
@@ -32,9 +30,6 @@ from rig.core.system.assembly import assemble
 from rig.core.system.open_loop_drive import accelerations_per_level, drive_per_level, level_of, with_ideal_force
 from rig.core.system.structural_model import receptance, structural_model
 from rig.studies.motion_map.grid import select_frequencies
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
 
 #: Number of frequencies at which a motion that repeats every period is searched.
 CANDIDATE_FREQUENCIES = 15

@@ -3,11 +3,9 @@
 A marker is an entry of a recording that names an interval of samples and its kind, such as "overload" or "alarm".
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +14,7 @@ from daq.core.signal_chain.channel import ChannelInfo
 from daq.core.virtual_bench.bench import Bench
 from rig.core.base.arrays import Array
 from rig.core.scene.presets import complete_from_preset
-
-if TYPE_CHECKING:
-    from rig.core.scene.scene import Scene
+from rig.core.scene.scene import Scene
 
 # Intervals with a shorter gap are merged, s: an oscillation exceeds its limit twice per period.
 _MIN_GAP_S = 0.5

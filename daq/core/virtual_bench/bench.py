@@ -10,25 +10,22 @@ from collections import deque
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.core.signal_chain.chain import Chain
+from daq.core.signal_chain.channel import ChannelInfo
 from daq.core.signal_chain.converter import Outputs, Quantizer
 from daq.core.signal_chain.oversampling import DriveInterpolator, choose_oversampling
 from daq.core.virtual_bench.motion_rate import MotionAtRate
 from rig.core.base.arrays import Array
 from rig.core.base.errors import SceneError
+from rig.core.scene.measurement_chain import Channel
+from rig.core.scene.scene import Scene
+from rig.core.simulation.motion import Motion
 from rig.core.simulation.plant import Plant
 from rig.core.system.open_loop_drive import validate_drive
-
-if TYPE_CHECKING:
-    from daq.core.signal_chain.channel import ChannelInfo
-    from rig.core.scene.measurement_chain import Channel
-    from rig.core.scene.scene import Scene
-    from rig.core.simulation.motion import Motion
 
 # If sampling at a further rate begins while the rig moves, the filters first process this duration of past motion, s.
 _SETTLING_S = 2.0

@@ -3,17 +3,16 @@
 An attribute is a property in NI's protocol. Its owner is the object that it describes, such as a task or a device.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from daq.extras.ni_device.devices.measurements import SUPPORTED_TYPES, VOLTAGE
 from daq.extras.ni_device.devices.modules import TERMINAL_CONFIGURATION_BITS
 from daq.extras.ni_device.devices.names import parse_port
 from daq.extras.ni_device.errors import Code, DaqError, unsupported
 from daq.extras.ni_device.settings.storage import Storage
+from daq.extras.ni_device.task import Task
 from daq.extras.ni_device.task_properties import (
     get_channel_property,
     get_value,
@@ -22,11 +21,8 @@ from daq.extras.ni_device.task_properties import (
     set_channel_property,
     set_value,
 )
+from daq.extras.ni_server.calls.call import Call, Handler, ResponseFields
 from daq.extras.ni_server.protocol import attribute_name, decode
-
-if TYPE_CHECKING:
-    from daq.extras.ni_device.task import Task
-    from daq.extras.ni_server.calls.call import Call, Handler, ResponseFields
 
 # Parts of a call's name, as in GetTimingAttributeExDouble: action, owner, "Ex" if it names a device, type of the value.
 _CALL = re.compile(r"(Get|Set|Reset)([A-Za-z]+?)Attribute(Ex)?(\w*?)")

@@ -1,18 +1,13 @@
 """State of the instrument that all clients share: chassis, tasks, stored settings, reservations, error messages."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from daq.extras.ni_device.chassis import Chassis
 from daq.extras.ni_device.devices.names import Port
 from daq.extras.ni_device.devices.teds import TedsMemory
 from daq.extras.ni_device.errors import DRIVER_TEXTS, DaqError, driver_text, invalid_value
 from daq.extras.ni_device.settings.storage import Storage
 from daq.extras.ni_server.sessions import Reservations, Sessions
-
-if TYPE_CHECKING:
-    from daq.extras.ni_device.chassis import Chassis
 
 # Maximum length of an error message, which is sent in a header of limited size.
 _MAX_MESSAGE_BYTES = 3000

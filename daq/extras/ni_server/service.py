@@ -1,7 +1,5 @@
 """The server: receives remote calls of clients, and sends responses, events and errors as NI's protocol defines."""
 
-from __future__ import annotations
-
 import contextlib
 import queue
 import sys
@@ -10,11 +8,12 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import grpc
 from google.protobuf.message import DecodeError
 
+from daq.extras.ni_device.chassis import Chassis
 from daq.extras.ni_device.clock import raise_priority
 from daq.extras.ni_device.errors import Code, DaqError
 from daq.extras.ni_device.task import Task
@@ -26,9 +25,6 @@ from daq.extras.ni_server.protocol import SERVICE, SESSION_SERVICE, Method, deco
 from daq.extras.ni_server.served_instrument import Limits, ServedInstrument, format_error, truncate
 from daq.extras.ni_server.sessions import SessionExists
 from rig.core.base.errors import unexpected_text
-
-if TYPE_CHECKING:
-    from daq.extras.ni_device.chassis import Chassis
 
 # Default port of the protocol.
 PORT = 31763

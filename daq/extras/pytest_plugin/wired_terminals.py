@@ -4,25 +4,21 @@ A wire is ideal: an input reads the voltage of the output at the same instant. T
 and the coupling of their module, but no noise and no filter. A tick is the time step of the bench.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.core.signal_chain.channel import ChannelInfo
 from daq.core.virtual_bench.bench import first_sample, samples_per_tick
+from daq.extras.ni_device.devices.modules import Module
 from daq.extras.ni_device.errors import Code, DaqError
+from daq.extras.ni_device.settings.channels import Channel
 from daq.extras.ni_device.values import Coupling
 from daq.extras.pytest_plugin.description import WiredBench
-
-if TYPE_CHECKING:
-    from daq.extras.ni_device.devices.modules import Module
-    from daq.extras.ni_device.settings.channels import Channel
 
 # Maximum number of ticks by which the bench advances at once.
 _MAX_BLOCK_TICKS = 1 << 16

@@ -9,22 +9,18 @@ at all lines, so two periods are enough; the drift of a settling sensor differs 
 structure affects all outputs, and is not reported.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from analysis.core.responses.checks.clean_segments import clean_segments, find_flaws
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results import format_number
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
 
 # Minimum number of parts without flaws, and of parts on either side of a step.
 _MIN_PARTS = 4

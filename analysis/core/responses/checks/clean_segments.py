@@ -1,21 +1,15 @@
 """Segments of a recording without *flaws*: overloads, lost samples, settling and dead sensors of selected channels."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from analysis.core.recordings.slices import read_slices
 from analysis.core.responses.checks.dead_channels import dead_channels
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array
 from rig.core.settings.quantities import ACCELERATION, FORCE, parse
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
-
 
 # Reasons of flaws. A sensor is *settling* until its bias is constant.
 OVERLOADED = "overloaded"

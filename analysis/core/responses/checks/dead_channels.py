@@ -5,19 +5,14 @@ smaller in all blocks up to the end than in the blocks just before, while the mo
 first of these last blocks on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from daq.core.recording.markers import Marker
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array
-
-if TYPE_CHECKING:
-    from daq.core.recording.markers import Marker
-    from daq.core.recording.recording import Recording
 
 # Number of blocks of a test, and their minimum length in samples and in periods of the lowest frequency.
 _BLOCKS = 64

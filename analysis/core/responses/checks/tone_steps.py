@@ -14,7 +14,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +22,10 @@ from numpy.typing import NDArray
 from analysis.core.responses.checks.channel_changes import describe_change
 from analysis.core.responses.checks.clean_segments import find_flaws
 from analysis.core.responses.checks.gain_steps import step_warnings
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array
 from rig.core.results import format_number
 from rig.core.results.response import Response
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
 
 # Length of a block of samples in periods, minimum duration of a block, s, and minimum number of its samples.
 _PERIODS = 12.0

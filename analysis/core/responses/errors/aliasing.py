@@ -3,10 +3,6 @@
 An *image* of a drive of frequency f is its component at a multiple of the sample rate, plus or minus f.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from analysis.core.responses.errors.systematic import (
@@ -15,15 +11,12 @@ from analysis.core.responses.errors.systematic import (
     gain_error_bound,
     relative_to_reading,
 )
+from daq.core.recording.recording import Recording
+from rig import Scene
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import MOTIONS
 from rig.core.scene.shaker import Shaker
 from rig.core.system.structural_model import bed_masses, mass_matrix
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
-    from rig import Scene
-
 
 # Multiples of the sample rate whose images are summed individually.
 _MULTIPLES = np.array([k for k in range(-8, 9) if k])

@@ -1,9 +1,6 @@
 """The uncertainty budget of a measured response, assembled in the same way for all estimators."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,11 +14,9 @@ from analysis.core.responses.errors.systematic import (
     sensor_sources,
     uncertain_reference_bound,
 )
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array
 from rig.core.results.uncertainty import RandomErrors, UncertaintyBudget, circle_factor
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
 
 
 def assemble_budget(

@@ -6,24 +6,18 @@ a dictionary by name. The functions whose names end in `_sources` return the com
 or clock is at its limit, by the identity of this source, because other responses may have the same source.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from daq.core.recording.recording import Recording
+from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import MOTIONS
 from rig.core.results.uncertainty import CLOCK, SENSITIVITY, Sources
 from rig.core.settings.quantities import PER_KELVIN, RATIO, TEMPERATURE, Kind, parse
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
-    from daq.core.signal_chain.channel import ChannelInfo
-
 
 # Names of the errors.
 REFERENCE_NOISE = "noise in the reference"

@@ -1,20 +1,14 @@
 """Effect of sampling jitter on the response to an impact: noise that is proportional to the slope of the signal."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 
 from analysis.core.responses.errors.systematic import JITTER
 from analysis.core.responses.local_models.local_rational import ORDER
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
-
 
 # Coverage factor: exceeded by a normal error with a probability below 5 %, by a complex normal error with one below 2
 # %.

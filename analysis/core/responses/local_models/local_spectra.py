@@ -1,11 +1,8 @@
 """Spectra of segments of a recording, and responses with their uncertainty by the local rational method."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import permutations
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
@@ -33,12 +30,9 @@ from analysis.core.responses.local_models.local_rational import (
     local_fit,
 )
 from analysis.core.responses.measurands import Measurand, reference_name, reject_zero_reference
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import Response
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
-
 
 # Number of bins on either side of a line that a local fit uses.
 FIT_HALF_WIDTH = 12

@@ -5,22 +5,16 @@ response (Crochiere and Rabiner, Multirate Digital Signal Processing, 1983, chap
 duration of the recording; the computation takes about as long as reading the samples.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
 from scipy import fft
 
 from analysis.core.recordings.slices import PIECE_SAMPLES
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.numerics.memory import require_memory_with_program
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
-
 
 # The result extends up to this fraction of the decimated sample rate.
 _MAX_FREQUENCY_RATIO = 0.15

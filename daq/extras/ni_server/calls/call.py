@@ -1,17 +1,13 @@
 """A remote call, and helpers for its handlers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from daq.extras.ni_device.task import Task
-
-if TYPE_CHECKING:
-    from daq.extras.ni_server.served_instrument import ServedInstrument
+from daq.extras.ni_server.served_instrument import ServedInstrument
 
 # Values of a response by field name.
 ResponseFields = dict[str, Any]

@@ -2,8 +2,10 @@
 Accuracy against time
 =====================
 
-The longer a tone is measured, the smaller is the error due to noise. The rehearsal shows which duration is sufficient.
-`analysis cost SCENE` compares integrators, filters, rates and bits in the same manner.
+The longer a tone is measured, the smaller is the error due to noise.
+
+The rehearsal shows which duration is sufficient. `analysis cost SCENE` compares integrators, filters, rates and bits in
+the same manner.
 """
 
 # %%

@@ -2,8 +2,10 @@
 Choose a damper
 ===============
 
-The worst peak over a band depends on the clearance above the damper. Exact steady-state motions show which clearance
-gives the lowest worst peak. `rig design` also optimizes locations and masses, for several force levels.
+The worst peak over a band depends on the clearance above the damper.
+
+Exact steady-state motions show which clearance gives the lowest worst peak. `rig design` also optimizes locations and
+masses, for several force levels.
 """
 
 # %%

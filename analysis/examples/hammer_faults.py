@@ -2,8 +2,9 @@
 Impact test: double impacts and clipping
 ========================================
 
-A rebound of the hammer and a range that is too small are the two common faults of an impact test. Here both are
-simulated, so that their effect on the response is known.
+A rebound of the hammer and a range that is too small are the two common faults of an impact test.
+
+Here both are simulated, so that their effect on the response is known.
 """
 
 # %%
@@ -33,7 +34,7 @@ tests = {
 
 # %%
 # Force and response of each test. The force spectrum of a double impact has deep minima, at which noise dominates.
-figure, (above, below) = plt.subplots(2, layout="constrained", figsize=(5.6, 5.2))
+figure, (above, below) = plt.subplots(2, layout="constrained")
 overloads, peaks = {}, {}
 for name, text in tests.items():
     path = daq.record(rig.loads(text), "hits.mcap", overwrite=True)
@@ -54,6 +55,6 @@ for name, text in tests.items():
     print(
         f"{name}: highest peak at {peaks[name]:.2f} Hz, minimum of the force spectrum {spectrum[:1600].min():.1e} N s"
     )
-above.set(xlim=(0, 400), ylim=(1e-4, 1), ylabel="force spectrum / (N s)")
-below.set(xlim=(0, 400), xlabel="frequency / Hz", ylabel="compliance of the arm / (µm/N)")
+above.set(xlim=(0, 400), ylim=(1e-4, 1), ylabel="force / (N s)")
+below.set(xlim=(0, 400), xlabel="frequency / Hz", ylabel="compliance / (µm/N)")
 above.legend()

@@ -2,8 +2,9 @@
 Import a measured file and fit a model
 ======================================
 
-Measurements of another program become a recording. A first guess of the structure is then fitted, with 95 % intervals
-of its values.
+Measurements of another program become a recording.
+
+A first guess of the structure is then fitted, with 95 % intervals of its values.
 """
 
 # %%

@@ -2,8 +2,9 @@
 Integrators and AC coupling at low frequencies
 ==============================================
 
-Accelerometers, integrating amplifiers and AC-coupled inputs act as high-pass filters. The analysis divides by
-their known response. The remaining error is noise.
+Accelerometers, integrating amplifiers and AC-coupled inputs act as high-pass filters.
+
+The analysis divides by their known response. The remaining error is noise.
 """
 
 # %%
@@ -34,7 +35,7 @@ chains = {
 
 # %%
 # Response of each chain to the true quantity, and the error of the compliance relative to the exact compliance.
-figure, (above, below) = plt.subplots(2, sharex=True, layout="constrained", figsize=(5.6, 5.2))
+figure, (above, below) = plt.subplots(2, sharex=True, layout="constrained")
 frequency, errors = np.geomspace(0.2, 20, 200), {}
 for name, scene in chains.items():
     with daq.open(daq.record(scene, "low.mcap", overwrite=True)) as recording:
@@ -49,4 +50,4 @@ for name, scene in chains.items():
     )
 above.set(ylabel="reading / true value", ylim=(1e-3, 2))
 above.legend()
-below.set(xlabel="frequency / Hz", ylabel="relative error of the compliance")
+below.set(xlabel="frequency / Hz", ylabel="relative error")

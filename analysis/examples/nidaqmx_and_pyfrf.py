@@ -1,9 +1,10 @@
 """
-Drive the rig with nidaqmx, estimate FRFs with pyFRF
-====================================================
+FRFs with nidaqmx and pyFRF
+===========================
 
-A script for NI hardware writes noise to the shaker, reads force and acceleration, and hands the samples to pyFRF. The
-device is simulated; the package `nidaqmx` is NI's own (pip install pyFRF).
+A script for NI hardware writes noise to the shaker, reads force and acceleration, and hands the samples to pyFRF.
+
+The device is simulated; the package `nidaqmx` is NI's own (pip install pyFRF).
 """
 
 # %%

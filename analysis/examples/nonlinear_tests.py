@@ -1,10 +1,12 @@
 """
-Tests of nonlinear structures, and of structures on a shaker table
-==================================================================
+Nonlinear structures and shaker tables
+======================================
 
-Where a structure has particle dampers, its resonance depends on the amplitude. A phase-locked tone follows the
-resonance (backbone), and control-based continuation follows the response at constant force. Exact orbits show how
-accurate both are. On a shaker table, profiles prescribe the motion: random vibration with notches, and shocks.
+Where a structure has particle dampers, its resonance depends on the amplitude.
+
+A phase-locked tone follows the resonance (backbone), and control-based continuation follows the response at constant
+force. Exact orbits show how accurate both are. On a shaker table, profiles prescribe the motion: random vibration with
+notches, and shocks.
 """
 
 # %%

@@ -1,10 +1,11 @@
 """
-Settling time of a stepped sine: what it costs
-==============================================
+Settling time of a stepped sine
+===============================
 
-A stepped sine waits at each frequency until the transient of the previous step has decayed. A longer wait costs bench
-time; a shorter wait leaves an error. This example records the same test with three settings on the virtual bench, and
-compares duration and error, before the test takes place on a real bench.
+A stepped sine waits at each frequency until the transient of the previous step has decayed.
+
+A longer wait costs bench time; a shorter wait leaves an error. This example records the same test with three settings
+on the virtual bench, and compares duration and error, before the test takes place on a real bench.
 """
 
 # %%

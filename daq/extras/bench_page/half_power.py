@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from daq.extras.bench_page.live_frf import RELATIONS
 from rig.core.base.arrays import Array
 
 if TYPE_CHECKING:
@@ -21,15 +22,19 @@ _MIN_COHERENCE = 0.5
 _SAME_PEAK = 0.03
 
 
-def largest_peaks(curves: LiveCurves, count: int) -> list[tuple[str, float, float, float | None]]:
-    """Return the highest coherent peaks: channel with the highest peak, frequency (Hz), magnitude and damping ratio."""
-    found = [
-        (name, *peak)
-        for name, magnitude, coherence in zip(curves.names, np.abs(curves.value), curves.coherence, strict=True)
-        for peak in live_peaks(curves.frequency, magnitude)
-        if coherence[np.searchsorted(curves.frequency, peak[0])] >= _MIN_COHERENCE
-    ]
-    largest: list[tuple[str, float, float, float | None]] = []
+def largest_peaks(curves: LiveCurves, count: int) -> list[tuple[str, float, float, float | None, str]]:
+    """Return the highest coherent peaks: channel with the highest peak, frequency (Hz), magnitude, damping, relation.
+
+    The relation is one of `RELATIONS`. A clipped peak has no damping.
+    """
+    found = []
+    rows = zip(curves.names, np.abs(curves.value), curves.coherence, curves.relation, strict=True)
+    for name, magnitude, coherence, relation in rows:
+        for frequency, value, damping in live_peaks(curves.frequency, magnitude):
+            k = np.searchsorted(curves.frequency, frequency)
+            if coherence[k] >= _MIN_COHERENCE:
+                found.append((name, frequency, value, None if relation[k] else damping, RELATIONS[relation[k]]))
+    largest: list[tuple[str, float, float, float | None, str]] = []
     for peak in sorted(found, key=lambda peak: -peak[2]):
         if all(abs(peak[1] / other[1] - 1.0) > _SAME_PEAK for other in largest):
             largest.append(peak)

@@ -34,6 +34,7 @@ class Hit:
     faults: list[str]  # Reasons to reject the impact
     force: Array  # Force around the pulse, N
     readings: Array  # Readings of all channels in the window, shape (channels, samples)
+    overloaded: list[int]  # Rows of the readings with an overload in the window
     is_complete: bool = True  # Whether the window is complete
     accepted: bool = field(init=False)  # Whether the impact is averaged; the operator can change this
 
@@ -106,7 +107,8 @@ class HitDetector:
             faults.append("too weak")
         displayed = force[: round(_DISPLAYED_S * self._rate)]
         is_complete = window.shape[1] == self._window_samples
-        return Hit(len(self.hits) + 1, self._first, peak, faults, displayed, window, is_complete)
+        overloaded = np.flatnonzero(overload.any(axis=1)).tolist()
+        return Hit(len(self.hits) + 1, self._first, peak, faults, displayed, window, overloaded, is_complete)
 
     def _drop(self, samples: int) -> None:
         """Remove the oldest stored samples."""

@@ -31,6 +31,9 @@ _EXCITED_RATIO = 1e-3
 _LOBE_LINES = 2.0
 # Minimum number of averages for a coherence; with a single average it is 1 for any data.
 _MIN_COHERENCE_AVERAGES = 2
+# Relation of the true magnitude to the estimate: equal; higher, because the response clipped; lower, because the force
+# clipped; unknown, because both clipped.
+RELATIONS = "", "≥", "≤", "?"
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,7 @@ class LiveCurves:
     frequency: Array  # Hz; (frequencies,)
     value: ComplexArray  # compliance (displacement over force), m/N; (channels, frequencies)
     coherence: Array  # (channels, frequencies)
+    relation: NDArray[np.intp]  # Index in `RELATIONS`; (channels, frequencies)
     averages: int  # largest number of averaged blocks or impacts of a line
 
 
@@ -52,8 +56,16 @@ class _SpectrumSums:
         self.motion = np.zeros((channels, lines))
         self.cross = np.zeros((channels, lines), complex)
         self.count = np.zeros(lines, int)
+        self.relation = np.zeros((channels, lines), int)
 
-    def add(self, force: ComplexArray, motion: ComplexArray, excited: NDArray[np.bool_] | bool = True) -> None:
+    def add(
+        self,
+        force: ComplexArray,
+        motion: ComplexArray,
+        relation: NDArray[np.intp],
+        excited: NDArray[np.bool_] | bool = True,
+    ) -> None:
+        self.relation |= excited * relation
         self.force += excited * np.abs(force) ** 2
         self.motion += excited * np.abs(motion) ** 2
         self.cross += excited * motion * force.conj()
@@ -81,15 +93,16 @@ class LiveFrf:
         self._displacement_factors = np.array([station.displacement_factor(row, self.frequency) for row in self._rows])
         self._hann_window = np.hanning(self._block_samples)
         self._pending = np.zeros((len(channels), 0))
+        self._pending_overload = np.zeros((len(channels), 0), bool)
         # Lowest and highest excited frequency at each pending sample, Hz.
         self._pending_band = np.zeros((2, 0))
-        # RMS of the force in the last block, N; None before the first block.
+        # RMS of the force in the last block, N; None before the first block, or if the force clipped.
         self.force_rms: float | None = None
         self._block_sums = _SpectrumSums(len(self._rows), self._line_indices.size)
         self._hits: list[tuple[Hit, ComplexArray]] = []
 
-    def add(self, readings: Array, band: tuple[float, float] | None) -> None:
-        """Add the next readings of a continuous test, shape (channels, samples).
+    def add(self, readings: Array, overload: NDArray[np.bool_], band: tuple[float, float] | None) -> None:
+        """Add the next readings of a continuous test, and their overloads, both of shape (channels, samples).
 
         `band`: lowest and highest frequency, Hz, that the test excites in these samples, equal for a tone; None before
         the measurement.
@@ -97,21 +110,25 @@ class LiveFrf:
         limits = np.full((2, readings.shape[1]), np.nan) if band is None else np.tile(band, (readings.shape[1], 1)).T
         if band is not None and np.isnan(self._pending_band).any():
             # The measurement begins with a new block.
-            self._pending, self._pending_band = self._pending[:, :0], self._pending_band[:, :0]
+            self._drop(self._pending.shape[1])
         self._pending = np.concatenate([self._pending, readings], axis=1)
+        self._pending_overload = np.concatenate([self._pending_overload, overload], axis=1)
         self._pending_band = np.concatenate([self._pending_band, limits], axis=1)
         while self._pending.shape[1] >= self._block_samples:
             block, limits = self._pending[:, : self._block_samples], self._pending_band[:, : self._block_samples]
             spectra = self._spectra((block - block.mean(axis=1, keepdims=True)) * self._hann_window)
             force, motion = self._force_and_motion(spectra)
             power = 2.0 * np.sum(np.abs(force) ** 2) / (self._block_samples * np.sum(self._hann_window**2))
-            self.force_rms = float(np.sqrt(power))
             # Before the measurement the limits are NaN; comparisons with NaN are false.
             lobe = _LOBE_LINES / (self._block_samples / self._rate)
             low, high = limits[0].min() - lobe, limits[1].max() + lobe
-            self._block_sums.add(force, motion, (self.frequency >= low) & (self.frequency <= high))
-            self._pending = self._pending[:, self._block_samples // 2 :]
-            self._pending_band = self._pending_band[:, self._block_samples // 2 :]
+            relation = self._relation(
+                np.flatnonzero(self._pending_overload[:, : self._block_samples].any(axis=1)).tolist()
+            )
+            force_is_clipped = bool((relation >= RELATIONS.index("≤")).any())
+            self.force_rms = None if force_is_clipped else float(np.sqrt(power))
+            self._block_sums.add(force, motion, relation, (self.frequency >= low) & (self.frequency <= high))
+            self._drop(self._block_samples // 2)
 
     def add_hit(self, hit: Hit) -> None:
         """Add the window of an impact; it is used as long as the impact is accepted."""
@@ -131,7 +148,7 @@ class LiveFrf:
             sums = _SpectrumSums(len(self._rows), self._line_indices.size)
             for hit, spectra in self._hits:
                 if hit.accepted:
-                    sums.add(*self._force_and_motion(spectra))
+                    sums.add(*self._force_and_motion(spectra), self._relation(hit.overloaded))
         if not sums.count.any():
             return None
         mean_force = sums.force / np.maximum(sums.count, 1)
@@ -146,7 +163,17 @@ class LiveFrf:
             coherence = np.abs(sums.cross) ** 2 / (force * sums.motion)
             value = np.asarray(sums.cross / force, dtype=complex)
         coherence[:, sums.count < _MIN_COHERENCE_AVERAGES] = np.nan
-        return LiveCurves(self.names, self.frequency, value, coherence, int(sums.count.max()))
+        return LiveCurves(self.names, self.frequency, value, coherence, sums.relation, int(sums.count.max()))
+
+    def _drop(self, samples: int) -> None:
+        """Remove the oldest pending samples."""
+        self._pending, self._pending_overload = self._pending[:, samples:], self._pending_overload[:, samples:]
+        self._pending_band = self._pending_band[:, samples:]
+
+    def _relation(self, overloaded: list[int]) -> NDArray[np.intp]:
+        """Return the index in `RELATIONS` for each response, (channels, 1), from the rows with an overload."""
+        force_is_clipped = bool(self._channel_weights[overloaded].any())
+        return np.array([[(row in overloaded) + 2 * force_is_clipped] for row in self._rows])
 
     def _spectra(self, block: Array) -> ComplexArray:
         return np.asarray(np.fft.rfft(block, axis=1)[:, self._line_indices])

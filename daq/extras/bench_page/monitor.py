@@ -87,6 +87,8 @@ class Monitor:
         self.skipped_blocks = self.lost_samples = 0
         self._next_sample: int | None = None
         self.overloads: dict[int, tuple[float, float]] = {}
+        # End of the last block with an overload of a row, sample.
+        self._last_overloads: dict[int, int] = {}
         self._excited_band: Callable[[], tuple[float, float] | None] = lambda: None
         # Displacements of bodies and tables, and gaps of the dampers, at each stored instant.
         self._motions: deque[tuple[Array, Array | None]] = deque(maxlen=round(MOTION_S * _MOTION_RATE))
@@ -137,6 +139,11 @@ class Monitor:
         """Return the peak magnitude of each channel in the last `_LEVEL_S` seconds."""
         levels: list[float] = np.abs(self.history.last(round(_LEVEL_S * self.rate))).max(axis=1).tolist()
         return levels
+
+    def overloaded_rows(self) -> list[int]:
+        """Return the rows of the readings with an overload in the last `_LEVEL_S` seconds."""
+        since = self.history.stop - round(_LEVEL_S * self.rate)
+        return [row for row, stop in self._last_overloads.copy().items() if stop > since]
 
     def spectra(self) -> tuple[NDArray[Any], Array]:
         """Return frequencies (Hz) and amplitude spectra (Hann window, shape (channels, lines)) of all channels."""
@@ -193,6 +200,7 @@ class Monitor:
             for row in np.flatnonzero(block.overload.any(axis=1)).tolist():
                 peak = float(np.abs(readings[row, block.overload[row]]).max())
                 self.overloads.setdefault(row, (block.first / self.rate, peak))
+                self._last_overloads[row] = self.history.stop
             motion = block.motion
             indices = range(-motion.first % self._motion_step, motion.displacement.shape[1], self._motion_step)
             with self._lock:
@@ -200,7 +208,7 @@ class Monitor:
                     gap = motion.gap[:, index] if self._scene.dampers else None
                     self._motions.append((motion.displacement[:, index], gap))
                 if self.frf is not None and self.is_estimating:
-                    self.frf.add(readings, self._excited_band())
+                    self.frf.add(readings, block.overload, self._excited_band())
                 if self.detector is not None:
                     for hit in self.detector.add(block.first, readings, block.overload):
                         if self.frf is not None:

@@ -84,11 +84,6 @@ def message(content: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> b
     return b"".join([struct.pack("<I", len(text)), text, *(a.astype("<f4").tobytes() for a in arrays.values())])
 
 
-def _verdict(hit: Hit) -> str:
-    """Return the faults of an impact, or its state."""
-    return ", ".join(hit.faults) or ("good" if hit.is_complete else "measuring")
-
-
 class Page:
     """The view of the bench in one browser."""
 
@@ -161,11 +156,15 @@ class Page:
             "recording": recordings.paths[-1].name if recordings.running else "",
             "recorded": [path.name for path in recordings.paths[: -1 if recordings.running else None]],
             "levels": monitor.levels(),
+            "clipping": monitor.overloaded_rows(),
             "overloads": {row: list(cause) for row, cause in monitor.overloads.copy().items()},
             "outputs": bench.outputs(),
             "clients": bench.clients(_MAX_LISTED),
             "frf_reason": controller.frf_unavailable_reason,
-            "hits": [[hit.number, hit.peak, _verdict(hit), hit.accepted, hit.is_complete] for hit in reversed(hits)],
+            "hits": [
+                [hit.number, hit.peak, hit.faults, hit.accepted, hit.is_complete, hit.overloaded]
+                for hit in reversed(hits)
+            ],
         }
 
     def _hits(self) -> list[Hit]:
@@ -197,6 +196,7 @@ class Page:
             "magnitude": np.abs(curves.value),
             "phase": np.degrees(np.angle(curves.value)),
             "coherence": curves.coherence,
+            "relation": curves.relation,
         }
 
     def theory(self) -> bytes:

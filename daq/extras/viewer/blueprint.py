@@ -15,7 +15,7 @@ from daq.core.drawing.palette import BACKGROUND
 CURSOR_PERIODS = 2.5
 TIMELINE = "time"
 # Parent of the entities of overloaded channels.
-OVERLOAD_ENTITY = "test/overload"
+OVERLOAD_ENTITY = "overload"
 #: Position of the camera, and the point it looks at, m.
 Camera = tuple[tuple[float, ...], tuple[float, ...]]
 
@@ -31,10 +31,10 @@ def layout(
     tables: Sequence[str],
     speed: float,
 ) -> rrb.Blueprint:
-    """Arrange a replay: rig and notes at the left, plots at the right.
+    """Arrange a replay: rig, phases of the test and notes at the left, plots at the right.
 
     The plot at the top shows the whole segment, without the tables, whose larger motion would hide the bodies. The
-    phases of the test are below it. The plots below show some periods of the lowest mode around the time cursor.
+    plots below show some periods of the lowest mode around the time cursor.
 
     `plots` lists entity and title of the plot of each quantity, the most important first. `damper_count` is the number
     of dampers with known gaps. `camera` is the position of the camera and the point at which it looks. `span_s` is the
@@ -56,41 +56,31 @@ def layout(
         axis_x=axis,
     )
     phase_view = rrb.StateTimelineView(
-        origin="test",
-        contents=["test/phase", f"{OVERLOAD_ENTITY}/**"],
-        name="test (gray: settling, green: measuring, or the decay after an impact; red: overloaded)",
+        contents=["test", f"{OVERLOAD_ENTITY}/**"],
+        name="test (gray: settling; green: measurement, decay; red: overload)",
         time_view=axis,
     )
     curve_views = [_curve_view(entity, f"{title} around the cursor", cursor_range) for entity, title in plots]
-    right_column: list[rrb.TimeSeriesView | rrb.StateTimelineView | rrb.Tabs] = [overview, phase_view]
+    right_column: list[rrb.View | rrb.Tabs] = [overview]
     right_column.append(curve_views[0] if len(curve_views) == 1 else rrb.Tabs(*curve_views, active_tab=0))
     if damper_count:
         right_column.append(_curve_view("dampers/gap_mm", "damper gap [mm] around the cursor (truth)", cursor_range))
-        axis = rrb.TimeAxis(view_range=cursor_range)
-        name = "contact (truth; blue: flight, brown: floor, red: ceiling)"
-        right_column.append(rrb.StateTimelineView(origin="dampers/contact", name=name, time_view=axis))
+        contacts = rrb.TimeSeriesView(
+            origin="dampers/contact",
+            name="contact of each damper (truth; yellow: flight, brown: floor, red: ceiling)",
+            axis_y=rrb.ScalarAxis(range=(0.5, damper_count + 0.5)),
+            plot_legend=rrb.PlotLegend(visible=False),
+            time_ranges=rrb.VisibleTimeRange(TIMELINE, cursor_range),
+        )
+        right_column.append(contacts)
     notes = rrb.Tabs(
         rrb.Spatial2DView(origin="spectrum", name="spectrum"),
         rrb.TextDocumentView(origin="about", name="recording"),
-        rrb.TextLogView(origin="test", contents="test/marks", name="markers"),
+        rrb.TextLogView(origin="markers", name="markers"),
         active_tab=0,
     )
-    # The lanes of a state timeline have a fixed height, so that the height of their view must grow with their number.
-    lane_height = 0.6 * overloaded_count
-    row_heights = [3.6, 1.0 + lane_height, 4.5]
-    if damper_count:
-        row_heights = [3.3, 1.3 + lane_height, 3.9, 3.2, 0.8 + 0.6 * damper_count]
+    row_heights = [3.3, 3.9, 3.2, 0.8 + 0.6 * damper_count] if damper_count else [3.6, 4.5]
     panel = rrb.TimePanel(state="collapsed", timeline=TIMELINE, playback_speed=speed, loop_mode="all")
-    return _two_columns(camera, notes, right_column, row_heights, panel)
-
-
-def _two_columns(
-    camera: Camera,
-    notes: rrb.View | rrb.Tabs,
-    right_column: Sequence[rrb.View | rrb.Tabs],
-    row_heights: Sequence[float],
-    panel: rrb.TimePanel,
-) -> rrb.Blueprint:
     position, target = camera
     rig = rrb.Spatial3DView(
         origin="rig",
@@ -99,7 +89,8 @@ def _two_columns(
         line_grid=False,
         eye_controls=rrb.EyeControls3D(position=position, look_target=target, eye_up=(0, 0, 1)),
     )
-    left_column = rrb.Vertical(rig, notes, row_shares=[1.6, 1.0])
+    # The lanes of a state timeline have a fixed height, so that the height of their view must grow with their number.
+    left_column = rrb.Vertical(rig, phase_view, notes, row_shares=[1.5, 0.27 + 0.13 * overloaded_count, 1.0])
     return rrb.Blueprint(
         rrb.Horizontal(left_column, rrb.Vertical(*right_column, row_shares=row_heights), column_shares=[1.0, 1.35]),
         panel,

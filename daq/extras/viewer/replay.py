@@ -136,9 +136,9 @@ class Replay:
         lines = log_lines(recording, self.start, self.stop)
         if lines:
             text = rr.TextLog.columns(text=[line.text for line in lines], level=[line.level for line in lines])
-            stream.send_columns("test/marks", [sender.time_column(np.array([line.sample for line in lines]))], text)
+            stream.send_columns("markers", [sender.time_column(np.array([line.sample for line in lines]))], text)
         if spans := phases(recording, self.start, self.stop):
-            self._send_segments(stream, sender, "test/phase", spans)
+            self._send_segments(stream, sender, "test", spans)
         for name, segments in overloads(recording, self.start, self.stop).items():
             self._send_segments(stream, sender, f"{OVERLOAD_ENTITY}/{name}", segments)
         total = self.stop - self.start

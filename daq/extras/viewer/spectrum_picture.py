@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from daq.core.drawing.palette import channel_color
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import set_log_scale
+from rig.core.scene.scene import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
@@ -24,7 +25,7 @@ _SIZE_INCH = (7.6, 3.6)
 _BACKGROUND = "#16181d"
 _FOREGROUND = "#c8ccd4"
 # Displayed units, by SI units, with their factors; other units are as recorded.
-_DISPLAY_UNITS = {"m": (1e6, "µm"), "m/s": (1e3, "mm/s")}
+_DISPLAY_UNITS = {"m": (1e6, "µm"), "m/s": (1e3, "mm/s"), "m/s^2": (1.0 / STANDARD_GRAVITY, "g")}
 
 
 def peak_hold_spectrum(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from daq.core.drawing.palette import body_color, channel_color
 from daq.extras.viewer.blueprint import TIMELINE
+from rig.core.scene.scene import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from daq.core.drawing.rig_view import RigMotion, RigView
@@ -18,12 +19,12 @@ if TYPE_CHECKING:
     from rig.core.scene.damper import Damper
 
 CONTACTS = ("flight", "floor", "ceiling", "lost")
-# Colors of different lightness, so that they remain distinct in a gray print.
-CONTACT_COLORS = (0x5AA0DCFF, 0x6B4423FF, 0xC4453BFF, 0x404040FF)
+# Colors of different lightness, so that they remain distinct in a gray print; a damper in flight has its own color.
+CONTACT_COLORS = (0xE69F00FF, 0x6B4423FF, 0xC4453BFF, 0x404040FF)
 # Quantities in the order of their plots: factor from SI to the displayed unit, and this unit.
 DISPLAY_UNITS = {
     "displacement": (1e3, "mm"),
-    "acceleration": (1.0, "m/s²"),
+    "acceleration": (1.0 / STANDARD_GRAVITY, "g"),
     "velocity": (1.0, "m/s"),
     "force": (1.0, "N"),
     "voltage": (1.0, "V"),
@@ -55,13 +56,7 @@ class CurveSender:
 
         for name, info in channels.items():
             stream.log(channel_entity(info.quantity, name), curve_style(channel_color(info.at), name), static=True)
-        contact_style = rr.StateConfiguration(
-            # Labels are omitted, because most contacts are drawn shorter than their names; the title of the view
-            # explains the colors.
-            values=list(CONTACTS),
-            labels=[" "] * len(CONTACTS),
-            colors=np.array(CONTACT_COLORS, dtype=np.uint32),
-        )
+        contact_style = rr.SeriesLines(widths=[12.0], aggregation_policy="Off", interpolation_mode="StepAfter")
         for number, damper in enumerate(dampers, start=1):
             style = curve_style(body_color(damper.body), f"damper {number} (body {damper.body})")
             stream.log(f"dampers/gap_mm/damper_{number}", style, static=True)
@@ -88,11 +83,13 @@ class CurveSender:
             columns = rr.Scalars.columns(scalars=1e3 * gap[number])
             self._stream.send_columns(f"dampers/gap_mm/damper_{number + 1}", [self.time_column(samples)], columns)
             previous = np.concatenate([self._last_contact[number : number + 1], states[number, :-1]])
-            change_indices = np.nonzero(states[number] != previous)[0]
-            if change_indices.size:
-                changes = rr.StateChange.columns(state=[CONTACTS[state] for state in states[number, change_indices]])
-                times = [self.time_column(samples[change_indices])]
-                self._stream.send_columns(f"dampers/contact/damper_{number + 1}", times, changes)
+            # The last sample ends the line. The viewer draws the line before a point in the color of the point.
+            change_indices = np.union1d(np.nonzero(states[number] != previous)[0], states.shape[1] - 1)
+            times = [self.time_column(samples[change_indices])]
+            colors = np.array(CONTACT_COLORS, dtype=np.uint32)[previous[change_indices]]
+            lane = np.full(change_indices.size, number + 1.0)
+            lanes = [*rr.Scalars.columns(scalars=lane), *rr.SeriesLines.columns(colors=colors)]
+            self._stream.send_columns(f"dampers/contact/damper_{number + 1}", times, lanes)
             self._last_contact[number] = int(states[number, -1])
 
     def send_motion(self, view: RigView, samples: NDArray[np.int64], motion: RigMotion) -> None:

@@ -22,7 +22,7 @@ from daq.core.recording.committed_file import RESERVE, CommittedFile
 from daq.extras.bench_page.bench import _open_browser, _serve_page
 from daq.extras.bench_page.half_power import largest_peaks, live_peaks
 from daq.extras.bench_page.live_bench import LiveBench
-from daq.extras.bench_page.live_frf import LiveCurves
+from daq.extras.bench_page.live_frf import RELATIONS, LiveCurves
 from daq.extras.bench_page.page import Page
 from daq.extras.bench_page.rig_svg import RigDrawing
 from daq.extras.ni_device.connecting import connect_scene
@@ -236,8 +236,8 @@ def test_impact_is_listed_before_its_window_ends(bench):
     set_controls(bench, level=1000.0, hits=1, interval=2.0)
     bench.controller.start()
     pass_time(bench, 1.5)
-    ((number, peak, verdict, _, is_complete),) = Page(bench)._state()["hits"]
-    assert (number, verdict, is_complete) == (1, "clipped", False) and peak > 400.0
+    ((number, peak, faults, _, is_complete, overloaded),) = Page(bench)._state()["hits"]
+    assert (number, faults, is_complete, overloaded) == (1, ["clipped"], False, [2]) and peak > 400.0
 
 
 @pytest.mark.parametrize("bench", ["sine"], indirect=True)
@@ -270,7 +270,7 @@ def test_peak_list_names_highest_coherent_channel():
     f = np.linspace(1.0, 20.0, 1901)
     low, high = (1.0 / abs(f0**2 - f**2 + 2j * 0.01 * f0 * f) for f0 in (5.0, 12.0))
     values = np.array([low + 0.1 * high, 0.1 * low + high])
-    curves = LiveCurves(["a", "b"], f, values.astype(complex), np.ones(values.shape), 3)
+    curves = LiveCurves(["a", "b"], f, values.astype(complex), np.ones(values.shape), np.zeros(values.shape, int), 3)
     assert [(name, round(f0, 1)) for name, f0, *_ in largest_peaks(curves, 4)] == [("a", 5.0), ("b", 12.0)]
     curves.coherence[:, f > 10.0] = np.nan
     assert [name for name, *_ in largest_peaks(curves, 4)] == ["a"]
@@ -310,7 +310,34 @@ def test_overload_is_latched_until_cleared(bench):
     bench.monitor.overloads.clear()
     pass_time(bench, 1.0)
     assert not bench.monitor.overloads
-    assert bench.monitor.detector.hits[0].faults == ["clipped"]
+
+
+@pytest.mark.parametrize(("rows", "relations"), [([1], ["", "≥"]), ([2], ["≤", "≤"]), ([1, 2], ["≤", "?"])])
+@pytest.mark.parametrize("bench", ["hammer"], indirect=True)
+def test_clipped_hit_bounds_the_response(bench, rows, relations):
+    set_controls(bench, level=1000.0, hits=1, interval=2.0)
+    bench.controller.start()
+    pass_time(bench, 4.0)
+    (hit,), frf = bench.monitor.detector.hits, bench.monitor.frf
+    assert hit.faults == ["clipped"] and frf.curves() is None
+    hit.overloaded, hit.accepted = rows, True
+    assert [RELATIONS[k] for k in frf.curves().relation[:, 0]] == relations
+
+
+@pytest.mark.parametrize("bench", ["sweep"], indirect=True)
+def test_clipped_block_bounds_its_lines(bench):
+    # At 62 Hz the arm exceeds 50 g.
+    set_controls(bench, level=120.0, low=50.0, high=75.0, duration=12.0)
+    bench.controller.start()
+    while bench.controller.running:
+        pass_time(bench, 0.5)
+    curves = bench.monitor.frf.curves()
+    clipped = curves.frequency[curves.relation[1] == RELATIONS.index("≥")]
+    assert clipped[0] > 55.0 and clipped[-1] < 70.0
+    (peak,) = largest_peaks(curves, 1)
+    assert peak[3:] == (None, "≥") and peak[1] == pytest.approx(62.0, abs=1.0)
+    pass_time(bench, 1.0)
+    assert bench.monitor.overloads and not bench.monitor.overloaded_rows()
 
 
 @pytest.mark.parametrize("bench", ["sweep"], indirect=True)

@@ -18,7 +18,7 @@ from daq.extras.viewer.marker_log import overloads, phases
 from daq.extras.viewer.outputs import save
 from daq.extras.viewer.recorded_motion import RecordedMotion
 from daq.extras.viewer.replay import Replay
-from daq.extras.viewer.viewer_stream import channel_entity
+from daq.extras.viewer.viewer_stream import CONTACT_COLORS, channel_entity
 from rig.core.base.errors import RunError, SceneError
 from rig.core.base.output_files import allow_overwriting
 
@@ -95,11 +95,12 @@ def test_saved_gaps_and_contacts_match_truth(recording, saved_replay):
     time, gap_mm = saved_replay.series("/dampers/gap_mm/damper_1", "scalars")
     np.testing.assert_array_equal(gap_mm, 1e3 * recording.truth("gap")[0])
     assert gap_mm.max() == pytest.approx(0.98, rel=1e-6), "the damper should have reached its ceiling"
-    changed, states = saved_replay.series("/dampers/contact/damper_1", "state")
-    displayed = states[np.searchsorted(changed, time + 1e-9, side="right") - 1]
-    true = np.array(["flight", "floor", "ceiling"])[recording.truth("contact")[0].astype(int)]
-    assert (displayed == true).all()
-    assert set(states) == {"flight", "floor", "ceiling"}
+    # The viewer draws the line before a point in the color of the point.
+    ends, colors = saved_replay.series("/dampers/contact/damper_1", "colors")
+    displayed = colors[np.searchsorted(ends, time[:-1] + 1e-9, side="right")]
+    true = np.array(CONTACT_COLORS)[recording.truth("contact")[0].astype(int)]
+    assert (displayed == true[:-1]).all()
+    assert set(displayed) == set(CONTACT_COLORS[:3])
 
 
 def test_drawn_rig_follows_displacement_channels(recording, saved_replay):
@@ -120,7 +121,7 @@ def test_drawn_rig_follows_displacement_channels(recording, saved_replay):
 
 def test_saved_replay_has_markers_and_description(recording, saved_replay):
     (mark,) = (mark for mark in recording.markers if mark.kind == "measure")
-    times, texts = saved_replay.series("/test/marks", "text")
+    times, texts = saved_replay.series("/markers", "text")
     (index,) = (index for index, text in enumerate(texts) if text.startswith("measure"))
     assert times[index] == pytest.approx(mark.first_sample / recording.rate)
     assert f"frequency {FREQUENCY:g} Hz" in texts[index]
@@ -158,7 +159,7 @@ def test_lost_samples_are_gaps_in_curves(recording, tmp_path):
         time, _ = replay_file.series("/rig/body_1", "translation", width=3)
         is_lost = (time > (lost.start - 0.5) / with_gap.rate) & (time < (lost.stop - 0.5) / with_gap.rate)
         assert not is_lost.any()
-        assert any("gap" in text for text in replay_file.series("/test/marks", "text")[1])
+        assert any("gap" in text for text in replay_file.series("/markers", "text")[1])
 
 
 def test_accelerations_are_integrated_and_described(tmp_path):
@@ -256,7 +257,7 @@ def test_overloaded_channel_has_a_lane(tmp_path):
         recorder.mark("overload", 4096, 5000, channel="body1")
     with daq.open(tmp_path / "overload.mcap") as opened:
         save(Replay(opened, end_s=0.85), tmp_path / "overload.rrd")
-    changed, states = RrdFile(tmp_path / "overload.rrd").series("/test/overload/body1", "state")
+    changed, states = RrdFile(tmp_path / "overload.rrd").series("/overload/body1", "state")
     displayed = dict(zip(changed.round(6).tolist(), states, strict=True))
     # Times of samples 512, 1024 and 4096; the replay ends with sample 4352, one interval before 0.850195 s.
     assert displayed == {0.1: "0", 0.2: "none", 0.8: "1", 0.850195: "none"}

@@ -78,7 +78,7 @@ function panels(kind, x, values, log) {
     const isNear = (row) => values[row].some((value) => Math.abs(value) > VISIBLE_PART * channels[row].limit);
     const over = kind === "history" ? rows.filter((row) => channels[row].limit != null && isOver(channels[row].name) && isNear(row)) : [];
     for (const limit of new Set(over.map((row) => factor * channels[row].limit))) {
-      for (const y of [-limit, limit]) curves.push({ x: [x[0], x[x.length - 1]], y: Float32Array.of(y, y), color: OVER, width: 1.2, dash: [5, 4] });
+      for (const y of [-limit, limit]) curves.push({ x: [x[0], x[x.length - 1]], y: Float32Array.of(y, y), color: AMBER, width: 1.2, dash: [5, 4] });
     }
     const label = key === "hammer" ? "hammer / N" : name, panel = { name: label, log, smallest, share: rows.length > 1 ? 2 : 1, curves };
     const [low, high] = limits(panel);

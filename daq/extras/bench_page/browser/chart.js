@@ -1,12 +1,12 @@
 // A chart on a canvas: panels above each other with a common abscissa. A value of NaN is a gap in a curve.
 "use strict";
 
-const OVER = "#ff5c5c"; // overloaded channels
+const AMBER = "#ffc53d"; // limits, and bounds instead of values
 const COLORS = { text: "#cfd6de", grid: "#323b46", minor: "#232a32", frame: "#4a5562" };
 const LEFT = 54, RIGHT = 8, TOP = 8, BOTTOM = 32, GAP = 13; // px
 
 class Chart {
-  // `x`: {name, log}; panels are {name, log, share, range, smallest, curves: [{x, y, color, dash, dots, crosses, width}]}.
+  // `x`: {name, log}; panels are {name, log, share, range, smallest, curves: [{x, y, color, dash, dots, arrows, width}]}.
   constructor(canvas, x) {
     Object.assign(this, { canvas, x, panels: [], range: [1, 10], cursors: [] });
     new ResizeObserver(() => this.draw()).observe(canvas);
@@ -85,7 +85,7 @@ class Chart {
     context.restore();
   }
 
-  drawCurve({ x, y, color, dash = [], width = 1.4, opacity = 1, dots = false, crosses = false }, toPixel) {
+  drawCurve({ x, y, color, dash = [], width = 1.4, opacity = 1, dots = false, arrows = [] }, toPixel) {
     const { context } = this, isGap = (k) => k < 0 || k >= y.length || !isFinite(y[k]);
     context.strokeStyle = context.fillStyle = color;
     [context.lineWidth, context.globalAlpha] = [width, opacity];
@@ -94,12 +94,11 @@ class Chart {
     for (let k = 0; k < y.length; k++) {
       if (isGap(k)) continue;
       const px = this.position(x[k]), py = toPixel(y[k]);
-      if (crosses) {
-        for (const side of [-6, 6]) {
-          context.moveTo(px - 6, py - side);
-          context.lineTo(px + 6, py + side);
-        }
-      } else if (isGap(k - 1)) context.moveTo(px, py);
+      for (const side of arrows) {
+        context.moveTo(px, py);
+        for (const [dx, dy] of [[0, 14], [-4, 9], [0, 14], [4, 9]]) context.lineTo(px + dx, py - side * dy);
+      }
+      if (isGap(k - 1)) context.moveTo(px, py);
       else context.lineTo(px, py);
       if (dots && isGap(k - 1) && isGap(k + 1)) context.rect(px - 1, py - 1, 2, 2);
     }

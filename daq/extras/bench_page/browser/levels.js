@@ -24,14 +24,14 @@ const levels = {
 
   update({ state }) {
     const now = performance.now(), causes = [];
-    let changed = false;
     this.rows.forEach((row, k) => {
       const { channel } = row, level = state.levels[k], overload = state.overloads[k];
       if (level >= row.held || now - row.since > HOLD_MS) [row.held, row.since] = [level, now];
       row.bar.style.width = `${part(level, channel.limit)}%`;
       row.hold.style.left = `calc(${part(row.held, channel.limit)}% - 2px)`;
-      row.value.firstChild.data = withUnit(level, channel.unit);
-      changed ||= row.over !== Boolean(overload);
+      const clips = state.clipping.includes(k);
+      row.value.firstChild.data = `${clips ? "≥ " : ""}${withUnit(level, channel.unit)}`;
+      row.value.classList.toggle("bound", clips);
       row.over = Boolean(overload);
       row.name.classList.toggle("over", row.over);
       if (!overload) return;
@@ -39,8 +39,6 @@ const levels = {
     });
     if (causes.length) causes.push("Lower the level or extend the range, then Clear.");
     setText("causes", causes.join("\n"));
-    // The response of a finished test is not sent again.
-    if (changed) response.draw();
   },
 };
 

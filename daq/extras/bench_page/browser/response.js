@@ -32,7 +32,7 @@ const response = {
     this.head = head;
     if (arrays.frequency) {
       const { frequency, magnitude, phase, coherence } = arrays;
-      const rows = this.channels.map((channel, k) => ({ ...channel, magnitude: magnitude[k], phase: wrapped(phase[k]), coherence: coherence[k] }));
+      const rows = this.channels.map((channel, k) => ({ ...channel, magnitude: magnitude[k], phase: wrapped(phase[k]), coherence: coherence[k], relation: arrays.relation[k] }));
       this.curves = { test: head.test, level: `${digits(head.level, 3)} N`, frequency: frequency[0], rows };
     }
     if ($("theory").checked && this.band?.join() !== head.band?.join()) send("theory");
@@ -72,30 +72,30 @@ const response = {
     const { curves, previous, theory } = this, magnitude = [], phase = [], coherence = [];
     const showsLast = previous && $("last").checked;
     if (showsLast) for (const row of previous.rows) magnitude.push({ x: previous.frequency, y: micro(row.magnitude), color: LAST, width: 1 });
-    const over = curves?.rows.some((row) => isOver(row.name));
-    setText("thin", [over ? "red cross: overloaded" : "", curves ? "thin: uncertain (γ² < 0.7, or phase scatters)" : "", showsLast ? `gray: last test, ${previous.level}` : ""].filter(Boolean).join("; "));
+    const isClipped = curves?.rows.some((row) => row.relation.some(Boolean));
+    setText("thin", [isClipped ? "dashed: clipped; arrow: side of the true value" : "", curves ? "thin: uncertain (γ² < 0.7, or phase scatters)" : "", showsLast ? `gray: last test, ${previous.level}` : ""].filter(Boolean).join("; "));
     if (theory && $("theory").checked) {
       theory.rows.forEach((row, k) => magnitude.push({ x: theory.frequency, y: micro(row), color: this.channels[k].color, dash: [7, 4], width: 1 }));
     }
     for (const row of curves?.rows ?? []) {
       const style = { x: curves.frequency, color: row.color, dots: true };
-      const certain = determined(row.phase, row.coherence), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
+      const isDetermined = determined(row.phase, row.coherence), certain = isDetermined.map((each, k) => each && !row.relation[k]), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
       magnitude.push({ ...style, y: micro(row.magnitude), width: 0.6, opacity: 0.6 });
+      magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => row.relation[k]), width: 1.6, dash: [5, 4] });
       magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => certain[k]), width: 1.8 });
       // The line is interrupted where the phase wraps.
       phase.push({ ...style, y: only(row.phase, (k) => certain[k] && !(Math.abs(row.phase[k] - row.phase[k - 1]) > 180)), width: 1.6 });
-      coherence.push({ ...style, y: row.coherence });
-      if (!isOver(row.name)) continue;
-      // A cross at the highest point: the channel was overloaded.
-      const highest = row.magnitude.reduce((best, value, k) => (value > (row.magnitude[best] || 0) ? k : best), 0);
-      magnitude.push({ x: [curves.frequency[highest]], y: Float32Array.of(1e6 * row.magnitude[highest]), color: OVER, width: 2.5, crosses: true });
+      coherence.push({ ...style, y: row.coherence, width: 0.6, opacity: 0.6 }, { ...style, y: only(row.coherence, (k) => isDetermined[k]) });
+      // Arrows at the highest clipped point show on which sides of it the true value may be.
+      const highest = row.magnitude.reduce((best, value, k) => (row.relation[k] && value > (row.magnitude[best] || 0) ? k : best), -1);
+      if (highest >= 0) magnitude.push({ x: [curves.frequency[highest]], y: Float32Array.of(1e6 * row.magnitude[highest]), color: AMBER, width: 2, arrows: [[1], [-1], [1, -1]][row.relation[highest] - 1] });
     }
-    for (const entry of document.querySelectorAll("#legend [data-name]")) entry.classList.toggle("over", isOver(entry.dataset.name));
     const fixed = (values) => values.map((value) => [value, true]), range = this.range();
     // The axis is logarithmic unless the band is narrow, as in figures and report.
     this.chart.x.log = range[1] >= 2 * range[0] && range[0] > 0;
     this.chart.show(range, [
-      { name: "|compliance| / (µm/N)", log: true, share: 3.2, curves: magnitude },
+      // Noise does not determine the axis.
+      { name: "|compliance| / (µm/N)", log: true, share: 3.2, curves: magnitude, range: limits({ log: true, curves: magnitude.filter((curve) => !curve.opacity) }) },
       { name: "phase / °", range: [-285, 105], ticks: fixed([-270, -180, -90, 0, 90]), curves: phase },
       // A single average has no coherence.
       ...(curves?.rows.every((row) => row.coherence.every(isNaN)) ? [] : [{ name: "γ²", range: [0, 1.02], ticks: fixed([0, 0.5, 1]), share: 0.7, curves: coherence }]),
@@ -120,9 +120,9 @@ const response = {
     fillTable($("cursors"), rows.length ? [["cursor", "frequency", ...curves.rows.map((row) => row.name)], ...rows] : [[curves ? "Click: cursor A. Shift and click: cursor B. Double-click: none." : ""]]);
     const peaks = this.head?.peaks ?? [];
     if (!peaks.length) return $("peaks").replaceChildren();
-    fillTable($("peaks"), [["peak", "frequency", "value", "damping"], ...peaks.map(([name, f, value, damping]) => [
-      name, `${digits(f, 5)} Hz`, withUnit(value, "m/N"), damping == null ? "–" : `${digits(100 * damping, 2)} %`])]);
-    peaks.forEach(([name], k) => $("peaks").rows[k + 1].cells[0].classList.toggle("over", isOver(name)));
+    fillTable($("peaks"), [["peak", "frequency", "value", "damping"], ...peaks.map(([name, f, value, damping, relation]) => [
+      name, `${digits(f, 5)} Hz`, relation === "?" ? "clipped" : `${relation}${withUnit(value, "m/N")}`, damping == null ? "–" : `${digits(100 * damping, 2)} %`])]);
+    peaks.forEach(([, , , , relation], k) => $("peaks").rows[k + 1].classList.toggle("bound", relation !== ""));
   },
 };
 

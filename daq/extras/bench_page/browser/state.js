@@ -51,14 +51,20 @@ const bar = {
     if (shown === this.shownHits) return;
     this.shownHits = shown;
     $("hit-list").replaceChildren();
-    for (const [number, peak, verdict, accepted, complete] of hits) {
+    const names = (rows) => rows.map((row) => channels[row].name).join(", "), excluded = [];
+    for (const [number, peak, faults, accepted, complete, overloaded] of hits) {
+      const isClipped = overloaded.some((row) => channels[row].at === "hammer");
+      const verdict = faults.map((fault) => (fault === "clipped" ? `${overloaded.length > 2 ? `${overloaded.length} channels` : names(overloaded)} clipped` : fault)).join(", ");
+      if (complete && !accepted) excluded.push(`Impact ${number} is not averaged${verdict ? `: ${verdict}` : ""}.`);
       const row = make($("hit-list"), "tr"), box = make(make(row, "td"), "input");
       Object.assign(box, { type: "checkbox", checked: accepted, disabled: !complete, title: "Use this impact for the response" });
       box.addEventListener("change", () => send("accept", [number, box.checked]));
       make(row, "td", `${number}`);
-      make(row, "td", `${digits(peak, 3)} N`);
-      make(row, "td", verdict).className = ["good", "measuring"].includes(verdict) ? "" : "bad";
+      make(row, "td", `${isClipped ? "≥ " : ""}${digits(peak, 3)} N`).className = isClipped ? "bound" : "";
+      make(row, "td", complete ? (accepted ? "✓" : "✗") : "").className = accepted ? "" : "excluded";
+      make(row, "td", verdict || (complete ? "good" : "measuring")).className = verdict ? "bound" : "";
     }
+    setText("excluded", excluded.length && hits[0][5].length ? `${excluded[0]} Hit softer, or extend the range.` : excluded[0] ?? "");
   },
 };
 

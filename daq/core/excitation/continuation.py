@@ -234,6 +234,11 @@ class _Curve:
                 f"level {self._level:g}: the curve ends at {self.points[-1].frequency:.4g} Hz after {test.points} "
                 "points. Give more test.points, or a larger test.step."
             )
+        elif self._share < 0.0:
+            self._station.warn(
+                f"level {self._level:g}: the curve turns back and leaves the band at {self.points[-1].frequency:.4g} "
+                "Hz, where the test began. Folds beyond are missed. Give a test.from farther from the resonance."
+            )
 
     @property
     def _share(self) -> float:
@@ -262,10 +267,8 @@ class _Curve:
         test, station, tone = self._test, self._station, self._tone
         first = station.now
         samples = round(test.measure.periods * station.rate / point.frequency)
-        held = yield from tone.hold_envelope(samples, point.motion, feedback=self._holding and self.unstable)
-        if held.growth and self._holding:
-            first = station.now
-            held = yield from tone.hold_envelope(samples, point.motion, feedback=True)
+        # At constant drive, a motion next to a fold drifts slowly, and its force is in error.
+        held = yield from tone.hold_envelope(samples, point.motion, feedback=self._holding)
         settled = not held.growth and held.invasive < _MAX_INVASIVE
         tone.mark_measured(
             first,

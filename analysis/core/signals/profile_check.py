@@ -7,7 +7,7 @@ Electroacoust. 15 (1967) 70), with chi-square intervals.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -113,8 +113,12 @@ class ProfileCheck(Result):
             return self._decibels * np.log10(level.values / level.bound)
 
     def is_limited(self, level: Level) -> NDArray[np.bool_]:
-        """Return flags of the frequencies at which a channel limits the drive."""
-        return limits_drive(-self.deviation, -self.excess(level), _NOTCH_DB)
+        """Return flags of the frequencies at which a channel limits the drive.
+
+        The control holds a density below its limit; the channel is near the limit if the end of its interval is.
+        """
+        end = replace(level, values=np.where(np.isfinite(level.high), level.high, level.values))
+        return limits_drive(-self.deviation, -self.excess(end), _NOTCH_DB)
 
     @property
     def is_reduced(self) -> NDArray[np.bool_]:

@@ -61,7 +61,7 @@ class SpectrumControl:
         found = yield from identify(
             self.station, self.rows, self.lines, self.period, required, largest, "random control identification"
         )
-        self.drive = test.prescription.required(np.abs(found.gain) ** 2, self.frequency).min(axis=0)
+        self.drive = self._correction(np.abs(found.gain) ** 2)
         self._check_output()
 
     def _check_output(self) -> None:
@@ -107,8 +107,17 @@ class SpectrumControl:
 
     def update(self, density: Array) -> None:
         """Correct the drive."""
-        ratio = self.test.prescription.required(density, self.frequency).min(axis=0)
-        self.drive = updated(self.drive, ratio, self.test.speed, self.spectra.count)
+        self.drive = updated(self.drive, self._correction(density), self.test.speed, self.spectra.count)
+
+    def _correction(self, density: Array) -> Array:
+        """Return the required change of the drive density.
+
+        Limits are reduced by the standard deviation of densities averaged over the test: few lines then exceed them.
+        """
+        spectra = max(2.0 * self.test.duration * self.station.rate / self.period, 1.0)
+        required = self.test.prescription.required(density, self.frequency)
+        required[1:] *= 10.0 ** (-SCATTER_DB / np.sqrt(spectra) / 10.0)
+        return np.asarray(required.min(axis=0))
 
 
 def excite(station: Station, test: RandomControl) -> Excitation:

@@ -3,8 +3,8 @@
     python -m tests.ni_suite PATH [arguments of pytest]
 
 PATH is a copy of https://github.com/ni/nidaqmx-python (MIT license), which is not part of this project. Those of its
-tests that use gRPC run unchanged, against a server of the devices that they expect (see `devices`). Tests of features
-that a vibration rig does not have are not counted, see `OUT_OF_SCOPE`.
+tests that use gRPC run unchanged, against a server of the devices that they expect (see `devices`). They require
+pytest-mock and pykka. Tests of features that a vibration rig does not have are not counted, see `OUT_OF_SCOPE`.
 """
 
 import os
@@ -73,7 +73,7 @@ def _run_suite(path: Path, arguments: list[str], port: int, folder: Path) -> int
         "NI_SUITE_SERVER": str(server_script),
         # NI's tests also query the system during collection, without their fixture.
         SERVER: f"127.0.0.1:{port}",
-        "PYTHONPATH": os.pathsep.join([str(STARTUP), str(HERE)]),
+        "PYTHONPATH": os.pathsep.join([str(STARTUP), str(HERE), *filter(None, [os.environ.get("PYTHONPATH")])]),
     }
     command = [sys.executable, "-m", "pytest", "-p", "plugin", "-p", "no:cacheprovider", "-q", "-rN"]
     command += ["-k", "grpc_init_kwargs", "--tb=line", f"--junitxml={report}", *arguments]

@@ -19,7 +19,7 @@ from analysis.core.modal.modal_fit import (
     remove_unbounded,
     systematic_bound,
 )
-from analysis.core.modal.mode_warnings import mode_warnings
+from analysis.core.modal.mode_warnings import mode_warnings, rejections
 from analysis.core.modal.modes import Modes
 from analysis.core.modal.order_selection import are_in_band
 from analysis.core.modal.pole_errors import pole_errors, refined_pole_errors, systematic_pole_errors
@@ -103,9 +103,11 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
         used = {curve.response for curve in curves}
         found = identify_windows([curve for curve in all_lines if curve.response in used], measured.value, count)
     if not found.poles.size:
+        reason = " ".join(rejections(found)) or (
+            "no resonance is higher than the noise and wider than the frequency resolution."
+        )
         raise RecordingError(
-            f"{curves[0].label}: no resonance is higher than the noise and wider than the frequency resolution. "
-            "Measure for longer, with a smaller frequency step, or in another band."
+            f"{curves[0].label}: {reason} Measure for longer, with a smaller frequency step, or in another band."
         )
     # A pole is omitted if the uncertainty of the curves at its frequency is unbounded.
     frequency: Array = np.asarray(abs(found.poles) / (2 * np.pi), dtype=float)

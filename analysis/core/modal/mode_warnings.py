@@ -63,17 +63,7 @@ def mode_warnings(
                 f"Small model error: {residual_text}, more than the {expected}. "
                 "The uncertainties of the modes include it."
             )
-    if found.rejected:
-        yield (
-            f"Rejected the stable poles at {_listed(np.sort(found.rejected))} Hz: their damping or height is below the "
-            "uncertainty of these curves. Damper impacts also cause such peaks, which are not modes."
-        )
-    if found.unconfirmed:
-        yield (
-            f"Rejected the poles at {_listed(np.sort(found.unconfirmed))} Hz: parts of the lines around them do not "
-            "confirm them. Leakage, double impacts and a nonlinear structure cause such poles. Measure with a smaller "
-            "frequency step or more averages to identify modes there."
-        )
+    yield from rejections(found)
     if uncertain_poles.size:
         listed = _listed(uncertain_poles)
         yield f"Rejected the stable poles at {listed} Hz: the uncertainty of the curves is too large there."
@@ -154,6 +144,21 @@ def mains_multiple(frequency: float, tolerance: float) -> str:
         if abs(frequency - multiple * mains) <= tolerance < _MAX_COINCIDENCE * mains:
             return f"{multiple} x {mains:g} Hz"
     return ""
+
+
+def rejections(found: IdentifiedPoles) -> Iterator[str]:
+    """Yield a sentence about stable poles of undetermined damping or height, and about unconfirmed poles."""
+    if found.rejected:
+        yield (
+            f"Rejected the stable poles at {_listed(np.sort(found.rejected))} Hz: their damping or height is below the "
+            "uncertainty of these curves. Damper impacts also cause such peaks, which are not modes."
+        )
+    if found.unconfirmed:
+        yield (
+            f"Rejected the poles at {_listed(np.sort(found.unconfirmed))} Hz: parts of the lines around them do not "
+            "confirm them. Leakage, double impacts and a nonlinear structure cause such poles. Measure with a smaller "
+            "frequency step or more averages to identify modes there."
+        )
 
 
 def _listed(values: Array, digits: int = 4) -> str:

@@ -42,6 +42,9 @@ _SAME_PEAK_RATIO = 1.5
 _SAME_POLE_RATIO = 1e-3
 # Number of candidates that are fitted at each step.
 _FITTED_CANDIDATES = 4
+# The fit of a candidate is completed only if its approximate fit has at least this fraction of the necessary reduction
+# of the misfit. In 550 fits of simulated curves, the smallest fraction of an accepted pole was 0.96.
+_MIN_APPROXIMATE_REDUCTION = 0.3
 # Maximum number of evaluations for models that are only compared with each other. Between 4 and 25, it did not change
 # the modes of 116 measured and synthetic sets of curves.
 _APPROXIMATE_EVALUATIONS = 5
@@ -131,6 +134,9 @@ def _with_best_added_pole(curves: Curves, current: ModalModel, candidates: Compl
             break
     # A pole may become significant only when its fit is completed, for example with five lines in each peak.
     for model in sorted(approximate, key=lambda model: model.misfit):
+        necessary = _reduction_by_noise(curves, model, current.poles.size)
+        if current.misfit - model.misfit < _MIN_APPROXIMATE_REDUCTION * necessary:
+            continue
         larger = fit(curves, model.poles)
         if is_significant(curves, current, larger) and not spurious_poles(curves, larger).size:
             return larger
@@ -139,7 +145,7 @@ def _with_best_added_pole(curves: Curves, current: ModalModel, candidates: Compl
 
 def is_significant(curves: Curves, smaller: ModalModel, larger: ModalModel) -> bool:
     """Return whether the additional poles of the larger model reduce the misfit by more than noise explains."""
-    return _net_misfit_reduction(curves, smaller.misfit, larger, smaller.poles.size) > 0
+    return smaller.misfit - larger.misfit > _reduction_by_noise(curves, larger, smaller.poles.size)
 
 
 def better_model(curves: Curves, first: ModalModel, second: ModalModel) -> ModalModel:
@@ -153,11 +159,11 @@ def better_model(curves: Curves, first: ModalModel, second: ModalModel) -> Modal
     return larger if is_significant(curves, smaller, larger) else smaller
 
 
-def _net_misfit_reduction(curves: Curves, misfit: float, larger: ModalModel, n_poles: int) -> float:
-    """Compute by how much a larger model reduces the misfit of a model of `n_poles`, beyond the reduction by noise."""
+def _reduction_by_noise(curves: Curves, larger: ModalModel, n_poles: int) -> float:
+    """Compute the largest reduction of the misfit by noise, from a model of `n_poles` poles to a larger model."""
     added_unknowns = curves.unknowns(larger.poles.size) - curves.unknowns(n_poles)
     scale = max(larger.misfit / curves.degrees_of_freedom(larger.poles.size), 1.0) * correlation_length(larger.residual)
-    return misfit - larger.misfit - float(_PENALTY_FACTOR * added_unknowns * np.log(curves.n_values) * scale)
+    return float(_PENALTY_FACTOR * added_unknowns * np.log(curves.n_values) * scale)
 
 
 def correlation_length(residual: ComplexArray) -> float:
@@ -237,7 +243,7 @@ def _significant_poles(curves: Curves, model: ModalModel) -> tuple[ComplexArray,
     while poles.size:
         misfits = misfits_without(curves, poles)
         least_significant = int(np.argmin(misfits))
-        if _net_misfit_reduction(curves, float(misfits[least_significant]), model, poles.size - 1) > 0:
+        if misfits[least_significant] - model.misfit > _reduction_by_noise(curves, model, poles.size - 1):
             break
         poles = np.delete(poles, least_significant)
     return poles, least_significant

@@ -25,6 +25,8 @@ from rig.core.base.errors import RecordingError
 
 # Interval before an impact, s, in which residual motion is detected and the zero offset of each channel is measured.
 PRE_HIT_S = 0.2
+# Motion before an impact is estimated from at least this number of samples.
+_MIN_PRE_HIT_SAMPLES = 4
 # Number of parts of the force window with independent noise.
 _NOISE_PARTS = 16
 # The rig is at rest in this interval if its motion is at most this fraction of the response to the impact.
@@ -109,12 +111,14 @@ class Hits:
     def prior_motion(self, rec: Recording, names: Sequence[str], start: int, stop: int) -> float:
         """Estimate the largest motion or drift before the first impact of a segment, relative to the response.
 
-        The result, over the channels `names`, is infinite if the segment begins too shortly before the impact, or if
-        this is not the first impact of the recording.
+        The result, over the channels `names`, is NaN if the segment begins with the impact, and infinite if this is
+        not the first impact of the recording.
         """
         begin = self.inside(start, stop)[0][0]
         first = max(start, begin - int(PRE_HIT_S * rec.rate))
-        if begin - first < 4 or self.arrivals[0][0] < begin:
+        if begin - first < _MIN_PRE_HIT_SAMPLES:
+            return np.nan
+        if self.arrivals[0][0] < begin:
             return np.inf
         # A shorter interval would contain only a part of a slow motion.
         largest, visible_ratio = 0.0, min(1.0, (begin - first) / (PRE_HIT_S * rec.rate))
@@ -135,7 +139,7 @@ class Hits:
         if motion < _MAX_REST_RATIO:
             return True
         inside = self.inside(start, stop)
-        return bool(np.isfinite(motion) and len(inside) == 1 and 2 * FIT_HALF_WIDTH * (inside[0][0] - start) < samples)
+        return not np.isinf(motion) and len(inside) == 1 and 2 * FIT_HALF_WIDTH * (inside[0][0] - start) < samples
 
     def isolate(self, rec: Recording, names: Sequence[str], block: Array, start: int, at_rest: bool) -> Array:
         """Subtract the zero of all channels; restrict the force to the impacts and invert its high-pass filters.

@@ -325,6 +325,11 @@ def _average(curves: Sequence[Response]) -> Response:
 
 def _with_motion_before(frf: Response, prior_motion: Sequence[float]) -> Response:
     """Add the error due to motion before the impacts to a response's uncertainty, and warn if it is large."""
+    if np.isnan(prior_motion).any():
+        frf = frf.warn(
+            f"{frf.response}: the samples begin with an impact, so that motion before it is unknown and the structure "
+            "is assumed to be at rest. Start recording at least 0.2 s before each impact."
+        )
     largest = max((ratio for ratio in prior_motion if np.isfinite(ratio)), default=None)
     if largest is None:
         return frf

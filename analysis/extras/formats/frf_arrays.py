@@ -61,6 +61,11 @@ def response_arrays(path: Path) -> ResponseArrays:
         separate = [name] if columns.shape[1] == 1 else [f"{name}({number + 1})" for number in range(columns.shape[1])]
         values |= dict(zip(separate, columns.T, strict=True))
     coherence = {name: arrays.get(f"coherence_{name}", np.array([])).astype(float) for name in values}
+    # A coherence next to a response, in an array of complex numbers, has no imaginary part.
+    real = {name: column.real for name, column in values.items() if not column.imag.any()}
+    if len(values) - len(real) == len(real) == 1:
+        values = {name: column for name, column in values.items() if name not in real}
+        coherence = dict(zip(values, real.values(), strict=True))
     frequency = _frequencies(path, arrays, lines)
     return ResponseArrays(values, frequency, coherence, _text(arrays.get("unit")))
 

@@ -33,6 +33,8 @@ _MAX_REGULAR_INTERVALS = 1.5
 # Largest deviation of an interval from one sample interval, and of a gap from a whole number of sample intervals, in
 # sample intervals.
 _INTERVAL_TOLERANCE = 0.25
+# Largest relative rounding error of a time with three digits.
+_ROUNDING = 0.005
 # Maximum number of gaps in the times of a clock.
 _MAX_GAPS = 10_000
 
@@ -213,13 +215,16 @@ def require_even(
 def looks_like_times(first_times: Array, last: float, samples: int) -> bool:
     """Return whether the numbers of an unnamed column can only be times: they rise evenly, but not by 1.
 
+    Spreadsheets write three digits.
+
     >>> looks_like_times(np.array([0.0, 0.01, 0.02]), 0.09, 10), looks_like_times(np.array([1.0, 2.0]), 10.0, 10)
     (True, False)
     """
     step = (last - first_times[0]) / max(samples - 1, 1)
     if not (np.isfinite(step) and step > 0.0) or step == 1.0:
         return False
-    return bool((abs(first_times - first_times[0] - step * np.arange(first_times.size)) < 0.1 * step).all())
+    elapsed = step * np.arange(first_times.size)
+    return bool((abs(first_times - first_times[0] - elapsed) < np.maximum(0.1 * step, _ROUNDING * elapsed)).all())
 
 
 def warn_used_as_times(column: str, step: float) -> None:

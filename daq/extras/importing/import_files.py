@@ -72,7 +72,8 @@ def import_files(
     Signals become the channels of the scene, by name or as a table specifies, in SI. Missing samples are marked `lost`,
     clipped samples `overload`. The scene's test specifies the excitation. Impacts are detected in the force channel; a
     step of a sine or stepped sine is detected where a tone is held. Any other excitation is one measurement over the
-    whole duration. Files of an impact test that contain the same signals are joined, as impacts of one test.
+    whole duration. Files of an impact test that contain the same signals are joined, as impacts of one test, unless
+    the table states files.
 
     Parameters
     ----------
@@ -135,7 +136,12 @@ def import_files(
         raise RecordingError(f"{duplicate}: the same content as {first}. Give each file once.")
     with ExitStack() as stack:
         files_of_signals = [signals_of(file, stack) for file in paths]
-        is_joined = _detection(bench_scene) == "hits" and are_repetitions(files_of_signals)
+        # A table that states files assigns force and response from separate files of one impact.
+        is_joined = (
+            _detection(bench_scene) == "hits"
+            and are_repetitions(files_of_signals)
+            and not any(column.file for column in columns.values())
+        )
         signals = join_repetitions(files_of_signals) if is_joined else list(chain.from_iterable(files_of_signals))
         # This is checked after the files and the scene, because their errors are more helpful.
         resolve_output(target, overwrite, RecordingError)

@@ -43,6 +43,8 @@ _MAX_FRACTION_DIGITS = 6
 LABVIEW_BEGIN = "LabVIEW Measurement"
 # Last line of each part of a heading.
 _LABVIEW_END = "***End_of_Header***"
+# Names that Express VIs of LabVIEW give to spectra, whose headings state times.
+_LABVIEW_SPECTRUM = re.compile(r"\((FFT|Power Spectrum|PSD)\b", re.IGNORECASE)
 # First words of the lines that begin a further segment.
 LABVIEW_SEGMENT_BEGINS = ("Channels", "Notes", "X_Value", _LABVIEW_END)
 _LABVIEW_TIME = re.compile(r"(\d{4})/(\d\d)/(\d\d) (\d\d):(\d\d):(\d\d)(\.\d+)?")
@@ -269,6 +271,8 @@ def _labview_channel(segment: dict[str, list[str]], name: str, position: int, de
         text = (cells[position] if position < len(cells) else "") or default
         return text.replace(",", ".") if decimal_comma else text
 
+    if _LABVIEW_SPECTRUM.search(name):
+        raise ValueError(f"{name!r} is a spectrum, not samples, although the heading states times; export the signal")
     interval = stated_value("Delta_X", "0")
     error = _rounding_error(interval)
     rate = rate_of_interval(float(interval), error) if float(interval) else None

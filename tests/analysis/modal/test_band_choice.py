@@ -141,7 +141,7 @@ def test_pole_of_uncertain_frequency_is_rejected(monkeypatch: pytest.MonkeyPatch
         return exact(*arguments)._replace(frequency_error=np.array([1.0]))
 
     monkeypatch.setattr(window_fits, "band_choice", shifted)
-    with pytest.raises(RecordingError, match="no resonance"):
+    with pytest.raises(RecordingError, match="Rejected the poles at 120 Hz"):
         analysis.identify([curve])
 
 

@@ -444,3 +444,11 @@ def test_remedy_of_few_lines_suits_hits(tmp_path, noise, remedies):
         [curves] = analysis.frequency_responses(rec)
         warnings = analysis.identify(curves.band(5.0, 60.0)).warnings
     assert [text.partition("flanks. ")[2] for text in warnings if "flanks" in text] == remedies
+
+
+def test_rejected_poles_are_named_without_modes() -> None:
+    random, frequency = np.random.default_rng(0), np.arange(30.0, 400.0, 0.5)
+    value = 1.0 / (1.0 - (frequency / 190.0) ** 2 + 0.008j * frequency / 190.0)
+    noise = random.standard_normal(frequency.size) + 1j * random.standard_normal(frequency.size)
+    with pytest.raises(RecordingError, match=r"Rejected the poles at 189\.8 Hz"):
+        analysis.identify([Response.curve(frequency, value + 0.4 * abs(value) * noise, "a")])

@@ -356,3 +356,11 @@ def test_unclear_arrays_are_refused_with_remedy(tmp_path, arrays, message):
     np.savez(tmp_path / "a.npz", **arrays)
     with pytest.raises(RecordingError, match=message):
         analysis.read_frfs(tmp_path / "a.npz", unit="m/N")
+
+
+def test_coherence_in_complex_array_is_read(tmp_path):
+    value = np.exp(1j * np.linspace(0.0, 3.0, 30))
+    savemat(tmp_path / "a.mat", {"yspec": np.column_stack([value, np.linspace(1.0, 0.5, 30)]), "df": 1.0})
+    [curve] = analysis.read_frfs(tmp_path / "a.mat", unit="m/N")
+    np.testing.assert_allclose(curve.value, value[1:])
+    np.testing.assert_allclose(curve.coherence, np.linspace(1.0, 0.5, 30)[1:])

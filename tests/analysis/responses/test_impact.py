@@ -166,6 +166,24 @@ def test_uncertainty_contains_error_due_to_motion_before_hit(interval, is_report
     np.testing.assert_array_equal(curves[0].frequency, curves[1].frequency)
 
 
+@pytest.mark.filterwarnings("ignore:.*:rig.core.base.errors.RunWarning")
+def test_recording_may_begin_with_its_hit(tmp_path):
+    scene = rig.loads(
+        HAMMER_TEST.format(cutoff="", converter="{rate: 2560 Hz, range: 5 V}").replace("repeats: 2", "repeats: 1")
+    )
+    with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
+        [hit] = [marker for marker in rec.markers if marker.kind == "hit"]
+        rows = {name: rec.read(name, hit.first_sample - 1) for name in rec.channels}
+    np.savez(tmp_path / "cut.npz", **rows)
+    units = {name: Column(name, unit="N" if name == "hammer" else "m/s^2") for name in rows}
+    daq.import_files(tmp_path / "cut.npz", scene, tmp_path / "cut.mcap", table=units)
+    with daq.open(tmp_path / "cut.mcap") as rec:
+        [curves] = analysis.frequency_responses(rec)
+        _, error = coverage(rec, curves)
+    assert error < 0.01
+    assert any("is assumed to be at rest" in text for text in curves[0].warnings)
+
+
 def test_integrator_drift_causes_no_error_far_above_resonance(tmp_path):
     scene = rig.loads("""
 structure: {masses: [1 kg], springs: [2.4 kN/m], damping: {modal: 1 %}}

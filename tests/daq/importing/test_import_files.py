@@ -578,6 +578,35 @@ def test_files_of_one_hit_are_joined(tmp_path):
     assert any("2 files with the same signals are joined as impacts of one test" in note for note in notes)
 
 
+@pytest.mark.filterwarnings("ignore:.*has no heading")
+def test_force_and_response_may_have_separate_files(tmp_path):
+    times = np.arange(2048) / 2048.0
+    force = np.where(times < 4e-3, 50.0 * np.sin(np.pi * times / 4e-3), 0.0)
+    for name, values in (("force", force), ("response", np.exp(-20.0 * times) * np.sin(300.0 * times))):
+        np.savetxt(tmp_path / f"{name}.txt", np.column_stack([times, values]))
+    table = {"hit": Column("column 2", file="force", unit="N"), "body1": Column("column 2", file="response", unit="g")}
+    files = [tmp_path / "force.txt", tmp_path / "response.txt"]
+    recording, _ = import_recording(files, hammer_scene(), tmp_path / "r.mcap", table=table)
+    with recording:
+        np.testing.assert_allclose(recording.read("hit"), force, rtol=0, atol=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore:.*has no heading")
+def test_times_of_three_digits_are_recognized(tmp_path):
+    times = np.arange(4000) / 4000.0
+    rows = "".join(f"{time:.2E}\t{np.sin(300.0 * time):.6f}\n" for time in times)
+    (tmp_path / "a.txt").write_text(rows)
+    listed = CliRunner().invoke(app, ["import", str(tmp_path / "a.txt")]).output
+    assert 'signal1: {column: "column 2"}  # 4000 samples at 4000 Hz' in listed
+
+
+def test_labview_spectrum_is_refused(tmp_path):
+    heading = LABVIEW_HEAD.format(name="Tab", point=".", columns="One") + "Channels\t1\nDelta_X\t0.1\n" + END_OF_HEADER
+    (tmp_path / "a.lvm").write_text(heading + "X_Value\tAcceleration (FFT - (RMS))\tComment\n0.0\t1.0\n0.1\t2.0\n")
+    with pytest.raises(RecordingError, match="'Acceleration \\(FFT - \\(RMS\\)\\)' is a spectrum"):
+        daq.import_files(tmp_path / "a.lvm", make_scene(), tmp_path / "r.mcap")
+
+
 def test_joined_files_have_one_rate(tmp_path):
     write_hit(tmp_path / "a.csv", 80.0)
     write_hit(tmp_path / "b.csv", 90.0, 1024.0)

@@ -100,7 +100,7 @@ class HeldMotion(EnvelopeTone):
             settled = settled and not held.growth
             if not settled and growth * self.dead_time > MAX_POLE_TIMES_DEAD_TIME:
                 self.lost.append((growth, self.dead_time))
-        self.mark_measured(first, held, settled, **fields)
+        self.mark_measured(first, held, settled and held.repeats, **fields)
 
 
 def excite(station: Station, test: ConstantResponse) -> Excitation:

@@ -40,6 +40,7 @@ from daq.core.excitation.tones.envelope_control import (
 from daq.core.excitation.tones.steady_tone import TRANSITION_S, AmplitudeControl
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.text import format_decimals
+from rig.core.scene.excitation import FORCE_TOLERANCE
 
 if TYPE_CHECKING:
     from rig.core.scene.excitation import Continuation
@@ -198,6 +199,7 @@ class _Curve:
         self._drive = 0.0  # amplitude of the drive at the level, next to the last point
         self.folds = 0  # number of points at which the curve turned back
         self.gaps: list[tuple[float, float]] = []  # frequencies of the points at their ends, Hz
+        self.irregular: list[float] = []  # frequencies at which the motion does not repeat, Hz
 
     @property
     def unstable(self) -> bool:
@@ -269,7 +271,9 @@ class _Curve:
         samples = round(test.measure.periods * station.rate / point.frequency)
         # At constant drive, a motion next to a fold drifts slowly, and its force is in error.
         held = yield from tone.hold_envelope(samples, point.motion, feedback=self._holding)
-        settled = not held.growth and held.invasive < _MAX_INVASIVE
+        settled = not held.growth and held.invasive < _MAX_INVASIVE and held.repeats
+        if not held.repeats:
+            self.irregular.append(point.frequency)
         tone.mark_measured(
             first,
             held,
@@ -483,6 +487,12 @@ def excite(station: Station, test: Continuation) -> Excitation:
         except Lost as loss:
             failures.append(f"level {level:g}, {len(curve.points)} points: {loss}.")
             useless += not curve.folds
+        if curve.irregular:
+            irregular = ", ".join(dict.fromkeys(f"{frequency:.5g}" for frequency in curve.irregular))
+            station.warn(
+                f"level {level:g}: the motion does not repeat at {irregular} Hz, or noise exceeds "
+                f"{FORCE_TOLERANCE:.1%} of it. These points are omitted. Give another level."
+            )
         if curve.gaps:
             ends = ", ".join(f"{start:.5g} to {end:.5g}" for start, end in curve.gaps)
             station.warn(

@@ -8,11 +8,12 @@ import pytest
 import daq
 import rig
 from daq.core.excitation import Station, excitation
-from daq.core.excitation.tones.envelope_control import EnvelopeControl
+from daq.core.excitation.tones.envelope_control import EnvelopeControl, irregularity
 from daq.core.measurement.device_loop import run_on_device
 from daq.core.virtual_bench.bench import Bench
-from rig.core.base.arrays import Array
+from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RunError, SceneError
+from rig.core.scene.excitation import FORCE_TOLERANCE
 from rig.core.system.structural_model import receptance
 from tests.daq.measurement.bench_run import BenchRun, run, scene_with
 
@@ -58,6 +59,25 @@ def test_law_holds_unstable_envelope(rotation: float, scale: float) -> None:
 def test_law_limits_drive_at_excess() -> None:
     control = EnvelopeControl(1.0, 1.0 + 0j, 0.1, 0.15, limit=5.0)
     assert abs(control.next_drive(2.0, -1.0)) <= 1.0
+
+
+def logistic_map(growth: float) -> ComplexArray:
+    """Return envelopes of ten windows that vary by up to 5 % with the logistic map."""
+    values = [0.3]
+    for _ in range(1000):
+        values.append(growth * values[-1] * (1.0 - values[-1]))
+    return 1j * (1.0 + 0.05 * np.array(values[-10:]))
+
+
+def test_chaotic_motion_does_not_repeat() -> None:
+    # Below 3.57 the map has periods of 2, 4, ...; at 3.9 it is chaotic.
+    assert irregularity(logistic_map(3.2)) < 1e-6 and irregularity(logistic_map(3.5)) < 1e-6
+    assert irregularity(logistic_map(3.9)) > FORCE_TOLERANCE
+
+
+def test_drift_and_noise_are_not_irregular() -> None:
+    noise = np.random.default_rng(1).normal(0.0, 1e-3, 10)
+    assert irregularity(1.0 + np.linspace(0.0, 0.01, 10) + noise + 0j) < FORCE_TOLERANCE
 
 
 @pytest.fixture(scope="module")

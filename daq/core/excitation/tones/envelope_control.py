@@ -52,6 +52,8 @@ _REDUCED_GAIN = 0.5
 AVERAGED_WINDOWS = 12
 # In steady state, the drives of these windows have at most this relative standard deviation.
 _MAX_SCATTER = 0.01
+# A motion that repeats after at most this number of windows is periodic, with a multiple of the period of the tone.
+_MAX_REPEATED_WINDOWS = 4
 # The motion has left its target if it deviates by more than this multiple of the level's tolerance.
 _LEFT_RATIO = 2.0
 
@@ -112,6 +114,12 @@ class Held(NamedTuple):
     drive: complex  # mean envelope
     invasive: float  # root mean square of the changes of the drive by the control, relative to the drive
     growth: float  # rate at which the motion left its target with a constant drive, 1/s; 0 if it stayed
+    irregularity: float  # see `irregularity`
+
+    @property
+    def repeats(self) -> bool:
+        """Whether the motion is periodic."""
+        return self.irregularity < FORCE_TOLERANCE
 
 
 class EnvelopeTone(SteadyTone):
@@ -261,7 +269,9 @@ class EnvelopeTone(SteadyTone):
             drives.append(self.envelope)
         motion, drive = complex(np.mean(motions)), complex(np.mean(drives))
         invasive = float(np.sqrt(np.mean(abs(np.array(drives) - drive) ** 2))) / max(abs(drive), 1e-300)
-        return Held(motion, drive, invasive, _growth(np.array(motions), target, window / self.rate))
+        envelopes = np.array(motions)
+        growth = _growth(envelopes, target, window / self.rate)
+        return Held(motion, drive, invasive, growth, irregularity(envelopes))
 
     def mark_measured(self, first: int, held: Held, settled: bool, **fields: Any) -> None:
         """Mark the measurement from a given sample to the present sample."""
@@ -280,3 +290,19 @@ def _growth(motions: ComplexArray, target: float, window: float) -> float:
     latest = np.maximum(deviation, 1e-9)
     middle = latest.size // 2
     return float(max(np.log(latest[-1] / latest[middle]) / ((latest.size - 1 - middle) * window), 1e-9))
+
+
+def irregularity(motions: ComplexArray) -> float:
+    """Return the scatter of the envelopes of successive windows about a periodic motion, relative to their mean.
+
+    Also motions with a multiple of the period of the tone repeat after some windows. Chaotic and quasi-periodic motions
+    do not. A slow drift hardly counts.
+
+    >>> alternating = 1.0 + 0.1 * (-1.0) ** np.arange(10)
+    >>> beat = 1.0 + 0.1 * np.cos(0.7 * np.arange(10))
+    >>> irregularity(alternating) < 1e-12, irregularity(beat) > 0.03
+    (True, True)
+    """
+    lags = range(1, min(_MAX_REPEATED_WINDOWS, motions.size // 2) + 1)
+    scatter = [float(np.sqrt(np.mean(abs(motions[lag:] - motions[:-lag]) ** 2) / 2.0)) for lag in lags]
+    return min(scatter, default=0.0) / max(abs(complex(np.mean(motions))), 1e-300)

@@ -29,7 +29,7 @@ class VoiceCoil(CoilSpringShaker):
     output: Output = Output()
 
     drive_quantity: ClassVar = VOLTAGE
-    glyph: ClassVar = Glyph("voice coil", "cylinder", "head")
+    glyph: ClassVar = Glyph("voice coil", "cylinder")
 
     @property
     def drive_limit(self) -> float:

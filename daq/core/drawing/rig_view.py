@@ -33,6 +33,7 @@ from daq.core.drawing.stack import (
     HEADROOM,
     LUG,
     PLATE,
+    PLINTH,
     SPRING_LENGTH,
     WALL,
     WIDTH,
@@ -71,6 +72,7 @@ class Extremes:
     body: float = 0.0  # displacement of a body
     spring: float = 0.0  # change of length of a spring between bodies
     coil: float = 0.0  # change of length of a spring on a table
+    table: float = 0.0  # displacement of a table
     gap: float = 0.0  # height of a damper above its floor
 
     def extended_by(self, motion: RigMotion, shaker_bodies: Sequence[int]) -> Extremes:
@@ -85,6 +87,7 @@ class Extremes:
             body=max(self.body, _max_magnitude(motion.displacement)),
             spring=max(self.spring, _max_magnitude(np.diff(positions, axis=0))),
             coil=max(self.coil, coil),
+            table=max(self.table, _max_magnitude(motion.tables)),
             gap=max(self.gap, 0.0 if motion.gap is None else _max_magnitude(motion.gap)),
         )
 
@@ -97,8 +100,8 @@ def _max_magnitude(values: Array) -> float:
 def exaggeration(extremes: Extremes) -> float:
     """Return the factor by which the drawn motion is multiplied, so that it is visible and drawn parts do not collide.
 
-    It is the largest number of the series 1, 2, 5, 10, ... at which springs stretch by less than 60 % of their length
-    and dampers stay within the drawn headroom.
+    It is the largest number of the series 1, 2, 5, 10, ... at which springs stretch by less than 60 % of their length,
+    tables stay above the ground, and dampers within the drawn headroom.
 
     >>> exaggeration(Extremes(spring=0.8e-3))
     50.0
@@ -108,6 +111,7 @@ def exaggeration(extremes: Extremes) -> float:
     ranges = (
         (extremes.spring, _MAX_STRETCH_RATIO * SPRING_LENGTH),
         (extremes.coil, _MAX_STRETCH_RATIO * COIL_LENGTH),
+        (extremes.table, PLINTH),
         (extremes.gap, HEADROOM),
     )
     limits = [length / motion for motion, length in ranges if motion > 0]
@@ -232,8 +236,7 @@ class RigView:
         color = self._color(table.point, DRIVE)
         yield f"{table.entity('table')}/plate", boxes([plate, stem], color)
         label_position = (table.x + 0.055, -0.09, -PLATE)
-        text = table.point.replace("table", table.glyph.table)
-        yield f"{table.entity('table')}/name", label(label_position, text + self._note(table.point), color)
+        yield f"{table.entity('table')}/name", label(label_position, table.point + self._note(table.point), color)
         if table.has_coil_spring:
             yield table.entity("coil_spring"), coils([table.x], COIL_LENGTH, DRIVE)
 

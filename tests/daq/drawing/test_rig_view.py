@@ -8,7 +8,7 @@ import pytest
 
 import rig
 from daq.core.drawing.rig_view import Extremes, RigMotion, RigView, exaggeration
-from daq.core.drawing.stack import COIL_LENGTH, DAMPER_HEIGHT, HEADROOM, WALL, WIDTH, cavities
+from daq.core.drawing.stack import COIL_LENGTH, DAMPER_HEIGHT, HEADROOM, PLATE, WALL, WIDTH, cavities
 from rig.core.scene.scene_files import SCENES
 
 SCENE = rig.load("fig8-three-dampers")
@@ -96,6 +96,11 @@ def test_parts_never_pass_through_each_other(amplitude_m):
         if path.endswith("damper"):
             assert height.min() >= 0.0, path
             assert height.max() <= HEADROOM + 1e-12, path
+
+
+def test_table_stays_above_the_ground():
+    motion = RigMotion(np.zeros((3, 2)), np.array([[0.0, -0.6e-3]]), np.zeros((len(SCENE.dampers), 2)))
+    assert draw(SCENE, motion)[1]["rig/table"][0].min() >= PLATE
 
 
 def test_damper_at_its_ceiling_touches_it():

@@ -35,7 +35,7 @@ class ElectrodynamicShaker(CoilSpringShaker):
     """The analog output whose voltage is the drive."""
 
     drive_quantity: ClassVar = VOLTAGE
-    glyph: ClassVar = Glyph("electrodynamic shaker", "cylinder", "armature")
+    glyph: ClassVar = Glyph("electrodynamic shaker", "cylinder")
 
     @model_validator(mode="before")
     @classmethod

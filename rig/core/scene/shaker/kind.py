@@ -21,7 +21,6 @@ class Glyph(NamedTuple):
 
     title: str
     shape: Literal["arrow", "box", "cylinder"]
-    table: str = "table"  # name of the moving part of the shaker
 
 
 class AmplifierOutput(NamedTuple):

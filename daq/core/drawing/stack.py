@@ -94,8 +94,14 @@ class Block(NamedTuple):
     Its distance from the lower part is the gap of the stop.
     """
 
-    entity: str  # path of the drawing
+    number: int  # number of the joint, from 1
+    body: int | None  # number of its body, from 1; None if it is fixed to the ground
     box: Box  # position relative to the underside of its body, or to the ground
+
+    @property
+    def entity(self) -> str:
+        """Path of the drawing."""
+        return f"rig/joint_{self.number}" if self.body is None else f"rig/body_{self.body}/joint_{self.number}"
 
 
 class Table(NamedTuple):
@@ -154,8 +160,8 @@ class Stack:
         end = top + min(joint.gap * exaggeration, space - BLOCK_HEIGHT)
         height = bottom - end if is_next else BLOCK_HEIGHT
         x = (0.42 if is_next else 0.56) * WIDTH
-        entity = f"rig/joint_{number}" if upper is None else f"rig/body_{upper + 1}/joint_{number}"
-        return Block(entity, ((x, 0.0, end + height / 2 - bottom), (BLOCK_WIDTH, DEPTH / 2, height)))
+        body = None if upper is None else upper + 1
+        return Block(number, body, ((x, 0.0, end + height / 2 - bottom), (BLOCK_WIDTH, DEPTH / 2, height)))
 
 
 def round_factor(limit: float) -> float:

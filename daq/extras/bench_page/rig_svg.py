@@ -9,7 +9,7 @@ import numpy as np
 
 from daq.core.drawing.palette import DAMPER, DRIVE, GROUND, LABEL, STEEL, Color, body_color, hex_color
 from daq.core.drawing.rig_view import Extremes, RigMotion, RigView
-from daq.core.drawing.stack import COIL_LENGTH, PLATE, WALL, WIDTH
+from daq.core.drawing.stack import COIL_LENGTH, PLATE, WALL, WIDTH, Block
 
 if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
@@ -84,7 +84,9 @@ class RigDrawing:
             texts = [scene.structure.label(body), *([] if masses is None else [f"{masses[body - 1]:g} kg"])]
             for row, text in enumerate(texts):
                 frame += _text(_LABEL_X, height / 2 + 0.008 - 0.032 * row, text)
+            frame += "".join(_block(block) for block in view.stack.blocks if block.body == body)
             parts.append(_group(f"rig/body_{body}", frame))
+        parts += [_block(block) for block in view.stack.blocks if block.body is None]
         parts.append(_text(-0.14, -0.045, f"motion × {view.exaggeration:g}"))
         top = _UNITS_PER_M * (view.stack.top + 0.1)
         return f'<svg id="rig" viewBox="-150 {-top:.0f} 350 {top + 60:.0f}" role="img">' + "".join(parts) + "</svg>"
@@ -111,6 +113,11 @@ def _box(x: float, z: float, width: float, height: float, color: Color, filled: 
         f'width="{_UNITS_PER_M * width:.1f}" height="{_UNITS_PER_M * height:.1f}" '
         f'fill="{fill}" stroke="{hex_color(color)}" stroke-width="4"/>'
     )
+
+
+def _block(block: Block) -> str:
+    (x, _, z), (width, _, height) = block.box
+    return _group(block.entity, _box(x, z, width, height, STEEL))
 
 
 def _text(x: float, z: float, text: str) -> str:

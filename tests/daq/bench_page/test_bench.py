@@ -475,6 +475,34 @@ def test_failed_display_is_reported(bench, monkeypatch):
     assert [problem for problem in bench.chassis.problems if "the display of the page has ended" in problem]
 
 
+@pytest.mark.parametrize(
+    ("name", "element"),
+    [
+        ("stop", "joint_1"),
+        ("friction-joint", "body_3-joint_1"),
+        ("friction-damper", "body_3-damper"),
+        ("tuned-mass-damper", "body_3-damper"),
+        ("impact-damper-on-spring", "body_3-damper"),
+    ],
+)
+def test_each_contact_law_runs_and_is_drawn(name, element, tmp_path):
+    scene = rig.load(name)
+    bench = LiveBench(connect_scene(scene, "manual"), "", tmp_path / "test.mcap", False)
+    bench.controller.settings.kind = "sine"
+    bench.recordings.enabled = True
+    bench.controller.start()
+    pass_time(bench, 1.0)
+    bench.controller.stop()
+    pass_time(bench, 3.0)
+    assert not bench.controller.running and not bench.chassis.problems
+    motion, drawing = bench.monitor.motion(), RigDrawing(scene)
+    drawing.frames(motion)
+    assert f'id="rig-{element}"' in drawing.svg and np.ptp(motion.displacement) > 0.0
+    bench.close()
+    with daq.open(bench.recordings.paths[0]) as recording:
+        recording.check()
+
+
 def test_springs_do_not_cross_the_label_of_the_table():
     scene = rig.load("fig8-three-dampers")
     drawing = RigDrawing(scene)

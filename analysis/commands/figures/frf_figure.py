@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -14,6 +14,7 @@ from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
 from rig.core.base.palette import CurveStyle, faded, place_style, place_styles
+from rig.core.results.resonances import Resonance
 from rig.core.results.response import MOTIONS, Response
 
 if TYPE_CHECKING:
@@ -54,8 +55,24 @@ _MIN_PEAK_COHERENCE = 0.9
 _PEAK_RANGE = 0.05
 # Length of the dashes of a curve with many lines, relative to the dashes of other curves.
 _DASH_SCALE = 0.5
+#: Symbols of marked peaks, with their explanation.
+PEAK_SYMBOLS = {
+    "circles": "Circles: peaks of the local model between the points.",
+    "diamonds": "Diamonds: extrapolated peaks, more than 3 dB above the points on either side.",
+    "arrows": "Arrows: the peak may be higher.",
+}
+_MARKERS = {"circles": "o", "diamonds": "D"}
 _THEORY_COLOR = "#222222"
 _NOISE_COLOR = "#c4c4c4"
+
+
+class PeakMark(NamedTuple):
+    """A marked peak of a curve."""
+
+    symbol: str  # key of `PEAK_SYMBOLS`
+    frequency: float  # Hz
+    height: float  # in the SI unit of the curve
+    peak: Peak
 
 
 def frf_figure(
@@ -88,11 +105,11 @@ def frf_figure(
             phase_axes.plot(*break_at_wraps(curve.frequency, phase_degrees(curve.value, top)), **style)
         if theory:
             magnitude_axes.plot([], [], color=_THEORY_COLOR, lw=0.9, ls=":", label=escape_figure(theory[0].label))
-        for measured, curve_style in zip(frfs, styles, strict=True):
-            _draw_curve(measured, curve_style, top, magnitude_axes, phase_axes, coherence_axes)
-        peaks = [
-            _draw_peaks(measured, color, magnitude_axes) for measured, (color, *_) in zip(frfs, styles, strict=True)
-        ]
+        marked_peaks = [peak_marks(measured, resonance_peaks(measured)) for measured in frfs]
+        heights = []
+        for measured, curve_style, marked in zip(frfs, styles, marked_peaks, strict=True):
+            _draw_curve(measured, curve_style, top, marked, magnitude_axes, phase_axes, coherence_axes)
+            heights += _draw_marks(marked, measured.shown_in[1], curve_style.color, magnitude_axes)
         for frequency, text in marks:
             magnitude_axes.axvline(frequency, color="#777777", lw=0.8, ls=":")
             magnitude_axes.annotate(
@@ -106,7 +123,7 @@ def frf_figure(
                 *(factor * abs(frf.value) for frf in theory),
                 *(factor * abs(frf.value[is_determined(frf)]) for frf in frfs if is_determined(frf).any()),
                 *(factor * _visible_edges(frf) for frf in frfs),
-                *(np.concatenate(heights) for heights in peaks),
+                np.array(heights),
             ],
         )
         for axes, last in ((magnitude_axes, False), (phase_axes, False), (coherence_axes, True)):
@@ -131,7 +148,7 @@ def frf_figure(
                 text, (0.5, 0.5), xycoords="axes fraction", ha="center", va="center", fontsize=8, color="#555555"
             )
         figure.align_ylabels([magnitude_axes, phase_axes, coherence_axes])
-        add_legend_below(figure, *_caption(frfs, *(any(map(len, heights)) for heights in zip(*peaks, strict=True))))
+        add_legend_below(figure, *_caption(frfs, {mark.symbol for marked in marked_peaks for mark in marked}))
         return figure
 
 
@@ -148,7 +165,7 @@ def determined_band(frfs: Sequence[Response]) -> tuple[float, float]:
     return float(frequencies.min()), float(frequencies.max())
 
 
-def _caption(frfs: Sequence[Response], has_peaks: bool, has_arrows: bool) -> list[str]:
+def _caption(frfs: Sequence[Response], symbols: set[str]) -> list[str]:
     """Explain bands and markers in sentences."""
     sentences = []
     if any(_has_scatter(frf) for frf in frfs):
@@ -162,21 +179,24 @@ def _caption(frfs: Sequence[Response], has_peaks: bool, has_arrows: bool) -> lis
         sentences.append("Crosses: steady state not reached.")
     if any(np.isfinite(frf.value).sum() < frf.frequency.size or frf.resolution == 0.0 for frf in frfs):
         sentences.append("Thin curve: local model through the points.")
-    if has_peaks:
-        sentences.append("Circles: interpolated peaks between the points.")
-    if has_arrows:
-        sentences.append("Arrows: the peak may be higher.")
+    sentences += [text for symbol, text in PEAK_SYMBOLS.items() if symbol in symbols]
     if any(frf.omitted.size for frf in frfs):
         sentences.append("Gaps with a mark at the axis: omitted frequencies.")
     return sentences
 
 
 def _draw_curve(
-    frf: Response, style: CurveStyle, top: float, magnitude_axes: Axes, phase_axes: Axes, coherence_axes: Axes
+    frf: Response,
+    style: CurveStyle,
+    top: float,
+    marks: Sequence[PeakMark],
+    magnitude_axes: Axes,
+    phase_axes: Axes,
+    coherence_axes: Axes,
 ) -> None:
     """Draw one measured curve into the three panels: tones as points, with a thin curve where the points resolve it.
 
-    `top`: upper end of the phase axis, degrees.
+    `top`: upper end of the phase axis, degrees; `marks`: marked peaks, which the thin curve reaches.
     """
     # A downward sweep has larger, open markers, so that an upward sweep remains visible where both coincide.
     is_folded = folds_back(frf.frequency)
@@ -198,12 +218,13 @@ def _draw_curve(
     magnitude, random = factor * abs(frf.value), factor * np.nan_to_num(frf.magnitude_bound())
     total = factor * np.nan_to_num(frf.expanded(), posinf=np.inf)
     frequency, value = frf.continued(is_known)
-    center = factor * abs(value)
+    drawn, center = with_local_models(curve, marks, frequency, np.abs(value))
+    center = factor * center
     for half_width, opacity in ((total, 0.13), (random, 0.25)) if is_known.any() and not is_folded else ():
         # Between the points, the band follows the thin curve.
-        ratio = np.interp(frequency, frf.frequency[is_known], half_width[is_known] / magnitude[is_known])
+        ratio = np.interp(drawn, frf.frequency[is_known], half_width[is_known] / magnitude[is_known])
         magnitude_axes.fill_between(
-            frequency, center * np.maximum(1.0 - ratio, _ZERO_RATIO),
+            drawn, center * np.maximum(1.0 - ratio, _ZERO_RATIO),
             center * np.minimum(1.0 + ratio, 1.0 / _ZERO_RATIO), color=color, alpha=opacity, lw=0,
         )  # fmt: skip
     for frequencies in _omitted_ranges(frf):
@@ -222,9 +243,11 @@ def _draw_curve(
         magnitude_axes.plot(frf.frequency, np.where(noisy, magnitude, np.nan), color=faded(color), lw=0.7, zorder=2)
     if not points["marker"]:
         # Lines close together are also joined where noise prevents interpolation.
+        is_joined = np.isfinite(center) | np.isin(drawn, frf.frequency)
+        drawn, center = drawn[is_joined], center[is_joined]
         is_joined = np.isfinite(value) | np.isin(frequency, frf.frequency)
         frequency, value = frequency[is_joined], value[is_joined]
-    magnitude_axes.plot(frequency, factor * abs(value), **line)
+    magnitude_axes.plot(drawn, center, **line)
     magnitude_axes.plot(frf.frequency, np.where(is_known, magnitude, np.nan), **points)
     symbol = {key: points[key] for key in ("marker", "mew", "mfc") if key in points}
     magnitude_axes.plot(np.nan, np.nan, **line | symbol | {"ms": 4}, label=escape_figure(frf.label))
@@ -256,59 +279,72 @@ def folds_back(frequency: Array) -> bool:
     return bool((steps > 0).any() and (steps < 0).any())
 
 
-def _draw_peaks(frf: Response, color: str, axes: Axes) -> tuple[list[float], list[float]]:
-    """Draw a hollow marker at each peak between points, and an arrow at points whose peak may be higher.
+def peak_marks(frf: Response, resonances: Iterable[tuple[Resonance, Peak]]) -> list[PeakMark]:
+    """Return the marked peaks of a curve: those between its points, and those that may be higher than its points.
 
-    Returns the heights of the markers and of the arrows, in the unit of the axis.
+    Peaks in an undetermined or rough range, and at an end of the band, are not marked. `resonances`: from
+    `resonance_peaks`.
     """
-    heights: list[float] = []
-    arrows: list[float] = []
     if frf.resolution > 0.0 or frf.reference != "force" or folds_back(frf.frequency):
-        return heights, arrows
-    factor, ordered = frf.shown_in[1], np.sort(frf.frequency)
-    smooth, is_known = frf.frequency[is_smooth(frf)], is_determined(frf)
-    marked: list[Peak] = []
-    for resonance, peak in resonance_peaks(frf):
-        if frf.frequency[resonance.line] not in smooth or not is_known[resonance.line]:
+        return []
+    ordered, smooth, is_known = np.sort(frf.frequency), frf.frequency[is_smooth(frf)], is_determined(frf)
+    marks: list[PeakMark] = []
+    for resonance, peak in resonances:
+        line = resonance.line
+        if peak.at_end or frf.frequency[line] not in smooth or not is_known[line]:
             continue
-        point, line_frequency = abs(frf.value[resonance.line]), frf.frequency[resonance.line]
-        if peak.is_determined:
-            height = factor * peak.value * (2.0 * np.pi * peak.frequency) ** MOTIONS.index(frf.motion)
-            is_near = abs(np.searchsorted(ordered, peak.frequency) - np.searchsorted(ordered, line_frequency)) <= 1
-            is_noise = _has_scatter(frf) and frf.coherence[resonance.line] < _MIN_PEAK_COHERENCE
-            # A peak is not marked if a point near it is higher, as next to a jump or in a scattered range.
-            is_around = abs(frf.frequency / line_frequency - 1.0) < _PEAK_RANGE
-            is_around[max(resonance.line - 2, 0) : resonance.line + 3] = True
-            around = abs(frf.value[is_around])
-            is_highest = height >= factor * np.nanmax(around)
-            is_visible = is_near and is_highest and height > (1.0 + _MIN_PEAK_EXCESS) * factor * point
-            if is_visible and not peak.at_end and not is_noise:
-                marked.append(peak)
-                axes.plot(peak.frequency, height, "o", mfc="white", mec=color, mew=1.0, ms=4.5, zorder=5)
-                heights.append(height)
-        elif not peak.at_end:
-            axes.annotate(
-                "", (line_frequency, factor * point), xytext=(0, 17), textcoords="offset points",
-                arrowprops={"arrowstyle": "<-", "color": color, "lw": 1.0, "shrinkB": 1}, zorder=5,
-            )  # fmt: skip
-            arrows.append(2.0 * factor * point)
-    if marked:
-        curve = frf.with_gaps()
-        for at, model in missing_models(frf, marked, *curve.continued(is_determined(curve))):
-            axes.plot(at, factor * model, color=color, lw=0.7, zorder=2.8)
-    return heights, arrows
+        point, line_frequency = float(abs(frf.value[line])), float(frf.frequency[line])
+        if not peak.is_determined:
+            marks.append(PeakMark("arrows", line_frequency, point, peak))
+            continue
+        height = peak.value * (2.0 * np.pi * peak.frequency) ** MOTIONS.index(frf.motion)
+        is_near = abs(np.searchsorted(ordered, peak.frequency) - np.searchsorted(ordered, line_frequency)) <= 1
+        is_noise = _has_scatter(frf) and frf.coherence[line] < _MIN_PEAK_COHERENCE
+        # A peak is not marked if a point near it is higher, as next to a jump or in a scattered range.
+        is_around = abs(frf.frequency / line_frequency - 1.0) < _PEAK_RANGE
+        is_around[max(line - 2, 0) : line + 3] = True
+        is_highest = height >= np.nanmax(abs(frf.value[is_around]))
+        if is_near and is_highest and height > (1.0 + _MIN_PEAK_EXCESS) * point and not is_noise:
+            marks.append(PeakMark("diamonds" if peak.is_extrapolated else "circles", peak.frequency, height, peak))
+    return marks
 
 
-def missing_models(
-    frf: Response, peaks: Iterable[Peak], frequency: Array, value: ComplexArray
-) -> Iterator[tuple[Array, Array]]:
-    """Yield the local models of peaks that a drawn curve does not reach: Hz, and magnitude in the unit of the curve."""
-    for peak in peaks:
-        at, height = local_model(frf, peak)
+def _draw_marks(marks: Iterable[PeakMark], factor: float, color: str, axes: Axes) -> list[float]:
+    """Draw the marks of a curve; return the heights that the axis must include, in its unit."""
+    heights = []
+    for symbol, frequency, height, _ in marks:
+        heights.append(factor * height)
+        if symbol != "arrows":
+            style: dict[str, Any] = {"mfc": "white", "mec": color, "mew": 1.0, "ms": 4.5, "zorder": 5}
+            axes.plot(frequency, heights[-1], _MARKERS[symbol], **style)
+            continue
+        axes.annotate(
+            "", (frequency, heights[-1]), xytext=(0, 17), textcoords="offset points",
+            arrowprops={"arrowstyle": "<-", "color": color, "lw": 1.0, "shrinkB": 1}, zorder=5,
+        )  # fmt: skip
+        heights[-1] *= 2.0
+    return heights
+
+
+def with_local_models(
+    frf: Response, marks: Iterable[PeakMark], frequency: Array, magnitude: Array
+) -> tuple[Array, Array]:
+    """Replace a drawn curve around each peak that it does not reach by the local model of the peak.
+
+    `frequency`, `magnitude`: the curve, Hz and the unit of `frf`.
+    """
+    for mark in marks:
+        if mark.symbol == "arrows":
+            continue
+        at, height = local_model(frf, mark.peak)
         height = height * (2.0 * np.pi * at) ** MOTIONS.index(frf.motion)
         is_near = (frequency >= at[0]) & (frequency <= at[-1])
-        if np.nanmax(abs(value[is_near]), initial=0.0) < _CARRYING_RATIO * height.max():
-            yield at, height
+        if np.nanmax(magnitude[is_near], initial=0.0) < _CARRYING_RATIO * height.max():
+            position = np.searchsorted(frequency, at[0])
+            frequency, magnitude = (
+                np.insert(column[~is_near], position, model) for column, model in ((frequency, at), (magnitude, height))
+            )
+    return frequency, magnitude
 
 
 def _omitted_ranges(frf: Response) -> list[tuple[float, float]]:

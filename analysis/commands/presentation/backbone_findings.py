@@ -11,7 +11,7 @@ from analysis.commands.presentation.outputs import CommandOutput
 from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.tracking.backbone import Backbone, backbone
 from rig.core.base.figure_style import add_caption
-from rig.core.results.text import format_interval, table_lines
+from rig.core.results.text import table_lines
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,16 +35,7 @@ def _draw(result: Backbone, figure: Figure, axes: Axes) -> None:
 
 def level_lines(result: Backbone) -> list[str]:
     """Return a table of the levels."""
-    rows: list[tuple[str, ...]] = [
-        ("level", "frequency / Hz", "natural frequency / Hz", f"{result.body} / mm", "damping ratio / %", "")
-    ]
-    for k, level in enumerate(result.level.tolist()):
-        values = (
-            (result.frequency[k], result.frequency_bound[k], 1.0),
-            (result.natural_frequency[k], result.natural_frequency_bound[k], 1.0),
-            (result.amplitude[k], result.amplitude_bound[k], 1e3),
-            (result.damping[k], result.damping_bound[k], 100.0),
-        )
-        cells = [format_interval(factor * value, factor * bound) for value, bound, factor in values]
-        rows.append((f"{level:g}", *cells, "" if result.settled[k] else "not settled"))
+    points = result.level_points()
+    rows = [("level", *points[0].quantities, "")]
+    rows += [(point.level, *(text for _, text in point.quantities.values()), point.note) for point in points]
     return [f"  {line}" for line in table_lines(rows, ">>>>><")]

@@ -74,7 +74,7 @@ def present_continuation(
         for dashes, name in (("-", "exact, stable"), ((0, (3, 2)), "exact, unstable")) if exact else ():
             axes.plot([], [], ls=dashes, color="#555555", lw=1.2, label=name)
         caption = ["A branch without measured points was not followed by the test."] if exact else []
-        add_legend_below(figure, "Points: measured.", *caption)
+        add_legend_below(figure, "Points: measured, with 95 % intervals.", *caption)
 
     title = "Response at constant level"
     return present_each(

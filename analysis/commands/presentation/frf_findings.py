@@ -24,6 +24,7 @@ from analysis.core.recordings.names import (
     OpenRecordings,
     belongs_to,
     excitation_text,
+    line_spacing,
     reference_label,
     relabel,
     with_recordings,
@@ -95,7 +96,8 @@ def present_frf(
         options = vars(blocks.for_kind(rec.test.kind))
         groups = frequency_responses(rec, channels, reference, motion, progress=progress, **options)
         curves += [relabel(frf, rec.scene.name, label) for group in groups for frf in group]
-        moving[label], excitations[label] = not rec.scene.is_linear, excitation_text(rec)
+        moving[label] = not rec.scene.is_linear
+        excitations[label] = ", ".join(filter(None, (excitation_text(rec), line_spacing(groups[0][0]))))
         warnings += with_recording_name(path, [warning for group in groups for warning in group[0].warnings])
         tolerance_remarks += stated_tolerances(rec, [frf for group in groups for frf in group])
         if theory:
@@ -164,8 +166,8 @@ def _peaks_between_points(frf: Response) -> list[str]:
     if highest is not None and value + scale * highest.interpolation_bound > point:
         unit, factor = frf.shown_in
         remarks.append(
-            f"the peak between the points is {_in_unit(highest.height_text(factor * scale), unit)} at "
-            f"{highest.frequency:.2f} Hz"
+            f"the peak between the points, at {highest.frequency:.2f} Hz, is "
+            f"{highest.height_text(factor * scale, unit)}"
         )
     elif frequency in (frf.frequency.min(), frf.frequency.max()):
         remarks.append(
@@ -174,11 +176,6 @@ def _peaks_between_points(frf: Response) -> list[str]:
         )
     coarse = [r for r, _, _ in peaks if r.lines < MIN_LINES or np.isfinite(r.needed_spacing) or r in uncertain]
     return remarks + ([_spacing_remark(frf, coarse)] if coarse else [])
-
-
-def _in_unit(interval: str, unit: str) -> str:
-    """Add a unit to a value with its interval, so that the interval is not read as relative."""
-    return f"({interval}) {unit}" if "±" in interval else f"{interval} {unit}"
 
 
 def _spacing_remark(frf: Response, coarse: Sequence[Resonance]) -> str:

@@ -12,6 +12,7 @@ from typing import NamedTuple, ParamSpec, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.commands.figures.frf_figure import PeakMark, peak_marks
 from analysis.commands.presentation.comparison import MeasurementPoints
 from analysis.commands.presentation.outputs import with_recording_name, with_sweep_name
 from analysis.core.damper_motion.comparison import (
@@ -36,6 +37,7 @@ from daq.core.recording.recorded_test import FOLLOWED_CURVE, HELD_PHASE, Control
 from daq.core.recording.recording import Recording
 from rig.core.base.errors import ShotrigError
 from rig.core.base.progress import CountProgress
+from rig.core.results.resonances import Resonance
 from rig.core.results.response import Response
 
 Parameters = ParamSpec("Parameters")
@@ -63,12 +65,15 @@ class SweepResults:
         For each mode: the responses with a peak near it, and their peaks.
     highest : tuple or None
         The highest peak in the band, also where no mode was identified.
+    marked : tuple
+        The marked peaks of each response.
     """
 
     frfs: list[Response]
     modes: Modes | None
     found: tuple[tuple[tuple[Response, Peak], ...], ...] = ()
     highest: tuple[Response, Peak] | None = None
+    marked: tuple[tuple[Response, list[PeakMark]], ...] = ()
 
     @property
     def peaks(self) -> tuple[tuple[Response, Peak] | None, ...]:
@@ -80,10 +85,6 @@ class SweepResults:
         assert self.modes is not None
         is_extrapolated = extrapolates_damping(self.modes, self.frfs)[mode]
         return f"{self.modes.damping_text(mode)}{', extrapolated' if is_extrapolated else ''}"
-
-    def peaks_of(self, frf: Response) -> list[Peak]:
-        """Return the peaks of a response near the modes."""
-        return [peak for inside in self.found for curve, peak in inside if curve is frf]
 
     @property
     def label(self) -> str:
@@ -100,12 +101,6 @@ class SweepChange(NamedTuple):
     change: PeakChange
     modes: tuple[float, ...] = ()  # natural frequencies of all modes of the first sweep, Hz
     shown_in: tuple[str, float] = ("µm/N", 1e6)  # unit of the peaks, and the factor from SI to this unit
-
-    def peaks_of(self, label: str) -> list[Peak]:
-        """Return the peak in one of the two sweeps."""
-        return [
-            peak for name, peak in ((self.before, self.change.bare), (self.after, self.change.damped)) if name == label
-        ]
 
     @property
     def level(self) -> str:
@@ -205,11 +200,14 @@ class Measurements:
         self._warn(path, frfs[0].warnings)
         (analysis,) = with_sweep_name(frfs[0].label, label, ["Modes"])
         modes = self._attempt(path, analysis, identify, frfs)
+        resonances = [(frf, resonance_peaks(frf)) for frf in frfs]
+        marked = tuple((frf, peak_marks(frf, found)) for frf, found in resonances)
         if modes is None:
-            return SweepResults(frfs, None)
+            return SweepResults(frfs, None, marked=marked)
         self._warn(path, with_sweep_name(frfs[0].label, label, modes.warnings, frfs[0].warnings))
         found = _peaks_of_modes(frfs, modes)
-        return SweepResults(frfs, modes, found, highest_peak(frfs, [peak for inside in found for peak in inside]))
+        highest = highest_peak(resonances, [peak for inside in found for peak in inside])
+        return SweepResults(frfs, modes, found, highest, marked)
 
     def _attempt(
         self,
@@ -244,14 +242,14 @@ def _peaks_of_modes(frfs: Sequence[Response], modes: Modes) -> tuple[tuple[tuple
 
 
 def highest_peak(
-    frfs: Sequence[Response], peaks: Sequence[tuple[Response, Peak] | None]
+    resonances: Sequence[tuple[Response, Sequence[tuple[Resonance, Peak]]]], peaks: Sequence[tuple[Response, Peak]] = ()
 ) -> tuple[Response, Peak] | None:
     """Return the response with the highest peak, near a mode or at another frequency.
 
-    `peaks`: the peaks near the modes.
+    `resonances`: responses with their `resonance_peaks`; `peaks`: the peaks near the modes.
     """
-    others = [(frf, found) for frf in frfs for _, found in resonance_peaks(frf) if not found.at_end]
-    return max((*filter(None, peaks), *others), key=lambda pair: pair[1].value, default=None)
+    others = [(frf, peak) for frf, found in resonances for _, peak in found if not peak.at_end]
+    return max((*peaks, *others), key=lambda pair: pair[1].value, default=None)
 
 
 def force_deviation(measurement: Measurement, frf: Response) -> NDArray[np.float64]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
@@ -15,6 +16,7 @@ from analysis.commands.report_page.charts import ChartWriter
 from analysis.commands.report_page.control import control_charts
 from analysis.commands.report_page.drawing import mode_drawing, rig_drawing
 from analysis.commands.report_page.histories import spectrograms, time_histories
+from analysis.commands.report_page.levels import level_table
 from analysis.commands.report_page.measurements import Measurement, Measurements
 from analysis.commands.report_page.responses import (
     damper_charts,
@@ -34,6 +36,7 @@ from analysis.commands.report_page.tables import (
     test_sentence,
     typeset,
 )
+from analysis.core.recordings.names import line_spacing
 from daq.core.recording.recorded_test import own_analyses
 from rig.core.base.errors import SceneError
 from rig.core.base.escaping import escape_html
@@ -110,10 +113,11 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
     drawn = next((each for each in results if each is not first), first)
     # Title and content of each section; a section without content is omitted.
     sections = {
+        "Levels": [level_table(results)],
         "Controlled motion": [charts.write(chart) for each in results for chart in control_charts(each)],
         "Frequency responses": [
             charts.write(chart)
-            for chart in (*response_charts(results, first.label, changes), *force_charts(results, first.label))
+            for chart in (*response_charts(results, first.label), *force_charts(results, first.label))
         ],
         "Warnings": [f'<ul class="warnings">{"".join(warnings)}</ul>'] if warnings else [],
         "Results": [changes_table(changes), resonances(results, first), decays(results)],
@@ -179,11 +183,15 @@ def _recording(measurement: Measurement, charts: ChartWriter, is_drawn: bool) ->
 
 
 def _test_description(measurement: Measurement) -> str:
-    """Describe the test of a recording: excitation, channels, duration."""
+    """Describe the test of a recording: excitation, lines, channels, duration and date."""
     rec = measurement.rec
+    spacing = line_spacing(measurement.sweeps[0].frfs[0]) if measurement.sweeps else ""
+    started = int(rec.metadata.get("daq", {}).get("start_ns", 0))
+    # The clock of a simulated test begins at zero.
+    date = f"; {datetime.fromtimestamp(1e-9 * started, UTC):%Y-%m-%d %H:%M} UTC" if started else ""
     return (
-        f"{test_sentence(rec.scene)}; {len(rec.channels)} channels at {rec.rate:g} Hz, "
-        f"recorded for {rec.duration:.4g} s."
+        f"{test_sentence(rec.scene)}; {spacing and f'{spacing}; '}{len(rec.channels)} channels at {rec.rate:g} Hz, "
+        f"recorded for {rec.duration:.4g} s{date}."
     )
 
 

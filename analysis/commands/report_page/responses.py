@@ -6,7 +6,6 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from math import inf, isfinite
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +13,15 @@ from numpy.typing import NDArray
 from analysis.commands.figures.decay_figure import frequency_title, group_modes
 from analysis.commands.figures.frf_figure import (
     MAX_POINTS,
+    PEAK_SYMBOLS,
+    PeakMark,
     break_at_wraps,
     folds_back,
     is_determined,
     is_smooth,
-    missing_models,
     phase_degrees,
     phase_top,
+    with_local_models,
 )
 from analysis.commands.report_page.charts import (
     Chart,
@@ -30,12 +31,11 @@ from analysis.commands.report_page.charts import (
     needs_logarithmic_axis,
     side_limits,
 )
-from analysis.commands.report_page.measurements import Measurement, SweepChange, SweepResults, force_deviation
-from analysis.core.damper_motion.comparison import Peak
+from analysis.commands.report_page.measurements import Measurement, SweepResults, force_deviation
 from analysis.core.decays.free_decay import Decay
 from analysis.core.decays.modal_decay import ModalDecay
-from analysis.core.recordings.names import belongs_to, excitation_text
-from rig.core.base.arrays import Array
+from analysis.core.recordings.names import belongs_to, excitation_text, without_common_direction
+from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.palette import DAMPER, REFERENCE, CurveStyle, place_style, place_styles, recording_styles
 from rig.core.results import format_decimals, format_frequencies, format_percent
 from rig.core.results.response import Response
@@ -45,8 +45,6 @@ _REQUIRED = CurveStyle("#6E7681", (2, 2))
 _UNDETERMINED = CurveStyle("#9aa2ab")
 # Upper end of the axis of relative bounds.
 _MAX_PERCENT = 100.0
-# Ratio of a peak to the points at its half-power width.
-_HALF_POWER = float(np.sqrt(2.0))
 # The first view of a wide band begins at this fraction of the lowest natural frequency, and ends at this multiple of
 # the highest.
 _VIEW_RATIO = 4.0
@@ -60,14 +58,12 @@ _GAP_RATIO = 0.005
 _SENTENCE_END = re.compile(r"(?<=[.)]) (?=[A-Z])")
 
 
-def response_charts(
-    measurements: Sequence[Measurement], reference: str, changes: Sequence[SweepChange] = ()
-) -> list[Chart]:
+def response_charts(measurements: Sequence[Measurement], reference: str) -> list[Chart]:
     """Return charts of all frequency responses.
 
     The responses of a single sweep share a chart. With several recordings or levels, each response has its own chart,
     which compares them. Responses to different inputs never share a chart. `reference`: label of the recording with
-    which the others are compared; `changes`: changes of its peaks, which are marked.
+    which the others are compared.
     """
     with_responses = [measurement for measurement in measurements if measurement.sweeps]
     frfs = [frf for measurement in with_responses for sweep in measurement.sweeps for frf in sweep.frfs]
@@ -79,15 +75,11 @@ def response_charts(
         names = _sweep_names([frf.label for frf in group], reference) if several else [frf.response for frf in group]
         styles = _sweep_styles([frf.label for frf in group], reference) if several else None
         sweeps = [sweep for measurement in with_responses for sweep in measurement.sweeps]
-        peaks = [
-            [peak for sweep in sweeps for peak in sweep.peaks_of(frf)]
-            + [peak for each in changes if each.change.response == frf.response for peak in each.peaks_of(frf.label)]
-            for frf in group
-        ]
+        marks = [marked for frf in group for sweep in sweeps for each, marked in sweep.marked if each is frf]
         baseline = next((each for each in with_responses if each.label == reference), with_responses[0]).sweeps[0]
         band = np.concatenate([frf.frequency for frf in group])
         view = None if baseline.modes is None else _first_view(band, baseline.modes.frequency)
-        chart = response_chart(group, names, styles, peaks, _mode_marks(baseline, group), view)
+        chart = response_chart(group, names, styles, marks, _mode_marks(baseline, group), view)
         tests = {each.label: excitation_text(each.rec) for each in with_responses}
         equal = len(set(tests.values())) == 1
         levels = [text if equal else f"{label}: {text}" for label, text in tests.items() if text]
@@ -102,7 +94,7 @@ def response_charts(
 def _sweep_names(labels: Sequence[str], reference: str) -> list[str]:
     """Return names of recordings and levels for a legend; only the levels if all sweeps are from one recording."""
     common = f"{reference}, " if all(belongs_to(label, reference) for label in labels) else ""
-    return [label.removeprefix(common) for label in labels]
+    return without_common_direction([label.removeprefix(common) for label in labels])
 
 
 def _sweep_styles(labels: Sequence[str], reference: str) -> list[CurveStyle]:
@@ -126,21 +118,20 @@ def response_chart(
     frfs: Sequence[Response],
     names: Sequence[str],
     styles: Sequence[CurveStyle] | None = None,
-    peaks: Sequence[Sequence[Peak]] = (),
+    peaks: Sequence[Sequence[PeakMark]] = (),
     marks: Sequence[tuple[float, float, str]] = (),
     view: tuple[float, float] | None = None,
 ) -> Chart:
     """Return a chart of magnitude with its expanded uncertainty, phase and coherence, for one input.
 
-    `styles`: styles of the curves, by default those of their bodies; `peaks`: peaks of each curve; `marks`: labels, see
-    `Panel`. `view`: part of the band that is shown first, and determines the vertical axis.
+    `styles`: styles of the curves, by default those of their bodies; `peaks`: marked peaks of each curve; `marks`:
+    labels, see `Panel`. `view`: part of the band that is shown first, and determines the vertical axis.
     """
     styles = styles or place_styles([frf.outputs[0].at for frf in frfs])
     ordered = [frf.with_gaps() for frf in frfs]
     unit, factor = ordered[0].shown_in
     magnitude, phase, coherence, relative = [], [], [], []
     strips: list[tuple[float, float]] = []
-    extrapolated: set[float] = set()
     top = phase_top(frfs)
     rows = zip(frfs, ordered, names, styles, peaks or [()] * len(ordered), strict=True)
     for original, full, name, style, found in rows:
@@ -159,17 +150,20 @@ def response_chart(
         draw = "points" if full.frequency.size <= MAX_POINTS else "line"
         if folds_back(original.frequency):
             # Several responses at one frequency are not a function of frequency, and have no band.
-            draw, curve, found = "dots", replace(curve, low=None, high=None), ()
+            draw, curve = "dots", replace(curve, low=None, high=None)
         elif draw == "line":
             # Neighboring lines are joined also where their noise prevents interpolation.
             is_joined = np.isfinite(curve_value) | np.isin(curve_f, full.frequency)
             curve_f, curve_value = curve_f[is_joined], curve_value[is_joined]
-            chosen = _extremes(curve_f, curve_value)
-            center = factor * abs(curve_value[chosen])
-            ratio = np.interp(curve_f[chosen], f[known], (expanded / modulus)[known]) if known.any() else 0.0
-            low, high = (center * np.maximum(1.0 + sign * ratio, 0.0) for sign in (-1.0, 1.0))
-            curve = Curve(name, curve_f[chosen], center, low, high, style)
-        magnitude.append(replace(curve, draw=draw))
+        # Between the points, the band follows the thin curve.
+        drawn, center = with_local_models(original, found, curve_f, np.abs(curve_value))
+        chosen = _extremes(drawn, center)
+        drawn, center = drawn[chosen], factor * center[chosen]
+        ratio = np.interp(drawn, f[known], (expanded / modulus)[known]) if known.any() else 0.0
+        low, high = (center * np.maximum(1.0 + sign * ratio, 0.0) for sign in (-1.0, 1.0))
+        through = Curve(name, drawn, center, low, high, style, "through")
+        curve = replace(through if draw == "line" else curve, draw=draw)
+        magnitude.append(curve)
         unknown = ~known & np.isfinite(frf.value)
         if unknown.any():
             strips += _ranges(f, unknown)
@@ -183,19 +177,15 @@ def response_chart(
             has_phase[np.searchsorted(full.frequency, curve_f).clip(0, has_phase.size - 1)], curve_value, np.nan
         )
         if draw == "points":
-            magnitude.append(Curve(name, curve_f, factor * abs(curve_value), style=style, draw="through"))
+            magnitude.append(through)
             phase.append(Curve(name, *_break_visibly(curve_f, phase_degrees(line, top)), style=style, draw="through"))
         unsteady = np.zeros(f.size, dtype=bool) if frf.unsteady is None else frf.unsteady
         magnitude += _symbols(name, style, "crosses", zip(f[unsteady], modulus[unsteady], strict=True))
-        # A peak of unknown height is drawn at its highest point.
-        points = {peak: (peak.frequency, factor * peak.value) for peak in found if not peak.at_end}
-        interpolated = [peak for peak in points if isfinite(peak.bound)]
-        for at, height in missing_models(original, interpolated, curve_f, curve_value):
-            magnitude.append(Curve(name, at, factor * height, style=style, draw="through"))
-        extrapolated |= {p.frequency for p in interpolated if _exceeds_points(p, f, modulus / factor)}
-        magnitude += _symbols(name, style, "circles", [points[peak] for peak in interpolated])
-        magnitude += _symbols(name, style, "arrows", [at for peak, at in points.items() if not peak.is_determined])
+        for symbol in PEAK_SYMBOLS:
+            places = [(mark.frequency, factor * mark.height) for mark in found if mark.symbol == symbol]
+            magnitude += _symbols(name, style, symbol, places)
         if draw == "line":
+            chosen = _extremes(curve_f, curve_value)
             phase.append(Curve(name, *_break_visibly(curve_f[chosen], phase_degrees(line[chosen], top)), style=style))
         else:
             phase.append(Curve(name, *break_at_wraps(f, angle), style=style, draw=draw))
@@ -205,14 +195,11 @@ def response_chart(
     quantity = ordered[0].name
     outputs = ", ".join(dict.fromkeys(frf.response for frf in ordered))
     band = np.concatenate([frf.frequency for frf in ordered])
-    drawn = {curve.draw for curve in magnitude}
-    listed = ", ".join(format_decimals(frequency, 2) for frequency in sorted(extrapolated))
+    symbols = {curve.draw for curve in magnitude}
     notes = [
         "Bands and U: 95 % intervals.",
-        "Circles: peaks of the local model (thin) between the points." * ("circles" in drawn),
-        f"Extrapolated, far above the points on either side: {listed} Hz." * bool(extrapolated),
-        "Arrows: the peak may be higher." * ("arrows" in drawn),
-        "Crosses: steady state not reached." * ("crosses" in drawn),
+        *(text for symbol, text in PEAK_SYMBOLS.items() if symbol in symbols),
+        "Crosses: steady state not reached." * ("crosses" in symbols),
         "Gray, with a strip at the axis: undetermined (noise, or bound above 100 %)." * bool(strips),
     ]
     return Chart(
@@ -243,12 +230,6 @@ def _break_visibly(f: NDArray[np.float64], angle: NDArray[np.float64]) -> tuple[
     wraps = ((f[1:] + f[:-1]) / 2.0)[is_step & np.isfinite(angle[1:]) & np.isfinite(angle[:-1])]
     is_near = (abs(f[:, None] / wraps - 1.0) < _GAP_RATIO).any(axis=1)
     return break_at_wraps(f, np.where(is_near, np.nan, angle))
-
-
-def _exceeds_points(peak: Peak, f: NDArray[np.float64], modulus: NDArray[np.floating[Any]]) -> bool:
-    """Return whether a peak exceeds the points next to it by more than half-power: they are on its flanks."""
-    near = np.argsort(abs(f - peak.frequency))[:2]
-    return bool(peak.value > _HALF_POWER * np.nanmax(modulus[near], initial=0.0))
 
 
 def _symbols(name: str, style: CurveStyle, draw: str, points: Iterable[tuple[float, float]]) -> list[Curve]:
@@ -384,7 +365,7 @@ def _limits(curves: Sequence[Curve], view: tuple[float, float] | None = None) ->
     return (float(values.min()) / 1.5, 1.5 * float(values.max())) if values.size else (0.1, 10.0)
 
 
-def _extremes(f: NDArray[np.float64], value: NDArray[np.complex128]) -> NDArray[np.intp]:
+def _extremes(f: NDArray[np.float64], value: Array | ComplexArray) -> NDArray[np.intp]:
     """Return the highest and the lowest point of a long curve in each interval of a logarithmic axis, and all gaps."""
     if f.size <= 2 * _INTERVALS:
         return np.arange(f.size)
@@ -411,9 +392,9 @@ def damper_charts(measurement: Measurement) -> list[Chart]:
     styles = _sweep_styles(labels, measurement.label)
     impacts: dict[str, list[Curve]] = {}
     shares = list[Curve]()
-    for result, name, style in zip(results, names, styles, strict=True):
-        frequency = result.sweep.lines.frequency
-        draw = "dots" if frequency.size == 1 or folds_back(frequency) else "points"
+    frequencies = [result.sweep.lines.frequency for result in results]
+    draw = "dots" if any(each.size == 1 or folds_back(each) for each in frequencies) else "points"
+    for result, frequency, name, style in zip(results, frequencies, names, styles, strict=True):
         order = np.arange(frequency.size) if draw == "dots" else np.argsort(frequency)
         for motions in result.bodies:
             place, count = motions[0].channel, np.array([sum(motion.impacts_per_period) for motion in motions])
@@ -423,7 +404,9 @@ def damper_charts(measurement: Measurement) -> list[Chart]:
         if energy is not None:
             percent, bound = (_percent(part, energy.supplied)[order] for part in (energy.dampers, energy.bound))
             label, at = ("dampers", CurveStyle(DAMPER)) if is_single else (name, style)
-            shares.append(Curve(label, frequency[order], percent, percent - bound, percent + bound, at, draw))
+            value, low, high = np.clip([percent, percent - bound, percent + bound], 0.0, 100.0)
+            shares.append(Curve(label, frequency[order], value, low, high, at, draw))
+            shares += [replace(shares[-1], draw="through")] * (draw == "points")
     # The bodies of a single sweep share a panel; several sweeps have a panel for each body.
     groups = {"": [curve for curves in impacts.values() for curve in curves]} if is_single else impacts
     panels = [
@@ -438,11 +421,12 @@ def damper_charts(measurement: Measurement) -> list[Chart]:
         if curves
     ]
     if shares:
-        low, high = limits_with_margin([replace(curve, low=None, high=None) for curve in shares])
-        panels.append(Panel("share of energy", "%", shares, 150, limits=(min(-5.0, low), max(105.0, high))))
+        panels.append(
+            Panel("share of energy", "%", shares, 150, limits=(-5.0, 105.0), ticks=[0.0, 25.0, 50.0, 75.0, 100.0])
+        )
     if not panels:
         return []
-    band = np.concatenate([result.sweep.lines.frequency for result in results])
+    band = np.concatenate(frequencies)
     return [
         Chart(
             f"“{measurement.label}” ({excitation_text(measurement.rec)}): impacts per period on floor and ceiling "

@@ -8,13 +8,16 @@ from math import inf, isfinite
 from operator import le
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.commands.presentation.damper_findings import detection_limits
+from analysis.commands.report_page.levels import level_headline, level_points
 from analysis.commands.report_page.measurements import Measurement, SweepChange, SweepResults, force_deviation
 from analysis.commands.report_page.tables import change_heights, change_text, includes_sensors
 from analysis.core.damper_motion.dampers import Dampers
+from analysis.core.modal.mode_warnings import MAX_LINEAR_RESIDUAL
 from analysis.core.recordings.names import sweep_name
-from daq.core.recording.markers import describe_faulty_hits
+from daq.core.recording.markers import describe_faulty_hits, faulty_hits
 from daq.core.recording.recorded_test import deviation_unit, shocks_of
 from rig.core.results import format_decimals, format_frequencies, format_interval, format_percent
 from rig.core.scene.excitation import FORCE_TOLERANCE
@@ -31,8 +34,9 @@ def summarize(measurements: Sequence[Measurement], changes: Sequence[SweepChange
     texts = [text for each in measurements for text in _control_texts(each)]
     texts += _change_texts(changes) + _decay_texts(measurements)
     for measurement in measurements:
+        levels = level_points(measurement)
         if not changes:
-            texts += _resonance_texts(measurement)
+            texts += [level_headline(measurement, levels)] if levels else _resonance_texts(measurement)
         texts += _impact_texts(measurement)
     texts = texts or [text for each in measurements for text in _response_texts(each)]
     return texts[:_MAX_TEXTS] or ["No result: see the warnings."]
@@ -43,8 +47,17 @@ def limitations(measurements: Sequence[Measurement]) -> list[str]:
     texts = []
     for measurement in measurements:
         rec = measurement.rec
-        faults = [describe_faulty_hits(rec.markers).removeprefix("Faulty impacts: ").removesuffix(".")]
-        if not faults[0] and rec.overloads:
+        faults = ["nonlinear, valid only for this kind and level of excitation" * (not rec.scene.is_linear)]
+        residual = max(
+            (sweep.modes.model_error for sweep in measurement.sweeps if sweep.modes is not None), default=0.0
+        )
+        if residual > MAX_LINEAR_RESIDUAL:
+            faults.append(f"the modes leave a residual of {format_percent(residual)} of the peak height")
+        faulty = describe_faulty_hits(rec.markers).removeprefix("Faulty impacts: ").removesuffix(".")
+        if faulty:
+            hits = [marker for marker in rec.markers if marker.kind == "hit"]
+            faults.append(f"{len(faulty_hits(rec.markers))} of {len(hits)} impacts faulty ({faulty})")
+        elif rec.overloads:
             faults.append(f"{len(rec.overloads)} overload{'s' * (len(rec.overloads) > 1)}")
         if rec.gaps:
             faults.append(f"lost samples at {len(rec.gaps)} place{'s' * (len(rec.gaps) > 1)}")
@@ -69,10 +82,7 @@ def limitations(measurements: Sequence[Measurement]) -> list[str]:
 
 
 def _control_texts(measurement: Measurement) -> list[str]:
-    """Return a sentence on the controlled motion of each test: its curve, its profile, or its shocks."""
-    tracked = measurement.tracked
-    if tracked is not None:
-        return ["\n".join([f"{tracked.summary()} (95 % intervals)", *tracked.level_texts()])]
+    """Return a sentence on the controlled motion of each test: its profile, or its shocks."""
     if measurement.profile is not None:
         return [f"{measurement.profile.summary()}."]
     shocks = shocks_of(measurement.rec.markers)
@@ -132,10 +142,9 @@ def _change_line(sweep: SweepChange) -> str:
     """Describe the change of one peak, with its heights if both are known."""
     change = sweep.change
     _, low, high = change.decibel
+    is_insignificant = isfinite(low) and isfinite(high) and low <= 0.0 <= high
     text = f"{format_decimals(change.mode, 2)} Hz ({change.response}): {change_text(change)}"
-    if not (isfinite(low) and isfinite(high)):
-        return text
-    return f"{text}{', not significant' if low <= 0.0 <= high else ''}, {change_heights(sweep)}"
+    return f"{text}{', not significant' * is_insignificant}, {change_heights(sweep)}"
 
 
 def _initial_height(sweep: SweepChange) -> float:
@@ -144,40 +153,9 @@ def _initial_height(sweep: SweepChange) -> float:
 
 
 def _resonance_texts(measurement: Measurement) -> list[str]:
-    """List natural frequencies and damping ratios of each sweep, and its highest response.
-
-    If there are more sweeps than texts in the summary, only the highest response is listed for all but the first sweep.
-    """
+    """List natural frequencies, damping ratios and the highest response of a test at one level."""
     sweeps = [sweep for sweep in measurement.sweeps if sweep.modes is not None and sweep.modes.frequency.size]
-    if len(sweeps) > 1 and all(sweep.modes.frequency.size == 1 for sweep in sweeps if sweep.modes is not None):
-        return [_levels_text(measurement, sweeps)]
-    if len(sweeps) <= _MAX_TEXTS:
-        return [_resonance_text(sweep) for sweep in sweeps]
-    others = (
-        f"{sweep_name(sweep.label, measurement.label)}, {text}"
-        for sweep in sweeps[1:]
-        if (text := _highest_compliance(sweep))
-    )
-    return ["\n".join([_resonance_text(sweeps[0]), *others])]
-
-
-def _levels_text(measurement: Measurement, sweeps: Sequence[SweepResults]) -> str:
-    """State the ranges of frequency and damping of one resonance at several levels, and its values at each level."""
-    modes = [sweep.modes for sweep in sweeps if sweep.modes is not None]
-    values = ([float(mode.frequency[0]) for mode in modes], [100.0 * float(mode.damping[0]) for mode in modes])
-    ends = [
-        f"{format_decimals(min(each), 2)} to {format_decimals(max(each), 2)} {unit}"
-        for each, unit in zip(values, ("Hz", "%"), strict=True)
-    ]
-    lines = [
-        f"{sweep_name(sweep.label, measurement.label)}: "
-        + ", ".join(
-            filter(None, [mode.frequency_text(0), f"damping ratio {sweep.damping_text(0)}", _highest_height(sweep)])
-        )
-        for sweep, mode in zip(sweeps, modes, strict=True)
-    ]
-    heading = f"“{measurement.label}”: natural frequency from {ends[0]} and damping ratio from {ends[1]} at "
-    return "\n".join([f"{heading}{len(sweeps)} levels (95 % intervals)", *lines])
+    return [_resonance_text(sweep) for sweep in sweeps[:1]]
 
 
 def _response_texts(measurement: Measurement) -> list[str]:
@@ -206,7 +184,8 @@ def _highest_height(sweep: SweepResults) -> str:
     curve, highest = sweep.highest
     if highest.value < highest.bound < inf:
         return f"the height of the highest peak of the {curve.name} is not determined"
-    return f"the highest {curve.name} is {highest.height_text(curve.shown_in[1])} {curve.shown_in[0]}"
+    unit, factor = curve.shown_in
+    return f"the highest {curve.name} is {highest.height_text(factor, unit)}"
 
 
 def _highest_compliance(sweep: SweepResults) -> str:
@@ -222,7 +201,7 @@ def _highest_compliance(sweep: SweepResults) -> str:
 
 
 def _impact_texts(measurement: Measurement) -> list[str]:
-    """Report the detected impacts of all sweeps and the limit of detection, a line for each sweep."""
+    """Report the detected impacts of all sweeps and the limit of detection."""
     results = [result for result in measurement.dampers if result.bodies]
     if not results:
         return []
@@ -235,20 +214,22 @@ def _impact_texts(measurement: Measurement) -> list[str]:
         none = f"no damper impact was detected at {'any of ' * (frequency.size > 1)}{every}"
         text = f"damper impacts were detected at {impacts}" if impacts else none
         return [f"“{results[0].label}”: {text}; {limit}{energy and f'; the dampers dissipate {energy}'}."]
-    lines = []
-    for result in results:
-        impacts, energy = _impact_text(result)
-        lines.append(f"{sweep_name(result.label, measurement.label)}: {impacts or 'none'}{energy and f'; {energy}'}")
-    heading = f"“{measurement.label}”: frequencies with damper impacts, and dissipated energy; {limit}"
-    return ["\n".join([heading, *lines])]
+    counts = [(_has_impacts(result), sweep_name(result.label, measurement.label)) for result in results]
+    total, points = (sum(int(count(flags)) for flags, _ in counts) for count in (np.sum, np.size))
+    without = [name for flags, name in counts if not flags.any()]
+    remark = f" (none at {', '.join(without)})" if without and total else ""
+    return [f"“{measurement.label}”: damper impacts at {total} of {points} measured points{remark}; {limit}."]
+
+
+def _has_impacts(result: Dampers) -> NDArray[np.bool_]:
+    """Return whether impacts were detected at each frequency."""
+    return np.any([[motion.floor > 0 or motion.ceiling > 0 for motion in motions] for motions in result.bodies], axis=0)
 
 
 def _impact_text(result: Dampers) -> tuple[str, str]:
     """Return the frequencies with detected impacts, and the largest dissipated fraction of the supplied energy."""
     frequency = result.sweep.lines.frequency
-    has_impacts = np.zeros(frequency.size, dtype=bool)
-    for motions in result.bodies:
-        has_impacts |= [motion.floor > 0 or motion.ceiling > 0 for motion in motions]
+    has_impacts = _has_impacts(result)
     if not has_impacts.any():
         return "", ""
     text = f"{frequency[0]:.4g} Hz"

@@ -14,7 +14,14 @@ from analysis.core.damper_motion.comparison import Peak, PeakChange
 from analysis.core.modal.modes import Modes, mac
 from analysis.core.responses.errors.systematic import tolerance
 from rig.core.base.escaping import escape_html
-from rig.core.results import format_decimals, format_interval, format_number, format_percent, round_to_bound
+from rig.core.results import (
+    format_decimals,
+    format_interval,
+    format_limited,
+    format_number,
+    format_percent,
+    round_to_bound,
+)
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import SENSITIVITY, SYSTEMATIC, expand
 
@@ -35,7 +42,7 @@ _MAX_DECIBEL_DECIMALS = 2
 _HEIGHT_RESOLUTION = 0.005
 # Modes of two recordings are the same mode if their frequencies differ by less than this fraction; dampers shift the
 # frequencies.
-_MODE_SHIFT = 0.15
+MODE_SHIFT = 0.15
 # Maximum number of overloads or gaps that are listed individually.
 _MAX_LISTED = 5
 
@@ -52,8 +59,12 @@ def typeset(text: str) -> str:
 def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], numbers: int = 0) -> str:
     """Return an HTML table.
 
-    A row with one cell is a subheading. The last `numbers` columns are aligned to the right.
+    A row with one cell is a subheading. The last `numbers` columns are aligned to the right. Columns without content
+    are omitted.
     """
+    rows, full = list(rows), heading
+    filled = [k for k in range(len(full)) if any(len(row) > 1 and row[k] for row in rows)]
+    heading, numbers = [full[k] for k in filled], sum(k >= len(full) - numbers for k in filled)
     align = ["" if k < len(heading) - numbers else ' class="number"' for k in range(len(heading))]
     head = "".join(f"<th{a}>{typeset(text)}</th>" for a, text in zip(align, heading, strict=True))
     # A narrow screen shows a row as a block with a line for each cell; each line begins with the heading of the cell.
@@ -63,7 +74,7 @@ def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], n
         if len(row) == 1:
             body += f'<tr><th class="group" colspan="{len(heading)}">{typeset(row[0])}</th></tr>'
             continue
-        cells = "".join(f"<td{a}>{typeset(cell)}</td>" for a, cell in zip(align, row, strict=True))
+        cells = "".join(f"<td{a}>{typeset(row[k])}</td>" for a, k in zip(align, filled, strict=True))
         body += f"<tr>{cells}</tr>"
     kind = "" if heading[0] else ' class="matrix"'
     return (
@@ -75,11 +86,13 @@ def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], n
 def resonances(measurements: Sequence[Measurement], reference: Measurement) -> str:
     """Return a table of natural frequencies and damping ratios, each with the highest peak near it, as HTML.
 
-    `reference`: sweep whose modes are listed for each sweep, even if not identified there.
+    Tests at several levels have a table of their own. `reference`: sweep whose modes are listed for each sweep, even if
+    not identified there.
     """
     rows: list[tuple[str, ...]] = []
     known = [each.modes.frequency for each in reference.sweeps[:1] if each.modes is not None]
-    for sweep in (sweep for measurement in measurements for sweep in measurement.sweeps):
+    single = (measurement.sweeps[0] for measurement in measurements if len(measurement.sweeps) == 1)
+    for sweep in single:
         modes, peaks = sweep.modes, sweep.peaks
         if modes is None:
             continue
@@ -93,7 +106,7 @@ def resonances(measurements: Sequence[Measurement], reference: Measurement) -> s
         rows += [
             (f"mode of {format_decimals(frequency, 2)} Hz", "not determined", "", "")
             for frequency in np.concatenate([*known, []]).tolist()
-            if not (abs(modes.frequency / frequency - 1.0) < _MODE_SHIFT).any()
+            if not (abs(modes.frequency / frequency - 1.0) < MODE_SHIFT).any()
         ]
     found = (peak for measurement in measurements for sweep in measurement.sweeps for peak in sweep.peaks)
     units = " or ".join(dict.fromkeys(peak[0].shown_in[0] for peak in found if peak is not None)) or "µm/N"
@@ -150,7 +163,9 @@ def change_heights(sweep: SweepChange) -> str:
         else round_to_bound(factor * peak.value, bound)
         for peak in peaks
     )
-    return f"{before} → {after} {unit}"
+    extrapolated = [name for name, peak in zip(("before", "after"), peaks, strict=True) if peak.is_extrapolated]
+    remark = f" (extrapolated: {' and '.join(extrapolated)})" if extrapolated else ""
+    return f"{before} → {after} {unit}{remark}"
 
 
 def mac_table(before: Modes, after: Modes) -> str:
@@ -181,7 +196,7 @@ def decays(measurements: Sequence[Measurement]) -> str:
             if mode.damping.size:
                 percent, expanded = mode.percent
                 first, last = (
-                    f"{format_interval(percent[k], expanded[k])} at {mode.amplitude[k]:.3g} m/s²" for k in (0, -1)
+                    f"{format_limited(percent[k], expanded[k])} at {mode.amplitude[k]:.3g} m/s²" for k in (0, -1)
                 )
                 damping_texts = (first, last)
             frequency = f"{mode.center:.4g}"

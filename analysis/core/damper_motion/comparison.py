@@ -11,7 +11,7 @@ from math import floor, hypot, inf, isfinite, isinf, log10, sqrt
 import numpy as np
 
 from analysis.core.modal.modes import Modes
-from rig.core.results import format_decimals, format_interval, format_number, round_to_bound
+from rig.core.results import format_decimals, format_interval, format_number, format_quantity, round_to_bound
 from rig.core.results.resonances import MIN_LINES, Resonance, find_resonances
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import CLOCK, COVERAGE_FACTOR, SENSITIVITY, SYSTEMATIC, expand
@@ -34,6 +34,8 @@ _CLOCK_ERRORS_IN_HEIGHT = 2.0
 _MAX_PEAK_UNCERTAINTY = 0.5
 # An interval is stated by its ends if its lower part is less than this fraction of its upper part.
 _MIN_SYMMETRY = 0.9
+# A peak above its highest measured point by more than half-power is extrapolated: the points are on its flanks.
+_HALF_POWER = sqrt(2.0)
 # Represents an unbounded uncertainty, m/N: products with infinity would be undefined, and with the largest float
 # overflow.
 _UNBOUNDED = 1e100
@@ -59,6 +61,12 @@ class Peak:
     # tolerances of the sensors, relative to the height; they are common to all frequencies and included in `bound`
     tolerances: tuple[float, ...] = ()
     clock: float = 0.0  # largest relative error of the sample clock, included in `bound` and in the limits of frequency
+    highest_point: float = inf  # magnitude of the highest measured point, m/N; infinite if there is no interpolation
+
+    @property
+    def is_extrapolated(self) -> bool:
+        """Whether the peak exceeds its highest measured point by more than half-power."""
+        return self.value > _HALF_POWER * self.highest_point
 
     @property
     def bound(self) -> float:
@@ -98,24 +106,29 @@ class Peak:
             max(20.0 * log10(high / self.value), 0.0),
         )
 
-    def height_text(self, factor: float) -> str:
+    def height_text(self, factor: float, unit: str = "") -> str:
         """Write the height times a factor with its interval, or only the lower end if the upper end is infinite.
 
         >>> Peak(1e-3, 2e-3, 10.0, 9.9, 10.1).height_text(1e6)
         'not determined'
         >>> Peak(211e-6, 34e-6, 33.6, 33.3, 33.9, lower_limit=209e-6).height_text(1e6)
         '211 (209 to 245)'
+        >>> Peak(5e-3, 2e-5, 13.0, 12.9, 13.1, highest_point=1e-3).height_text(1e6, "µm/N")
+        '(5000 ± 20) µm/N, extrapolated'
         """
+        ending = f" {unit}" * bool(unit)
         if isinf(self.bound):
-            return f"at least {factor * self.low:.4g}"
+            return f"at least {factor * self.low:.4g}{ending}"
         if self.bound > self.value:
             return "not determined"
         low, value, high = (factor * each for each in (self.low, self.value, self.value + self.bound))
         if value - low < _MIN_SYMMETRY * (high - value):
             # The measured points are a lower limit of the peak.
             value_text, low_text, high_text = (round_to_bound(each, high - value) for each in (value, low, high))
-            return f"{value_text} ({low_text} to {high_text})"
-        return format_interval(value, high - value)
+            text = f"{value_text} ({low_text} to {high_text}){ending}"
+        else:
+            text = format_quantity(value, high - value, unit) if unit else format_interval(value, high - value)
+        return text + ", extrapolated" * self.is_extrapolated
 
 
 def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
@@ -191,6 +204,7 @@ def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
         step=float(np.diff(f[three_points]).max()),
         tolerances=tolerances,
         clock=clock,
+        highest_point=float(magnitude[highest]),
     )
 
 

@@ -22,7 +22,7 @@ _MAX_DAMPING_UNCERTAINTY = 0.02
 # `_MAX_DAMPING_UNCERTAINTY`.
 _WIDENING_RATIO = float(np.sqrt(_MAX_DAMPING_UNCERTAINTY / LEAKAGE_FACTOR))
 # For a linear structure with lightly damped modes, the residual is below this fraction of the peak height.
-_MAX_LINEAR_RESIDUAL = 0.005
+MAX_LINEAR_RESIDUAL = 0.005
 _MAINS_FREQUENCIES = (50.0, 60.0)  # Hz
 # Largest tested multiple: hum at higher multiples is rarely distinct.
 _MAX_MAINS_MULTIPLE = 10
@@ -52,7 +52,7 @@ def mode_warnings(
         residual_text = (
             f"the best linear fit leaves a residual of {format_percent(modes.model_error)} of the peak height"
         )
-        if modes.model_error > _MAX_LINEAR_RESIDUAL:
+        if modes.model_error > MAX_LINEAR_RESIDUAL:
             yield (
                 f"The modes do not explain the response: {residual_text}, more than the {expected}. Either the "
                 "structure is nonlinear, as with dampers in flight, and these modes are its linear equivalent at this "

@@ -7,8 +7,12 @@ from functools import wraps
 from pathlib import Path
 from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
+import numpy as np
+
 from daq.core.recording.recording import Recording
 from rig.core.base.errors import RecordingError
+from rig.core.results import format_number
+from rig.core.results.response import Response
 
 
 class _Labeled(Protocol):
@@ -149,15 +153,39 @@ def sweep_name(label: str, recording: str) -> str:
     return label.removeprefix(recording).removeprefix(", ")
 
 
+def without_common_direction(names: Sequence[str]) -> list[str]:
+    """Remove the direction from names of sweeps that are all upward.
+
+    >>> without_common_direction(["1 N up", "2 N up"]), without_common_direction(["1 N up", "1 N down"])
+    (['1 N', '2 N'], ['1 N up', '1 N down'])
+    """
+    is_common = all(name.endswith(" up") for name in names)
+    return [name.removesuffix(" up") if is_common else name for name in names]
+
+
 def excitation_text(rec: Recording) -> str:
-    """Describe the test and its level, on which the response of a nonlinear structure depends: stepped sine, 2.6 N."""
+    """Describe the test, its level, on which the response of a nonlinear structure depends, and the sample rate."""
     test = rec.scene.test
     if test is None:
         return ""
     level = test.level_text(rec.scene.driven_shaker)
     if test.held_motion is not None:
         level += f" at {rec.scene.structure.label(test.held_motion[0])}"
-    return ", ".join(filter(None, [test.title, level]))
+    return ", ".join(filter(None, [test.title, level, *test.details, f"sampled at {rec.rate:g} Hz"]))
+
+
+def line_spacing(frf: Response) -> str:
+    """Write the distance of the lines of a spectrum; empty for tones at other distances.
+
+    >>> from rig.core.results.response import Response
+    >>> line_spacing(Response.curve([10.0, 10.5, 11.0, 12.5], [1j] * 4, "a"))
+    'Δf 0.5 Hz'
+    """
+    steps = np.diff(np.sort(frf.frequency))
+    if not steps.size or steps.min() <= 0.0:
+        return ""
+    lines = steps / steps.min()
+    return f"Δf {format_number(float(steps.min()))} Hz" if np.allclose(lines, np.round(lines), atol=1e-3) else ""
 
 
 def relabel(curve: Labeled, scene: str, label: str) -> Labeled:

@@ -22,13 +22,12 @@ from numpy.typing import NDArray
 from analysis.core.recordings.names import takes_path
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import reference_of
-from analysis.core.tracking.body_motion import CurvePart, body_motion
+from analysis.core.tracking.body_motion import CurvePart, LevelPoint, body_motion, quantity_ranges
 from daq.core.recording.recorded_test import HELD_PHASE
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import place_styles
-from rig.core.results import Result, complete_style, format_number
-from rig.core.results.text import format_quantity
+from rig.core.results import Result, complete_style, format_limited, format_number
 from rig.core.results.uncertainty import SENSITIVITY
 from rig.core.system.structural_model import structural_model
 
@@ -91,32 +90,28 @@ class Backbone(Result):
     settled: NDArray[np.bool_]
 
     def summary(self) -> str:
-        """Return the ranges of level, natural frequency, damping and amplitude."""
-        natural = self.natural_frequency if np.isfinite(self.natural_frequency).any() else self.frequency
-        level, frequency, damping, amplitude = (
-            f"{float(f'{np.nanmin(values):.{digits}g}'):.10g} to {float(f'{np.nanmax(values):.{digits}g}'):.10g}"
-            for values, digits in ((self.level, 3), (natural, 4), (100 * self.damping, 2), (1e3 * self.amplitude, 3))
-        )
-        return (
-            f"{self.label}: {self.level.size} levels from {level} {self.unit}: natural frequency {frequency} Hz, "
-            f"damping ratio {damping} %, amplitude of {self.body} {amplitude} mm"
-        )
+        """Return the number of levels, and the lowest and the highest frequency."""
+        ranges = quantity_ranges(self.level_points())
+        name = "natural frequency" if "natural frequency" in ranges else "driven frequency"
+        return f"{self.label}: {self.level.size} levels, {name} from {ranges[name]}"
 
-    def level_texts(self) -> list[str]:
-        """Return level, natural frequency, damping ratio and amplitude of each point with their 95 % intervals."""
-        columns = (
-            (self.natural_frequency, self.natural_frequency_bound, 1.0, "Hz"),
-            (self.damping, self.damping_bound, 100.0, "%"),
-            (self.amplitude, self.amplitude_bound, 1e3, "mm"),
-        )
-        return [
-            f"{format_number(level)} {self.unit}: "
-            + ", ".join(
-                format_quantity(factor * float(values[k]), factor * float(bounds[k]), unit)
-                for values, bounds, factor, unit in columns
-            )
-            for k, level in enumerate(self.level.tolist())
-        ]
+    def level_points(self) -> list[LevelPoint]:
+        """Return natural frequency, damping ratio, driven frequency and amplitude of each point."""
+        columns = {
+            "natural frequency / Hz": (self.natural_frequency, self.natural_frequency_bound),
+            "damping ratio / %": (100.0 * self.damping, 100.0 * self.damping_bound),
+            "driven frequency / Hz": (self.frequency, self.frequency_bound),
+            f"amplitude of {self.body} / mm": (1e3 * self.amplitude, 1e3 * self.amplitude_bound),
+        }
+        points = []
+        for k, level in enumerate(self.level.tolist()):
+            quantities = {
+                name: (float(value[k]), format_limited(float(value[k]), float(bound[k])))
+                for name, (value, bound) in columns.items()
+            }
+            note = "" if self.settled[k] else "not settled"
+            points.append(LevelPoint(f"{format_number(level)} {self.unit}", float(self.frequency[k]), quantities, note))
+        return points
 
     def parts(self) -> list[CurvePart]:
         """Return the settled points."""
@@ -160,7 +155,7 @@ class Backbone(Result):
                 level, (frequency, 1e3 * amplitude), (-7 if is_left else 7, 5), textcoords="offset points",
                 fontsize=8, ha="right" if is_left else "left",
             )  # fmt: skip
-        ax.set(xlabel="frequency / Hz", ylabel=f"amplitude of {self.body} / mm")
+        ax.set(xlabel="driven frequency / Hz", ylabel=f"amplitude of {self.body} / mm")
 
 
 @takes_path

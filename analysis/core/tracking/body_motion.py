@@ -1,5 +1,6 @@
 """Amplitude of one body along a measured response, for results against amplitude."""
 
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,45 @@ class BodyMotion(NamedTuple):
     amplitude: Array  # displacement, m
     relative: Array  # half of the 95 % interval of the response, relative to the response
     settled: NDArray[np.bool_]
+
+
+class LevelPoint(NamedTuple):
+    """The highest measured point at one level of a test."""
+
+    level: str
+    frequency: float  # driven frequency, Hz
+    # Value and text with its 95 % interval of each quantity; its name ends with its unit: "damping ratio / %".
+    quantities: Mapping[str, tuple[float, str]]
+    note: str = ""
+
+
+def quantity_ranges(points: Sequence[LevelPoint]) -> dict[str, str]:
+    """Write the smallest and the largest value of each quantity with its interval and level.
+
+    >>> points = [(level, {"damping / %": (d, f"{d} ± 0.1")}) for level, d in (("1 N", 0.7), ("2 N", 0.9))]
+    >>> quantity_ranges([LevelPoint(level, 1.0, quantities) for level, quantities in points])
+    {'damping': '(0.7 ± 0.1) % at 1 N to (0.9 ± 0.1) % at 2 N'}
+    """
+    ranges = {}
+    for key in dict.fromkeys(key for point in points for key in point.quantities):
+        name, _, unit = key.partition(" / ")
+        known = [point for point in points if key in point.quantities and point.quantities[key][1]]
+        known.sort(key=lambda point: point.quantities[key][0])
+        ends = [
+            f"{_with_unit(point.quantities[key][1], unit)} at {point.level}" for point in known[:1] + known[1:][-1:]
+        ]
+        if ends:
+            ranges[name] = " to ".join(ends)
+    return ranges
+
+
+def _with_unit(text: str, unit: str) -> str:
+    """Add a unit to a value with its interval, before a remark that follows a comma."""
+    number, comma, remark = text.partition(",")
+    unit = unit.strip("()")
+    if number == "not determined":
+        return text
+    return f"({number}) {unit}{comma}{remark}" if "±" in number else f"{number} {unit}{comma}{remark}"
 
 
 class CurvePart(NamedTuple):

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from analysis.core.recordings.names import takes_path
 from analysis.core.responses.frequency_responses import frequency_responses
-from analysis.core.tracking.body_motion import CurvePart, body_motion
+from analysis.core.tracking.body_motion import CurvePart, LevelPoint, body_motion
 from daq.core.recording.recorded_test import FOLLOWED_CURVE
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import level_styles
-from rig.core.results import Result, complete_style, format_number
+from rig.core.results import Result, complete_style, format_limited, format_number
 from rig.core.results.text import format_quantity
 from rig.core.results.uncertainty import SENSITIVITY
 from rig.core.scene.excitation import FORCE_TOLERANCE
@@ -103,25 +103,30 @@ class AmplitudeCurve(Result):
         steps, noise = abs(np.diff(self.frequency[chosen])), 2.0 * self.frequency_bound[chosen]
         return float(np.maximum(steps, noise[1:])[is_high[1:]].max(initial=0.0))
 
-    def level_texts(self) -> list[str]:
-        """Return the largest amplitude and the folds of each level with their 95 % intervals."""
-        texts = []
+    def level_points(self) -> list[LevelPoint]:
+        """Return driven frequency and amplitude of the highest point at each level, with the folds of the level."""
+        points = []
         for level in dict.fromkeys(self.level.tolist()):
             chosen = np.flatnonzero(self.level == level)
             highest = chosen[np.argmax(self.amplitude[chosen])]
-            peak, bound = (1e3 * float(values[highest]) for values in (self.amplitude, self.amplitude_bound))
-            # The curve continues beyond its first and last point.
-            largest = "highest point" if highest in chosen[[0, -1]] else "peak"
+            frequency, *peak = (
+                float(values[highest]) for values in (self.frequency, 1e3 * self.amplitude, 1e3 * self.amplitude_bound)
+            )
             folds = [format_quantity(fold.frequency, fold.bound, "Hz") for fold in self.folds if fold.level == level]
             if folds:
-                where = f"fold{'s' * (len(folds) > 1)} at {', '.join(folds)}"
+                note = f"fold{'s' * (len(folds) > 1)} at {', '.join(folds)}"
             elif self.settled[chosen].any():
-                where = f"no fold wider than {self.resolution(level):.2g} Hz"
+                note = f"no fold wider than {self.resolution(level):.2g} Hz"
             else:
-                where = "no steady state"
-            peak_text = f"{format_quantity(peak, bound, 'mm')} at {self.frequency[highest]:.4g} Hz"
-            texts.append(f"{format_number(level)} {self.unit}: {largest} {peak_text}, {where}")
-        return texts
+                note = "no steady state"
+            # The curve continues beyond its first and last point.
+            note += "; highest point at an end of the curve" * (highest in chosen[[0, -1]])
+            quantities = {
+                "driven frequency / Hz": (frequency, f"{frequency:.4g}"),
+                f"largest amplitude of {self.body} / mm": (peak[0], format_limited(*peak)),
+            }
+            points.append(LevelPoint(f"{format_number(level)} {self.unit}", frequency, quantities, note))
+        return points
 
     def parts(self) -> list[CurvePart]:
         """Return the settled points of each level, stable and unstable."""
@@ -156,8 +161,11 @@ class AmplitudeCurve(Result):
             ax.plot(self.frequency[chosen], 1e3 * self.amplitude[chosen], color=level_style.color, lw=0.5, zorder=0)
         for name, (color, _, marker), part, is_stable in self.parts():
             face = color if is_stable else "white"
-            points = complete_style(style, color=color, marker=marker, ms=4, ls="", zorder=3)
-            ax.plot(self.frequency[part], 1e3 * self.amplitude[part], markerfacecolor=face, label=name, **points)
+            points = complete_style(style, color=color, marker=marker, ms=4, ls="", elinewidth=0.7, zorder=3)
+            x, y, bound = (
+                column[part] for column in (self.frequency, 1e3 * self.amplitude, 1e3 * self.amplitude_bound)
+            )
+            ax.errorbar(x, y, bound, markerfacecolor=face, label=name, **points)
         for level in dict.fromkeys(fold.level for fold in self.folds):
             folds = [fold for fold in self.folds if fold.level == level]
             ax.errorbar(
@@ -171,7 +179,7 @@ class AmplitudeCurve(Result):
                 ms=8,
                 capsize=2,
             )
-        ax.set(xlabel="frequency / Hz", ylabel=f"amplitude of {self.body} / mm")
+        ax.set(xlabel="driven frequency / Hz", ylabel=f"amplitude of {self.body} / mm")
 
 
 @takes_path

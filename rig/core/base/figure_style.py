@@ -46,6 +46,8 @@ _LEGEND_COLUMNS = 5
 _LINE_CHARACTERS = 66
 # Space between the axes and a title above a subtitle, points.
 _SUBTITLE_HEIGHT = 18.0
+# Distance of the lines of a subtitle, points.
+_LINE_HEIGHT = 11.0
 # Maximum number of characters of a legend entry in two columns.
 _LEGEND_CHARACTERS = 46
 
@@ -167,10 +169,12 @@ def add_title(axes: Axes, text: str) -> None:
     has_exponent = isinstance(axes.yaxis.get_major_formatter(), ScalarFormatter)
     name, subtitle = re.fullmatch(r"(.*?)(?: \(([^()]*)\))?", text, re.DOTALL).groups()  # type: ignore[union-attr]
     title = _lines(escape_figure(name), _TITLE_CHARACTERS)
-    axes.set_title(title, y=None if has_exponent else 1.0, pad=_SUBTITLE_HEIGHT if subtitle else None)
-    if subtitle:
+    lines = wrap(escape_figure(subtitle or ""), _NOTE_CHARACTERS)
+    pad = _SUBTITLE_HEIGHT + _LINE_HEIGHT * (len(lines) - 1) if lines else None
+    axes.set_title(title, y=None if has_exponent else 1.0, pad=pad)
+    if lines:
         axes.annotate(
-            escape_figure(subtitle), (0.0, 1.0), xycoords="axes fraction", xytext=(0.0, 5.0),
+            "\n".join(lines), (0.0, 1.0), xycoords="axes fraction", xytext=(0.0, 5.0),
             textcoords="offset points", fontsize=8.5,
         )  # fmt: skip
 

@@ -1,7 +1,7 @@
 """Numbers, expanded uncertainties (`bound`) and ranges of frequencies as text."""
 
 from collections.abc import Sequence
-from math import floor, isfinite, log10
+from math import floor, inf, isfinite, log10
 
 import numpy as np
 
@@ -71,6 +71,26 @@ def format_interval(value: float, bound: float) -> str:
     return f"{round_to_bound(value, bound)} " + (
         f"± {round_to_bound(bound, bound)}" if isfinite(bound) else "(unbounded)"
     )
+
+
+def format_limited(value: float, bound: float, highest: float = inf) -> str:
+    """Write a quantity between 0 and a highest value with its interval, or with one limit if the other is out of range.
+
+    >>> format_limited(31.2, 18.0, 100.0), format_limited(5.3, 18.0, 100.0), format_limited(86.0, 18.0, 100.0)
+    ('31 ± 18', 'below 23', 'above 68')
+    >>> format_limited(50.0, 60.0, 100.0), format_limited(12.345, float("nan")), format_limited(float("nan"), 1.0)
+    ('not determined', '12.35', '')
+    """
+    if not isfinite(value):
+        return ""
+    low, high = value - bound, value + bound
+    if low <= 0.0 and high >= highest:
+        return "not determined"
+    if low <= 0.0 < bound < inf:
+        return f"below {round_to_bound(high, bound)}"
+    if high >= highest:
+        return f"above {round_to_bound(low, bound)}"
+    return format_interval(value, bound if bound == bound else 0.0)
 
 
 def format_quantity(value: float, bound: float, unit: str) -> str:

@@ -19,7 +19,7 @@ def curve_of(settled: bool) -> AmplitudeCurve:
 def test_level_without_steady_state_resolves_nothing() -> None:
     curve = curve_of(settled=False)
     assert curve.resolution(1.0) == np.inf
-    assert curve.level_texts()[0].endswith("no steady state") and fold_lines(curve, []) == []
+    assert curve.level_points()[0].note.startswith("no steady state") and fold_lines(curve, []) == []
 
 
 def test_widest_step_limits_resolved_folds() -> None:

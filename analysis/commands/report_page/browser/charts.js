@@ -3,14 +3,16 @@
 "use strict";
 (function () {
   const LIGHT = { text: "#1b1f24", grid: "#d8dde3", page: "#ffffff" };
-  const DARK = { text: "#dfe4ea", grid: "#3d4752", page: "#14181d", undetermined: "#808c99" };
-  const UNDETERMINED = "#9aa2ab"; // the color of undetermined curves in the data
+  const DARK = { text: "#dfe4ea", grid: "#3d4752", page: "#14181d" };
+  // Grays of undetermined curves and of the reference of a comparison in the data, and on a dark page.
+  const GRAYS = { "#9aa2ab": "#68737f", "#404040": "#f2f4f7" };
+  const UNDETERMINED = "#9aa2ab";
   const PRINT_WIDTH = 700; // px: the printable width of A4
   const PRINT_HEIGHT = 0.64; // of the height on screen: two charts fit on a page
   const MIN_CONTRAST = 6; // of curves on a dark page: they are thinner than text, for which WCAG requires 4.5
   const MIN_DECADE = 120; // px: a shorter decade has no grid lines between its ends
   const MIN_LABEL = 14; // px between labels of decades
-  const SYMBOLS = ["dots", "crosses", "circles", "arrows", "path"]; // drawn over the series, in any order of the abscissa
+  const SYMBOLS = ["dots", "crosses", "circles", "diamonds", "arrows", "path"]; // drawn over the series, in any order of the abscissa
   const FONT = "12px system-ui, sans-serif";
   // Anchors of a perceptually uniform color map (viridis), dark to bright.
   const MAP = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
@@ -26,7 +28,7 @@
 
   // On a dark page a color is lightened until its contrast is sufficient; undetermined curves are dim on any page.
   function shade(color) {
-    if (color === UNDETERMINED) return isDark() ? DARK.undetermined : color;
+    if (isDark() && color in GRAYS) return GRAYS[color];
     while (isDark() && (luminance(color) + 0.05) / (luminance(DARK.page) + 0.05) < MIN_CONTRAST) {
       color = `#${channels(color).map((value) => Math.round(value + 0.1 * (255 - value)).toString(16).padStart(2, "0")).join("")}`;
     }
@@ -103,6 +105,7 @@
     dots: (context, x, y, r) => { context.arc(x, y, 0.7 * r, 0, 7); },
     crosses: (context, x, y, r) => { context.moveTo(x - r, y - r); context.lineTo(x + r, y + r); context.moveTo(x - r, y + r); context.lineTo(x + r, y - r); },
     circles: (context, x, y, r) => { context.arc(x, y, 1.2 * r, 0, 7); },
+    diamonds: (context, x, y, r) => { context.moveTo(x, y - 1.6 * r); for (const [dx, dy] of [[1, 0], [0, 1], [-1, 0], [0, -1]]) context.lineTo(x + 1.6 * dx * r, y + 1.6 * dy * r); },
     arrows: (context, x, y, r) => {
       context.moveTo(x, y - 2 * r); context.lineTo(x, y - 6 * r);
       context.moveTo(x - r, y - 4.5 * r); context.lineTo(x, y - 6 * r); context.lineTo(x + r, y - 4.5 * r);
@@ -163,7 +166,7 @@
         context.moveTo(x + (curve.draw === "dots" ? 0.7 : 1.2) * r, y);
         PATHS[curve.draw](context, x, y, r);
       });
-      if (["dots", "circles"].includes(curve.draw)) context.fill();
+      if (["dots", "circles", "diamonds"].includes(curve.draw)) context.fill();
       context.stroke();
     }
     context.fillStyle = theme("text");
@@ -278,7 +281,8 @@
       for (const edge of ["low", "high"]) {
         shown.push({ label: `${curve.label} ${edge}`, stroke: "transparent", points: { show: false } });
       }
-      bands.push({ series: [main + 2, main + 1], fill: () => `${shade(curve.color)}33` });
+      // The band of points is that of the curve through them.
+      if (curve.draw !== "points") bands.push({ series: [main + 2, main + 1], fill: () => `${shade(curve.color)}33` });
     }
     return { shown, bands };
   }

@@ -64,6 +64,11 @@ class Multisine(KindOfTest):
             yield Problem(("period",), f"{message}. Give a longer period.")
 
     @property
+    def details(self) -> tuple[str, ...]:
+        """Numbers of averaged realizations and periods."""
+        return (f"{self.realisations} × {self.periods} periods",)
+
+    @property
     def shortest(self) -> float:
         """Time of all measured periods, s."""
         return self.realisations * self.periods * self.period_s

@@ -1,0 +1,117 @@
+"""Results at several levels of a test: natural and driven frequency, damping, amplitude and energy, in one table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from analysis.commands.report_page.measurements import Measurement, SweepResults
+from analysis.commands.report_page.tables import MODE_SHIFT, table
+from analysis.core.modal.mode_warnings import extrapolates_damping
+from analysis.core.recordings.names import sweep_name, without_common_direction
+from analysis.core.tracking.body_motion import LevelPoint, quantity_ranges
+from rig.core.results import format_decimals, format_limited
+from rig.core.results.uncertainty import expand
+
+_CAPTION = (
+    "Results at each level, with 95 % intervals. Natural frequency and damping ratio are those of the mode; the driven "
+    "frequency is that of the excitation at the highest measured point, to which amplitude and energy belong."
+)
+
+
+def level_points(measurement: Measurement) -> dict[str, list[LevelPoint]]:
+    """Return the points at all levels of a test for each mode of its first level; empty for a single level.
+
+    The keys name the modes; a single mode has the key "".
+    """
+    if measurement.tracked is not None:
+        groups = {"": measurement.tracked.level_points()}
+    else:
+        sweeps = [sweep for sweep in measurement.sweeps if sweep.modes is not None and sweep.modes.frequency.size]
+        if len(sweeps) < 2 or sweeps[0].modes is None:
+            return {}
+        levels = without_common_direction([sweep_name(sweep.label, measurement.label) for sweep in sweeps])
+        natural = sorted(sweeps[0].modes.frequency.tolist())
+        groups = {
+            f"mode at {format_decimals(frequency, 2)} Hz" * (len(natural) > 1): [
+                _mode_point(measurement, sweep, level, frequency) for sweep, level in zip(sweeps, levels, strict=True)
+            ]
+            for frequency in natural
+        }
+    return {title: [_with_energy(measurement, point) for point in points] for title, points in groups.items()}
+
+
+def level_headline(measurement: Measurement, groups: Mapping[str, Sequence[LevelPoint]]) -> str:
+    """State the smallest and the largest value of each quantity, a line for each; with several modes, for each mode."""
+    [first, *_] = groups.values()
+    lines = [f"“{measurement.label}”: {len(first)} levels (95 % intervals)"]
+    for title, points in groups.items():
+        ranges = quantity_ranges(points)
+        if title:
+            ranges = {title: "; ".join(f"{name} {ranges[name]}" for name in list(ranges)[:2])}
+        lines += [f"{name}: {text}" for name, text in ranges.items() if name != "driven frequency"]
+    remarks = [f"{point.level}: {point.note}" for points in groups.values() for point in points if point.note]
+    return "\n".join([*lines, *remarks])
+
+
+def level_table(measurements: Sequence[Measurement]) -> str:
+    """Return a table of the results at each level of all tests with several levels, as HTML; empty without levels."""
+    tests = {measurement.label: level_points(measurement) for measurement in measurements}
+    points = [point for groups in tests.values() for group in groups.values() for point in group]
+    keys = list(dict.fromkeys(key for point in points for key in point.quantities))
+    rows: list[tuple[str, ...]] = []
+    for label, groups in tests.items():
+        for title, group in groups.items():
+            rows += [(", ".join(filter(None, (label, title))),)] if len(measurements) > 1 or title else []
+            texts = [[point.quantities.get(key, (0.0, ""))[1] for key in keys] for point in group]
+            rows += [(point.level, *cells, point.note) for point, cells in zip(group, texts, strict=True)]
+    return table(_CAPTION, ["level", *keys, "remark"], rows) if rows else ""
+
+
+def _mode_point(measurement: Measurement, sweep: SweepResults, level: str, reference: float) -> LevelPoint:
+    """Return natural frequency and damping of a mode in a sweep, and the measured point nearest to its peak."""
+    modes, test = sweep.modes, measurement.rec.scene.test
+    assert modes is not None
+    mode = int(np.argmin(abs(modes.frequency - reference)))
+    if abs(modes.frequency[mode] / reference - 1.0) >= MODE_SHIFT:
+        return LevelPoint(level, np.nan, {}, "not identified")
+    frequency, damping = float(modes.frequency[mode]), 100.0 * float(modes.damping[mode])
+    bounds = (float(expand(error[mode])) for error in (modes.frequency_error, 100.0 * modes.damping_error))
+    quantities = {
+        "natural frequency / Hz": (frequency, format_limited(frequency, next(bounds))),
+        "damping ratio / %": (damping, format_limited(damping, next(bounds), 100.0)),
+    }
+    note = "damping extrapolated" * bool(extrapolates_damping(modes, sweep.frfs)[mode])
+    highest = sweep.peaks[mode]
+    if highest is None:
+        return LevelPoint(level, np.nan, quantities, note)
+    curve, peak = highest
+    held = None if test is None else test.held_motion
+    shown = next((frf for frf in sweep.frfs if held is not None and frf.outputs[0].at == held[0]), curve)
+    line = int(np.argmin(abs(shown.frequency - peak.frequency)))
+    driven = float(shown.frequency[line])
+    quantities["driven frequency / Hz"] = driven, f"{driven:.4g}"
+    motion = shown.to("displacement")
+    if motion.amplitude is not None and motion.reference == "force":
+        force = 1e3 * float(motion.amplitude[line])
+        amplitude, bound = (force * float(values[line]) for values in (abs(motion.value), motion.expanded()))
+        place = measurement.rec.scene.structure.label(shown.outputs[0].at) or shown.response
+        quantities[f"amplitude of {place} / mm"] = amplitude, format_limited(amplitude, bound)
+    unit, factor = curve.shown_in
+    quantities[f"peak of {curve.name} / ({unit})"] = factor * peak.value, peak.height_text(factor)
+    return LevelPoint(level, driven, quantities, note)
+
+
+def _with_energy(measurement: Measurement, point: LevelPoint) -> LevelPoint:
+    """Add the share of the supplied energy that the dampers dissipate at the driven frequency of a point."""
+    for result in measurement.dampers:
+        name, energy = f"{sweep_name(result.label, measurement.label)} ", result.energy
+        if name.startswith(f"{point.level} ") and energy is not None and np.isfinite(point.frequency):
+            line = int(np.argmin(abs(result.sweep.lines.frequency - point.frequency)))
+            percent, bound = (
+                100.0 * float(part[line] / energy.supplied[line]) for part in (energy.dampers, energy.bound)
+            )
+            share = {"energy in dampers / %": (percent, format_limited(percent, bound, 100.0))}
+            return point._replace(quantities={**point.quantities, **share})
+    return point

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import chain
-from math import inf, isfinite
+from math import isfinite
 from operator import le
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.commands.presentation.damper_findings import detection_limits
 from analysis.commands.report_page.levels import level_headline, level_points
@@ -16,10 +15,9 @@ from analysis.commands.report_page.measurements import Measurement, SweepChange,
 from analysis.commands.report_page.tables import change_heights, change_text, includes_sensors
 from analysis.core.damper_motion.dampers import Dampers
 from analysis.core.modal.mode_warnings import MAX_LINEAR_RESIDUAL
-from analysis.core.recordings.names import sweep_name
 from daq.core.recording.markers import describe_faulty_hits, faulty_hits
 from daq.core.recording.recorded_test import deviation_unit, shocks_of
-from rig.core.results import format_decimals, format_frequencies, format_interval, format_percent
+from rig.core.results import format_decimals, format_frequencies, format_limited, format_percent
 from rig.core.scene.excitation import FORCE_TOLERANCE
 
 # Number of texts in the summary.
@@ -152,102 +150,70 @@ def _initial_height(sweep: SweepChange) -> float:
     return sweep.change.bare.value
 
 
-def _resonance_texts(measurement: Measurement) -> list[str]:
-    """List natural frequencies, damping ratios and the highest response of a test at one level."""
-    sweeps = [sweep for sweep in measurement.sweeps if sweep.modes is not None and sweep.modes.frequency.size]
-    return [_resonance_text(sweep) for sweep in sweeps[:1]]
-
-
 def _response_texts(measurement: Measurement) -> list[str]:
     """For each sweep without an identified mode, describe the response with the highest value."""
     known = ([frf for frf in sweep.frfs if np.isfinite(frf.value).any()] for sweep in measurement.sweeps)
     return [f"{max(frfs, key=lambda frf: abs(frf.value[frf.peak_line()])).summary()}." for frfs in known if frfs]
 
 
-def _resonance_text(sweep: SweepResults) -> str:
-    """List natural frequencies and damping ratios of a sweep, and its highest response."""
-    modes = sweep.modes
-    assert modes is not None
-    count = modes.frequency.size
-    lines = [
-        f"{modes.frequency_text(k)}, damping ratio {sweep.damping_text(k)}"
-        for k in np.argsort(modes.frequency).tolist()
-    ]
-    heading = f"“{sweep.label}”: {count} resonance{'s' * (count != 1)} (95 % intervals)"
-    return "\n".join(filter(None, [heading, *lines, _highest_compliance(sweep)]))
+def _resonance_texts(measurement: Measurement) -> list[str]:
+    """List natural frequencies, damping ratios and the highest response of a test at one level."""
+    for sweep in measurement.sweeps:
+        if sweep.modes is not None and (count := sweep.modes.frequency.size):
+            lines = [
+                f"{sweep.modes.frequency_text(k)}, damping ratio {sweep.damping_text(k)}"
+                for k in np.argsort(sweep.modes.frequency).tolist()
+            ]
+            heading = f"“{sweep.label}”: {count} resonance{'s' * (count != 1)} (95 % intervals)"
+            return ["\n".join(filter(None, [heading, *lines, _highest_peak(sweep)]))]
+    return []
 
 
-def _highest_height(sweep: SweepResults) -> str:
-    """Write the height of the highest peak; empty without a peak."""
-    if sweep.highest is None:
-        return ""
-    curve, highest = sweep.highest
-    if highest.value < highest.bound < inf:
-        return f"the height of the highest peak of the {curve.name} is not determined"
-    unit, factor = curve.shown_in
-    return f"the highest {curve.name} is {highest.height_text(factor, unit)}"
-
-
-def _highest_compliance(sweep: SweepResults) -> str:
+def _highest_peak(sweep: SweepResults) -> str:
     """Write the highest peak, at the natural frequency of its mode if it is known; empty without a peak."""
     if sweep.highest is None:
         return ""
     curve, highest = sweep.highest
     mode = next((k for k, peak in enumerate(sweep.peaks) if peak is not None and peak[1] is highest), None)
-    where = f"{curve.ratio}, {highest.frequency:.4g} Hz"
+    where = f"{highest.frequency:.4g} Hz"
     if mode is not None and sweep.modes is not None:
-        where = f"{curve.ratio}, mode at {format_decimals(float(sweep.modes.frequency[mode]), 2)} Hz"
-    return f"{_highest_height(sweep)} ({where})"
+        where = f"mode at {format_decimals(float(sweep.modes.frequency[mode]), 2)} Hz"
+    unit, factor = curve.shown_in
+    height = f"is {highest.height_text(factor, unit)}"
+    return f"the highest {curve.name} ({curve.ratio}, {where}) {height}"
 
 
 def _impact_texts(measurement: Measurement) -> list[str]:
-    """Report the detected impacts of all sweeps and the limit of detection."""
+    """Report the detected impacts of all sweeps, the limit of detection, and the energy of a test at one level."""
     results = [result for result in measurement.dampers if result.bodies]
     if not results:
         return []
-    limits = detection_limits([[*chain(*motions)] for motions in zip(*(each.bodies for each in results), strict=True)])
-    limit = f"impacts with a velocity step below {limits} are not detectable"
-    if len(results) == 1:
-        impacts, energy = _impact_text(results[0])
-        frequency = results[0].sweep.lines.frequency
-        every = f"{frequency.size} frequencies" if frequency.size > 1 else f"{frequency[0]:.4g} Hz"
-        none = f"no damper impact was detected at {'any of ' * (frequency.size > 1)}{every}"
-        text = f"damper impacts were detected at {impacts}" if impacts else none
-        return [f"“{results[0].label}”: {text}; {limit}{energy and f'; the dampers dissipate {energy}'}."]
-    counts = [(_has_impacts(result), sweep_name(result.label, measurement.label)) for result in results]
-    total, points = (sum(int(count(flags)) for flags, _ in counts) for count in (np.sum, np.size))
-    without = [name for flags, name in counts if not flags.any()]
-    remark = f" (none at {', '.join(without)})" if without and total else ""
-    return [f"“{measurement.label}”: damper impacts at {total} of {points} measured points{remark}; {limit}."]
-
-
-def _has_impacts(result: Dampers) -> NDArray[np.bool_]:
-    """Return whether impacts were detected at each frequency."""
-    return np.any([[motion.floor > 0 or motion.ceiling > 0 for motion in motions] for motions in result.bodies], axis=0)
-
-
-def _impact_text(result: Dampers) -> tuple[str, str]:
-    """Return the frequencies with detected impacts, and the largest dissipated fraction of the supplied energy."""
-    frequency = result.sweep.lines.frequency
-    has_impacts = _has_impacts(result)
-    if not has_impacts.any():
-        return "", ""
-    text = f"{frequency[0]:.4g} Hz"
-    if frequency.size > 1:
+    motions = [[*chain(*of_body)] for of_body in zip(*(each.bodies for each in results), strict=True)]
+    frequency = np.concatenate([result.sweep.lines.frequency for result in results])
+    has_impacts = np.any([[each.floor > 0 or each.ceiling > 0 for each in of_body] for of_body in motions], axis=0)
+    text = f"no damper impact was detected at any of {frequency.size} measured points"
+    energy = ""
+    if has_impacts.any():
         listed = format_frequencies(frequency.tolist(), has_impacts.tolist())
-        text = f"{int(has_impacts.sum())} of {frequency.size} frequencies ({listed})"
-    energy = result.energy
+        text = f"damper impacts were detected at {has_impacts.sum()} of {frequency.size} measured points ({listed})"
+        energy = _largest_share(results[0]) if len(results) == 1 else ""
+    limits = detection_limits(motions)
+    return [f"“{measurement.label}”: {text}; impacts with a velocity step below {limits} are not detectable{energy}."]
+
+
+def _largest_share(result: Dampers) -> str:
+    """Write the largest dissipated share of the supplied energy; empty if it is not determined."""
+    frequency, energy = result.sweep.lines.frequency, result.energy
     if energy is None:
-        return text, ""
+        return ""
     share, bound = energy.dampers / energy.supplied, energy.bound / energy.supplied
     largest = int(np.argmax(np.where(energy.supplied > 0, share - bound, -np.inf)))
     if not share[largest] > bound[largest] > 0:
-        return text, ""
+        return ""
     # The chart shows whole percents.
-    percent, percent_bound = 100 * float(share[largest]), 100 * float(bound[largest])
-    value = f"{percent:.0f}" if percent_bound < 0.5 else format_interval(percent, percent_bound)
-    where = f" (at {frequency[largest]:.4g} Hz)" if frequency.size > 1 else ""
-    return text, f"up to {value} % of the supplied energy{where}"
+    percent, percent_bound = 100.0 * float(share[largest]), 100.0 * float(bound[largest])
+    value = f"{percent:.0f}" if percent_bound < 0.5 else format_limited(percent, percent_bound, 100.0)
+    return f"; the dampers dissipate up to {value} % of the supplied energy (at {frequency[largest]:.4g} Hz)"
 
 
 def _decay_texts(measurements: Sequence[Measurement]) -> list[str]:

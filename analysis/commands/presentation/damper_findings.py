@@ -20,7 +20,7 @@ from analysis.commands.presentation.tables import write_table
 from analysis.core.damper_motion.dampers import Dampers, dampers_in
 from analysis.core.damper_motion.energy_balance import CycleEnergy
 from analysis.core.damper_motion.motion_types import DamperMotion
-from analysis.core.recordings.names import OpenRecordings, excitation_text, scene_labels, with_recordings
+from analysis.core.recordings.names import OpenRecordings, full_test_text, scene_labels, with_recordings
 from rig.core.base.progress import CountProgress
 from rig.core.results import format_frequencies, format_interval, format_number
 from rig.core.results.text import table_lines
@@ -64,7 +64,7 @@ def present_dampers(
     for path, stem, label in zip(paths, stems, scene_labels(recordings, paths), strict=True):
         rec = recordings.of(path)
         check_recording(rec, path, "dampers")
-        results, excitation = dampers_in(rec, label, progress), excitation_text(rec)
+        results, excitation = dampers_in(rec, label, progress), full_test_text(rec)
         warnings += with_recording_name(path, [warning for dampers in results for warning in dampers.warnings])
         lines += [line for dampers in results for line in describe(dampers)]
         for number, dampers in enumerate(results, 1):

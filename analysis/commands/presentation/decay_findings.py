@@ -19,7 +19,7 @@ from analysis.commands.presentation.outputs import (
 from analysis.core.decays.free_decay import INITIAL_DECAY_DB, Decay, decay
 from analysis.core.recordings.names import (
     OpenRecordings,
-    excitation_text,
+    full_test_text,
     reference_label,
     relabel,
     scene_labels,
@@ -75,7 +75,7 @@ def present_decay(
         decays.append(relabel(decay(rec, channel, hit), rec.scene.name, label))
         has_hits = rec.test.drives
         moving[label] = not rec.scene.is_linear
-        excitations.append(excitation_text(rec))
+        excitations.append(full_test_text(rec))
         places.append(rec.channels[decays[-1].channel].at)
         warnings += with_recording_name(path, decays[-1].warnings)
     first = decays[0]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from analysis.commands.presentation.outputs import CommandOutput, check_outputs, separate_stems, with_ending
 from analysis.commands.presentation.tables import write_table
-from analysis.core.recordings.names import excitation_text
+from analysis.core.recordings.names import full_test_text
 from rig.core.base.figure_style import add_title, new_figure, save_figure
 from rig.core.results import Result
 
@@ -47,7 +47,7 @@ def present_each(
         with new_figure(4.6) as figure:
             axes = figure.add_subplot()
             draw(result, figure, axes)
-            add_title(axes, f"{title}: {rec.scene.name} ({excitation_text(rec)})")
+            add_title(axes, f"{title}: {rec.scene.name} ({full_test_text(rec)})")
             files += save_figure(figure, stem)
         columns = result.columns()
         files.append(write_table(with_ending(stem, "csv"), list(columns), zip(*columns.values(), strict=True)))

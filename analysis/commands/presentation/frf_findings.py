@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -22,9 +22,9 @@ from analysis.commands.presentation.outputs import (
 from analysis.core.damper_motion.comparison import is_next_to_omitted, resonance_peaks
 from analysis.core.recordings.names import (
     OpenRecordings,
+    acquisition_text,
     belongs_to,
     excitation_text,
-    line_spacing,
     reference_label,
     relabel,
     with_recordings,
@@ -85,6 +85,7 @@ def present_frf(
     tolerance_remarks: list[str] = []
     moving: dict[str, bool] = {}
     excitations: dict[str, str] = {}
+    acquisitions: set[str] = set()
     for path, label in zip(paths, labels(recordings, paths), strict=True):
         if is_frf_file(path):
             file_curves = read_curves(path, reference, channels, unit)
@@ -96,15 +97,15 @@ def present_frf(
         options = vars(blocks.for_kind(rec.test.kind))
         groups = frequency_responses(rec, channels, reference, motion, progress=progress, **options)
         curves += [relabel(frf, rec.scene.name, label) for group in groups for frf in group]
-        moving[label] = not rec.scene.is_linear
-        excitations[label] = ", ".join(filter(None, (excitation_text(rec), line_spacing(groups[0][0]))))
+        moving[label], excitations[label] = not rec.scene.is_linear, excitation_text(rec)
+        acquisitions.add(acquisition_text(rec, groups[0][0]))
         warnings += with_recording_name(path, [warning for group in groups for warning in group[0].warnings])
         tolerance_remarks += stated_tolerances(rec, [frf for group in groups for frf in group])
         if theory:
             from analysis.commands.presentation.theory import linear_theory
 
             theory_curves += [linear_theory(rec, frf) for frf in groups[0]]
-    files = _draw_figures(curves, theory_curves, stem, reference_label(moving), excitations)
+    files = _draw_figures(curves, theory_curves, stem, reference_label(moving), excitations, acquisitions)
     files.append(frf_table(table, curves))
     return CommandOutput(tuple(files), (*describe_frfs(curves), *dict.fromkeys(tolerance_remarks)), tuple(warnings))
 
@@ -197,10 +198,12 @@ def _draw_figures(
     stem: Path,
     reference: str,
     excitations: Mapping[str, str],
+    acquisitions: Collection[str],
 ) -> list[Path]:
     """Draw one figure for a single sweep, or one figure for each FRF of several sweeps; return the files.
 
-    `reference`: label of the recording with which all others are compared; `excitations`: test and level by recording.
+    `reference`: label of the recording with which all others are compared; `excitations`: test and level by recording;
+    `acquisitions`: averages, lines and sample rates of all recordings.
     """
     from analysis.commands.figures.frf_figure import frf_figure
     from rig.core.base.figure_style import save_figure
@@ -209,7 +212,8 @@ def _draw_figures(
     quantity = curves[0].name.capitalize()
     groups = _by_ratio(curves)
     tests = set(excitations.values())
-    test = f" ({tests.pop()})" if len(tests) == 1 and "" not in tests else ""
+    acquisition = ", ".join(["", *acquisitions]) if len(acquisitions) == 1 else ""
+    test = f" ({tests.pop()}{acquisition})" if len(tests) == 1 and "" not in tests else ""
     if len(sweep_labels) == 1:
         inputs = {frf.input for frf in curves}
         labeled = [replace(frf, label=frf.response if len(inputs) == 1 else frf.ratio) for frf in curves]

@@ -23,7 +23,7 @@ from analysis.commands.presentation.outputs import (
 from analysis.core.modal.identification import identify
 from analysis.core.modal.modes import Modes, mac
 from analysis.core.modal.roving_hammer import exchange_points
-from analysis.core.recordings.names import OpenRecordings, excitation_text, relabel, with_recordings
+from analysis.core.recordings.names import OpenRecordings, full_test_text, relabel, with_recordings
 from analysis.core.responses.estimator import Blocks
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import default_reference
@@ -105,7 +105,7 @@ def present_modes(
                 theory = theoretical_modes(rec, modes)
             all_modes.append(modes)
             stem = first if number == 1 else first.with_name(f"{first.name}-{number}")
-            title = f"Modes: {modes.label}{'' if rec is None else f' ({excitation_text(rec)})'}"
+            title = f"Modes: {modes.label}{'' if rec is None else f' ({full_test_text(rec)})'}"
             files += save_figure(modes_figure(frfs, modes, title), stem)
             lines += describe_modes(modes, theory)
             notes = [*modes.warnings, *theory_warnings(modes, theory)]

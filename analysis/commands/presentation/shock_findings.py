@@ -14,7 +14,7 @@ from analysis.commands.presentation.outputs import (
     with_recording_name,
 )
 from analysis.commands.presentation.tables import Row, write_table
-from analysis.core.recordings.names import OpenRecordings, excitation_text, scene_labels, with_recordings
+from analysis.core.recordings.names import OpenRecordings, full_test_text, scene_labels, with_recordings
 from analysis.core.responses.measurands import select_channels
 from analysis.core.signals.shock_spectrum import ShockSpectrum, prescribed_spectrum, srs
 from daq.core.recording.recorded_test import deviation_unit, shocks_of
@@ -63,7 +63,7 @@ def present_srs(
     title, required = f"Shock response spectrum, Q = {q:g}", None
     if len(paths) == 1:
         rec = recordings.of(paths[0])
-        title += f": {rec.scene.name} ({excitation_text(rec)})"
+        title += f": {rec.scene.name} ({full_test_text(rec)})"
         required = prescribed_spectrum(rec, q, spectra[0][1].frequency)
     with new_figure(4.6) as figure:
         axes = figure.add_subplot()

@@ -11,7 +11,6 @@ import numpy as np
 
 from daq.core.recording.recording import Recording
 from rig.core.base.errors import RecordingError
-from rig.core.results import format_number
 from rig.core.results.response import Response
 
 
@@ -164,20 +163,31 @@ def without_common_direction(names: Sequence[str]) -> list[str]:
 
 
 def excitation_text(rec: Recording) -> str:
-    """Describe the test, its level, on which the response of a nonlinear structure depends, and the sample rate."""
+    """Describe the test and its level, on which the response of a nonlinear structure depends: stepped sine, 2.6 N."""
     test = rec.scene.test
     if test is None:
         return ""
     level = test.level_text(rec.scene.driven_shaker)
     if test.held_motion is not None:
         level += f" at {rec.scene.structure.label(test.held_motion[0])}"
-    return ", ".join(filter(None, [test.title, level, *test.details, f"sampled at {rec.rate:g} Hz"]))
+    return ", ".join(filter(None, [test.title, level]))
+
+
+def acquisition_text(rec: Recording, frf: Response | None = None) -> str:
+    """Describe number of averages or points, line spacing and sample rate: 3 impacts of 4 ms, Δf 0.33 Hz, 5120 Hz."""
+    details = () if rec.scene.test is None else rec.scene.test.details
+    spacing = "" if frf is None else line_spacing(frf)
+    return ", ".join(filter(None, [*details, spacing, f"sampled at {rec.rate:g} Hz"]))
+
+
+def full_test_text(rec: Recording) -> str:
+    """Describe test, level, averages and sample rate for the subtitle of a figure."""
+    return ", ".join(filter(None, [excitation_text(rec), acquisition_text(rec)]))
 
 
 def line_spacing(frf: Response) -> str:
     """Write the distance of the lines of a spectrum; empty for tones at other distances.
 
-    >>> from rig.core.results.response import Response
     >>> line_spacing(Response.curve([10.0, 10.5, 11.0, 12.5], [1j] * 4, "a"))
     'Δf 0.5 Hz'
     """
@@ -185,7 +195,7 @@ def line_spacing(frf: Response) -> str:
     if not steps.size or steps.min() <= 0.0:
         return ""
     lines = steps / steps.min()
-    return f"Δf {format_number(float(steps.min()))} Hz" if np.allclose(lines, np.round(lines), atol=1e-3) else ""
+    return f"Δf {steps.min():.2g} Hz" if np.allclose(lines, np.round(lines), atol=1e-3) else ""
 
 
 def relabel(curve: Labeled, scene: str, label: str) -> Labeled:

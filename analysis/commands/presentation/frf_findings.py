@@ -198,7 +198,7 @@ def _draw_figures(
     stem: Path,
     reference: str,
     excitations: Mapping[str, str],
-    acquisitions: Collection[str],
+    acquisitions: Collection[str] = (),
 ) -> list[Path]:
     """Draw one figure for a single sweep, or one figure for each FRF of several sweeps; return the files.
 

@@ -1,7 +1,5 @@
 """Output of `analysis fit`: printed lines, the figure of residuals and the fitted scene."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Sequence
 from math import isnan

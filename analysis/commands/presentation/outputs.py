@@ -3,8 +3,6 @@
 File names are derived from the names of the inputs.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 from collections.abc import Sequence

@@ -6,8 +6,6 @@ theory excludes the coil spring. In an impact test all shakers are idle, and the
 table carries the structure, the modes are those with the table at rest.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

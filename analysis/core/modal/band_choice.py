@@ -4,8 +4,6 @@ Errors of the curves act like additional poles, which depend on the choice of li
 show their effect. The modes are therefore identified again without the lines at either end, and from every second line.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Identification of natural frequencies, damping ratios and mode shapes from measured frequency responses."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Selection of spectral lines for a modal fit, and estimation of their scatter if a file does not state it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

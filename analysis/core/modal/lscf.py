@@ -4,8 +4,6 @@ The poles of common-denominator models of increasing order are compared. A pole 
 *stable*; a pole s with Re s < 0 is *decaying*.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

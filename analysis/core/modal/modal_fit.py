@@ -1,7 +1,5 @@
 """Fit of the significant poles to the curves of a band, or of a part of a band."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple

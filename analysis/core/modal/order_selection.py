@@ -7,8 +7,6 @@ References
 .. [1] G. Schwarz, Estimating the dimension of a model, Annals of Statistics 6 (1978) 461-464.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

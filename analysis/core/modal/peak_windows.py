@@ -1,7 +1,5 @@
 """Windows of lines around the peaks of curves, in which modes are identified independently of the rest of the band."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -3,8 +3,6 @@
 The parameters of a pole are the logarithm of its decay rate, and its damped frequency in units of the decay rate.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ By the reciprocity theorem of Maxwell and Betti, output and input of a curve may
 from all curves at once, and their shapes have an element for each hit point.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import reduce

@@ -10,8 +10,6 @@ References
 .. [1] D. J. Ewins, Modal Testing, 2nd ed., Research Studies Press 2000, section 4.6.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

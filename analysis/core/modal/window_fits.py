@@ -7,8 +7,6 @@ essential part of a curve at its frequency, and if it is also identified from ev
 can resolve it (see `band_choice`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

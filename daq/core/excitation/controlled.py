@@ -4,8 +4,6 @@ Few benches measure the force of a coil spring. It is computed as k0 (x0 - x1) f
 and x1 of the structure. In general, a controlled quantity is therefore a weighted sum of channels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

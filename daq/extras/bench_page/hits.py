@@ -1,7 +1,5 @@
 """Detects hammer impacts in the live force signal, and their faults: clipping, a double impact, a low peak."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

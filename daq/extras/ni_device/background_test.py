@@ -3,8 +3,6 @@
 A tick is a time step of the bench.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Connects a chassis to the bench of a scene: creates its modules, its clock and its terminals."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import replace

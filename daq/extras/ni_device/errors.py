@@ -1,7 +1,5 @@
 """Errors of the instrument, with the codes that NI publishes for its driver: clients check these codes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from nidaqmx.error_codes import DAQmxErrors, DAQmxWarnings

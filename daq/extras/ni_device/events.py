@@ -1,7 +1,5 @@
 """Events of a task that clients register for: samples acquired or generated, done, signal."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -4,8 +4,6 @@ A run lasts from the start of a task to its stop. Only a task with a sample cloc
 read or write takes its samples at once (on demand).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Reads, sets and resets the properties of a task by NI's names; some are stored settings, others are computed."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from functools import partial

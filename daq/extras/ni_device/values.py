@@ -1,7 +1,5 @@
 """Values of settings that the instrument supports; names and numbers are those of NI-DAQmx."""
 
-from __future__ import annotations
-
 from enum import IntEnum
 from typing import TypeVar
 

@@ -3,8 +3,6 @@
 Rerun calls a layout a blueprint, and a drawn item an entity; entities have paths such as test/phase as names.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import rerun.blueprint as rrb

@@ -1,7 +1,5 @@
 """Outputs of a replay: a window, a browser, a picture, or a file."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

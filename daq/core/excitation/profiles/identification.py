@@ -4,8 +4,6 @@ The responses are accelerations per unit of drive. The responses of sensor, inte
 their delay is included.
 """
 
-from __future__ import annotations
-
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 The result is used to control the force of a swept sine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Generator
 from dataclasses import dataclass
 from math import comb, pi, sqrt

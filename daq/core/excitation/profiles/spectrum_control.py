@@ -7,8 +7,6 @@ the true density scatter by 4.34 sqrt(speed / ((2 - speed) N)) dB. The actual sc
 within the noise are corrected less.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from daq.core.excitation.profiles.spectrum_shaping import Lines

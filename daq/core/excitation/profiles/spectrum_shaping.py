@@ -4,8 +4,6 @@ The force is measured by the channels. A spectral line is a multiple of the fund
 period); the multiple is its number.
 """
 
-from __future__ import annotations
-
 from collections.abc import Generator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Control of the drive of a swept tone, so that the force amplitude is constant despite the transient response."""
 
-from __future__ import annotations
-
 from cmath import exp, pi
 from collections import deque
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ with a prescribed shock response spectrum is a sum of wavelets, which end with z
 Smallwood, A. R. Nord, Shock Vib. Bull. 44 (1974) 43).
 """
 
-from __future__ import annotations
-
 from typing import Protocol
 
 import numpy as np

@@ -9,8 +9,6 @@ In steady state U is constant, so that the drive is a pure tone even if the moti
 change the motion that it holds. (J. Sieber, B. Krauskopf, Nonlinear Dynamics 51 (2008) 365.)
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Generator
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Excitation by a tone whose frequency and force the operator changes during the test."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Identification of the mode nearest to a swept tone: one mode and a residual term, updated along the sweep."""
 
-from __future__ import annotations
-
 from cmath import exp
 from collections import deque
 

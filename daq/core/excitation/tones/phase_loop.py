@@ -6,8 +6,6 @@ loop then has no proportional part. (S. Peter, R. I. Leine, Mech. Syst. Signal P
 SIMC rules for a plant of first order with dead time: S. Skogestad, J. Process Control 13 (2003) 291.)
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

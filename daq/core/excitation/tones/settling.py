@@ -3,8 +3,6 @@
 An observation consists of the complex amplitudes of all quantities (force and displacements) in one window.
 """
 
-from __future__ import annotations
-
 import cmath
 import math
 import sys

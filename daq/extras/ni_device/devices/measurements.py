@@ -1,7 +1,5 @@
 """Types of measurement, such as voltage or acceleration: settings of their channels, and volts per unit."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

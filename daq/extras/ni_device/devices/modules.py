@@ -1,7 +1,5 @@
 """Modules and other devices of the instrument, with the properties of their data sheets as scripts can query them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

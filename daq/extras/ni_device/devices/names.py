@@ -6,8 +6,6 @@ other hardware run unchanged. Such devices are separate modules on the same sens
 an output is the same under all names.
 """
 
-from __future__ import annotations
-
 import re
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Decodes transducer electronic data sheets (TEDS, IEEE 1451.4) from sensors, or from files (virtual TEDS)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

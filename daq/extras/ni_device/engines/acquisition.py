@@ -3,8 +3,6 @@
 A record is the sequence of samples from a start trigger, or from the start of the task, to the required number.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 A tick is one time step of the simulated bench.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from fractions import Fraction

@@ -1,7 +1,5 @@
 """A ring buffer for the latest samples of a stream."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -10,8 +10,6 @@ per second: it rises at 1 s, 2 s, ... of bench time and falls half a second late
 `ao/StartTrigger` and `ai/ReferenceTrigger` are the start and the reference trigger of other tasks.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Settings of a task by NI's names of the properties, with their defaults."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from enum import IntEnum
 from math import isfinite

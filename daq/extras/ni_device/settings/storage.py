@@ -1,7 +1,5 @@
 """Tasks, channels and scales saved under a name; they are stored while the instrument runs."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 from dataclasses import dataclass, field
 from typing import TypeVar

@@ -1,7 +1,5 @@
 """Settings of a task: its channels, timing, triggers and streams."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from typing import Any

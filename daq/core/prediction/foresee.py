@@ -55,6 +55,8 @@ _MAX_SECANT_STEPS = 3
 # deviations of their scatter. Measured with 15 scenes: errors of 0.1 to 2 % without scatter.
 _LINEAR_WAIT_ERROR = 0.03
 _WAIT_SIGMAS = 2.5
+# Smallest completed fraction from which the duration of a test with feedback is extrapolated.
+_MIN_FRACTION = 0.1
 # The end of an aborting test may differ by this ratio from the end in the rehearsal of its parts.
 _ABORT_RATIO = 1.5
 # The search for the largest permissible level ends when the largest reading differs from its limit by less than this
@@ -412,7 +414,10 @@ class _Assessment:
         assert test is not None
         procedure = procedure_of(test)
         if procedure.rehearsal == "part":
-            seconds = procedure.seconds(test, rehearsed_test.parts[0].scene.test, rehearsed_seconds)
+            [part] = rehearsed_test.parts
+            if not part.complete:
+                rehearsed_seconds /= max(part.fraction, _MIN_FRACTION)
+            seconds = procedure.seconds(test, part.scene.test, rehearsed_seconds)
             return _Duration.within(seconds, procedure.duration_ratio)
         if not test.dwells:
             return _Duration.within(test.shortest)

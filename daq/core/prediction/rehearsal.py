@@ -107,8 +107,8 @@ class Rehearsal(BenchLoop):
         self.steps: list[Step] = []
         # Last measured interval without a constant tone: its first sample, and the sample after its last.
         self.measured: tuple[int, int] | None = None
-        # Simulated duration, s, and whether the test ran to its end.
-        self.seconds, self.complete = 0.0, False
+        # Simulated duration, s, whether the test ran to its end, and the completed fraction that it reported.
+        self.seconds, self.complete, self.fraction = 0.0, False, 0.0
         # Reason why the test was aborted; None if it ran to its end.
         self.aborted: str | None = None
         # Blocks of the last seconds, from which the size of the recording is estimated.
@@ -137,7 +137,8 @@ class Rehearsal(BenchLoop):
         return earlier[-1].frequency if earlier else None
 
     def report(self, fraction: float, message: str) -> None:
-        """Ignore the progress: a rehearsal has no progress bar."""
+        """Store the completed fraction."""
+        self.fraction = float(fraction)
 
     def ending_error(self, readings: Array) -> BaseException | None:
         """Return the error that ends the test at an exceeded limit; None while steps are still excluded."""

@@ -80,13 +80,17 @@ def test_curve_continues_behind_a_corner(tmp_path: Path) -> None:
         "converter": {"rate": 5120.0, "bits": 24, "range": 10.0},
     })  # fmt: skip
     with pytest.warns(daq.RunWarning, match=r"no points from 48\.\d+ to 48\.\d+"):
-        measured = analysis.continuation(daq.record(scene, tmp_path / "corner.mcap"))
+        path = daq.record(scene, tmp_path / "corner.mcap")
+    measured = analysis.continuation(path)
     theory = scene.replace(test={"kind": "sine", "frequency": 48.5, "force": 0.8629473}, channels=None)
     [branch] = [b for b in rig.follow_orbits(theory, "frequency", (48.45, 48.55)).branches if b.stable.any()]
     reference = np.array([orbit.reference_amplitude for orbit in branch.orbits])
     order = np.argsort(branch.value)
     exact = np.interp(measured.frequency[-1], branch.value[order], (abs(branch.frf[0]) * reference)[order])
     assert measured.frequency[-1] <= 48.5 and measured.amplitude[-1] == pytest.approx(exact, rel=0.01)
+    shortest, longest = daq.foresee(scene).seconds_range
+    with daq.open(path) as recording:
+        assert shortest < recording.samples / recording.rate < longest
 
 
 def test_control_does_not_change_motion(recording: Path) -> None:
@@ -114,6 +118,24 @@ def test_coil_shaker_is_followed() -> None:
         for (first, stop, fields), weight in zip(bench_run.marks_of("measure"), weights, strict=True)
     ]
     assert forces == pytest.approx([1.0] * len(forces), rel=0.006) and len(forces) >= 4
+
+
+def test_short_transients_do_not_bias_the_force() -> None:
+    # The mode decays within some of the windows from which the force is averaged.
+    scene = rig.load({
+        "structure": {"masses": [1.9287, 2.7045], "springs": [123835.0, 232666.0], "damping": {"modal": 0.009}},
+        "shaker": {"kind": "electrodynamic", "body": 2, "spring": "24.77 kN/m"},
+        "channels": [{"name": at.replace(" ", ""), "at": at, "accelerometer": {}} for at in ("body 2", "table")],
+        "converter": {"rate": 2560.0},
+        "test": {"kind": "continuation", "from": 24.9, "to": 24.0, "at": "body 2", "force": 2.63, "step": 0.4},
+    })  # fmt: skip
+    bench_run = run(scene)
+    forces = [
+        abs(bench_run.amplitudes(first, stop, fields["frequency"]) @ bench_run.force_weights(fields["frequency"]))
+        for first, stop, fields in bench_run.marks_of("measure")
+    ]
+    assert bench_run.marks_of("measure")[-1][2]["frequency"] <= 24.0
+    assert forces == pytest.approx([2.63] * len(forces), rel=0.005)
 
 
 def test_force_cell_replaces_the_table_channel() -> None:

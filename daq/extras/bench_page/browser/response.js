@@ -138,11 +138,11 @@ const DECADES = 2.5;
 // Return whether the response at each line is determined: coherent, and with a phase that does not scatter.
 function determined(phase, coherence) {
   const steps = phase.map((value, k) => (k ? Math.abs(value - phase[k - 1]) : 0));
-  const isSmooth = (k) => {
-    const around = steps.subarray(Math.max(k - AROUND, 0), k + AROUND + 1);
-    return around.filter((step) => Math.min(step, 360 - step) > LARGEST_STEP).length < around.length / 4;
-  };
-  const smooth = Array.from(phase, (_, k) => isSmooth(k)), around = (flags, k) => flags.slice(Math.max(k - AROUND / 2, 0), k + AROUND / 2 + 1);
+  const around = (values, k) => values.slice(Math.max(k - AROUND, 0), k + AROUND + 1);
+  const smooth = Array.from(steps, (_, k) => {
+    const near = around(steps, k);
+    return near.filter((step) => Math.min(step, 360 - step) > LARGEST_STEP).length < near.length / 4;
+  });
   // A few lines among noise have a smooth phase by chance.
   const inside = smooth.map((_, k) => around(smooth, k).every(Boolean));
   // A single average has no coherence.

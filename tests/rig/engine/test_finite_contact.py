@@ -1,7 +1,6 @@
 """Finite-duration contact, compared with 40-digit solutions, closed forms, energy balance and instant contact."""
 
 import math
-from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -13,8 +12,10 @@ from scipy.linalg import expm
 import rig
 from rig.core.laws.landing import duration_and_restitution, spring_damper
 from rig.core.system.assembly import assemble
-from tests.rig.engine.finite_contact_exact import SwitchedMotion
+from rig.core.system.open_loop_drive import tone_drive
+from rig.studies.cost.high_precision import exact_motion
 from tests.rig.landing_force import peak_force
+from tests.rig.laws.test_declarations import assert_motion_as_declared
 
 SAMPLES_PER_PERIOD = 16
 
@@ -61,27 +62,22 @@ def random_scene(seed: int, bodies: int) -> rig.Scene:
     )  # fmt: skip
 
 
-@cache
-def exact_motion(seed: int, bodies: int) -> tuple[np.ndarray, list[tuple[object, int, bool]]]:
-    """Return the displacements and events over three periods of the drive."""
-    scene = random_scene(seed, bodies)
-    states = 2 * (bodies + len(scene.dampers))
-    return SwitchedMotion(scene).propagate([0.0] * states, 3 * SAMPLES_PER_PERIOD + 1, SAMPLES_PER_PERIOD)
-
-
 @pytest.mark.usefixtures("each_table_size")
+@pytest.mark.parametrize(("seed", "bodies"), [(0, 1), (4, 1), (5, 2), (7, 1), (7314, 1)])
+def test_random_finite_contacts_move_as_declared(seed: int, bodies: int) -> None:
+    assert assert_motion_as_declared(random_scene(seed, bodies), 3) > 2
+
+
 @pytest.mark.parametrize(("seed", "bodies"), [(0, 1), (4, 1), (5, 2), (7, 1), (7314, 1)])
 def test_finite_contact_motion_agrees_to_forty_digits(seed: int, bodies: int) -> None:
     scene = random_scene(seed, bodies)
-    run = rig.simulate(scene, 3 / scene.test.frequency, rate=SAMPLES_PER_PERIOD * scene.test.frequency)
-    exact, events = exact_motion(seed, bodies)
-    error = np.abs(run.displacement - exact.astype(float)).max() / np.abs(run.displacement).max()
-    kinds = [("touch" if contact else "release", damper + 1) for _, damper, contact in events]
-    assert kinds == [(str(event["kind"]), int(event["damper"])) for event in run.events]
-    assert len(kinds) > 2
-    assert error < 1e-12
-    times = np.array([float(time) for time, _, _ in events])
-    np.testing.assert_allclose(run.events["time"], times, atol=1e-12)
+    system = assemble(scene)
+    tone = tone_drive(scene, system)
+    run = rig.simulate(scene, 3 / tone.frequency, rate=SAMPLES_PER_PERIOD * tone.frequency)
+    exact = exact_motion(system, tone, run, SAMPLES_PER_PERIOD)
+    displacement = exact.displacement.astype(float)
+    np.testing.assert_allclose(run.displacement, displacement, rtol=0, atol=1e-12 * np.abs(displacement).max())
+    np.testing.assert_allclose(run.events["time"], exact.event_time.astype(float), rtol=0, atol=1e-12)
     assert abs(run.energy.residual) < 1e-12 * abs(run.energy.work)
 
 

@@ -61,23 +61,14 @@ class Flow(NamedTuple):
 class Model(NamedTuple):
     """Constants of a system for the laws of its elements, in SI units.
 
-    step: step length, s. mass: mass of each element. position_index, velocity_index: indices of the position and
-    velocity of each element's body in the state. gap_coordinate: index of the gap in the state; -1 for a detached mass.
-    base_coordinate: index of the coordinate that is subtracted from the gap coordinate; -1 if none is.
-    memory_coordinate: index of the memory; -1 without memory. first_velocity: index of the first velocity, which equals
-    the number of coordinates. first_acceleration: index of the accelerations that are stored after the state.
-    inverse_mass: inverse of the mass matrix. force, force_constant: forces on the coordinates. coupled: whether
-    simultaneous contacts affect each other. laws: tables of the laws.
+    step: step length, s. first_velocity: index of the first velocity in the state, which equals the number of
+    coordinates. first_acceleration: index of the accelerations that are stored after the state. inverse_mass: inverse
+    of the mass matrix. force, force_constant: forces on the coordinates. coupled: whether simultaneous contacts affect
+    each other. laws: tables of the elements and their laws.
     """
 
     gravity: float
     step: float
-    mass: np.ndarray
-    gap_coordinate: np.ndarray
-    base_coordinate: np.ndarray
-    memory_coordinate: np.ndarray
-    position_index: np.ndarray
-    velocity_index: np.ndarray
     first_velocity: int
     first_acceleration: int
     inverse_mass: np.ndarray

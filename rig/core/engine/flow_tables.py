@@ -173,7 +173,7 @@ class FlowTables:
     def contacts(self, mode: NDArray[np.int64]) -> NDArray[np.int8]:
         """Return the wall that each element touches in its mode (`rig.core.laws.events`), shape (elements,)."""
         laws = self.model.laws
-        return np.asarray(laws.wall[laws.first_mode[:-1] + mode])
+        return np.asarray(laws.modes.wall[laws.elements.first_mode + mode], dtype=np.int8)
 
     def _model(self) -> Model:
         """Return the constants of the elements."""
@@ -187,12 +187,6 @@ class FlowTables:
         return Model(
             gravity=float(system.gravity),
             step=float(self.step),
-            mass=system.element_mass.astype(np.float64),
-            gap_coordinate=system.gap_coordinate.astype(np.int64),
-            base_coordinate=system.base_coordinate.astype(np.int64),
-            memory_coordinate=np.array([element.memory for element in system.elements], dtype=np.int64),
-            position_index=system.body_coordinate.astype(np.int64),
-            velocity_index=system.body_coordinate.astype(np.int64) + nq,
             first_velocity=nq,
             first_acceleration=self.size,
             inverse_mass=np.ascontiguousarray(np.linalg.inv(system.mass)),
@@ -239,7 +233,7 @@ class FlowTables:
     def _allocate(self, capacity: int) -> Flow:
         """Return tables of zeros with room for a number of configurations."""
         arrays = {name: aligned_zeros(capacity, *shape) for name, shape in self._table_shapes().items()}
-        after = np.full((capacity, max(1, len(self.model.laws.wall))), -1, dtype=np.int64)
+        after = np.full((capacity, max(1, len(self.model.laws.modes))), -1, dtype=np.int64)
         return Flow(
             has_series=self.has_series,
             has_step_matrix=self.has_step_matrix,
@@ -274,13 +268,13 @@ class FlowTables:
         """Fill `Flow.after` for the changes of one element to and from a configuration."""
         laws, after = self.model.laws, self.flow.after
         for j, present in enumerate(self.system.force_indices(np.array(configuration)).tolist()):
-            modes = range(laws.first_mode[j], laws.first_mode[j + 1])
+            modes = laws.elements.first_mode[j] + np.arange(len(self.system.elements[j].law.modes))
             for m in modes:
-                change = int(laws.force_index[m]) - present
+                change = int(laws.modes.force_index[m]) - present
                 neighbor = self.indices.get(configuration + self.system.strides[j] * change)
                 if change and neighbor is not None:
                     after[table_index, m] = neighbor
-                    after[neighbor, [k for k in modes if laws.force_index[k] == present]] = table_index
+                    after[neighbor, modes[laws.modes.force_index[modes] == present]] = table_index
 
     def _fill_step_tables(self, table_index: int, configuration: int, matrix: np.ndarray, offset: np.ndarray) -> None:
         """Compute step matrix, series, derivatives and bounds from A (`matrix`) and b (`offset`)."""
@@ -320,7 +314,7 @@ class FlowTables:
         present = self.system.force_indices(np.array(configuration)).tolist()
         for j, (by_force, index) in enumerate(zip(self._bounded_signals.signals, present, strict=True)):
             for row, (signal, constant) in enumerate(by_force[index].items(), self._bounded_signals.first_row[j]):
-                is_detached = bool(self.model.gap_coordinate[j] < 0)
+                is_detached = bool(self.system.detached[j])
                 self._fill_bound(table_index, row, signal, 0.0 if is_detached else constant, terms, constants)
                 if is_detached and signal.order == 0:
                     # A flying mass is accelerated by gravity alone.

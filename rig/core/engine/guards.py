@@ -62,14 +62,15 @@ def bound_by_series(
     `bound`: filled as by `bound_by_tables`.
     """
     coordinates, first_magnitude = model.first_velocity, bound.shape[0] // 2
-    for lane in range(signals.indices.shape[0]):
-        row_of_bound, index = signals.indices[lane, BOUND], signals.indices[lane, ENTRY]
-        has_acceleration = signals.indices[lane, ORDER] > 0
-        if model.gap_coordinate[signals.indices[lane, ELEMENT]] >= 0 and not has_acceleration:
+    for lane in range(signals.row.shape[0]):
+        row = unsigned(signals.row[lane])
+        row_of_bound, index = signals.indices[row, BOUND], signals.indices[row, ENTRY]
+        has_acceleration = signals.indices[row, ORDER] > 0
+        if model.laws.elements[signals.indices[row, ELEMENT]].gap_coordinate >= 0 and not has_acceleration:
             # With an infinite bound no guard is proven free of zeros, so the series of every guard is examined.
             bound[row_of_bound] = np.inf
             continue
-        row = index - model.first_acceleration + coordinates if has_acceleration else index
+        state_row = index - model.first_acceleration + coordinates if has_acceleration else index
         lost_terms = 1 if has_acceleration else 0  # differentiation of velocity to acceleration loses one term
         end_value = 0.0
         end_slope = 0.0
@@ -77,7 +78,11 @@ def bound_by_series(
         magnitude = 0.0
         for k in range(N_COEFFICIENTS - 1 - lost_terms, -1, -1):
             # The acceleration's series is (k + 1) state_series[k + 1] / model.step.
-            term = state_series[k + 1, row] * (k + 1) / model.step if has_acceleration else state_series[k, row]
+            term = (
+                state_series[k + 1, state_row] * (k + 1) / model.step
+                if has_acceleration
+                else state_series[k, state_row]
+            )
             end_slope = end_slope * length + end_value
             end_value = end_value * length + term
             fourth_derivative += k * (k - 1) * (k - 2) * (k - 3) * abs(term)
@@ -95,39 +100,40 @@ def bound_by_series(
 def _signal_series(model: Model, state: State, workspace: Workspace, lane: int, length: float) -> float:
     """Fill `workspace.guard_series` with the series of a signal; return its magnitude."""
     series, signals = workspace.guard_series, workspace.signals
-    j, bounds = unsigned(signals.indices[lane, ELEMENT]), workspace.bound
-    magnitude, power = abs(signals.numbers[lane, OFFSET]), 1.0
-    if signals.indices[lane, ORDER] > 0:
-        row = signals.indices[lane, ENTRY] - model.first_acceleration + model.first_velocity
-        power = signals.numbers[lane, SCALE] / model.step
+    row = unsigned(signals.row[lane])
+    j, bounds = unsigned(signals.indices[row, ELEMENT]), workspace.bound
+    magnitude, power = abs(signals.numbers[row, OFFSET]), 1.0
+    if signals.indices[row, ORDER] > 0:
+        velocity = signals.indices[row, ENTRY] - model.first_acceleration + model.first_velocity
+        power = signals.numbers[row, SCALE] / model.step
         for k in range(N_COEFFICIENTS):
-            series[k] = (k + 1) * workspace.state_series[k + 1, row] * power
+            series[k] = (k + 1) * workspace.state_series[k + 1, velocity] * power
             power *= length
-        series[0] += signals.numbers[lane, OFFSET]
-        magnitude += bounds[bounds.shape[0] // 2 + signals.indices[lane, BOUND]]
-    elif signals.numbers[lane, FLIES] > 0.0:
+        series[0] += signals.numbers[row, OFFSET]
+        magnitude += bounds[bounds.shape[0] // 2 + signals.indices[row, BOUND]]
+    elif signals.numbers[row, FLIES] > 0.0:
         duration = model.step * length
         for k in range(N_COEFFICIENTS):
-            series[k] = -workspace.state_series[k, signals.indices[lane, ENTRY]] * power
+            series[k] = -workspace.state_series[k, signals.indices[row, ENTRY]] * power
             power *= length
         series[0] += state.height[j]
         series[1] += state.velocity[j] * duration
         series[2] -= 0.5 * model.gravity * duration * duration
         magnitude += abs(state.height[j]) + duration * (abs(state.velocity[j]) + model.gravity * duration)
-        magnitude += bounds[bounds.shape[0] // 2 + signals.indices[lane, BOUND]]
+        magnitude += bounds[bounds.shape[0] // 2 + signals.indices[row, BOUND]]
     else:
         for k in range(N_COEFFICIENTS):
             series[k] = 0.0
             for term in range(model.laws.terms):
                 part = (
-                    signals.numbers[lane, SCALE + term]
-                    * workspace.state_series[k, signals.indices[lane, ENTRY + 2 * term]]
+                    signals.numbers[row, SCALE + term]
+                    * workspace.state_series[k, signals.indices[row, ENTRY + 2 * term]]
                     * power
                 )
                 series[k] += part
                 magnitude += abs(part)
             power *= length
-        series[0] -= signals.numbers[lane, SCALE] * signals.numbers[lane, REST]
+        series[0] -= signals.numbers[row, SCALE] * signals.numbers[row, REST]
     return magnitude
 
 
@@ -140,14 +146,15 @@ def _guard_series(
     Returns the multiplicity of its zero at tau = 0 (negative for a zero at the other limit), and its magnitude.
     """
     series, signals = workspace.guard_series, workspace.signals
+    row = unsigned(signals.row[lane])
     magnitude = _signal_series(model, state, workspace, lane, length)
     if end == LOW:
-        series[0] -= signals.numbers[lane, LOWER]
-        return state.multiplicity[lane], magnitude + abs(signals.numbers[lane, LOWER])
+        series[0] -= signals.numbers[row, LOWER]
+        return state.multiplicity[lane], magnitude + abs(signals.numbers[row, LOWER])
     for k in range(N_COEFFICIENTS):
         series[k] = -series[k]
-    series[0] += signals.numbers[lane, UPPER]
-    return -state.multiplicity[lane], magnitude + abs(signals.numbers[lane, UPPER])
+    series[0] += signals.numbers[row, UPPER]
+    return -state.multiplicity[lane], magnitude + abs(signals.numbers[row, UPPER])
 
 
 @inlined_kernel
@@ -163,7 +170,7 @@ def first_event(
     first_tau, first_lane, first_end = NO_CROSSING, -1, LOW
     if unproven_low | unproven_high == 0:
         return first_tau, first_lane, first_end
-    for lane in range(workspace.signals.indices.shape[0]):
+    for lane in range(workspace.signals.row.shape[0]):
         if (unproven_low | unproven_high) >> lane & 1 == 0:
             continue
         for end in range(2):

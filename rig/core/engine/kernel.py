@@ -71,9 +71,10 @@ _NOTHING, _CLOSE_BREAK, _SEPARATE_TENSILE = 0, 1, 2
 @inlined_kernel
 def _advance_flights(model: Model, state: State, signals: Signals, duration: float) -> None:
     """Propagate every flying detached mass by a duration, s, and reset the multiplicities of all signals."""
-    for lane in range(signals.indices.shape[0]):
-        if signals.numbers[lane, FLIES] > 0.0:
-            j = unsigned(signals.indices[lane, ELEMENT])
+    for lane in range(signals.row.shape[0]):
+        row = unsigned(signals.row[lane])
+        if signals.numbers[row, FLIES] > 0.0:
+            j = unsigned(signals.indices[row, ELEMENT])
             state.height[j] += duration * (state.velocity[j] - 0.5 * model.gravity * duration)
             state.velocity[j] -= model.gravity * duration
         state.multiplicity[lane] = 0
@@ -82,7 +83,7 @@ def _advance_flights(model: Model, state: State, signals: Signals, duration: flo
 @inlined_kernel
 def _forget_envelope(model: Model, workspace: Workspace, j: int) -> None:
     """Restart the envelope of an element's gap, which differs in order of magnitude between contact and flight."""
-    gap = model.gap_coordinate[j]
+    gap = model.laws.elements[j].gap_coordinate
     workspace.envelope[gap] = workspace.envelope[model.first_velocity + gap] = 0.0
 
 
@@ -104,7 +105,7 @@ def advance(
     are computed or the log is enlarged, call again with the remaining steps.
     """
     columns = flow.rates_constant.shape[1]  # number of states, including the drive
-    elements, signals = model.mass.shape[0], workspace.signals
+    elements, signals = model.laws.elements.shape[0], workspace.signals
     # Whether a full step also computes the derivatives of the accelerations.
     has_derivatives = columns + 2 * model.first_velocity <= flow.step_matrix_constant.shape[1]
     pending = _NOTHING
@@ -147,8 +148,7 @@ def advance(
                 remaining -= 1.0
                 continue
         if not finished and (
-            log.counts[N_EVENTS] + 4 * elements > log.event_segment.shape[0]
-            or log.counts[N_BREAKS] == log.state_before.shape[0]
+            log.counts[N_EVENTS] + 4 * elements > log.events.shape[0] or log.counts[N_BREAKS] == log.breaks.shape[0]
         ):
             return LOG_FULL, remaining, STATE_ONLY
         if finished:
@@ -200,20 +200,20 @@ def advance(
                 return STUCK, remaining, status
         log.counts[PRESENT_SEGMENT] = segment
         log.present_offset[0] = (steps - remaining) * model.step
-        j = unsigned(signals.indices[lane, ELEMENT])
+        j = unsigned(signals.indices[unsigned(signals.row[lane]), ELEMENT])
         m = mode_number(model, state, j)
-        x = unsigned(model.laws.exit[m, lane - model.laws.first_lane[j], end])
-        if model.laws.event[x] != NO_EVENT:
+        x = unsigned(model.laws.exit[m, lane - model.laws.elements[j].first_lane, end])
+        if model.laws.exits[x].event != NO_EVENT:
             open_break(model, state, log)
             pending = _CLOSE_BREAK
-        if model.laws.restitution[x] >= 0.0:
-            impact(flow, model, state, log, j, end, workspace.contact)
+        if model.laws.exits[x].restitution >= 0.0:
+            impact(flow, model, state, log, j, m, x, end, workspace.contact)
             pending = _SEPARATE_TENSILE
-        elif model.laws.is_held[m]:
-            separate(flow, model, state, log, j, end, SEPARATION_MULTIPLICITY)
+        elif model.laws.modes[m].is_held:
+            separate(flow, model, state, log, j, m, end, SEPARATION_MULTIPLICITY)
         else:
             change_force(flow, model, state, log, j, x)
-            if model.laws.event[x] != NO_EVENT:
+            if model.laws.exits[x].event != NO_EVENT:
                 _forget_envelope(model, workspace, j)
                 if model.coupled:
                     pending = _SEPARATE_TENSILE

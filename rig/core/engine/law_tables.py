@@ -10,7 +10,8 @@ acceleration that gravity and other forces would give the mass.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,65 +27,86 @@ GAP_ROUNDING_RATIO = 1e-9
 
 
 #: Columns of `Signals.numbers`: constant part of the signal; gap at which its first term is zero, m; factor of the
-#: height of a detached mass; lower and upper limit; both limits with the margins of the envelope
-#: (`rig.core.engine.screening`); from `SCALE` on, the factors of the terms.
-OFFSET, REST, FLIES, LOWER, UPPER, LOWEST, HIGHEST, SCALE = range(8)
-#: Columns of `Signals.indices`: element; number of its mode; 1 if the signal contains accelerations, else 0; row in the
+#: height of a detached mass; lower and upper limit; from `SCALE` on, the factors of the terms.
+OFFSET, REST, FLIES, LOWER, UPPER, SCALE = range(6)
+#: Columns of `Signals.indices`: element; 1 if the signal contains accelerations, else 0; row in the
 #: tables of bounds; from `ENTRY` on, two indices for each term: its quantity in the extended state, and the rate of
 #: this quantity.
-ELEMENT, MODE, ORDER, BOUND, ENTRY, RATE = range(6)
+ELEMENT, ORDER, BOUND, ENTRY, RATE = range(5)
+
+
+#: Constants of an element. mass: kg. position_index, velocity_index: indices of the position and velocity of its body
+#: in the state. gap_coordinate: index of the gap in the state; -1 for a detached mass. base_coordinate: index of the
+#: coordinate that is subtracted from the gap coordinate; -1 if none is. memory_coordinate: index of the memory; -1
+#: without memory. first_mode, first_lane: number of its first mode and lane. lanes: their count. stride: see
+#: `HybridSystem.strides`.
+ELEMENT_FIELDS = np.dtype(
+    [
+        ("mass", np.float64),
+        *((name, np.uintp) for name in ("position_index", "velocity_index")),
+        *((name, np.int64) for name in ("gap_coordinate", "base_coordinate", "memory_coordinate")),
+        *((name, np.int64) for name in ("first_mode", "first_lane", "lanes", "stride")),
+    ]
+)
+#: Constants of a mode. force_index: see `HybridSystem.strides`. wall: contact in results. push: direction in which this
+#: wall pushes, 1 or -1. wall_gap: gap of a held mass, m. transmits: whether the holding force can be an impulse.
+#: can_hit: whether the mode can end in an impact. flies: 1 for a detached mass that is not held, else 0. force_gap to
+#: force_memory: the force, as in `rig.core.laws.law.Row`.
+MODE_FIELDS = np.dtype(
+    [
+        ("force_index", np.int64),
+        ("wall", np.int64),
+        *((name, np.float64) for name in ("push", "wall_gap", "flies")),
+        *((f"force_{name}", np.float64) for name in Row._fields),
+        *((name, np.bool_) for name in ("is_held", "transmits", "can_hit")),
+    ]
+)
+#: Constants of a signal. rounding: largest value of the signal, per unit of speed, that may be a rounding error of the
+#: gap. gap_factor, speed_factor: factors of gap and speed in the signal. is_speed: whether the signal is the speed.
+SIGNAL_FIELDS = np.dtype(
+    [*((name, np.float64) for name in ("rounding", "gap_factor", "speed_factor")), ("is_speed", np.bool_)]
+)
+#: Constants of an exit. event: its kind. restitution: negative without impact.
+EXIT_FIELDS = np.dtype([("event", np.int64), ("restitution", np.float64)])
+Records = np.recarray[Any, Any]
+
+
+def _records(fields: np.dtype[Any], rows: Iterable[tuple[Any, ...]]) -> Records:
+    """Return an array of records."""
+    return np.array(list(rows), dtype=fields).view(np.recarray)
 
 
 class LawTables(NamedTuple):
     """The laws of all elements; m is the number of a mode, x of an exit.
 
-    terms: largest number of terms of a signal. first_mode, first_lane: number of the first mode and lane of each
-    element, then their counts. stride (of each element), force_index[m]: see `HybridSystem.strides`.
-
-    wall[m]: contact in results. push[m]: direction in which this wall pushes, 1 or -1. wall_gap[m]: gap of a held mass,
-    m. is_held[m]. transmits[m]: whether the holding force can be an impulse. can_hit[m]: whether the mode can end in an
-    impact. flies[m]: 1 for a detached mass that is not held, else 0. force[m]: factors of gap and speed, relaxed gap,
-    constant part, and factor of the memory.
-
-    numbers, indices [m, lane of the element]: see `Signals`. exit[m, lane, end]. rounding[m, lane]: largest value of
-    the signal, per unit of speed, that may be a rounding error of the gap. is_speed[m, lane]: whether the signal is the
-    speed. factors[m, lane]: factors of gap and speed in the signal.
-
-    target[x, candidate]: next mode, as number within the element. event[x]: kind. restitution[x].
+    terms: largest number of terms of a signal. elements[j], modes[m], signals[m, lane of the element], exits[x]:
+    records (`ELEMENT_FIELDS` and so on). numbers, indices [m, lane of the element]: see `Signals`.
+    exit[m, lane, end]: number of an exit. target[x, candidate]: next mode, as number within the element.
     """
 
     terms: int
-    first_mode: np.ndarray
-    first_lane: np.ndarray
-    stride: np.ndarray
-    force_index: np.ndarray
-    wall: np.ndarray
-    push: np.ndarray
-    wall_gap: np.ndarray
-    is_held: np.ndarray
-    transmits: np.ndarray
-    can_hit: np.ndarray
-    flies: np.ndarray
-    force: np.ndarray
+    elements: Records
+    modes: Records
+    signals: Records
     numbers: np.ndarray
     indices: np.ndarray
     exit: np.ndarray
-    rounding: np.ndarray
-    is_speed: np.ndarray
-    factors: np.ndarray
+    exits: Records
     target: np.ndarray
-    event: np.ndarray
-    restitution: np.ndarray
 
 
 class Signals(NamedTuple):
-    """The signals of the present modes, one row for each lane, which the kernel reads in every step.
+    """The signals of the present modes, which the kernel reads in every step.
 
-    Each row is copied from the tables of the laws when the mode changes; the columns are the constants above.
+    row: row of each lane in `numbers` and `indices`, which contain the signals of all modes (columns: see above).
+    lowest, highest: limits of each lane with the margins of the envelope (`rig.core.engine.screening`).
     """
 
+    row: np.ndarray
     numbers: np.ndarray
     indices: np.ndarray
+    lowest: np.ndarray
+    highest: np.ndarray
 
 
 class SignalTerms(NamedTuple):
@@ -177,10 +199,10 @@ def law_tables(system: HybridSystem, size: int) -> LawTables:
     shape, n = (len(modes), width), system.coordinates
     number = np.zeros((*shape, SCALE + n_terms))
     index = np.zeros((*shape, ENTRY + 2 * n_terms), dtype=np.int64)
-    rounding, is_speed, row_factors = np.zeros(shape), np.zeros(shape, dtype=bool), np.zeros((*shape, 2))
+    signals = np.zeros(shape, dtype=SIGNAL_FIELDS).view(np.recarray)
     number[..., LOWER], number[..., UPPER] = -np.inf, np.inf
     for m, (j, element, mode) in enumerate(modes):
-        index[m, :, ELEMENT], index[m, :, MODE] = j, m
+        index[m, :, ELEMENT] = j
         number[m, :, FLIES] = element.gap < 0 and mode.force is not None
     exit_number = np.full((*shape, 2), NONE, dtype=np.int64)
     exits: list[tuple[Element, Exit]] = []
@@ -198,9 +220,8 @@ def law_tables(system: HybridSystem, size: int) -> LawTables:
         index[m, lane, ENTRY : ENTRY + 2 * count : 2] = entry
         # The rate of a velocity is stored after the state; that of any other quantity, n entries after it.
         index[m, lane, RATE : RATE + 2 * count : 2] = entry + np.where((n <= entry) & (entry < 2 * n), size - n, n)
-        rounding[m, lane] = _signal_rounding(element, signal)
-        is_speed[m, lane] = signal.row.speed != 0.0 and signal.row.gap == 0.0
-        row_factors[m, lane] = signal.row.gap, signal.row.speed
+        is_speed = signal.row.speed != 0.0 and signal.row.gap == 0.0
+        signals[m, lane] = (_signal_rounding(element, signal), signal.row.gap, signal.row.speed, is_speed)
         for end, (_, exit_) in enumerate(signal.ends):
             if exit_ is not None:
                 exit_number[m, lane, end] = len(exits)
@@ -208,37 +229,41 @@ def law_tables(system: HybridSystem, size: int) -> LawTables:
     target = np.full((max(1, len(exits)), max((len(exit_.to) for _, exit_ in exits), default=1)), NONE, dtype=np.int64)
     for x, (element, exit_) in enumerate(exits):
         target[x, : len(exit_.to)] = [list(element.law.modes).index(name) for name in exit_.to]
-    forces = [mode.force or Row() for _, _, mode in modes]
-    counts = [len(element.law.modes) for element in elements]
+    first_mode = np.cumsum([0, *(len(element.law.modes) for element in elements)])
+    first_lane = np.cumsum([0, *lanes])
+    element_rows = [
+        (element.mass, element.body, n + element.body, element.gap, element.base, element.memory, *numbers)
+        for element, *numbers in zip(elements, first_mode, first_lane, lanes, system.strides, strict=False)
+    ]
+    mode_rows = [
+        (
+            *(force, mode.wall, mode.push, mode.wall_gap, element.gap < 0 and mode.force is not None),
+            *(mode.force or Row()),
+            *(mode.force is None, mode.transmits_impulses, mode.ends_by_impact),
+        )
+        for force, (_, element, mode) in zip(force_index, modes, strict=True)
+    ]
+    exit_rows = [(exit_.event, NONE if exit_.restitution is None else exit_.restitution) for _, exit_ in exits]
     return LawTables(
         terms=n_terms,
-        first_mode=np.cumsum([0, *counts], dtype=np.int64),
-        first_lane=np.cumsum([0, *lanes], dtype=np.int64),
-        stride=np.array(system.strides, dtype=np.int64),
-        force_index=np.array(force_index, dtype=np.int64),
-        wall=np.array([mode.wall for _, _, mode in modes], dtype=np.int8),
-        push=np.array([mode.push for _, _, mode in modes]),
-        wall_gap=np.array([mode.wall_gap for _, _, mode in modes]),
-        is_held=np.array([mode.force is None for _, _, mode in modes], dtype=bool),
-        transmits=np.array([mode.transmits_impulses for _, _, mode in modes], dtype=bool),
-        can_hit=np.array([mode.ends_by_impact for _, _, mode in modes], dtype=bool),
-        flies=np.array([float(element.gap < 0 and mode.force is not None) for _, element, mode in modes]),
-        force=np.array([[row.gap, row.speed, row.rest, row.constant, row.memory] for row in forces]).reshape(-1, 5),
+        elements=_records(ELEMENT_FIELDS, element_rows),
+        modes=_records(MODE_FIELDS, mode_rows),
+        signals=signals,
         numbers=number,
         indices=index,
         exit=exit_number,
-        rounding=rounding,
-        is_speed=is_speed,
-        factors=row_factors,
+        exits=_records(EXIT_FIELDS, exit_rows),
         target=target,
-        event=np.array([exit_.event for _, exit_ in exits], dtype=np.int64),
-        restitution=np.array([NONE if exit_.restitution is None else exit_.restitution for _, exit_ in exits], float),
     )
 
 
 def empty_signals(laws: LawTables) -> Signals:
-    """Return arrays for the signals of all lanes, to be filled by the kernel (`load_signals`)."""
-    counts = np.diff(laws.first_lane)
-    index = np.full((int(laws.first_lane[-1]), laws.indices.shape[2]), NONE)
-    index[:, ELEMENT] = np.repeat(np.arange(len(counts)), counts)
-    return Signals(np.zeros((len(index), laws.numbers.shape[2])), index)
+    """Return the signals of all lanes, whose rows the kernel sets (`load_signals`)."""
+    lanes = int(laws.elements.lanes.sum())
+    return Signals(
+        row=np.zeros(lanes, dtype=np.int64),
+        numbers=laws.numbers.reshape(-1, laws.numbers.shape[2]),
+        indices=laws.indices.reshape(-1, laws.indices.shape[2]),
+        lowest=np.zeros(lanes),
+        highest=np.zeros(lanes),
+    )

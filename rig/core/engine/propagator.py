@@ -140,9 +140,9 @@ class Propagator:
         self.tables = tables_for(system, drive, step)
         dampers, elements = system.dampers, len(system.elements)
         size = padded_length(self.tables.size + 2 * system.coordinates)
-        self.state = state_at_rest(system, size, int(self.tables.model.laws.first_lane[-1]))
         self.log = empty_log(max(LOG_ROWS, 16 * elements), self.tables.size, dampers)
         self.workspace: Workspace = workspace_for(self.tables.flow, self.tables.model.laws, size)
+        self.state = state_at_rest(system, size, len(self.workspace.signals.row))
         self._buffer = aligned_zeros(LANES, padded_length(3 * system.coordinates + dampers))
         self._no_motion, self._no_states = self.motion_samples(0), self.state_samples(0)
         self._no_drive = np.zeros((len(system.inputs), 2))
@@ -174,8 +174,8 @@ class Propagator:
         modes = self.system.joint_modes(state)
         if modes:
             laws, self.state.mode[self.system.dampers :] = self.tables.model.laws, modes
-            forces = laws.force_index[laws.first_mode[:-1] + self.state.mode]
-            self.state.counters[CONFIGURATION] = int(laws.stride @ forces)
+            forces = laws.modes.force_index[laws.elements.first_mode + self.state.mode]
+            self.state.counters[CONFIGURATION] = int(laws.elements.stride @ forces)
             self._look_up_tables()
         self.state.z[: self.system.states] = state
         self.state.z[self.system.states : self.tables.size] = drive
@@ -186,7 +186,7 @@ class Propagator:
             CONTACTS_UNCHECKED,
         )
         n_events = self.log.counts[N_EVENTS]
-        started = np.array([self.log.event_damper[:n_events], self.log.event_kind[:n_events]], dtype=np.int64)
+        started = np.array([self.log.events.damper[:n_events], self.log.events.kind[:n_events]])
         self.log.counts[:] = 0
         self._look_up_tables()
         return started
@@ -339,7 +339,7 @@ class Propagator:
                 self._double_log()
             elif reason == STUCK:
                 self._check_divergence(segments, states, motion)
-                element = self.system.elements[self.log.event_damper[self.log.counts[N_EVENTS] - 1]]
+                element = self.system.elements[self.log.events[self.log.counts[N_EVENTS] - 1].damper]
                 raise RunError(
                     f"{element.name} separates and lands repeatedly at one instant, which contradicts "
                     "the contact law. Please report this as a bug and attach the scene."
@@ -350,7 +350,7 @@ class Propagator:
     def _double_log(self) -> None:
         """Copy the log into arrays with twice the number of rows."""
         old = self.log
-        self.log = empty_log(2 * len(old.event_segment), self.tables.size, self.system.dampers)
+        self.log = empty_log(2 * len(old.events), self.tables.size, self.system.dampers)
         for source, target in zip(old, self.log, strict=True):
             target[: len(source)] = source
 
@@ -393,12 +393,9 @@ class Propagator:
 def _copied_log(log: Log, events: int, breaks: int, tables: FlowTables) -> tuple[Any, ...]:
     """Copy the first events and breaks of a log, in the order of the fields of `Trajectory`."""
     return (
-        *(
-            part[:events].copy()
-            for part in (log.event_segment, log.event_offset, log.event_damper, log.event_kind, log.event_speed)
-        ),
-        *(part[:breaks].copy() for part in (log.break_segment, log.break_offset, log.state_before, log.state_after)),
-        *(part[:breaks].copy() for part in (log.damper_velocity_before, log.damper_velocity_after)),
+        *(log.events[name][:events].copy() for name in log.events.dtype.names),
+        *(log.breaks[name][:breaks].copy() for name in ("segment", "offset")),
+        *(sides[:breaks, side].copy() for sides in (log.state, log.damper_velocity) for side in range(2)),
         *tables.table_indices(log.configuration[:breaks]).T,
     )
 

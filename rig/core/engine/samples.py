@@ -48,7 +48,7 @@ def store_state(model: Model, state: State, row: int, states: StateSamples) -> N
         states.state[row, i] = state.z[i]
     for j in range(states.height.shape[1]):
         states.height[row, j] = state.height[j]
-        states.contact[row, j] = model.laws.wall[mode_number(model, state, j)]
+        states.contact[row, j] = model.laws.modes[mode_number(model, state, j)].wall
 
 
 @inlined_kernel
@@ -66,12 +66,12 @@ def store_motion(flow: Flow, model: Model, state: State, motion: MotionSamples, 
         motion.buffer[row, 2 * coordinates + i] = state.z[first_acceleration + i]
     for j in range(motion.contact.shape[0]):
         m = mode_number(model, state, j)
-        gap = model.laws.wall_gap[m]
-        if model.gap_coordinate[j] >= 0:
-            gap = state.z[model.gap_coordinate[j]]
-        elif model.laws.flies[m] > 0.0:
-            gap = max(state.height[j] - state.z[unsigned(model.position_index[j])], 0.0)
-        motion.contact[j, unsigned(column)] = model.laws.wall[m]
+        gap = model.laws.modes[m].wall_gap
+        if model.laws.elements[j].gap_coordinate >= 0:
+            gap = state.z[model.laws.elements[j].gap_coordinate]
+        elif model.laws.modes[m].flies > 0.0:
+            gap = max(state.height[j] - state.z[model.laws.elements[j].position_index], 0.0)
+        motion.contact[j, unsigned(column)] = model.laws.modes[m].wall
         motion.buffer[unsigned(row), unsigned(3 * coordinates + j)] = gap
     first = column - row
     if row == LANES - 1 and first >= motion.first_column[0]:

@@ -21,9 +21,7 @@ from rig.core.engine.law_tables import (
     ELEMENT,
     ENTRY,
     FLIES,
-    HIGHEST,
     LOWER,
-    LOWEST,
     OFFSET,
     ORDER,
     RATE,
@@ -71,15 +69,15 @@ def _lower_bound(
 
 
 @inlined_kernel
-def _value_and_rate(model: Model, signals: Signals, lane: int, z: Array) -> tuple[float, float]:
+def _value_and_rate(model: Model, signals: Signals, row: int, z: Array) -> tuple[float, float]:
     """Return a signal at a state with accelerations, without the height of a flying mass, and its rate of change."""
     # The first term is outside the loop, because most signals have no other.
-    scale = signals.numbers[lane, SCALE]
-    value = signals.numbers[lane, OFFSET] + scale * z[unsigned(signals.indices[lane, ENTRY])]
-    rate = scale * z[unsigned(signals.indices[lane, RATE])]
+    scale = signals.numbers[row, SCALE]
+    value = signals.numbers[row, OFFSET] + scale * z[unsigned(signals.indices[row, ENTRY])]
+    rate = scale * z[unsigned(signals.indices[row, RATE])]
     for term in range(1, model.laws.terms):
-        value += signals.numbers[lane, SCALE + term] * z[signals.indices[lane, ENTRY + 2 * term]]
-        rate += signals.numbers[lane, SCALE + term] * z[signals.indices[lane, RATE + 2 * term]]
+        value += signals.numbers[row, SCALE + term] * z[signals.indices[row, ENTRY + 2 * term]]
+        rate += signals.numbers[row, SCALE + term] * z[signals.indices[row, RATE + 2 * term]]
     return value, rate
 
 
@@ -96,21 +94,22 @@ def screen(model: Model, state: State, workspace: Workspace, length: float, dura
     velocity_change = model.gravity * duration  # of free fall, downwards
     # The bounds are for a full step, with derivatives with respect to the time relative to it.
     fourth_power = length**4
-    for lane in range(signals.indices.shape[0]):
-        fourth_derivative = workspace.bound[unsigned(signals.indices[lane, BOUND])] * fourth_power
-        value, slope = _value_and_rate(model, signals, lane, state.z)
-        value_end, slope_end = _value_and_rate(model, signals, lane, workspace.end_state)
+    for lane in range(signals.row.shape[0]):
+        row = unsigned(signals.row[lane])
+        fourth_derivative = workspace.bound[unsigned(signals.indices[row, BOUND])] * fourth_power
+        value, slope = _value_and_rate(model, signals, row, state.z)
+        value_end, slope_end = _value_and_rate(model, signals, row, workspace.end_state)
         # The derivatives of accelerations are with respect to the time relative to a full step.
-        rate_duration = length if signals.indices[lane, ORDER] > 0 else duration
+        rate_duration = length if signals.indices[row, ORDER] > 0 else duration
         slope *= rate_duration
         slope_end *= rate_duration
-        if signals.numbers[lane, FLIES] > 0.0:
-            j = unsigned(signals.indices[lane, ELEMENT])
+        if signals.numbers[row, FLIES] > 0.0:
+            j = unsigned(signals.indices[row, ELEMENT])
             value += state.height[j]
             slope += state.velocity[j] * duration
             value_end += state.height[j] + duration * (state.velocity[j] - 0.5 * velocity_change)
             slope_end += (state.velocity[j] - velocity_change) * duration
-        low, high, multiplicity = signals.numbers[lane, LOWER], signals.numbers[lane, UPPER], state.multiplicity[lane]
+        low, high, multiplicity = signals.numbers[row, LOWER], signals.numbers[row, UPPER], state.multiplicity[lane]
         if (
             low > -np.inf
             and _lower_bound(value - low, slope, value_end - low, slope_end, fourth_derivative, multiplicity) <= 0.0
@@ -140,10 +139,11 @@ def widen_envelope(flow: Flow, table_index: int, z: Array, workspace: Workspace)
         workspace.envelope[i] = max(workspace.envelope[i], ENVELOPE_FACTOR * abs(z[i]))
     affine_product(flow.margin, flow.margin_constant, table_index, workspace.envelope, columns, workspace.margin)
     signals = workspace.signals
-    for lane in range(signals.indices.shape[0]):
-        margin = workspace.margin[signals.indices[lane, BOUND]]
-        signals.numbers[lane, LOWEST] = signals.numbers[lane, LOWER] + margin
-        signals.numbers[lane, HIGHEST] = signals.numbers[lane, UPPER] - margin
+    for lane in range(signals.row.shape[0]):
+        row = unsigned(signals.row[lane])
+        margin = workspace.margin[signals.indices[row, BOUND]]
+        signals.lowest[lane] = signals.numbers[row, LOWER] + margin
+        signals.highest[lane] = signals.numbers[row, UPPER] - margin
 
 
 @inlined_kernel
@@ -152,17 +152,18 @@ def inside_margins(model: Model, state: State, signals: Signals, z: Array, durat
 
     `duration`: time of z from now, s.
     """
-    for lane in range(signals.indices.shape[0]):
+    for lane in range(signals.row.shape[0]):
+        row = unsigned(signals.row[lane])
         # The first term is outside the loop, because most signals have no other.
-        value = signals.numbers[lane, OFFSET] + signals.numbers[lane, SCALE] * z[unsigned(signals.indices[lane, ENTRY])]
+        value = signals.numbers[row, OFFSET] + signals.numbers[row, SCALE] * z[unsigned(signals.indices[row, ENTRY])]
         for term in range(1, model.laws.terms):
-            value += signals.numbers[lane, SCALE + term] * z[signals.indices[lane, ENTRY + 2 * term]]
+            value += signals.numbers[row, SCALE + term] * z[signals.indices[row, ENTRY + 2 * term]]
         rounding = 0.0
-        if signals.numbers[lane, FLIES] > 0.0:
-            j = unsigned(signals.indices[lane, ELEMENT])
+        if signals.numbers[row, FLIES] > 0.0:
+            j = unsigned(signals.indices[row, ELEMENT])
             height = state.height[j] + duration * (state.velocity[j] - 0.5 * model.gravity * duration)
             value += height
             rounding = 2 * ROUNDING * abs(height)
-        if not min(value - signals.numbers[lane, LOWEST], signals.numbers[lane, HIGHEST] - value) > rounding:
+        if not min(value - signals.lowest[lane], signals.highest[lane] - value) > rounding:
             return False
     return True

@@ -11,9 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.core.base.arrays import Array
 from rig.core.engine.flow import Flow, Model
-from rig.core.engine.law_tables import ELEMENT, MODE, Signals
+from rig.core.engine.law_tables import Records, Signals
 from rig.core.numerics.jit import inlined_kernel
 from rig.core.numerics.simd import aligned_zeros, unsigned
 from rig.core.system.hybrid_system import HybridSystem
@@ -45,29 +44,30 @@ class State(NamedTuple):
     counters: np.ndarray
 
 
+#: Fields of a logged event. damper: number of the element, from 0. speed: closing speed, m/s.
+EVENT_FIELDS = np.dtype(
+    [("segment", np.int64), ("offset", np.float64), ("damper", np.int64), ("kind", np.int64), ("speed", np.float64)]
+)
+#: Fields of a logged break.
+BREAK_FIELDS = np.dtype([("segment", np.int64), ("offset", np.float64)])
+#: Index of the state before and after a break.
+BEFORE, AFTER = 0, 1
+
+
 class Log(NamedTuple):
     """Events and breaks in chronological order, one row each.
 
     The time of an event or break is the number of its segment, and an offset, the time after the segment's start, s.
-    `present_offset`: the offset of the present instant. `event_damper`: number of the element, from 0. `event_speed`:
-    closing speed, m/s.
-
-    A break is logged with the state, the velocities of the dampers (m/s) and the configuration before and after it.
+    `present_offset`: the offset of the present instant. `events`, `breaks`: records (`EVENT_FIELDS`, `BREAK_FIELDS`).
+    `state`, `damper_velocity` (m/s), `configuration`: before and after each break, shape (breaks, 2, ...).
     """
 
     counts: np.ndarray
     present_offset: np.ndarray
-    event_segment: np.ndarray
-    event_offset: np.ndarray
-    event_damper: np.ndarray
-    event_kind: np.ndarray
-    event_speed: np.ndarray
-    break_segment: np.ndarray
-    break_offset: np.ndarray
-    state_before: np.ndarray
-    state_after: np.ndarray
-    damper_velocity_before: np.ndarray
-    damper_velocity_after: np.ndarray
+    events: Records
+    breaks: Records
+    state: np.ndarray
+    damper_velocity: np.ndarray
     configuration: np.ndarray
 
 
@@ -94,17 +94,10 @@ def empty_log(rows: int, size: int, dampers: int) -> Log:
     return Log(
         counts=np.zeros(3, dtype=np.int64),
         present_offset=np.zeros(1),
-        event_segment=np.zeros(rows, dtype=np.int64),
-        event_offset=np.zeros(rows),
-        event_damper=np.zeros(rows, dtype=np.int64),
-        event_kind=np.zeros(rows, dtype=np.int64),
-        event_speed=np.zeros(rows),
-        break_segment=np.zeros(rows, dtype=np.int64),
-        break_offset=np.zeros(rows),
-        state_before=np.zeros((rows, size)),
-        state_after=np.zeros((rows, size)),
-        damper_velocity_before=np.zeros((rows, dampers)),
-        damper_velocity_after=np.zeros((rows, dampers)),
+        events=np.zeros(rows, dtype=EVENT_FIELDS).view(np.recarray),
+        breaks=np.zeros(rows, dtype=BREAK_FIELDS).view(np.recarray),
+        state=np.zeros((rows, 2, size)),
+        damper_velocity=np.zeros((rows, 2, dampers)),
         configuration=np.zeros((rows, 2), dtype=np.int64),
     )
 
@@ -112,75 +105,69 @@ def empty_log(rows: int, size: int, dampers: int) -> Log:
 @inlined_kernel
 def log_event(log: Log, damper: int, kind: int, closing_speed: float) -> None:
     """Log an event of the present instant."""
-    row = log.counts[N_EVENTS]
-    log.event_segment[row] = log.counts[PRESENT_SEGMENT]
-    log.event_offset[row] = log.present_offset[0]
-    log.event_damper[row] = damper
-    log.event_kind[row] = kind
-    log.event_speed[row] = max(closing_speed, 0.0)
-    log.counts[N_EVENTS] = row + 1
+    event = log.events[unsigned(log.counts[N_EVENTS])]
+    event.segment = log.counts[PRESENT_SEGMENT]
+    event.offset = log.present_offset[0]
+    event.damper = damper
+    event.kind = kind
+    event.speed = max(closing_speed, 0.0)
+    log.counts[N_EVENTS] += 1
 
 
 @inlined_kernel
 def mode_number(model: Model, state: State, j: int) -> int:
     """Return the number of the present mode of element j in the tables of the laws."""
-    return unsigned(model.laws.first_mode[j] + state.mode[j])
+    return unsigned(model.laws.elements[j].first_mode + state.mode[j])
 
 
 @inlined_kernel
-def change_mode(flow: Flow, model: Model, state: State, j: int, mode: int) -> None:
-    """Change the mode of element j: update the configuration and its table index."""
-    before, after = mode_number(model, state, j), unsigned(model.laws.first_mode[j] + mode)
-    force_change = model.laws.force_index[after] - model.laws.force_index[before]
+def change_mode(flow: Flow, model: Model, state: State, j: int, before: int, mode: int) -> None:
+    """Change the mode of element j, which has the number `before`: update the configuration and its table index."""
+    after = unsigned(model.laws.elements[j].first_mode + mode)
+    force_change = model.laws.modes[after].force_index - model.laws.modes[before].force_index
     state.mode[j] = mode
-    state.counters[CONFIGURATION] += model.laws.stride[j] * force_change
+    state.counters[CONFIGURATION] += model.laws.elements[j].stride * force_change
     if force_change != 0 and state.counters[TABLE_INDEX] >= 0:
-        state.counters[TABLE_INDEX] = flow.after[state.counters[TABLE_INDEX], after]
+        state.counters[TABLE_INDEX] = flow.after[unsigned(state.counters[TABLE_INDEX]), after]
 
 
 @inlined_kernel
 def load_signals(model: Model, state: State, signals: Signals) -> None:
-    """Copy the signals of new modes from the tables of the laws."""
-    laws = model.laws
-    for lane in range(signals.indices.shape[0]):
-        j = unsigned(signals.indices[lane, ELEMENT])
-        m, k = mode_number(model, state, j), lane - laws.first_lane[j]
-        if unsigned(signals.indices[lane, MODE]) != m:
-            for column in range(signals.indices.shape[1]):
-                signals.indices[lane, column] = laws.indices[m, k, column]
-            for column in range(signals.numbers.shape[1]):
-                signals.numbers[lane, column] = laws.numbers[m, k, column]
+    """Set the rows of the signals of the present modes."""
+    for j in range(unsigned(model.laws.elements.shape[0])):
+        element, row = model.laws.elements[j], mode_number(model, state, j) * unsigned(model.laws.numbers.shape[1])
+        for k in range(element.lanes):
+            signals.row[element.first_lane + k] = row + k
 
 
 @inlined_kernel
-def _store_damper_velocities(model: Model, state: State, out: Array) -> None:
-    """Store the velocity of each damper in `out`, m/s, positive upwards."""
-    for j in range(out.shape[0]):
-        out[j] = state.z[unsigned(model.velocity_index[j])]
-        if model.gap_coordinate[j] >= 0:
-            out[j] += state.z[model.first_velocity + model.gap_coordinate[j]]
-        elif model.laws.flies[mode_number(model, state, j)] > 0.0:
-            out[j] = state.velocity[j]
+def _store_side(model: Model, state: State, log: Log, side: int) -> None:
+    """Store the present state, configuration and damper velocities as `BEFORE` or `AFTER` the present break."""
+    row = unsigned(log.counts[N_BREAKS])
+    velocity = log.damper_velocity[row, side]
+    for j in range(unsigned(velocity.shape[0])):
+        element = model.laws.elements[j]
+        velocity[j] = state.z[element.velocity_index]
+        if element.gap_coordinate >= 0:
+            velocity[j] += state.z[model.first_velocity + element.gap_coordinate]
+        elif model.laws.modes[mode_number(model, state, j)].flies > 0.0:
+            velocity[j] = state.velocity[j]
+    log.configuration[row, side] = state.counters[CONFIGURATION]
+    for i in range(log.state.shape[2]):
+        log.state[row, side, i] = state.z[i]
 
 
 @inlined_kernel
 def open_break(model: Model, state: State, log: Log) -> None:
     """Log a break of the present instant: the state before the contacts change."""
-    row = log.counts[N_BREAKS]
-    _store_damper_velocities(model, state, log.damper_velocity_before[row])
-    log.break_segment[row] = log.counts[PRESENT_SEGMENT]
-    log.break_offset[row] = log.present_offset[0]
-    log.configuration[row, 0] = state.counters[CONFIGURATION]
-    for i in range(log.state_before.shape[1]):
-        log.state_before[row, i] = state.z[i]
+    present = log.breaks[unsigned(log.counts[N_BREAKS])]
+    present.segment = log.counts[PRESENT_SEGMENT]
+    present.offset = log.present_offset[0]
+    _store_side(model, state, log, BEFORE)
 
 
 @inlined_kernel
 def close_break(model: Model, state: State, log: Log) -> None:
     """Complete the break that `open_break` has begun: log the state after the contacts have changed."""
-    row = log.counts[N_BREAKS]
-    _store_damper_velocities(model, state, log.damper_velocity_after[row])
-    log.configuration[row, 1] = state.counters[CONFIGURATION]
-    for i in range(log.state_after.shape[1]):
-        log.state_after[row, i] = state.z[i]
-    log.counts[N_BREAKS] = row + 1
+    _store_side(model, state, log, AFTER)
+    log.counts[N_BREAKS] += 1

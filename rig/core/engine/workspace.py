@@ -61,7 +61,7 @@ def workspace_for(flow: Flow, laws: LawTables, size: int) -> Workspace:
         zero_constant=aligned_zeros(1, padded_length(columns)),
         bound=aligned_zeros(flow.bound_constant.shape[1]),
         derivative=aligned_zeros(flow.derivative_constant.shape[1]),
-        contact=allocate_contact_workspace(len(laws.stride), flow.derivative_constant.shape[1]),
+        contact=allocate_contact_workspace(len(laws.elements), flow.derivative_constant.shape[1]),
         guard_series=aligned_zeros(N_COEFFICIENTS),
         subdivision=aligned_zeros(MAX_HALVINGS + 3, N_COEFFICIENTS),
         spans=np.zeros((MAX_HALVINGS + 3, 2)),

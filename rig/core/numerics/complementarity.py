@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rig.core.base.arrays import Array
 from rig.core.numerics.jit import kernel
 
 #: A sum below this fraction of the magnitudes of its terms is a rounding error of zero.
@@ -33,71 +34,53 @@ FREE, AT_LOW, AT_HIGH = 0, 1, 2
 MAX_PIVOTS = 100_000
 
 
+#: Fields of a contact. damper: number of the damper, from 0. row: r. bound: `AT_LOW`, `AT_HIGH`, or `FREE` between the
+#: limits. sign: +1 floor, -1 ceiling. direction: d. own: 1 / md, or 0. wall_gap: gap at the wall, m. velocity_before:
+#: velocity of the body before the impact, m/s. magnitude: sum of the magnitudes of the terms of the acceleration, m/s².
+#: opening_speed: opening speed of the gap before the impact, m/s. rhs, reaction: q and the solution p, a force or an
+#: impulse. low, high: limits of p; those of a wall are 0 and infinity. flying: whether the damper was in flight.
+CONTACT_FIELDS = np.dtype(
+    [
+        *(("damper", np.uintp), ("row", np.intp), ("bound", np.int64)),
+        *((name, np.float64) for name in ("sign", "direction", "own", "wall_gap", "velocity_before", "magnitude")),
+        *((name, np.float64) for name in ("opening_speed", "rhs", "reaction", "low", "high")),
+        ("flying", np.bool_),
+    ]
+)
+
+
 class ContactWorkspace(NamedTuple):
     """Scratch arrays of the contact laws, with one entry for each contact of the instant.
 
-    `force`: forces on all coordinates, N. `damper`: number of the damper, from 0. `sign`: +1 floor, -1 ceiling. `row`:
-    r. `direction`: d. `own`: 1 / md, or 0. `flying`: whether the damper was in flight. `wall_gap`: gap at the wall, m.
-    `velocity_before`: velocity of the body before the impact, m/s. `opening_speed`: opening speed of the gap before the
-    impact, m/s. `magnitude`: sum of the magnitudes of the terms of the acceleration, m/s².
-
-    `matrix`, `rhs`, `reaction`: A, q and the solution p; `reaction` is a force or an impulse. `low`, `high`: limits of
-    p; those of a wall are 0 and infinity. `bound`: `AT_LOW`, `AT_HIGH`, or `FREE` between the limits. `block`: scratch
-    space.
+    `force`: forces on all coordinates, N. `contacts`: records (`CONTACT_FIELDS`). `matrix`: A. `block`: scratch space.
     """
 
     force: np.ndarray
-    damper: np.ndarray
-    sign: np.ndarray
-    row: np.ndarray
-    direction: np.ndarray
-    own: np.ndarray
-    flying: np.ndarray
-    wall_gap: np.ndarray
-    velocity_before: np.ndarray
-    magnitude: np.ndarray
-    opening_speed: np.ndarray
-    rhs: np.ndarray
-    reaction: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    bound: np.ndarray
+    contacts: np.recarray[Any, Any]
     matrix: np.ndarray
     block: np.ndarray
 
 
 def allocate_contact_workspace(dampers: int, forces: int) -> ContactWorkspace:
     """Allocate the scratch arrays; `forces`: padded number of coordinates on which forces act."""
+    contacts = np.zeros(dampers + 1, dtype=CONTACT_FIELDS).view(np.recarray)
+    contacts.high = np.inf
     return ContactWorkspace(
         force=np.zeros(forces),
-        damper=np.zeros(dampers + 1, dtype=np.int64),
-        sign=np.zeros(dampers + 1),
-        row=np.zeros(dampers + 1, dtype=np.int64),
-        direction=np.zeros(dampers + 1),
-        own=np.zeros(dampers + 1),
-        flying=np.zeros(dampers + 1, dtype=np.bool_),
-        wall_gap=np.zeros(dampers + 1),
-        velocity_before=np.zeros(dampers + 1),
-        magnitude=np.zeros(dampers + 1),
-        opening_speed=np.zeros(dampers + 1),
-        rhs=np.zeros(dampers + 1),
-        reaction=np.zeros(dampers + 1),
-        low=np.zeros(dampers + 1),
-        high=np.full(dampers + 1, np.inf),
-        bound=np.zeros(dampers + 1, dtype=np.int64),
+        contacts=contacts,
         matrix=np.zeros((dampers + 1, dampers + 1)),
         block=np.zeros((dampers + 1, dampers + 2)),
     )
 
 
 @kernel
-def contact_matrix(model: Any, work: ContactWorkspace, count: int) -> None:
-    """Fill `work.matrix` for the contacts listed in `work`; `model`: inverse mass matrix of the structure."""
+def contact_matrix(inverse_mass: Array, work: ContactWorkspace, count: int) -> None:
+    """Fill `work.matrix` for the contacts listed in `work`."""
     for a in range(count):
         for b in range(count):
-            coupling = model.inverse_mass[work.row[a], work.row[b]]
-            work.matrix[a, b] = work.direction[a] * work.direction[b] * coupling
-        work.matrix[a, a] += work.own[a]
+            coupling = inverse_mass[work.contacts[a].row, work.contacts[b].row]
+            work.matrix[a, b] = work.contacts[a].direction * work.contacts[b].direction * coupling
+        work.matrix[a, a] += work.contacts[a].own
 
 
 @kernel
@@ -106,18 +89,20 @@ def solve_active(work: ContactWorkspace, count: int) -> None:
     block = work.block
     n_active = 0
     for a in range(count):
-        if work.bound[a] != FREE:
-            work.reaction[a] = work.low[a] if work.bound[a] == AT_LOW else work.high[a]
+        if work.contacts[a].bound != FREE:
+            work.contacts[a].reaction = (
+                work.contacts[a].low if work.contacts[a].bound == AT_LOW else work.contacts[a].high
+            )
     for a in range(count):
-        if work.bound[a] == FREE:
+        if work.contacts[a].bound == FREE:
             column = 0
-            block[n_active, count] = -work.rhs[a]
+            block[n_active, count] = -work.contacts[a].rhs
             for b in range(count):
-                if work.bound[b] == FREE:
+                if work.contacts[b].bound == FREE:
                     block[n_active, column] = work.matrix[a, b]
                     column += 1
                 else:
-                    block[n_active, count] -= work.matrix[a, b] * work.reaction[b]
+                    block[n_active, count] -= work.matrix[a, b] * work.contacts[b].reaction
             n_active += 1
     for i in range(n_active):
         for row in range(i + 1, n_active):
@@ -131,8 +116,8 @@ def solve_active(work: ContactWorkspace, count: int) -> None:
         block[i, count] /= block[i, i]
     n_active = 0
     for a in range(count):
-        if work.bound[a] == FREE:
-            work.reaction[a] = block[n_active, count]
+        if work.contacts[a].bound == FREE:
+            work.contacts[a].reaction = block[n_active, count]
             n_active += 1
 
 
@@ -140,23 +125,26 @@ def solve_active(work: ContactWorkspace, count: int) -> None:
 def solve_complementarity(work: ContactWorkspace, count: int) -> None:
     """Solve the problem with `work.matrix` A and `work.rhs` q for `work.reaction` p, by principal pivoting."""
     for a in range(count):
-        work.bound[a] = AT_LOW
-        work.reaction[a] = work.low[a]
+        work.contacts[a].bound = AT_LOW
+        work.contacts[a].reaction = work.contacts[a].low
     for _ in range(MAX_PIVOTS):
         violated, new_bound = -1, FREE
         for a in range(count):
-            if work.bound[a] == FREE:
-                is_violated = work.reaction[a] < work.low[a] or work.reaction[a] > work.high[a]
+            if work.contacts[a].bound == FREE:
+                is_violated = (
+                    work.contacts[a].reaction < work.contacts[a].low
+                    or work.contacts[a].reaction > work.contacts[a].high
+                )
                 if is_violated:
-                    new_bound = AT_LOW if work.reaction[a] < work.low[a] else AT_HIGH
+                    new_bound = AT_LOW if work.contacts[a].reaction < work.contacts[a].low else AT_HIGH
             else:
-                opening_speed = work.rhs[a]
+                opening_speed = work.contacts[a].rhs
                 magnitude = abs(opening_speed)
                 for b in range(count):
-                    term = work.matrix[a, b] * work.reaction[b]
+                    term = work.matrix[a, b] * work.contacts[b].reaction
                     opening_speed += term
                     magnitude += abs(term)
-                if work.bound[a] == AT_HIGH:
+                if work.contacts[a].bound == AT_HIGH:
                     opening_speed = -opening_speed
                 is_violated = opening_speed < -ROUNDING * magnitude
             if is_violated:
@@ -164,5 +152,5 @@ def solve_complementarity(work: ContactWorkspace, count: int) -> None:
                 break
         if violated < 0:
             return
-        work.bound[violated] = new_bound
+        work.contacts[violated].bound = new_bound
         solve_active(work, count)

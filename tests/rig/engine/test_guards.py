@@ -17,7 +17,7 @@ from scipy.interpolate import BPoly
 
 import rig
 from rig.core.engine.guards import bound_by_series, bound_by_tables, first_event
-from rig.core.engine.law_tables import BOUND, ELEMENT, HIGHEST, LOWER, LOWEST, UPPER
+from rig.core.engine.law_tables import BOUND, ELEMENT, LOWER, UPPER
 from rig.core.engine.power_series import expand_state
 from rig.core.engine.propagator import Propagator, sampled_propagator
 from rig.core.engine.screening import _lower_bound, inside_margins, reset_envelope, screen, widen_envelope
@@ -88,8 +88,8 @@ def test_series_bounds_contain_the_guard(length: float) -> None:
     signals = engine.workspace.signals
     load_signals(model, state, signals)
     # The signal depends on the position of the body in flight, and on its acceleration in contact.
-    rows = model.position_index.copy()
-    rows[1:] = model.velocity_index[1:]
+    rows = model.laws.elements.position_index.copy()
+    rows[1:] = model.laws.elements.velocity_index[1:]
     state_series = engine.workspace.state_series
     state_series[:] = np.random.default_rng(5).standard_normal(state_series.shape)
     # A state is followed by the accelerations, then by their derivatives.
@@ -99,7 +99,7 @@ def test_series_bounds_contain_the_guard(length: float) -> None:
         series = np.polynomial.Polynomial(state_series[:N_COEFFICIENTS, rows[j]])
         if state.mode[j] != FLIGHT:
             series = series.deriv() / model.step
-            index = first_acceleration + model.position_index[j]
+            index = first_acceleration + model.laws.elements.position_index[j]
             for z, tau in ((state.z, 0.0), (end_state, length)):
                 assert z[index] == pytest.approx(series(tau))
                 assert z[index + model.first_velocity] == pytest.approx(series.deriv()(tau))
@@ -114,7 +114,7 @@ def test_series_bound_of_finite_contact_is_infinite() -> None:
     model, work = engine.tables.model, engine.workspace
     load_signals(model, engine.state, work.signals)
     bound_by_series(model, work.signals, work.state_series, 1.0, engine.state.z, work.end_state, work.bound)
-    assert (work.bound[work.signals.indices[model.laws.first_lane[:-1], BOUND]] == np.inf).all()
+    assert (work.bound[work.signals.indices[work.signals.row[model.laws.elements.first_lane], BOUND]] == np.inf).all()
 
 
 class Step:
@@ -135,12 +135,12 @@ class Step:
         for j in np.flatnonzero(system.finite_contact):
             # A gap between the walls in flight; in contact, an overlap with the wall.
             gap = (0.5 + 0.48 * np.sin(position[j])) * CLEARANCE
-            z[model.gap_coordinate[j]] = [gap, -0.1 * gap, CLEARANCE + 0.1 * gap][contacts[j]]
+            z[model.laws.elements.gap_coordinate[j]] = [gap, -0.1 * gap, CLEARANCE + 0.1 * gap][contacts[j]]
         modes = [list(element.law.modes)[contact] for element, contact in zip(system.elements, contacts, strict=True)]
         self.configuration = system.configuration(modes)
         self.matrix, self.offset = (array.astype(float) for array in engine.tables.generator(self.configuration))
         state.mode[:] = contacts
-        state.height[:] = z[model.position_index] + (0.5 + 0.48 * np.sin(position)) * CLEARANCE
+        state.height[:] = z[model.laws.elements.position_index] + (0.5 + 0.48 * np.sin(position)) * CLEARANCE
         state.velocity[:] = 0.1 * speed
         scaled, term = self.matrix * model.step, (self.matrix @ z + self.offset) * model.step
         self.taylor_terms = [z]
@@ -151,7 +151,9 @@ class Step:
         bound = engine.tables.flow.bound[self.table_index][:size]
         self.bounds = engine.tables.flow.bound_constant[self.table_index] + np.abs(z) @ bound
         load_signals(model, state, engine.workspace.signals)
-        self.bound = self.bounds[engine.workspace.signals.indices[model.laws.first_lane[:-1], BOUND]]
+        self.bound = self.bounds[
+            engine.workspace.signals.indices[engine.workspace.signals.row[model.laws.elements.first_lane], BOUND]
+        ]
 
     def guards(self, tau: np.ndarray) -> list[tuple[int, np.ndarray]]:
         """Return (damper from 0, array of shape (3, times)) for every guard.
@@ -165,16 +167,16 @@ class Step:
             row, offset, flight_terms = np.zeros(engine.tables.size), 0.0, np.zeros(3)
             if engine.system.finite_contact[j] and contact != FLIGHT:
                 row[: engine.system.states], offset = (
-                    sign * force[model.gap_coordinate[j]],
-                    sign * constant[model.gap_coordinate[j]],
+                    sign * force[model.laws.elements.gap_coordinate[j]],
+                    sign * constant[model.laws.elements.gap_coordinate[j]],
                 )
             elif engine.system.finite_contact[j]:
-                row[model.gap_coordinate[j]] = 1.0
+                row[model.laws.elements.gap_coordinate[j]] = 1.0
             elif contact != FLIGHT:
-                row = sign * self.matrix[model.velocity_index[j]]
-                offset = sign * (self.offset[model.velocity_index[j]] + model.gravity)
+                row = sign * self.matrix[model.laws.elements.velocity_index[j]]
+                offset = sign * (self.offset[model.laws.elements.velocity_index[j]] + model.gravity)
             else:
-                row[model.position_index[j]] = -1.0
+                row[model.laws.elements.position_index[j]] = -1.0
                 flight_terms[:] = (state.height[j], state.velocity[j] * model.step, -model.gravity * model.step**2 / 2)
             series = np.polynomial.Polynomial([row @ term for term in self.taylor_terms])
             series = series + np.polynomial.Polynomial([offset, 0.0, 0.0]) + np.polynomial.Polynomial(flight_terms)
@@ -215,7 +217,7 @@ class Step:
         if unproven_low | unproven_high:
             expand_state(flow, model, self.table_index, state.z, work.state_series)
         tau, lane, _ = first_event(model, state, work, length, unproven_low, unproven_high)
-        return bool(unproven_low | unproven_high), tau, int(work.signals.indices[lane, ELEMENT])
+        return bool(unproven_low | unproven_high), tau, int(work.signals.indices[work.signals.row[lane], ELEMENT])
 
 
 def draw_state(engine: Propagator, rng: np.random.Generator) -> np.ndarray:
@@ -289,16 +291,16 @@ def test_one_guard_below_its_margin_is_detected(
     engine, rng = propagator(), np.random.default_rng(seed)
     model, state, columns = engine.tables.model, engine.state, engine.tables.size
     z = state.z
-    z[model.position_index] = 1e-4 * rng.standard_normal(3)
+    z[model.laws.elements.position_index] = 1e-4 * rng.standard_normal(3)
     state.mode[:] = contacts
     state.velocity[:] = 0.01 * rng.standard_normal(3)
     gap = rng.uniform(0.1, 0.9, 3) * CLEARANCE
     drop = model.gravity * duration**2 / 2
-    state.height[:] = z[model.position_index] + gap - state.velocity * duration + drop
+    state.height[:] = z[model.laws.elements.position_index] + gap - state.velocity * duration + drop
     guard = np.empty(3)
     for j, contact in enumerate(contacts):
         relative_acceleration = rng.uniform(0.1, 5.0)
-        z[columns + model.position_index[j]] = -model.gravity + (
+        z[columns + model.laws.elements.position_index[j]] = -model.gravity + (
             -relative_acceleration if contact == CEILING else relative_acceleration
         )
         guard[j] = min(gap[j], CLEARANCE - gap[j]) if contact == FLIGHT else relative_acceleration
@@ -307,8 +309,8 @@ def test_one_guard_below_its_margin_is_detected(
         margin[low_guard] = guard[low_guard] * (1 + 1e-9)
     signals = engine.workspace.signals
     load_signals(model, state, signals)
-    signals.numbers[:, LOWEST] = signals.numbers[:, LOWER] + margin
-    signals.numbers[:, HIGHEST] = signals.numbers[:, UPPER] - margin
+    signals.lowest[:] = signals.numbers[signals.row, LOWER] + margin
+    signals.highest[:] = signals.numbers[signals.row, UPPER] - margin
     assert inside_margins(model, state, signals, z, duration) == (low_guard < 0)
 
 

@@ -26,7 +26,7 @@ from rig.core.engine.resets import (
     impact,
     separate_tensile,
 )
-from rig.core.engine.state import N_EVENTS, PRESENT_SEGMENT, TABLE_INDEX, State
+from rig.core.engine.state import N_EVENTS, PRESENT_SEGMENT, TABLE_INDEX, State, mode_number
 from rig.core.laws.events import CEILING, FLIGHT, FLOOR, SEPARATION
 from rig.core.numerics.complementarity import AT_LOW, FREE, ROUNDING
 from rig.core.system.assembly import assemble
@@ -74,7 +74,8 @@ def impact_and_separate(engine: Propagator, damper: int, wall: int) -> None:
     """Apply the impact of a damper on a wall 0.25 s after the start of segment 7; then separate tensile contacts."""
     flow, model, work = engine.tables.flow, engine.tables.model, engine.workspace.contact
     engine.log.counts[PRESENT_SEGMENT], engine.log.present_offset[0] = 7, 0.25
-    impact(flow, model, engine.state, engine.log, damper, END[wall], work)
+    m, end = mode_number(model, engine.state, damper), END[wall]
+    impact(flow, model, engine.state, engine.log, damper, m, model.laws.exit[m, 0, end], end, work)
     separate_tensile(flow, model, engine.state, engine.log, work)
 
 
@@ -83,9 +84,9 @@ def randomize(engine: Propagator, contacts: list[int], seed: int) -> State:
     random, state, model = np.random.default_rng(seed), engine.state, engine.tables.model
     size = engine.tables.size
     state.z[:size] = 1e-3 * random.standard_normal(size)
-    state.z[model.velocity_index] = random.standard_normal(3)
+    state.z[model.laws.elements.velocity_index] = random.standard_normal(3)
     state.mode[:] = contacts
-    state.height[:] = state.z[model.position_index] + random.uniform(0.2, 0.8, 3) * CLEARANCE
+    state.height[:] = state.z[model.laws.elements.position_index] + random.uniform(0.2, 0.8, 3) * CLEARANCE
     state.velocity[:] = random.standard_normal(3)
     state.counters[TABLE_INDEX] = -1
     return state
@@ -123,18 +124,18 @@ def test_impact_obeys_the_contact_laws(
     engine = propagator(0.15 if coupled else 0.0, restitution)
     contacts[impacting] = FLIGHT
     state, model = randomize(engine, contacts, seed), engine.tables.model
-    position, body_velocity = state.z[model.position_index], state.z[model.velocity_index]
+    position, body_velocity = state.z[model.laws.elements.position_index], state.z[model.laws.elements.velocity_index]
     damper_velocity = np.where(state.mode == FLIGHT, state.velocity, body_velocity)
     sign, closing_speed = SIGN[wall], 0.1 + abs(damper_velocity[impacting])
     state.height[impacting] = height = position[impacting] + (CLEARANCE if wall == CEILING else 0.0)
     damper_velocity[impacting] = state.velocity[impacting] = body_velocity[impacting] - sign * closing_speed
     impact_and_separate(engine, impacting, wall)
-    body_velocity_after = state.z[model.velocity_index]
+    body_velocity_after = state.z[model.laws.elements.velocity_index]
     damper_velocity_after = np.where(state.mode == FLIGHT, state.velocity, body_velocity_after)
 
     # Momentum is conserved. Impulses are compressive. They act on another damper only if it is in contact and its body
     # is coupled.
-    impulse = model.mass * (damper_velocity_after - damper_velocity)
+    impulse = model.laws.elements.mass * (damper_velocity_after - damper_velocity)
     np.testing.assert_allclose(engine.system.mass @ (body_velocity_after - body_velocity), -impulse, atol=1e-12)
     walls = np.array([wall if j == impacting else contacts[j] for j in range(3)])
     for j in range(3):
@@ -152,11 +153,11 @@ def test_impact_obeys_the_contact_laws(
 
     # The log has the impact and all separations.
     log, count = engine.log, engine.log.counts[N_EVENTS]
-    (k,) = np.flatnonzero(log.event_kind[:count] != SEPARATION)
-    instant = log.event_segment[k], log.event_offset[k]
-    assert (*instant, log.event_damper[k], log.event_kind[k]) == (7, 0.25, impacting, wall)
-    assert log.event_speed[k] == pytest.approx(closing_speed)
-    separated = [int(j) for j in log.event_damper[:count][log.event_kind[:count] == SEPARATION]]
+    (k,) = np.flatnonzero(log.events.kind[:count] != SEPARATION)
+    instant = log.events.segment[k], log.events.offset[k]
+    assert (*instant, log.events.damper[k], log.events.kind[k]) == (7, 0.25, impacting, wall)
+    assert log.events.speed[k] == pytest.approx(closing_speed)
+    separated = [int(j) for j in log.events.damper[:count][log.events.kind[:count] == SEPARATION]]
     rebounded = {impacting} if restitution else set()
     assert {j for j in range(3) if walls[j] != FLIGHT and state.mode[j] == FLIGHT} - rebounded == set(separated)
     for j in separated:
@@ -180,16 +181,18 @@ def test_separated_dampers_solve_the_complementarity_problem(coupled: bool, cont
     inverse = np.linalg.inv(system.mass)
     free_acceleration = inverse @ work.force[:3]  # of the bodies without contacts
     bias = sign * (-model.gravity - free_acceleration[in_contact])
-    matrix = sign[:, None] * inverse[np.ix_(in_contact, in_contact)] * sign + np.diag(1.0 / model.mass[in_contact])
+    matrix = sign[:, None] * inverse[np.ix_(in_contact, in_contact)] * sign + np.diag(
+        1.0 / model.laws.elements.mass[in_contact]
+    )
     reaction = solve_by_enumeration(matrix, bias)
     separate_tensile(engine.tables.flow, model, state, engine.log, work)
     separated = in_contact[(reaction == 0.0) & (matrix @ reaction + bias > 1e-9)]
     assert set(np.flatnonzero(state.mode == FLIGHT)) & set(in_contact) == set(separated)
-    assert engine.log.event_damper[: engine.log.counts[N_EVENTS]].tolist() == separated.tolist()
+    assert engine.log.events.damper[: engine.log.counts[N_EVENTS]].tolist() == separated.tolist()
     for j in separated:
         on_floor = contacts[j] == FLOOR
-        assert state.velocity[j] == state.z[model.velocity_index[j]]
-        assert state.height[j] == state.z[model.position_index[j]] + (0.0 if on_floor else CLEARANCE)
+        assert state.velocity[j] == state.z[model.laws.elements.velocity_index[j]]
+        assert state.height[j] == state.z[model.laws.elements.position_index[j]] + (0.0 if on_floor else CLEARANCE)
         assert state.multiplicity[j] == (2 if on_floor else -2)
 
 
@@ -200,7 +203,7 @@ def test_rebound_within_rounding_stays_in_contact(wall: int, coupled: bool) -> N
     state, model, work = engine.state, engine.tables.model, engine.workspace.contact
     # A rebound is negligible if its height v^2 / (2 a) is within the rounding error ROUNDING * coordinate_scale of the
     # gap. With coupling, a is an upper bound of the acceleration.
-    row, wall_gap = model.position_index[1], CLEARANCE if wall == CEILING else 0.0
+    row, wall_gap = model.laws.elements.position_index[1], CLEARANCE if wall == CEILING else 0.0
     state.z[row], coordinate_scale = -0.3, 2 * 0.3 + wall_gap
     contact = model, state, 1, SIGN[wall], wall_gap
     force = np.array([3.0, -20.0 * SIGN[wall] - 10.0, 5.0])
@@ -242,7 +245,7 @@ def test_tension_within_rounding_does_not_separate(wall: int, coupled: bool, rat
     assert (state.mode[1] == FLIGHT) == separates and engine.log.counts[N_EVENTS] == separates
     if separates:
         log = engine.log
-        assert (log.event_segment[0], log.event_offset[0], log.event_damper[0]) == (7, 0.25, 1)
+        assert (log.events.segment[0], log.events.offset[0], log.events.damper[0]) == (7, 0.25, 1)
 
 
 @pytest.mark.parametrize("wall", [FLOOR, CEILING])
@@ -253,18 +256,20 @@ def test_only_a_negligible_rebound_comes_to_rest(wall: int, coupled: bool, closi
     state, model = engine.state, engine.tables.model
     state.mode[:], state.counters[TABLE_INDEX] = FLIGHT, -1
     # The wall of body 1 accelerates towards its damper; the other dampers are far from their walls.
-    state.z[model.position_index] = -1e-3 if wall == FLOOR else 1e-2
-    state.z[model.velocity_index] = 0.25
-    state.height[:], state.velocity[:] = state.z[model.position_index] + 0.5 * CLEARANCE, 0.25
-    state.height[0] = state.z[model.position_index[0]] + (CLEARANCE if wall == CEILING else 0.0)
+    state.z[model.laws.elements.position_index] = -1e-3 if wall == FLOOR else 1e-2
+    state.z[model.laws.elements.velocity_index] = 0.25
+    state.height[:], state.velocity[:] = state.z[model.laws.elements.position_index] + 0.5 * CLEARANCE, 0.25
+    state.height[0] = state.z[model.laws.elements.position_index[0]] + (CLEARANCE if wall == CEILING else 0.0)
     state.velocity[0] = 0.25 - SIGN[wall] * closing_speed
-    momentum = engine.system.mass @ state.z[model.velocity_index] + model.mass * state.velocity
+    momentum = (
+        engine.system.mass @ state.z[model.laws.elements.velocity_index] + model.laws.elements.mass * state.velocity
+    )
     impact_and_separate(engine, 0, wall)
     assert state.mode.tolist() == [wall if stays else FLIGHT, FLIGHT, FLIGHT]
     assert state.multiplicity[0] == (0 if stays else SIGN[wall])
-    body_velocity = state.z[model.velocity_index]
+    body_velocity = state.z[model.laws.elements.velocity_index]
     damper_velocity = np.where(state.mode == FLIGHT, state.velocity, body_velocity)
-    after = engine.system.mass @ body_velocity + model.mass * damper_velocity
+    after = engine.system.mass @ body_velocity + model.laws.elements.mass * damper_velocity
     np.testing.assert_allclose(after, momentum, atol=1e-15)
     rebound_speed = SIGN[wall] * (damper_velocity[0] - body_velocity[0])
     assert rebound_speed == (0.0 if stays else pytest.approx(0.4 * closing_speed, rel=1e-9))
@@ -274,10 +279,10 @@ def test_uncoupled_damper_stays_at_rest() -> None:
     engine = propagator(0.2, uncoupled=1)
     state, model = engine.state, engine.tables.model
     state.mode[:], state.counters[TABLE_INDEX] = (FLIGHT, FLIGHT, FLOOR), -1
-    state.height[:], state.velocity[:] = state.z[model.position_index] + 0.5 * CLEARANCE, 0.0
-    state.height[0], state.velocity[0] = state.z[model.position_index[0]], -0.5
+    state.height[:], state.velocity[:] = state.z[model.laws.elements.position_index] + 0.5 * CLEARANCE, 0.0
+    state.height[0], state.velocity[0] = state.z[model.laws.elements.position_index[0]], -0.5
     impact_and_separate(engine, 0, FLOOR)
-    assert state.z[model.velocity_index[2]] == 0.0 and state.mode.tolist() == [FLOOR, FLIGHT, FLOOR]
+    assert state.z[model.laws.elements.velocity_index[2]] == 0.0 and state.mode.tolist() == [FLOOR, FLIGHT, FLOOR]
     assert engine.log.counts[N_EVENTS] == 1
 
 
@@ -289,20 +294,24 @@ def test_slowly_opened_contact_stays_closed(wall: int, ratio: float, closed: boo
     # (`bound`).
     engine = propagator(0.2)
     state, model, work = engine.state, engine.tables.model, engine.workspace.contact
-    row, work.sign[0], work.wall_gap[0] = model.position_index[1], SIGN[wall], CLEARANCE if wall == CEILING else 0.0
-    state.z[row], coordinate_scale = -0.3, 2 * 0.3 + work.wall_gap[0]
+    row, work.contacts.sign[0], work.contacts.wall_gap[0] = (
+        model.laws.elements.position_index[1],
+        SIGN[wall],
+        CLEARANCE if wall == CEILING else 0.0,
+    )
+    state.z[row], coordinate_scale = -0.3, 2 * 0.3 + work.contacts.wall_gap[0]
     work.force[:3] = 3.0, -20.0, 5.0
     acceleration_limit = model.gravity + np.abs(np.linalg.inv(engine.system.mass)[1] * work.force[:3]).sum()
     speed_limit = np.sqrt(2 * acceleration_limit * ROUNDING * coordinate_scale)
     matrix, reaction = np.array([[3.0, -0.5], [-0.5, 2.0]]), np.array([0.0, 0.25])
-    work.damper[:2], work.bound[:2] = (1, 2), (AT_LOW, FREE)
-    work.matrix[:2, :2], work.reaction[:2] = matrix, reaction
-    work.opening_speed[:2] = ratio * speed_limit - matrix[0] @ reaction, -0.5
-    work.rhs[:2] = work.opening_speed[:2]
+    work.contacts.damper[:2], work.contacts.bound[:2] = (1, 2), (AT_LOW, FREE)
+    work.matrix[:2, :2], work.contacts.reaction[:2] = matrix, reaction
+    work.contacts.opening_speed[:2] = ratio * speed_limit - matrix[0] @ reaction, -0.5
+    work.contacts.rhs[:2] = work.contacts.opening_speed[:2]
     _close_slow_openings(model, state, work, 2)
-    assert (work.bound[:2] == FREE).tolist() == [closed, True]
-    expected = np.linalg.solve(matrix, -work.rhs[:2]) if closed else reaction
-    np.testing.assert_allclose(work.reaction[:2], expected, rtol=1e-12)
+    assert (work.contacts.bound[:2] == FREE).tolist() == [closed, True]
+    expected = np.linalg.solve(matrix, -work.contacts.rhs[:2]) if closed else reaction
+    np.testing.assert_allclose(work.contacts.reaction[:2], expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -330,7 +339,7 @@ def test_damper_in_flight_touches_only_an_approaching_wall(
     engine = propagator(0.1)
     state, model = engine.state, engine.tables.model
     state.mode[1] = FLIGHT
-    state.z[model.position_index[1]], state.z[model.velocity_index[1]] = -1.0 / 64, 0.5
+    state.z[model.laws.elements.position_index[1]], state.z[model.laws.elements.velocity_index[1]] = -1.0 / 64, 0.5
     state.height[1], state.velocity[1] = -1.0 / 64 + gap, 0.5 - closing_speed
     state.multiplicity[1] = multiplicity
     assert _touched_end(model, state, 1, 0.0) == END[wall]

@@ -150,7 +150,7 @@ def test_multipliers_are_those_of_differences(case: str) -> None:
     orbit = rig.periodic_orbit(scene, 14.0)
     propagator, _ = start_propagator(OrbitProblem(scene), orbit.setting)
     set_to_orbit(propagator, orbit)
-    is_held = propagator.tables.model.laws.is_held[propagator.state.mode[0]]
+    is_held = propagator.tables.model.laws.modes.is_held[propagator.state.mode[0]]
     # The gap of a mass that does not reach its walls has no effect, and the speed of a mass at rest is not free.
     gap, speed = 2, 5
     fixed = [*([gap] if case == "slips" else []), *([gap, speed] if is_held else [])]

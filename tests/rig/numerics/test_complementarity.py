@@ -15,11 +15,11 @@ def solve(matrix: np.ndarray, right: np.ndarray, low: Limit = 0.0, high: Limit =
     """Return the reactions p within limits; matrix p + right is zero between them, and points inwards at a limit."""
     count = len(right)
     work = allocate_contact_workspace(count, 8)
-    work.low[:count], work.high[:count] = low, high
+    work.contacts.low[:count], work.contacts.high[:count] = low, high
     work.matrix[:count, :count] = matrix
-    work.rhs[:count] = right
+    work.contacts.rhs[:count] = right
     solve_complementarity(work, count)
-    return work.reaction[:count].copy()
+    return work.contacts.reaction[:count].copy()
 
 
 def solve_by_enumeration(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:

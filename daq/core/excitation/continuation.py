@@ -72,6 +72,8 @@ _MAX_BAND_RATIO = 0.05
 _SMALL_TURN = 0.05
 # Without feedback, a response that changes by more than this factor has jumped to another branch.
 _JUMP_RATIO = 2.0
+# A motion that has not jumped returns to the last point with a deviation of ln(amplitude) below this value.
+_MAX_RETURN_DEVIATION = 0.05
 # Lengths of the steps over a gap in the curve, in units of the length of a step.
 _LEAPS = 1.0, 2.0, 4.0
 # Behind a corner, the frequency changes by this fraction of a step, and at most by this number of changes.
@@ -223,15 +225,12 @@ class _Curve:
             point = None
             while point is None and length >= shortest:
                 point = yield from (self._held(length) if self._holding else self._driven(length))
-                if (
-                    point is not None
-                    and self._holding
-                    and abs(self._turn(point)) > _MAX_TURN
-                    and length > _SHORTEST_TURN * test.step
-                ):
+                if point is not None and (self._turns_sharply(point, length) or not (yield from self._add(point))):
                     point = None
+                    if not (self._holding or (yield from self._returns())):
+                        break
                 self._length, length = length, length * _SHORTER
-            if point is None or not (yield from self._add(point)):
+            if point is None:
                 growth = (yield from self._growth()) if self._holding and self.unstable else 0.0
                 yield from self._leap(self._reason(growth))
         if len(self.points) == test.points:
@@ -415,6 +414,16 @@ class _Curve:
         x, y = self._scaled(self.points[-1], point)
         along, up = self._tangent
         return math.atan2(along * y - up * x, along * x + up * y)
+
+    def _returns(self) -> Generator[Array, Array, bool]:
+        """Settle at the last point without feedback; return whether the motion is the same: it has not jumped."""
+        last = self.points[-1]
+        point = yield from self._tone.drive_to(last.frequency, self._drive, self._level)
+        return point is not None and abs(math.log(point.motion / last.motion)) < _MAX_RETURN_DEVIATION
+
+    def _turns_sharply(self, point: Point, length: float) -> bool:
+        """Return whether a step with feedback to a point requires a shorter length."""
+        return self._holding and abs(self._turn(point)) > _MAX_TURN and length > _SHORTEST_TURN * self._test.step
 
     def _growth(self) -> Generator[Array, Array, float]:
         """Return the rate at which the motion leaves the last point without feedback, 1/s.

@@ -138,6 +138,29 @@ def test_short_transients_do_not_bias_the_force() -> None:
     assert forces == pytest.approx([2.63] * len(forces), rel=0.005)
 
 
+def test_unsteady_point_is_measured_with_a_shorter_step() -> None:
+    # At 78.46 Hz the impacts change during the measurement, after the motion has appeared steady.
+    scene = rig.load({
+        "structure": {
+            "masses": [0.65217, 1.7305],
+            "springs": [33892.45217969787, 89931.90195342805],
+            "damping": {"modal": 0.0031404},
+        },
+        "dampers": [{"body": 1, "mass_ratio": 0.052264, "clearance": 0.0003738184849685581}],
+        "shaker": {"kind": "force", "body": 1},
+        "test": {"kind": "continuation", "at": "body 1", "force": 0.9731671836943548}
+        | {"from": 78.63434701857639, "to": 78.3},
+        "channels": [
+            {"name": "a1", "at": "body 1", "accelerometer": {"sensitivity": "10 mV/g", "noise": "20 ug/sqrt(Hz)"}},
+            {"name": "force", "at": "shaker", "hammer": {"sensitivity": "100 mV/N"}},
+        ],
+        "converter": {"rate": 5120.0, "bits": 24, "range": 10.0},
+        "seed": 819552,
+    })  # fmt: skip
+    points = [fields for *_, fields in run(scene).marks_of("measure")]
+    assert points[-1]["settled"] and points[-1]["frequency"] <= 78.3
+
+
 def test_force_cell_replaces_the_table_channel() -> None:
     test = {"kind": "continuation", "from": "50.4 Hz", "to": "50.3 Hz", "at": "body 2", "force": 1.0}
     scene = rig.load("fig9")

@@ -2,7 +2,7 @@
 
 Measured times are processor times, including child processes, because elapsed times on a shared machine depend on its
 load. The reference is the duration of the test (real time), the import of numpy, or an acceptable time. `--quick` omits
-the studies, the compilation of a first run, and the analysis of a long recording.
+the analysis of a long recording. `command_times` measures studies, and first runs that compile.
 """
 
 import json
@@ -37,13 +37,6 @@ PARTS_WITH_ALL_EFFECTS = {
         "overload_recovery": "10 ms",
     },
 }  # fmt: skip
-# Studies may take at most these processor times, summed over all cores, s.
-MAX_STUDY_SECONDS = {
-    "rig map fig9 --points 60 --rows 40": 20.0,
-    "rig cost fig9": 20.0,
-    "analysis cost fig9": 20.0,
-    "analysis paper": 180.0,
-}
 
 
 class ComparedTime(NamedTuple):
@@ -61,12 +54,12 @@ class ComparedTime(NamedTuple):
         )
 
 
-def command_time(*arguments: str, repeats: int = 1, folder: Path | None = None, **environment: str) -> float:
-    """Return the shortest processor time of some runs of a Python command, s."""
-    times, variables = [], os.environ | environment
-    for _ in range(repeats):
+def command_time(*arguments: str) -> float:
+    """Return the shortest processor time of five runs of a Python command, s."""
+    times = []
+    for _ in range(5):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        subprocess.run([sys.executable, *arguments], check=True, capture_output=True, cwd=folder, env=variables)
+        subprocess.run([sys.executable, *arguments], check=True, capture_output=True)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         times.append(after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime)
     return min(times)
@@ -102,11 +95,11 @@ def recording_time(name: str, scene: rig.Scene, folder: Path) -> ComparedTime:
 
 def command_startups() -> Iterator[ComparedTime]:
     """Measure the start of commands."""
-    numpy_import = command_time("-c", "import numpy", repeats=5)
+    numpy_import = command_time("-c", "import numpy")
     demo = str(Path("recordings/demo-impulse-no-damper.mcap").absolute())
     for command in ("rig --help", "rig scenes", f"daq info {demo}", "rig simulate reference-A"):
         program, *arguments = command.split()
-        seconds = command_time("-m", program, *arguments, repeats=5)
+        seconds = command_time("-m", program, *arguments)
         yield ComparedTime(command.replace(demo, "REC"), seconds, "import of numpy", numpy_import)
 
 
@@ -147,28 +140,6 @@ def analyses() -> Iterator[ComparedTime]:
         yield ComparedTime("FRFs of ten minutes at 4 x 51.2 kS/s", min(times), "acceptable time", 2.0)
 
 
-def studies() -> Iterator[ComparedTime]:
-    """Measure studies that compute many motions."""
-    with tempfile.TemporaryDirectory() as folder:
-        # Run in another folder, because a checkout contains stored results.
-        for command, max_seconds in MAX_STUDY_SECONDS.items():
-            program, *arguments = command.split()
-            yield ComparedTime(
-                command, command_time("-m", program, *arguments, folder=Path(folder)), "acceptable time", max_seconds
-            )
-
-
-def first_runs() -> Iterator[ComparedTime]:
-    """Measure a first simulation and a first recording, including compilation."""
-    with tempfile.TemporaryDirectory() as folder:
-        sweep = ("fig8-three-dampers", "--set", "test.points=2", "-o", f"{folder}/sweep.mcap")
-        seconds = (
-            command_time("-m", *command, NUMBA_CACHE_DIR=folder)
-            for command in (("rig", "simulate", "reference-A"), ("daq", "record", *sweep))
-        )
-        yield ComparedTime("first rig simulate and daq record", sum(seconds), "acceptable time", 30.0)
-
-
 def main(arguments: list[str]) -> None:
     """Print the times, and write them into a JSON file."""
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(Path.cwd()), os.environ.get("PYTHONPATH")]))
@@ -177,7 +148,7 @@ def main(arguments: list[str]) -> None:
         command_startups,
         engine_periods,
         complete_tests,
-        *(() if "--quick" in arguments else (analyses, first_runs, studies)),
+        *(() if "--quick" in arguments else (analyses,)),
     ):
         for compared in measure():
             print(compared, flush=True)

@@ -1,11 +1,8 @@
-"""CPU time of the engine, compared with general solvers of differential equations: `python -m tests.benchmarks.engine`.
+"""CPU time of the engine: `python -m tests.benchmarks.engine`. `rig cost` compares it with general solvers.
 
-The scenes are the reference cases A, B and C, after compilation, in one thread. The solvers have suitable settings for
-this problem: DOP853, CVODE and a compiled Dormand-Prince method with a relative tolerance of 1e-12, steps of at most a
-fortieth of a period, and guards (event functions) that are disabled for 20 us after a damper leaves a wall.
+The scenes are the reference cases A, B and C, after compilation, in one thread.
 """
 
-import importlib.util
 import time
 from collections.abc import Callable
 
@@ -18,18 +15,13 @@ from rig.core.simulation.plant import Plant
 from rig.core.system.assembly import assemble
 from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.open_loop_drive import ToneDrive, tone_drive
-from rig.studies.cost.adaptive_solvers import cvode_solver, integrate, scipy_solver
-from rig.studies.cost.compiled_runge_kutta import DormandPrince
-from rig.studies.cost.first_order_form import FirstOrderForm
 
-# Number of periods for all solvers; many, because the first periods have few events.
+# Number of periods; many, because the first periods have few events.
 PERIODS = 100
 # Number of periods for the parts of the engine's time: the motion of most of them is steady.
 LONG_RUN_PERIODS = 1000
 # Factor on the drive for which every damper stays on its floor.
 WEAK_LEVEL = 0.01
-# Event detection at a wall is suspended for this time after a damper leaves it.
-GUARD_PAUSE_S = 2e-5
 RATE = 51200.0  # samples per second
 BLOCK_SAMPLES = 5120
 
@@ -91,25 +83,6 @@ def print_parts_of_periods() -> None:
         print(f"  {case:4s}{period * 1e6:10.2f}{steps:7.0f}{step_ns:11.0f}{events:8.2f}{event_ns:13.0f}")
 
 
-def solver_periods(scene: rig.Scene) -> dict[str, float]:
-    """Return the CPU time of each general solver for a period of the drive, s."""
-    system, tone = tone_of(scene)
-    problem = FirstOrderForm(system, tone, PERIODS)
-    max_step = 2.0 * np.pi / tone.omega / 40
-    solvers = {"scipy DOP853": scipy_solver("DOP853", 1e-12, max_step)}
-    if importlib.util.find_spec("sksundae") is not None:
-        solvers["CVODE"] = cvode_solver(1e-12, max_step)
-    compiled_solver = DormandPrince(problem)
-    compiled_solver.integrate(1e-6, GUARD_PAUSE_S, max_step)
-    return {
-        "compiled DP5": shortest_time(lambda: compiled_solver.integrate(1e-12, GUARD_PAUSE_S, max_step), 3) / PERIODS,
-        **{
-            name: shortest_time(lambda solver=solver: integrate(problem, solver, GUARD_PAUSE_S, 600.0), 2) / PERIODS  # type: ignore[misc]
-            for name, solver in solvers.items()
-        },
-    }
-
-
 def plant_speed(name: str, amplitude: float, noise: float) -> float:
     """Return the speed of the plant (the simulated rig of a scene) relative to real time, driven at 51.2 kHz.
 
@@ -129,11 +102,7 @@ def main() -> None:
     print("CPU time for a period, pure tone, warm, one thread")
     for case in "ABC":
         scene = rig.load(f"reference-{case}")
-        engine_time = engine_period(scene, repeats=30)
-        print(f"  {case}: engine {engine_time * 1e6:6.2f} us", end="")
-        for name, seconds in solver_periods(scene).items():
-            print(f"   {name} {seconds * 1e3:6.2f} ms = {seconds / engine_time:6.0f} x", end="", flush=True)
-        print()
+        print(f"  {case}: {engine_period(scene, repeats=30) * 1e6:6.2f} us", flush=True)
     print_parts_of_periods()
     print("Plant under a drive sampled at 51.2 kHz, in times real time (motion, gaps and breaks included)")
     for name, amplitude in (("reference-A", 2.6), ("reference-C", 10.0), ("fig8-three-dampers", 5.0)):

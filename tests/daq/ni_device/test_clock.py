@@ -103,8 +103,7 @@ def test_each_thread_wakes_at_its_position():
 
 def test_bench_failure_is_reported_to_reader(monkeypatch, capsys):
     chassis = connect("bare-structure", "real")
-    with Task() as task:
-        add_inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
+    with add_inputs(Task(), sample_mode=AcquisitionType.CONTINUOUS) as task:
         task.start()
         task.read(10)
         monkeypatch.setattr(chassis, "_step", lambda limit: 1 / 0)
@@ -122,8 +121,7 @@ def test_clock_is_selected_by_name():
 def test_timeout_reports_number_of_samples_read():
     manual = ManualClock()
     connect("bare-structure", manual)
-    with Task() as task:
-        add_inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
+    with add_inputs(Task(), sample_mode=AcquisitionType.CONTINUOUS) as task:
         task.start()
         manual.advance(0.1)  # 512 samples
         with raises_code(Code.SAMPLES_NOT_YET_AVAILABLE, kind=DaqReadError, samples=512):
@@ -137,8 +135,7 @@ def test_real_and_fast_clock_give_same_samples():
     readings = []
     for name in ("fast", "real"):
         connect("bare-structure", name)
-        with Task() as task:
-            add_inputs(task, "Dev1/ai0:3", sample_mode=AcquisitionType.CONTINUOUS)
+        with add_inputs(Task(), "Dev1/ai0:3", sample_mode=AcquisitionType.CONTINUOUS) as task:
             task.start()
             readings.append(np.concatenate([np.array(task.read(100, timeout=60.0)) for _ in range(5)], axis=1))
     assert np.array_equal(*readings)

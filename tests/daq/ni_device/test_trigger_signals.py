@@ -91,8 +91,7 @@ def test_analog_start_begins_above_level(chassis):
 
 
 def test_missing_trigger_times_out(chassis):
-    with Task() as input_task:
-        add_inputs(input_task, "Dev1/ai0:3", samps_per_chan=100)
+    with add_inputs(Task(), "Dev1/ai0:3", samps_per_chan=100) as input_task:
         input_task.triggers.start_trigger.cfg_anlg_edge_start_trig("Dev1/ai0", Slope.RISING, 400.0)
         with raises_code(Code.SAMPLES_NOT_YET_AVAILABLE, "start trigger has not occurred", DaqReadError, 0):
             input_task.read(100, timeout=0.5)
@@ -101,8 +100,7 @@ def test_missing_trigger_times_out(chassis):
 
 @reads_waveforms
 def test_digital_start_begins_at_pulse(chassis):
-    with Task() as input_task:
-        add_inputs(input_task, "Dev1/ai0", samps_per_chan=10)
+    with add_inputs(Task(), "Dev1/ai0", samps_per_chan=10) as input_task:
         input_task.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/PFI0")
         waveform = input_task.read_waveform()
     assert start_seconds(waveform) == 1.0  # the first pulse
@@ -110,8 +108,7 @@ def test_digital_start_begins_at_pulse(chassis):
 
 @reads_waveforms
 def test_retriggerable_task_records_every_pulse(chassis):
-    with Task() as input_task:
-        add_inputs(input_task, "Dev1/ai0", samps_per_chan=100)
+    with add_inputs(Task(), "Dev1/ai0", samps_per_chan=100) as input_task:
         input_task.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/PFI0")
         input_task.triggers.start_trigger.retriggerable = True
         input_task.start()
@@ -123,8 +120,7 @@ def test_retriggerable_task_records_every_pulse(chassis):
 
 def test_output_starts_one_tick_after_triggered_input(chassis):
     # The decaying response to a pulse triggers the input, and the input starts another output.
-    with Task() as pulse_output:
-        add_output(pulse_output, pulse(500, 1000), samps_per_chan=1000)
+    with add_output(Task(), pulse(500, 1000), samps_per_chan=1000) as pulse_output:
         pulse_output.start()
         pulse_output.wait_until_done()
     with Task() as input_task, Task() as output_task:
@@ -161,16 +157,13 @@ def test_output_starts_one_tick_after_triggered_input(chassis):
     ],
 )
 def test_error_of_impossible_trigger_names_remedy(chassis, configure, code, hint):
-    with Task() as input_task:
-        add_inputs(input_task, "Dev1/ai0:3", samps_per_chan=100)
-        with raises_code(code, hint):
-            configure(input_task)
-            input_task.start()
+    with add_inputs(Task(), "Dev1/ai0:3", samps_per_chan=100) as input_task, raises_code(code, hint):
+        configure(input_task)
+        input_task.start()
 
 
 def test_reference_trigger_needs_finite_task(chassis):
-    with Task() as input_task:
-        add_inputs(input_task, sample_mode=AcquisitionType.CONTINUOUS)
+    with add_inputs(Task(), sample_mode=AcquisitionType.CONTINUOUS) as input_task:
         input_task.triggers.reference_trigger.cfg_anlg_edge_ref_trig("Dev1/ai0", 10)
         with raises_code(Code.REF_TRIG_WHEN_CONTINUOUS, "FINITE"):
             input_task.start()

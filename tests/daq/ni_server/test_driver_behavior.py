@@ -47,8 +47,7 @@ def test_waveform_starts_at_wall_clock_time(monkeypatch):
     start_times = []
     for idle_s in (0, 3, 100):
         now[0] += idle_s * 10**9
-        with Task() as task:
-            add_inputs(task)
+        with add_inputs(Task()) as task:
             task.start()
             clock.advance(100 / RATE)
             waveform = task.read_waveform(100)
@@ -71,8 +70,7 @@ def test_on_demand_output_allows_any_input_rate():
 
 
 def test_trigger_source_names_its_device(chassis):
-    with Task() as task:
-        add_inputs(task)
+    with add_inputs(Task()) as task:
         task.triggers.start_trigger.cfg_dig_edge_start_trig("PFI0")
         assert task.triggers.start_trigger.dig_edge_src == "/cDAQ1Mod1/PFI0"
         assert task.triggers.start_trigger.trig_type == TriggerType.DIGITAL_EDGE
@@ -99,16 +97,14 @@ def test_custom_scale_scales_readings(chassis):
 
 
 def test_window_trigger_starts_within_window(chassis):
-    with Task() as task:
-        add_inputs(task, "cDAQ1Mod1/ai3", sample_mode=AcquisitionType.FINITE)
+    with add_inputs(Task(), "cDAQ1Mod1/ai3", sample_mode=AcquisitionType.FINITE) as task:
         pass_samples(chassis, 2000)
         task.triggers.start_trigger.cfg_anlg_window_start_trig(0.4, 0.1, "cDAQ1Mod1/ai3")
         assert 0.1 <= task.read(100)[0] <= 0.4
 
 
 def test_saved_task_is_loaded_with_its_settings(chassis):
-    with Task("mine") as task:
-        add_inputs(task)
+    with add_inputs(Task("mine")) as task:
         task.save(overwrite_existing_task=True)
     with PersistedTask("mine", grpc_options=options()).load() as task:
         assert task.timing.samp_clk_rate == RATE
@@ -117,8 +113,7 @@ def test_saved_task_is_loaded_with_its_settings(chassis):
 
 def test_paused_log_continues_in_another_file(chassis, tmp_path):
     first, second = tmp_path / "first.mcap", tmp_path / "second.mcap"
-    with Task() as task:
-        add_inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
+    with add_inputs(Task(), sample_mode=AcquisitionType.CONTINUOUS) as task:
         task.in_stream.configure_logging(str(first), LoggingMode.LOG_AND_READ, operation=LoggingOperation.CREATE)
         task.start()
         first_samples = task.read(100)
@@ -136,8 +131,7 @@ def test_paused_log_continues_in_another_file(chassis, tmp_path):
 
 
 def test_start_trigger_time_is_known(chassis):
-    with Task() as task:
-        add_inputs(task)
+    with add_inputs(Task()) as task:
         trigger = task.triggers.start_trigger
         trigger.cfg_dig_edge_start_trig("/cDAQ1/PFI0")
         trigger.timestamp_enable = True
@@ -147,7 +141,5 @@ def test_start_trigger_time_is_known(chassis):
 
 
 def test_array_of_wrong_type_is_rejected(chassis):
-    with Task() as task:
-        add_inputs(task)
-        with pytest.raises((TypeError, DaqError)):
-            AnalogMultiChannelReader(task.in_stream).read_many_sample(np.zeros((1, 100), np.int32), 100)
+    with add_inputs(Task()) as task, pytest.raises((TypeError, DaqError)):
+        AnalogMultiChannelReader(task.in_stream).read_many_sample(np.zeros((1, 100), np.int32), 100)

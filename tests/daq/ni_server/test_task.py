@@ -68,8 +68,7 @@ def test_readings_are_response_to_drive():
 
 
 def test_requested_rate_is_coerced_to_next_higher(chassis):
-    with Task() as task:
-        add_inputs(task, "Dev1/ai0:3")
+    with add_inputs(Task(), "Dev1/ai0:3") as task:
         coerced = []
         for rate in (1000.0, 5000.0, 8000.0, 51200.0):
             task.timing.cfg_samp_clk_timing(rate)
@@ -80,8 +79,7 @@ def test_requested_rate_is_coerced_to_next_higher(chassis):
 
 @reads_waveforms
 def test_task_sets_sampling_rate(chassis):
-    with Task() as task:
-        add_inputs(task, "Dev1/ai3")
+    with add_inputs(Task(), "Dev1/ai3") as task:
         task.timing.cfg_samp_clk_timing(10000.0, samps_per_chan=50)
         waveform = task.read_waveform()
     assert waveform.timing.sample_interval.total_seconds() == pytest.approx(1 / 10240, rel=1e-9)
@@ -93,15 +91,13 @@ def test_excitation_of_scene_runs_at_low_rate():
     )
     # The rate of the task is too low for the tone of the test, 2 kHz.
     connect(scene, "fast")
-    with Task() as task:
-        add_inputs(task, "Dev1/ai0:3")
+    with add_inputs(Task(), "Dev1/ai0:3") as task:
         task.timing.cfg_samp_clk_timing(2048.0, samps_per_chan=50)
         assert np.any(task.read(50))
 
 
 def test_unstarted_finite_task_reads_all(chassis):
-    with Task() as task:
-        add_inputs(task, "Dev1/ai0:3", samps_per_chan=64)
+    with add_inputs(Task(), "Dev1/ai0:3", samps_per_chan=64) as task:
         assert np.shape(task.read(READ_ALL_AVAILABLE)) == (4, 64)
         assert task.is_task_done()
         assert np.shape(task.read(READ_ALL_AVAILABLE)) == (4, 64)
@@ -120,8 +116,7 @@ def test_shape_follows_from_number_of_samples(chassis):
 
 
 def test_read_all_gives_available_samples(chassis):
-    with Task() as task:
-        add_inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
+    with add_inputs(Task(), "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS) as task:
         task.start()
         pass_samples(chassis, 300)
         assert len(task.read(READ_ALL_AVAILABLE)) == 300
@@ -130,8 +125,7 @@ def test_read_all_gives_available_samples(chassis):
 
 
 def test_read_longer_than_buffer_is_complete(chassis):
-    with Task() as task:
-        add_inputs(task, "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS)
+    with add_inputs(Task(), "Dev1/ai0", sample_mode=AcquisitionType.CONTINUOUS) as task:
         task.in_stream.input_buf_size = 100
         assert len(task.read(1000)) == 1000
         assert task.in_stream.curr_read_pos == 1000
@@ -159,8 +153,7 @@ def test_sensitivity_converts_volts(chassis):
 
 
 def test_relative_positions_read_again(chassis):
-    with Task() as task:
-        add_inputs(task, "Dev1/ai3", samps_per_chan=200)
+    with add_inputs(Task(), "Dev1/ai3", samps_per_chan=200) as task:
         task.start()
         samples = task.read(200)
         task.in_stream.relative_to, task.in_stream.offset = ReadRelativeTo.FIRST_SAMPLE, 50
@@ -170,8 +163,7 @@ def test_relative_positions_read_again(chassis):
 
 
 def test_channel_subset_is_read(chassis):
-    with Task() as task:
-        add_inputs(task, "Dev1/ai0:3", samps_per_chan=20)
+    with add_inputs(Task(), "Dev1/ai0:3", samps_per_chan=20) as task:
         task.start()
         all_channels = np.array(task.read(10))
         task.in_stream.channels_to_read = task.ai_channels["Dev1/ai1,Dev1/ai3"]
@@ -180,8 +172,7 @@ def test_channel_subset_is_read(chassis):
 
 
 def test_regeneration_repeats_buffer(chassis):
-    with Task() as output_task:
-        add_output(output_task, np.arange(10.0) / 10, sample_mode=AcquisitionType.CONTINUOUS)
+    with add_output(Task(), np.arange(10.0) / 10, sample_mode=AcquisitionType.CONTINUOUS) as output_task:
         output_task.start()
         pass_samples(chassis, 25)
         assert output_task.out_stream.total_samp_per_chan_generated == 25
@@ -196,8 +187,7 @@ def test_regeneration_repeats_buffer(chassis):
 
 
 def test_short_buffer_repeats_until_number_is_generated(chassis):
-    with Task() as output_task:
-        add_output(output_task, [0.1, 0.2, 0.3], samps_per_chan=7)
+    with add_output(Task(), [0.1, 0.2, 0.3], samps_per_chan=7) as output_task:
         output_task.start()
         output_task.wait_until_done()
         assert output_task.out_stream.total_samp_per_chan_generated == 7
@@ -259,8 +249,7 @@ def test_callback_runs_every_100_samples(chassis):
 def test_output_callbacks_run(chassis):
     # Each kind of event has its own thread, so the order is not fixed.
     calls, completed = queue.Queue(), queue.Queue()
-    with Task() as output_task:
-        add_output(output_task, np.zeros(50), samps_per_chan=250)
+    with add_output(Task(), np.zeros(50), samps_per_chan=250) as output_task:
         output_task.register_every_n_samples_transferred_from_buffer_event(100, lambda *event: calls.put(event[2]))
         output_task.register_done_event(lambda handle, status, data: completed.put(status))
         output_task.start()

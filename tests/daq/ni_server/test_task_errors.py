@@ -36,8 +36,7 @@ def chassis():
 
 
 def test_finished_task_gives_remaining_samples(chassis):
-    with Task() as task:
-        add_inputs(task, samps_per_chan=100)
+    with add_inputs(Task(), samps_per_chan=100) as task:
         task.start()
         pass_samples(chassis, 100)
         assert len(task.read(150)) == 100
@@ -51,8 +50,7 @@ def test_dropped_samples_end_task_until_restart():
     dropped = {"at": "0.1 s", "samples": 256}
     scene = scene.replace(converter=scene.converter.replace(dropped_blocks=[dropped]))
     chassis = connect(scene, ManualClock())
-    with Task() as task:
-        add_inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
+    with add_inputs(Task(), sample_mode=AcquisitionType.CONTINUOUS) as task:
         task.start()
         pass_samples(chassis, 1000)
         with raises_code(Code.INPUT_FIFO_OVERFLOW_2, kind=DaqReadError, samples=512):
@@ -64,8 +62,7 @@ def test_dropped_samples_end_task_until_restart():
 
 
 def test_long_delay_of_machine_overflows_inputs(chassis):
-    with Task() as task:
-        add_inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
+    with add_inputs(Task(), sample_mode=AcquisitionType.CONTINUOUS) as task:
         task.start()
         # Delays relative to real time, s; up to 5 s are tolerated.
         assert not chassis.report_delay(1.0)
@@ -118,8 +115,7 @@ def test_exhausted_output_buffer_is_reported_on_stop(chassis):
 
 
 def test_running_task_rejects_settings(chassis):
-    with Task() as task:
-        add_inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
+    with add_inputs(Task(), sample_mode=AcquisitionType.CONTINUOUS) as task:
         task.start()
         for change in (
             lambda: task.timing.cfg_samp_clk_timing(100.0),
@@ -186,10 +182,8 @@ def test_channel_limits_are_rejected_or_coerced():
 
 @pytest.mark.parametrize("rate", [0.0, -1.0, 96000.0])
 def test_impossible_rate_is_rejected(chassis, rate):
-    with Task() as task:
-        add_inputs(task)
-        with raises_code(Code.INVALID_ATTRIBUTE_VALUE, "51200"):
-            task.timing.cfg_samp_clk_timing(rate)
+    with add_inputs(Task()) as task, raises_code(Code.INVALID_ATTRIBUTE_VALUE, "51200"):
+        task.timing.cfg_samp_clk_timing(rate)
 
 
 @pytest.mark.parametrize(
@@ -220,24 +214,19 @@ def test_impossible_rate_is_rejected(chassis, rate):
     ],
 )
 def test_error_of_invalid_value_names_valid_values(chassis, call, hint):
-    with Task() as task:
-        add_inputs(task)
-        with raises_code(Code.INVALID_ATTRIBUTE_VALUE, hint):
-            call(task)
+    with add_inputs(Task()) as task, raises_code(Code.INVALID_ATTRIBUTE_VALUE, hint):
+        call(task)
 
 
 def test_excessive_samples_are_rejected(chassis):
-    with Task() as task:
-        add_inputs(task, samps_per_chan=10**13)
-        with raises_code(Code.INVALID_ATTRIBUTE_VALUE, "memory"):
-            task.start()
+    with add_inputs(Task(), samps_per_chan=10**13) as task, raises_code(Code.INVALID_ATTRIBUTE_VALUE, "memory"):
+        task.start()
 
 
 @pytest.mark.parametrize("timeout", [-1.0, np.inf])
 def test_infinite_timeout_waits_for_task(timeout):
     connect("bare-structure", "fast")
-    with Task() as task:
-        add_inputs(task, samps_per_chan=512)
+    with add_inputs(Task(), samps_per_chan=512) as task:
         task.start()
         task.wait_until_done(timeout)
         assert task.is_task_done()
@@ -300,8 +289,7 @@ def test_invalid_calls_have_codes_of_driver(chassis):
 
 
 def test_offset_before_first_sample_is_rejected(chassis):
-    with Task() as task:
-        add_inputs(task, sample_mode=AcquisitionType.CONTINUOUS)
+    with add_inputs(Task(), sample_mode=AcquisitionType.CONTINUOUS) as task:
         task.start()
         pass_samples(chassis, 100)
         task.read(20)
@@ -314,8 +302,7 @@ def test_offset_before_first_sample_is_rejected(chassis):
 def test_unsupported_call_names_client_function(chassis):
     no_measurement, no_channel = Code.PHYS_CHAN_MEAS_TYPE, Code.PHYSICAL_CHAN_DOES_NOT_EXIST
     unsupported = Code.ATTRIBUTE_NOT_SUPPORTED_IN_TASK_CONTEXT
-    with Task() as task:
-        add_inputs(task)
+    with add_inputs(Task()) as task:
         for call, hint, code in (
             (lambda: task.ai_channels.add_ai_thrmcpl_chan("Dev1/ai1"), "add_ai_thrmcpl_chan", no_measurement),
             (lambda: task.ai_channels.add_ai_rtd_chan("Dev1/ai99"), "ai99", no_channel),
@@ -348,8 +335,7 @@ def test_unsupported_channel_calls_exist_in_client():
 
 
 def test_timeout_has_text_of_driver(chassis):
-    with Task("waiting") as task:
-        add_inputs(task)
+    with add_inputs(Task("waiting")) as task:
         task.timing.cfg_samp_clk_timing(RATE, samps_per_chan=100)
         task.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/PFI0")
         with pytest.raises(DaqReadError) as caught:
@@ -371,8 +357,7 @@ def test_reserved_resource_names_terminal_and_task(chassis):
 
 
 def test_early_stop_returns_warning_code(chassis):
-    with Task("early") as task:
-        add_inputs(task, samps_per_chan=100)
+    with add_inputs(Task("early"), samps_per_chan=100) as task:
         task.start()
         assert chassis.tasks["early"].stop() == DAQmxWarnings.STOPPED_BEFORE_DONE
 

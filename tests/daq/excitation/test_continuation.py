@@ -149,7 +149,7 @@ def test_unsteady_point_is_measured_with_a_shorter_step() -> None:
         "dampers": [{"body": 1, "mass_ratio": 0.052264, "clearance": 0.0003738184849685581}],
         "shaker": {"kind": "force", "body": 1},
         "test": {"kind": "continuation", "at": "body 1", "force": 0.9731671836943548}
-        | {"from": 78.63434701857639, "to": 78.3},
+        | {"from": 78.63434701857639, "to": 71.76338465772992, "points": 3},
         "channels": [
             {"name": "a1", "at": "body 1", "accelerometer": {"sensitivity": "10 mV/g", "noise": "20 ug/sqrt(Hz)"}},
             {"name": "force", "at": "shaker", "hammer": {"sensitivity": "100 mV/N"}},
@@ -158,7 +158,7 @@ def test_unsteady_point_is_measured_with_a_shorter_step() -> None:
         "seed": 819552,
     })  # fmt: skip
     points = [fields for *_, fields in run(scene).marks_of("measure")]
-    assert points[-1]["settled"] and points[-1]["frequency"] <= 78.3
+    assert sum(fields["settled"] for fields in points) == 3
 
 
 def test_force_cell_replaces_the_table_channel() -> None:

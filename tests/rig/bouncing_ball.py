@@ -23,7 +23,6 @@ class Flight:
     start: float
     end: float
     speed: float  # closing speed at landing, in units of g/w
-    sticks: bool  # whether the ball is at rest on the body after landing (otherwise it takes off at once)
 
 
 def take_off_phase(acceleration: float) -> float:
@@ -69,20 +68,9 @@ def fly(acceleration: float, start: float) -> Flight:
     raise AssertionError("a ball in free fall lands")
 
 
-def sticking_cycle(acceleration: float, max_flights: int = 1000) -> list[Flight]:
-    """Return the flights from a take-off after sticking until the ball sticks again; the motion repeats this cycle.
-
-    At some accelerations the ball never sticks again. Then the list has `max_flights` flights.
-    """
-    flights = [fly(acceleration, take_off_phase(acceleration))]
-    while not flights[-1].sticks and len(flights) < max_flights:
-        flights.append(fly(acceleration, flights[-1].end))
-    return flights
-
-
 def _landing(peak_g: float, start: float, t: float) -> Flight:
     speed = t - peak_g * (np.cos(start) - np.cos(start + t))
-    return Flight(start, start + t, float(speed), bool(peak_g * np.sin(start + t) < 1))
+    return Flight(start, start + t, float(speed))
 
 
 def _zero(function: Callable[[float], float], low: float, high: float) -> float:

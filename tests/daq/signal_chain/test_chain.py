@@ -147,18 +147,6 @@ def test_samples_do_not_depend_on_blocks():
         assert np.array_equal(np.concatenate(blocks, axis=1), expected)
 
 
-def test_oversampled_samples_do_not_depend_on_blocks():
-    scene = scene_of(ALL_EFFECTS, converter=CONVERTER_WITH_ALL_EFFECTS)
-    _, rate = chain_of(scene, oversampling=3)
-    motion = motion_of([PointMotion(tones=((200.0, 60.0, 0.0),), impacts=random_impacts(30, 0.05, seed=1))], rate, 600)
-    expected = chain_of(scene, oversampling=3)[0].measure(motion)
-    assert expected.shape == (1, 200)
-    for block_size in (1, 7, 250):
-        chain, _ = chain_of(scene, oversampling=3)
-        blocks = [chain.measure(cut(motion, k, min(k + block_size, 600))) for k in range(0, 600, block_size)]
-        assert np.array_equal(np.concatenate(blocks, axis=1), expected)
-
-
 def test_channels_are_independent():
     paths = [PointMotion(tones=((200.0, 60.0, 0.0),), impacts=random_impacts(30, 0.1, seed=1))] * 3
     scene, with_other_channel = scene_of("", ALL_EFFECTS, SENSOR), scene_of(SENSOR, ALL_EFFECTS, SENSOR)

@@ -63,6 +63,7 @@ EQUIVALENT = {
     "for c in range(model.inverse_mass.shape[ 1]):": "the matrix is square",
     "for i in range(workspace.magnitude.shape[ -1]):": "the array has one dimension",
     "next_sample = -1": "no sample has a number below zero",
+    "for i in range(unsigned(laws.elements.shape[ -1])):": "the array has one dimension",
     "for i in range(unsigned(model.laws.elements.shape[ -1])):": "the array has one dimension",
     "for j in range(unsigned(model.laws.elements.shape[ -1])):": "the array has one dimension",
     "min_gap = max(1, round(_MIN_GAP_S * self._channels[ -1].rate))": "rows of one array have one rate",

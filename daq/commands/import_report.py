@@ -1,6 +1,7 @@
 """Lines that the command `daq import` prints: the signals of files, or the result of an import."""
 
 import json
+import shlex
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
@@ -30,6 +31,8 @@ def listing(files: Sequence[Path]) -> Iterator[str]:
                 rate = "" if signal.rate is None else f" at {signal.rate:.10g} Hz"
                 column = f"{{column: {_quoted(signal.name)}{unit}}}"
                 yield f"signal{signal.number}: {column}  # {signal.samples} samples{rate}"
+        names = " ".join(shlex.quote(str(path)) for path in files)
+        yield f"# Save these lines as table.yaml. next: daq import {names} --scene SCENE --table table.yaml"
 
 
 def _quoted(text: str) -> str:

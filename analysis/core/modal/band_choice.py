@@ -22,7 +22,7 @@ _MARGIN = 0.1
 # the lines if this is larger.
 _SAME_HALF_WIDTHS = 1.0
 # The half of the lines (every second line) resolves a pole if its half-power width contains at least this number of
-# these lines. A pole that is missing from a part that resolves it is computational.
+# these lines.
 _MIN_RESOLVING_LINES = 2.0
 # Ratio of the standard uncertainty to the root mean square of four differences. If only one difference is not zero, a
 # ratio of 1 would give an expanded uncertainty equal to this difference; 1.2 adds a margin of 20 %.
@@ -34,7 +34,9 @@ _MIN_LINES = 16
 class BandChoice(NamedTuple):
     """Variation of poles between parts of a band, each of shape (poles,)."""
 
-    confirmed: NDArray[np.bool_]  # whether all parts that resolve the pole contain it
+    # Whether both parts without an end, and one of the halves if they resolve the pole, contain it. If both halves were
+    # required, dense lines could reject a pole that every second line, whose halves do not resolve it, confirms.
+    confirmed: NDArray[np.bool_]
     frequency_error: Array  # standard uncertainty, Hz
     damping_error: Array  # standard uncertainty
 
@@ -62,6 +64,7 @@ def band_choice(
     natural, damping, width = abs(poles) / (2 * np.pi), -poles.real / abs(poles), half_width(poles)
     spacing = float(np.median(np.diff(frequency)))
     confirmed = np.ones(poles.size, dtype=bool)
+    missing_in_halves = np.zeros(poles.size, dtype=int)
     differences: list[list[tuple[float, float]]] = [[] for _ in poles]
     for lines, step in parts_of_band(frequency):
         try:
@@ -80,8 +83,10 @@ def band_choice(
                 nearest = own[distance.argmin()]
                 other_damping = -nearest.real / abs(nearest)
                 differences[k].append((float(distance.min()), float(abs(other_damping - damping[k]))))
-            elif step == 1 or bandwidth_lines[k] >= _MIN_RESOLVING_LINES:
+            elif step == 1:
                 confirmed[k] = False
+            elif bandwidth_lines[k] >= _MIN_RESOLVING_LINES:
+                missing_in_halves[k] += 1
     mean_squares = [np.mean(np.square(each), axis=0) if each else np.zeros(2) for each in differences]
     frequency_error, damping_error = _MEAN_SQUARE_RATIO * np.sqrt(np.reshape(mean_squares, (-1, 2)).T)
-    return BandChoice(confirmed, frequency_error, damping_error)
+    return BandChoice(confirmed & (missing_in_halves < 2), frequency_error, damping_error)

@@ -20,8 +20,9 @@ _NOISE_LINES = 31
 # A window extends to this distance from its peaks, in half-widths and at least this number of lines.
 _WINDOW_HALF_WIDTHS = 6.0
 _MIN_WINDOW_LINES = 20
-# Peaks belong to the same window if they are closer than this multiple of the sum of their half-widths.
-_GROUP_HALF_WIDTHS = 3.0
+# Neighboring peaks belong to the same group if their distance is at most this multiple of the smaller half-width.
+# Residual terms represent the flank of a wide peak in the window of a narrow peak.
+_GROUP_HALF_WIDTHS = 6.0
 
 
 class Window(NamedTuple):
@@ -55,25 +56,36 @@ def peak_windows(frequency: Array, values: Sequence[ComplexArray]) -> list[Windo
     half_widths = np.array(
         [_half_width(frequency, log_magnitude, int(peak), float(drop)) for peak, drop in zip(peaks, drops, strict=True)]
     )
-    reach = _GROUP_HALF_WIDTHS * half_widths
-    splits = np.flatnonzero(np.diff(frequency[peaks]) > reach[1:] + reach[:-1]) + 1
+    reach = _GROUP_HALF_WIDTHS * np.minimum(half_widths[1:], half_widths[:-1])
+    splits = np.flatnonzero(np.diff(frequency[peaks]) > reach) + 1
     groups = np.split(np.arange(peaks.size), splits)
-    valleys = [float(frequency[peaks[i] + np.argmin(log_magnitude[peaks[i] : peaks[i + 1]])]) for i in splits - 1]
-    windows = []
-    for group, low, high in zip(groups, [0.0, *valleys], [*valleys, np.inf], strict=True):
+    valleys = [int(peaks[i] + np.argmin(log_magnitude[peaks[i] : peaks[i + 1]])) for i in splits - 1]
+    spans = []
+    for group in groups:
         distance = _WINDOW_HALF_WIDTHS * half_widths[group]
         first = int(np.searchsorted(frequency, np.min(frequency[peaks[group]] - distance)))
         stop = int(np.searchsorted(frequency, np.max(frequency[peaks[group]] + distance), side="right"))
         first = max(min(first, int(peaks[group[0]]) - _MIN_WINDOW_LINES), 0)
         stop = min(max(stop, int(peaks[group[-1]]) + _MIN_WINDOW_LINES + 1), frequency.size)
-        windows.append(Window(first, stop, low, high))
-    return windows
+        spans.append((first, stop))
+    # Where windows overlap, the lines of both contain the limit between their modes.
+    limits = [
+        float(frequency[int(np.clip(valley, min(first, stop), max(first, stop) - 1))])
+        for valley, (first, _), (_, stop) in zip(valleys, spans[1:], spans, strict=False)
+    ]
+    return [Window(*span, low, high) for span, low, high in zip(spans, [0.0, *limits], [*limits, np.inf], strict=True)]
 
 
 def _half_width(frequency: Array, log_magnitude: Array, peak: int, drop: float) -> float:
-    """Return half of the half-power width of a peak, Hz, from its width where the logarithm is lower by `drop`."""
+    """Return half of the half-power width of a peak, Hz, from its steeper flank, where the logarithm falls by `drop`.
+
+    The flank of another mode raises the curve on one side of the peak.
+    """
     below = log_magnitude < log_magnitude[peak] - drop
-    first = peak - int(np.argmax(below[peak::-1]))
-    last = peak + int(np.argmax(below[peak:]))
+    distances = [
+        abs(frequency[peak + int(np.argmax(below[peak::step])) * step] - frequency[peak])
+        for step in (-1, 1)
+        if below[peak::step].any()
+    ]
     # The magnitude of a resonance falls with sqrt(1 + x²) at a distance of x half-widths.
-    return 0.5 * float(frequency[last] - frequency[first]) / float(np.sqrt(np.expm1(2.0 * drop)))
+    return float(min(distances, default=0.0) / np.sqrt(np.expm1(2.0 * drop)))

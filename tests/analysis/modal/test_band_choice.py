@@ -38,12 +38,20 @@ def test_differences_between_parts_add_uncertainty() -> None:
     assert choice.damping_error[0] == pytest.approx(0.0012)
 
 
-def test_pole_missing_in_one_part_is_rejected() -> None:
-    parts = iter([[100.0, 130.0], [100.0, 130.0], [100.0], [100.0, 130.0]])
+def test_pole_missing_without_an_end_is_rejected() -> None:
+    parts = iter([[100.0, 130.0], [100.0], [100.0, 130.0], [100.0, 130.0]])
 
     choice = band_choice(FREQUENCY, poles_at([100.0, 130.0]), lambda _: poles_at(next(parts)))
 
     assert choice.confirmed.tolist() == [True, False]
+
+
+def test_one_half_of_lines_confirms_pole() -> None:
+    parts = iter([[100.0, 130.0], [100.0, 130.0], [100.0], [100.0, 130.0]])
+
+    choice = band_choice(FREQUENCY, poles_at([100.0, 130.0]), lambda _: poles_at(next(parts)))
+
+    assert choice.confirmed.all()
 
 
 def test_pole_of_part_belongs_to_nearest_pole() -> None:
@@ -138,7 +146,7 @@ def test_pole_of_uncertain_frequency_is_rejected(monkeypatch: pytest.MonkeyPatch
     exact = window_fits.band_choice
 
     def shifted(*arguments: Any) -> BandChoice:
-        return exact(*arguments)._replace(frequency_error=np.array([1.0]))
+        return exact(*arguments)._replace(frequency_error=np.array([1.2]))
 
     monkeypatch.setattr(window_fits, "band_choice", shifted)
     with pytest.raises(RecordingError, match="Rejected the poles at 120 Hz"):

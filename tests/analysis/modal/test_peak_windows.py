@@ -91,3 +91,30 @@ def test_band_may_have_many_peaks() -> None:
 
     assert [sum(window.low < each < window.high for window in windows_of_peaks) for each in natural] == [1] * 90
     assert len(windows_of_peaks) == 90
+
+
+def test_flank_of_another_mode_does_not_widen_window() -> None:
+    # A peak of mains hum on the flank of the first mode.
+    value = accelerance(FREQUENCY) * (1.0 + 0.25 * (FREQUENCY == 130.0))
+    windows = peak_windows(FREQUENCY, [value / FREQUENCY**2])
+    assert [window.stop - window.first for window in windows] == [41, 41, 41]
+
+
+def compliance(*modes: tuple[float, float, float]) -> ComplexArray:
+    """Return a compliance of modes, each of a natural frequency in Hz, a damping ratio and a factor."""
+    s, value = 2j * np.pi * FREQUENCY, np.zeros(FREQUENCY.size, dtype=complex)
+    for natural, damping, factor in modes:
+        omega = 2 * np.pi * natural
+        value += factor / (s**2 + 2 * damping * omega * s + omega**2)
+    return value
+
+
+def test_wide_and_narrow_peaks_have_separate_windows() -> None:
+    wide, narrow = peak_windows(FREQUENCY, [compliance((150.0, 0.2, 1.0), (220.0, 0.002, 1.0))])
+    assert narrow.stop - narrow.first == 41 and FREQUENCY[wide.stop - 1] > 280.0
+
+
+def test_overlapping_windows_contain_limit_between_modes() -> None:
+    # The lowest line between the peaks is at 125 Hz, outside of the lower window.
+    low, high = peak_windows(FREQUENCY, [compliance((110.0, 0.01, 1.0), (126.0, 0.002, 0.05))])
+    assert FREQUENCY[high.first] <= low.high == high.low <= FREQUENCY[low.stop - 1]

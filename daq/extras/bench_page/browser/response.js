@@ -91,11 +91,12 @@ const response = {
       if (highest >= 0) magnitude.push({ x: [curves.frequency[highest]], y: Float32Array.of(1e6 * row.magnitude[highest]), color: AMBER, width: 2, arrows: [[1], [-1], [1, -1]][row.relation[highest] - 1] });
     }
     const fixed = (values) => values.map((value) => [value, true]), range = this.range();
+    // Noise does not determine the axis of the magnitude; arrows need space.
+    const [low, high] = limits({ log: true, curves: magnitude.filter((curve) => !curve.opacity) });
     // The axis is logarithmic unless the band is narrow, as in figures and report.
     this.chart.x.log = range[1] >= 2 * range[0] && range[0] > 0;
     this.chart.show(range, [
-      // Noise does not determine the axis.
-      { name: "|compliance| / (µm/N)", log: true, share: 3.2, curves: magnitude, range: limits({ log: true, curves: magnitude.filter((curve) => !curve.opacity) }) },
+      { name: "|compliance| / (µm/N)", log: true, share: 3.2, curves: magnitude, range: [low, isClipped ? 2 * high : high] },
       { name: "phase / °", range: [-285, 105], ticks: fixed([-270, -180, -90, 0, 90]), curves: phase },
       // A single average has no coherence.
       ...(curves?.rows.every((row) => row.coherence.every(isNaN)) ? [] : [{ name: "γ²", range: [0, 1.02], ticks: fixed([0, 0.5, 1]), share: 0.7, curves: coherence }]),

@@ -5,8 +5,6 @@ must also be independent of the allowed versions of Python and of the dependenci
 unavailable are reported.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

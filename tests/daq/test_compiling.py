@@ -1,7 +1,5 @@
 """`daq.warm_up` compiles all functions that a bench needs."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -4,8 +4,6 @@ With NUMBA_DISABLE_JIT=1 kernels run as plain Python, but the functions of `rig.
 machine code. This plugin replaces them with equal functions in numpy.
 """
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Iterator
 

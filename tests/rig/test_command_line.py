@@ -1,7 +1,5 @@
 """Every error in a command leads to a short message and the exit code of its kind."""
 
-from __future__ import annotations
-
 import ast
 import errno
 import os

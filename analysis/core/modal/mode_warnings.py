@@ -1,7 +1,5 @@
 """Warnings about identified modes, each with its consequence and its remedy."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -13,8 +13,6 @@ Only the clock determines when the next ticks are due. A call that must wait (a 
   at once, because no other thread can provide them.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 import os

@@ -3,8 +3,6 @@
 The signal in each interval is given by its moments: the coefficients of Legendre polynomials P_k.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.integrate import quad, trapezoid

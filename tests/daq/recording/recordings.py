@@ -1,7 +1,5 @@
 """Small recordings with known content, made by the real recorder."""
 
-from __future__ import annotations
-
 import itertools
 import resource
 from collections.abc import Iterator

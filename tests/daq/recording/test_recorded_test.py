@@ -1,7 +1,5 @@
 """The kind of a recorded test, stated in its metadata or deduced from its markers, and the outline of its scene."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -3,8 +3,6 @@
 The reference is a time-stepping simulation with 200 steps per period of the sensor's resonance.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

@@ -4,8 +4,6 @@ A scene is the description of a test rig and a test. Loading converts its quanti
 Yokomichi and Hiraki (2011).
 """
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

@@ -147,7 +147,7 @@ def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
     `frf`: FRF with respect to force; `band_low`, `band_high`: limits of the band, Hz. Returns None for fewer than three
     points in the band.
     """
-    with_tolerances = frf.to("displacement").sorted()
+    with_tolerances = _distinct_points(frf)
     valid = np.isfinite(with_tolerances.value) & (abs(with_tolerances.value) > 0)
     valid &= (with_tolerances.frequency >= band_low) & (with_tolerances.frequency <= band_high)
     with_tolerances = with_tolerances.at(valid)
@@ -208,9 +208,16 @@ def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
     )
 
 
+def _distinct_points(frf: Response) -> Response:
+    """Return a compliance in order of frequency; of a frequency that was measured repeatedly, the highest point."""
+    curve = frf.to("displacement")
+    ascending = np.lexsort([-abs(curve.value), curve.frequency])
+    return curve.at(ascending[np.unique(curve.frequency[ascending], return_index=True)[1]])
+
+
 def local_model(frf: Response, found: Peak) -> tuple[np.ndarray, np.ndarray]:
     """Return the interpolated curve of a `peak` between the neighbors of its highest point, to draw it: Hz and m/N."""
-    curve = frf.to("displacement").sorted()
+    curve = _distinct_points(frf)
     curve = curve.at(np.isfinite(curve.value) & (abs(curve.value) > 0))
     f, magnitude = curve.frequency, abs(curve.value)
     above = int(np.clip(np.searchsorted(f, found.frequency), 1, f.size - 1))

@@ -338,7 +338,7 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
     """Apply lock-in detection to every window marked ``measure``, and group the windows by level and direction."""
     markers = sorted(
         (marker for marker in rec.markers if marker.kind == "measure" and "frequency" in marker.fields),
-        key=lambda marker: (marker.first_sample, float(marker.fields["frequency"])),
+        key=lambda marker: marker.first_sample,
     )
     points: dict[_SweepKey, list[_Point]] = {}
     omissions: dict[_SweepKey, list[_Omission]] = {}
@@ -407,9 +407,16 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
     # A sweep without any point is not returned; the first sweep reports its notes.
     notes[next(iter(points))] += [note for key in notes if key not in points for note in notes[key]]
     return [
-        _sweep(rec, key, names_of_sweeps[key], sweep_points, notes[key], omissions.get(key, []), names)
+        _sweep(rec, key, names_of_sweeps[key], _ordered(sweep_points), notes[key], omissions.get(key, []), names)
         for key, sweep_points in points.items()
     ]
+
+
+def _ordered(points: list[_Point]) -> list[_Point]:
+    """Return points in the order of the test, or of ascending frequency if tones were driven at once."""
+    if len({point.window for point in points}) == len(points):
+        return points
+    return sorted(points, key=lambda point: point.tone.frequency)
 
 
 def _tones_at_once(

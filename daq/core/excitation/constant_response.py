@@ -146,10 +146,6 @@ class ConstantResponseProcedure(StepsProcedure["ConstantResponse"]):
         steps: dict[str, Any] = {"from_": None, "to": None, "points": None, "frequencies": chosen, "direction": "up"}
         return test.at_level(max(test.levels)).replace(**steps)
 
-    def seconds(self, test: ConstantResponse, part: ConstantResponse, part_seconds: float) -> float:
-        """Return the expected duration of all levels and steps, s."""
-        return part_seconds * len(test.levels) * len(test.order) / (len(part.levels) * len(part.order))
-
     def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
         """Return steps over the band at the level of the scene's test, or 1 mm of body 1."""
         level = {"at": "body 1", "displacement": 1e-3}

@@ -546,10 +546,6 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
         """Return the curve of the highest level."""
         return test.at_level(max(test.levels))
 
-    def seconds(self, test: Continuation, part: Continuation, part_seconds: float) -> float:
-        """Return the expected duration of all levels, s."""
-        return part_seconds * len(test.levels) / len(part.levels)
-
     def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
         """Return curves at the given force, of body 1 or of the body of the scene's test."""
         at = "body 1" if test is None or test.held_motion is None else test.held_motion[0]

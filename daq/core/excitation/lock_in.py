@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 
@@ -39,8 +41,9 @@ def min_samples(frequencies: Sequence[float], rate: float) -> int:
     """
     # Duration of the minimum number of beats, samples.
     beat = _MIN_BEATS / (1.0 - 2.0 * max(frequencies) / rate)
-    lowest = min(*frequencies, *np.diff(np.sort(frequencies)), np.inf)
-    return max(_MIN_SAMPLES, int(np.ceil(max(MIN_PERIODS * rate / lowest, beat) - 1e-9)))
+    differences = (upper - lower for lower, upper in pairwise(sorted(frequencies)))
+    lowest = min([*frequencies, *differences])
+    return max(_MIN_SAMPLES, math.ceil(max(MIN_PERIODS * rate / lowest, beat) - 1e-9))
 
 
 def whole_periods(frequency: float, rate: float, shortest_s: float) -> int:
@@ -56,8 +59,8 @@ def whole_periods(frequency: float, rate: float, shortest_s: float) -> int:
     >>> whole_periods(10.0, 25.0, 0.15)
     10
     """
-    min_periods = int(np.ceil(min_samples([frequency], rate) * frequency / rate - 1e-9))
-    min_n_periods = max(min_periods, int(np.ceil(shortest_s * frequency - 1e-9)))
+    min_periods = math.ceil(min_samples([frequency], rate) * frequency / rate - 1e-9)
+    min_n_periods = max(min_periods, math.ceil(shortest_s * frequency - 1e-9))
     n_periods = np.arange(min_n_periods, min_n_periods + max(1, min_n_periods // 3) + 1)
     samples = n_periods * rate / frequency
     deviation = abs(samples - np.round(samples)) / samples

@@ -190,10 +190,6 @@ class PhaseResonanceProcedure(SteadyTonesProcedure["PhaseResonance"]):
         """Return the highest level."""
         return test.at_level(max(test.levels))
 
-    def seconds(self, test: PhaseResonance, part: PhaseResonance, part_seconds: float) -> float:
-        """Return the expected duration of all levels, s."""
-        return part_seconds * len(test.levels) / len(part.levels)
-
     def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
         """Return a tone at the given force that follows the resonance of body 1, or of the body of the scene's test."""
         at, _ = (test and test.held_phase) or ("body 1", 0.0)

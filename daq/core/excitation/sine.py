@@ -14,6 +14,7 @@ from daq.core.excitation.tones.settling import Settling
 from daq.core.excitation.tones.steady_tone import WINDOW_S, SteadyTone
 from rig.core.base.arrays import Array
 from rig.core.results.text import format_decimals
+from rig.core.scene.excitation import Settle
 
 if TYPE_CHECKING:
     from rig.core.scene.excitation import Sine
@@ -33,17 +34,8 @@ def excite(station: Station, test: Sine) -> Excitation:
     """
     tone, level = SteadyTone(station, test.frequency, controlled(station)), station.level
     if station.is_controlled:
-        fields = {"frequency": test.frequency, "level": level}
-        station.report(0.0, f"{format_decimals(test.frequency, 2)} Hz, settling at {level:g} N")
-        settled = yield from tone.settle_and_mark({test.frequency: tone.start(level)}, _TOLERANCE, _MAX_WAIT_S, fields)
-        if not settled:
-            station.warn(
-                f"{format_decimals(test.frequency, 3)} Hz, {level:g} N: no steady state within {_MAX_WAIT_S:g} s. "
-                "The measurement is marked as not settled. Choose another frequency or level."
-            )
-        station.report(0.5, f"{format_decimals(test.frequency, 2)} Hz, measuring")
-        yield from tone.measure(station.samples(test.duration), settled, fields)
-        yield tone.end()
+        settle = Settle(tolerance=_TOLERANCE, longest=_MAX_WAIT_S)
+        yield from tone.run([[test.frequency]], [level], settle, [test.duration])
         return
     # In open loop, the level is the amplitude of the drive.
     tone.amplitude = level

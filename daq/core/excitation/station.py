@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 from zlib import crc32
 
@@ -68,19 +69,24 @@ class Station:
         assert not self.is_controlled, "the level is not a drive: control it, or set level_keys = ('drive',)"
         return self.level
 
+    @cached_property
+    def driven_input(self) -> str:
+        """Name of the drive input of the driven shaker."""
+        return self.scene.at_driven("shaker")
+
     @property
     def force_is_drive(self) -> bool:
         """Whether the drive is the force on the structure itself."""
         return self.scene.driven_shaker is not None and self.scene.driven_shaker.drive_is_force
 
-    @property
+    @cached_property
     def is_controlled(self) -> bool:
         """Whether the test prescribes a spring force or a motion, which is controlled from the channels."""
         return bool(self.scene.controlled_terms)
 
     def drive(self, wave: Array, name: str | None = None) -> Array:
         """Return a drive with a wave at one input, by default the driven shaker; shape (inputs, samples)."""
-        name = self.scene.at_driven("shaker") if name is None else name
+        name = self.driven_input if name is None else name
         if name not in self.inputs:
             existing_inputs = f"only the {' and the '.join(self.inputs)}" if self.inputs else "no drive input"
             raise SceneError(
@@ -121,7 +127,7 @@ class Station:
         response = info.response(frequency) * (2j * np.pi * frequency) ** (info.derivative or 0)
         return np.asarray(1.0 / response, dtype=complex)
 
-    @property
+    @cached_property
     def drive_limit(self) -> float:
         """Largest drive within the range of the shaker's amplifier; V, m or N."""
         return np.inf if self.scene.driven_shaker is None else self.scene.driven_shaker.drive_limit

@@ -15,12 +15,13 @@ from daq.core.excitation.controlled import controlled
 from daq.core.excitation.lock_in import noise_gain
 from daq.core.excitation.procedure import Procedure
 from daq.core.excitation.station import Excitation, Station
-from daq.core.excitation.tones.steady_tone import SteadyTone
+from daq.core.excitation.tones.steady_tone import SteadyTone, listed
 from rig.core.base.arrays import Array
 from rig.core.results.text import format_decimals
 
 if TYPE_CHECKING:
     from rig.core.scene.excitation import Continuation, PhaseResonance, SteppedSine
+    from rig.core.scene.excitation.kind import KindOfTest
     from rig.core.scene.excitation.stepped_sine import SteppedTest
     from rig.core.scene.scene import Scene
 
@@ -33,8 +34,6 @@ _MAX_LOG_CHANGE = 0.2
 _FIXED_WAIT_S = 1.4
 # In the remaining part of the wait, transients decay for this number of time constants of the slowest mode.
 _STEP_TIME_CONSTANTS = 2.0
-# Maximum number of frequencies that a warning lists.
-_MAX_LISTED = 8
 
 
 def excite(station: Station, test: SteppedTest, tone: SteadyTone) -> Generator[Array, Array, int]:
@@ -76,21 +75,16 @@ def excite(station: Station, test: SteppedTest, tone: SteadyTone) -> Generator[A
         limit = f"{station.drive_limit:g} {'' if shaker is None else shaker.drive_unit}"
         station.warn(
             f"{len(limited)} of {total} steps did not reach the required level, because the drive is at the limit of "
-            f"the amplifier, {limit} ({_listed(limited)}). Lower the level, or raise shaker.amplifier.limit."
+            f"the amplifier, {limit} ({listed(limited)}). Lower the level, or raise shaker.amplifier.limit."
         )
     if unsettled:
         station.warn(
             f"{len(unsettled)} of {total} steps did not reach steady state at the required level within "
-            f"{test.settle.longest:g} s ({_listed(unsettled)}). Their points are marked; raise test.settle.longest to "
+            f"{test.settle.longest:g} s ({listed(unsettled)}). Their points are marked; raise test.settle.longest to "
             "wait longer."
         )
     station.report(1.0, "done")
     return total - len(unsettled) - len(limited)
-
-
-def _listed(steps: Sequence[str]) -> str:
-    """Return the first steps as text."""
-    return ", ".join(steps[:_MAX_LISTED]) + (", ..." if len(steps) > _MAX_LISTED else "")
 
 
 def expected_wait(scene: Scene, longest: float) -> float:
@@ -133,13 +127,22 @@ class SteadyTonesProcedure(Procedure[SteadyT]):
         """Return the gain of a lock-in measurement over the measured periods."""
         return noise_gain(test.measure.periods, frequency)
 
+    def waits(self, test: SteadyT, scene: Scene) -> float:
+        """Return the expected time of the waits before all measurements, s."""
+        return _tones_of(test) * expected_wait(scene, test.settle.longest)
+
+    def seconds(self, test: SteadyT, part: SteadyT, part_seconds: float) -> float:
+        """Return the expected duration of all levels and tones, s."""
+        return part_seconds * _tones_of(test) / _tones_of(part)
+
+
+def _tones_of(test: KindOfTest) -> int:
+    """Return the number of tones of all levels."""
+    return len(test.levels) * len(test.dwells or test.given_frequencies)
+
 
 class StepsProcedure(SteadyTonesProcedure[StepsT]):
     """A series of tones of given frequencies."""
-
-    def waits(self, test: StepsT, scene: Scene) -> float:
-        """Return the expected time of the waits before all measurements, s."""
-        return len(test.levels) * len(test.order) * expected_wait(scene, test.settle.longest)
 
     def periods_of_step(self, test: StepsT) -> int:
         """Return the number of measured periods of each step."""

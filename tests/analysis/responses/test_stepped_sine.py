@@ -8,6 +8,7 @@ import pytest
 import analysis
 import daq
 import rig
+from analysis.core.damper_motion.comparison import peak
 from analysis.core.responses.spectral_lines import residual_transient
 from analysis.core.responses.stepped_sine import sweeps
 from daq.core.measurement.run_report import summary
@@ -26,17 +27,32 @@ def test_response_to_ideal_stepped_sine_is_exact(tmp_path):
             np.testing.assert_allclose(frf.value, exact, rtol=1e-9)
 
 
-def test_tones_at_once_are_in_ascending_order(tmp_path):
-    scene, frequencies, count = synthetic.scene(), np.array([33.3, 20.0]), 5120
-    motions = receptance(scene, frequencies)
-    motions = np.vstack([motions, 1.0 / synthetic.SPRING + motions[0]])
-    phasors = np.exp(2j * np.pi * np.outer(frequencies, np.arange(count)) / synthetic.RATE)
-    marks = [("measure", 0, count - 1, {"frequency": each, "level": 1.0}) for each in frequencies.tolist()]
-    path = synthetic.write(tmp_path / "r.mcap", scene, synthetic.channels(), (motions @ phasors).real, marks)
+def test_groups_of_tones_at_once_ascend(tmp_path):
+    scene, groups, count = synthetic.scene(), [[33.3, 20.0], [24.0, 41.0]], 5120
+    blocks, marks = [], []
+    for number, frequencies in enumerate(groups):
+        motions = receptance(scene, frequencies)
+        motions = np.vstack([motions, 1.0 / synthetic.SPRING + motions[0]])
+        blocks.append((motions @ np.exp(2j * np.pi * np.outer(frequencies, np.arange(count)) / synthetic.RATE)).real)
+        limits = number * count, (number + 1) * count - 1
+        marks += [("measure", *limits, {"frequency": each, "level": 1.0}) for each in frequencies]
+    samples = np.concatenate(blocks, axis=1)
+    path = synthetic.write(tmp_path / "r.mcap", scene, synthetic.channels(), samples, marks)
     with daq.open(path) as rec:
         response = analysis.frfs(rec)
-    assert response.frequency.tolist() == [20.0, 33.3]
-    assert response["body3"].value == pytest.approx(motions[2, ::-1], rel=1e-9)
+    assert response.frequency.tolist() == [20.0, 24.0, 33.3, 41.0]
+    assert response["body3"].value == pytest.approx(receptance(scene, response.frequency)[2], rel=1e-9)
+
+
+def test_repeated_frequencies_have_a_peak(tmp_path):
+    frequencies = [31.0, 32.0, 33.0, 34.0, 34.5, 35.0, 36.0, 34.5, 37.0, 31.0]
+    path = synthetic.stepped_sine(tmp_path / "r.mcap", frequencies)
+    once = synthetic.stepped_sine(tmp_path / "once.mcap", sorted(set(frequencies)))
+    peaks = []
+    for each in (path, once):
+        with daq.open(each) as rec:
+            peaks.append(peak(analysis.frfs(rec)["body1"], 31.0, 37.0))
+    assert peaks[0].value == pytest.approx(peaks[1].value, rel=1e-6)
 
 
 def test_high_pass_filter_and_delay_are_corrected(tmp_path):

@@ -12,23 +12,22 @@ from daq.core.excitation.controlled import controlled
 from daq.core.excitation.station import Excitation, Station
 from daq.core.excitation.tones.steady_tone import SteadyTones, Tone
 from rig.core.base.errors import SceneError
+from rig.core.scene.excitation import Settle
 from rig.core.system.structural_model import receptance
 from tests.daq.measurement.bench_run import BenchRun, run, scene_with
 
 FORCE = 1.5  # level of each tone, N
 
 
-def run_tones(scene: rig.Scene, frequencies: Sequence[float], longest: float = 60.0) -> BenchRun:
-    """Settle and measure tones at once on the bench of a scene; `longest`: maximum wait, s."""
+def run_tones(
+    scene: rig.Scene, *groups: Sequence[float], levels: Sequence[float] | None = None, longest: float = 60.0
+) -> BenchRun:
+    """Run groups of tones on the bench of a scene; `longest`: maximum wait, s."""
 
     def excite(station: Station) -> Excitation:
-        tones = SteadyTones(station, [Tone(station.rate, each) for each in frequencies], controlled(station))
-        fields = {"level": FORCE}
-        settled = yield from tones.settle_and_mark(
-            dict.fromkeys(frequencies, tones.start(FORCE)), 1e-3, longest, fields
-        )
-        yield from tones.measure(station.samples(2.0), settled, fields)
-        yield tones.end()
+        tones = SteadyTones(station, [Tone(station.rate, each) for each in groups[0]], controlled(station))
+        settle = Settle(tolerance=1e-3, longest=longest)
+        yield from tones.run(groups, levels or [FORCE] * len(groups[0]), settle, [2.0] * len(groups))
 
     return run(scene, make_excitation=excite)
 
@@ -69,7 +68,7 @@ def test_tones_share_the_drive_limit() -> None:
     scene = rig.load("fig8-no-damper").replace(test={"kind": "sine", "frequency": 20.0, "force": FORCE})
     assert scene.shaker is not None
     shaker = scene.shaker.model_dump() | {"amplifier": {"limit": "0.2 V"}}
-    bench_run = run_tones(scene.replace(shaker=shaker), (20.0, 33.3), 3.0)
+    bench_run = run_tones(scene.replace(shaker=shaker), (20.0, 33.3), longest=3.0)
     assert 0.19 < abs(bench_run.drive).max() <= 0.2
     assert {fields["settled"] for _, _, fields in bench_run.marks_of("measure")} == {False}
 
@@ -77,4 +76,18 @@ def test_tones_share_the_drive_limit() -> None:
 def test_close_tones_are_refused_before_the_test() -> None:
     scene = scene_with({"kind": "sine", "frequency": 20.0, "force": FORCE})
     with pytest.raises(SceneError, match=r"by 0\.3 Hz do not settle within 60 s\. Space the tones by at least 0\.4 Hz"):
-        run_tones(scene, (20.0, 20.3))
+        run_tones(scene, (12.0, 33.3), (20.0, 20.3))
+
+
+def test_groups_follow_one_another_with_a_level_per_tone() -> None:
+    scene = scene_with({"kind": "sine", "frequency": 20.0, "force": FORCE})
+    bench_run = run_tones(scene, (12.0, 31.0), (33.0, 14.5), levels=(1.0, 2.0), longest=20.0)
+    fields = [fields for _, _, fields in bench_run.marks_of("measure")]
+    assert [(each["frequency"], each["level"]) for each in fields] == [
+        (12.0, 1.0),
+        (31.0, 2.0),
+        (33.0, 1.0),
+        (14.5, 2.0),
+    ]
+    assert [each["force"] for each in fields] == pytest.approx([1.0, 2.0, 1.0, 2.0], rel=0.006)
+    assert not bench_run.warnings

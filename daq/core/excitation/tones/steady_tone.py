@@ -11,17 +11,19 @@ from __future__ import annotations
 import math
 from collections.abc import Generator, Mapping, Sequence
 from functools import lru_cache, reduce
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from daq.core.excitation.controlled import Controlled
 from daq.core.excitation.lock_in import MIN_PERIODS, min_samples, whole_periods
-from daq.core.excitation.station import Station
+from daq.core.excitation.station import Excitation, Station
 from daq.core.excitation.tones.settling import MIN_OBSERVATIONS, Settling
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
-from rig.core.scene.excitation import FORCE_TOLERANCE
+from rig.core.results.text import format_decimals
+from rig.core.scene.excitation import FORCE_TOLERANCE, Settle
 
 # Duration of a transition to a new frequency, s. It is so slow that it does not excite modes more than a few hertz
 # away.
@@ -42,6 +44,8 @@ _MAX_SUDDEN_CHANGE = 0.03
 _MAX_PREDICTION_CHANGE = 0.3
 # A measurement longer than twice this number of samples is evaluated in blocks of this size or more.
 _BLOCK_SAMPLES = 1 << 16
+# Maximum number of steps that a warning lists.
+_MAX_LISTED = 8
 
 
 class Tone:
@@ -58,6 +62,7 @@ class Tone:
         self.frequency = frequency
         self.amplitude = 0.0
         self.phase = 0.0
+        self.level = 0.0
         self.control: AmplitudeControl | None = None
 
     def hold(self, samples: int) -> Array:
@@ -113,6 +118,22 @@ def _window(frequencies: Sequence[float], rate: float, shortest_s: float) -> int
     return max(whole_periods(min(frequencies), rate, shortest_s), min_samples(frequencies, rate))
 
 
+def check_spacing(frequencies: Sequence[float], max_wait_s: float) -> None:
+    """Raise `SceneError` if simultaneous tones in Hz are too close to settle within a time in s."""
+    spacing = min((upper - lower for lower, upper in pairwise(sorted(frequencies))), default=np.inf)
+    required = MIN_PERIODS * _MIN_WINDOWS / max_wait_s
+    if spacing < required:
+        raise SceneError(
+            f"test: tones that differ by {spacing:.2g} Hz do not settle within {max_wait_s:g} s. Space the tones by at "
+            f"least {required:.2g} Hz, or allow a longer wait."
+        )
+
+
+def listed(steps: Sequence[str]) -> str:
+    """Return the first steps of a test as text."""
+    return ", ".join(steps[:_MAX_LISTED]) + (", ..." if len(steps) > _MAX_LISTED else "")
+
+
 class SteadyTones:
     """Tones that drive a shaker at once, and the complex amplitudes of the response at the frequency of each tone.
 
@@ -128,15 +149,46 @@ class SteadyTones:
         self._weights: list[ComplexArray] = []  # of each tone, (quantities, channels)
 
     def start(self, level: float) -> float:
-        """Start the control of the spring force, if prescribed, at a level in N; return the first drive of a tone.
+        """Start the control of the spring force, if prescribed, at a level in N; return the first drive of a tone."""
+        return self.start_each([level] * len(self.tones))[0]
+
+    def start_each(self, levels: Sequence[float]) -> list[float]:
+        """Start the control as `start`, with a level for each tone; return the first drives.
 
         The limit of the drive is divided equally among the tones.
         """
-        if self._controlled is None:
-            return level
-        for tone in self.tones:
-            tone.control = AmplitudeControl(level, self.station.drive_limit / len(self.tones))
-        return level * self.station.cautious_drive
+        for tone, level in zip(self.tones, levels, strict=True):
+            tone.level = level
+            if self._controlled is not None:
+                tone.control = AmplitudeControl(level, self.station.drive_limit / len(self.tones))
+        return [level if self._controlled is None else level * self.station.cautious_drive for level in levels]
+
+    def run(
+        self, groups: Sequence[Sequence[float]], levels: Sequence[float], settle: Settle, measured_s: Sequence[float]
+    ) -> Excitation:
+        """Settle and measure groups of simultaneous tones, one group after another, and end the tones.
+
+        `groups`: frequencies in Hz of each group, in the order of the tones; `levels`: of the tones; `measured_s`:
+        duration of the measurement of each group, s. Raises `SceneError` as `check_spacing`.
+        """
+        for group in groups:
+            check_spacing(group, settle.longest)
+        station, drives, unsettled = self.station, self.start_each(levels), list[str]()
+        for number, (group, seconds) in enumerate(zip(groups, measured_s, strict=True)):
+            text = f"{' and '.join(format_decimals(frequency, 2) for frequency in group)} Hz"
+            station.report(number / len(groups), f"{text}, settling")
+            targets = dict(zip(group, drives, strict=True))
+            settled = yield from self.settle_and_mark(targets, settle.tolerance, settle.longest, {})
+            station.report((number + 0.5) / len(groups), f"{text}, measuring")
+            yield from self.measure(station.samples(seconds), settled, {})
+            drives = [tone.amplitude for tone in self.tones]
+            unsettled += [] if settled else [text]
+        yield self.end()
+        if unsettled:
+            station.warn(
+                f"{listed(unsettled)}: no steady state at the level within {settle.longest:g} s. The measurements are "
+                "marked as not settled. Choose other frequencies or levels."
+            )
 
     def _drive(self, waves: Sequence[Array]) -> Array:
         """Return the drive whose wave is the sum of the waves of the tones."""
@@ -181,17 +233,12 @@ class SteadyTones:
         """Change frequencies and drives, and wait for the steady state; return whether it was reached at the level.
 
         `drives`: amplitude of the drive at each frequency in Hz after the transition; `tolerance`: permitted remaining
-        relative change of any amplitude. Raises `SceneError` if several tones are too close to settle in `max_wait_s`.
+        relative change of any amplitude. Raises `SceneError` as `check_spacing`.
         """
         station, observed = self.station, [(tone, Settling(tolerance)) for tone in self.tones]
         end = station.now + station.samples(max_wait_s)
         window = _window([*drives], station.rate, WINDOW_S)
-        spacing, required = min(np.diff(sorted(drives)), default=np.inf), MIN_PERIODS * _MIN_WINDOWS / max_wait_s
-        if spacing < required:
-            raise SceneError(
-                f"test: tones that differ by {spacing:.2g} Hz do not settle within {max_wait_s:g} s. Space the tones "
-                f"by at least {required:.2g} Hz, or allow a longer wait."
-            )
+        check_spacing([*drives], max_wait_s)
         for tone in self.tones:
             if tone.control is not None:
                 tone.control.restart()
@@ -228,7 +275,7 @@ class SteadyTones:
         first = self.station.now
         settled = yield from self.settle(drives, tolerance, max_wait_s)
         for tone in self.tones:
-            marked = {"frequency": tone.frequency, **fields}
+            marked = {"frequency": tone.frequency, "level": tone.level, **fields}
             self.station.mark("settle", first, self.station.now, drive=tone.amplitude, settled=settled, **marked)
         return settled
 
@@ -252,10 +299,10 @@ class SteadyTones:
             else:
                 yield self._drive([tone.hold(window) for tone in self.tones])
         for tone, amplitude in zip(self.tones, amplitudes, strict=True):
-            force = fields["level"] if self.station.force_is_drive else None
+            marked = {"frequency": tone.frequency, "level": tone.level, **fields}
+            force = marked["level"] if self.station.force_is_drive else None
             if is_controlled:
                 force = float(abs(amplitude))
-            marked = {"frequency": tone.frequency, **fields}
             self.station.mark(
                 "measure", first, self.station.now, drive=tone.amplitude, force=force, settled=settled, **marked
             )

@@ -60,7 +60,7 @@ class ResponseArithmetic(ResponseValues):
         same clock or the same readings affect both responses; they cancel or add up in the ratio.
         """
         if not isinstance(other, ResponseArithmetic):
-            return NotImplemented
+            raise TypeError(f"a response is divided by a response, such as responses['body1'], not by {other!r}")
         if self.value.shape[1:] != other.value.shape[1:]:
             raise SceneError(
                 f"cannot divide a response of {len(self.outputs)} outputs to {len(self.inputs)} inputs by a response "

@@ -73,6 +73,11 @@ def test_ratio_combines_the_uncertainties() -> None:
     np.testing.assert_allclose(ratio.limits["aliasing"], 3.0 * np.sqrt(2.0) * ALIASING_LIMIT)
 
 
+def test_ratio_to_a_name_is_refused_with_example() -> None:
+    with pytest.raises(TypeError, match=r"divided by a response, such as responses\['body1'\], not by 'body1'"):
+        curve() / "body1"  # type: ignore[operator]
+
+
 def test_common_sources_cancel_in_ratio() -> None:
     first, second = curve(scale=3.0), curve("body2")
     budgets = []

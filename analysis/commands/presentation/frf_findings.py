@@ -28,6 +28,7 @@ from analysis.core.recordings.names import (
     reference_label,
     relabel,
     with_recordings,
+    without_common_direction,
 )
 from analysis.core.responses.checks.curve_checks import find_jumps
 from analysis.core.responses.errors.systematic import tolerance
@@ -237,7 +238,8 @@ def _draw_figures(
         if len(excitations) == 1:
             # The title names the recording.
             named = [relabel(curve, next(iter(excitations)), "") for curve in named]
-            named = [replace(curve, label=curve.label.lstrip(", ")) for curve in named]
+            names = without_common_direction([curve.label.lstrip(", ") for curve in named])
+            named = [replace(curve, label=name) for curve, name in zip(named, names, strict=True)]
         figure_stem = stem if len(groups) == 1 else with_channel_name(stem, name)
         files += save_figure(
             frf_figure(named, title, _without_duplicates(same_frf), _jump_marks(labeled), styles), figure_stem

@@ -54,7 +54,7 @@ def limitations(measurements: Sequence[Measurement]) -> list[str]:
         faulty = describe_faulty_hits(rec.markers).removeprefix("Faulty impacts: ").removesuffix(".")
         if faulty:
             hits = [marker for marker in rec.markers if marker.kind == "hit"]
-            faults.append(f"{len(faulty_hits(rec.markers))} of {len(hits)} impacts faulty ({faulty})")
+            faults.append(f"{len(faulty_hits(rec.markers))} of {len(hits)} impacts faulty: {faulty}")
         elif rec.overloads:
             faults.append(f"{len(rec.overloads)} overload{'s' * (len(rec.overloads) > 1)}")
         if rec.gaps:

@@ -160,12 +160,10 @@ def change_heights(sweep: SweepChange) -> str:
     before, after = (
         f"at least {round_to_bound(factor * peak.low, bound)}"
         if isinf(peak.bound)
-        else round_to_bound(factor * peak.value, bound)
+        else f"{round_to_bound(factor * peak.value, bound)}{' (extrapolated)' * peak.is_extrapolated}"
         for peak in peaks
     )
-    extrapolated = [name for name, peak in zip(("before", "after"), peaks, strict=True) if peak.is_extrapolated]
-    remark = f" (extrapolated: {' and '.join(extrapolated)})" if extrapolated else ""
-    return f"{before} → {after} {unit}{remark}"
+    return f"{before} → {after} {unit}"
 
 
 def mac_table(before: Modes, after: Modes) -> str:

@@ -167,7 +167,7 @@ def add_title(axes: Axes, text: str) -> None:
     from matplotlib.ticker import ScalarFormatter
 
     has_exponent = isinstance(axes.yaxis.get_major_formatter(), ScalarFormatter)
-    name, subtitle = re.fullmatch(r"(.*?)(?: \(([^()]*)\))?", text, re.DOTALL).groups()  # type: ignore[union-attr]
+    name, subtitle = re.fullmatch(r"(.*?)(?: \(((?:[^()]|\([^()]*\))*)\))?", text, re.DOTALL).groups()  # type: ignore[union-attr]
     title = _lines(escape_figure(name), _TITLE_CHARACTERS)
     lines = wrap(escape_figure(subtitle or ""), _NOTE_CHARACTERS)
     pad = _SUBTITLE_HEIGHT + _LINE_HEIGHT * (len(lines) - 1) if lines else None

@@ -639,7 +639,7 @@ def test_first_box_states_faulty_impacts_and_steady_state(recordings: list[Path]
         markers = [*hits.rec.markers, overload]
         rec = SimpleNamespace(markers=markers, overloads=[overload], gaps=[], scene=hits.rec.scene)
         texts = limitations([sweep, replace(hits, rec=rec)])  # type: ignore[arg-type]
-    assert "no steady state at 12 Hz" in texts[0] and "impacts faulty (impact 1 clipped (body1))" in texts[1]
+    assert "no steady state at 12 Hz" in texts[0] and "impacts faulty: impact 1 clipped (body1)" in texts[1]
 
 
 def test_damping_between_lines_is_called_extrapolated() -> None:

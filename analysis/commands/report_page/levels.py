@@ -32,12 +32,15 @@ def level_points(measurement: Measurement) -> dict[str, list[LevelPoint]]:
         if len(sweeps) < 2 or sweeps[0].modes is None:
             return {}
         levels = without_common_direction([sweep_name(sweep.label, measurement.label) for sweep in sweeps])
-        natural = sorted(sweeps[0].modes.frequency.tolist())
+        # All levels state the response that is highest at the first level.
+        ratios = ["" if highest is None else highest[0].ratio for highest in sweeps[0].peaks]
+        modes = sorted(zip(sweeps[0].modes.frequency.tolist(), ratios, strict=True))
         groups = {
-            f"mode at {format_decimals(frequency, 2)} Hz" * (len(natural) > 1): [
-                _mode_point(measurement, sweep, level, frequency) for sweep, level in zip(sweeps, levels, strict=True)
+            f"mode at {format_decimals(frequency, 2)} Hz" * (len(modes) > 1): [
+                _mode_point(measurement, sweep, level, frequency, ratio)
+                for sweep, level in zip(sweeps, levels, strict=True)
             ]
-            for frequency in natural
+            for frequency, ratio in modes
         }
     return {title: [_with_energy(measurement, point) for point in points] for title, points in groups.items()}
 
@@ -69,8 +72,11 @@ def level_table(measurements: Sequence[Measurement]) -> str:
     return table(_CAPTION, ["level", *keys, "remark"], rows) if rows else ""
 
 
-def _mode_point(measurement: Measurement, sweep: SweepResults, level: str, reference: float) -> LevelPoint:
-    """Return natural frequency and damping of a mode in a sweep, and the measured point nearest to its peak."""
+def _mode_point(measurement: Measurement, sweep: SweepResults, level: str, reference: float, ratio: str) -> LevelPoint:
+    """Return natural frequency and damping of a mode in a sweep, and the measured point nearest to its peak.
+
+    `reference`: natural frequency of the mode at the first level, Hz; `ratio`: response whose peak is stated.
+    """
     modes, test = sweep.modes, measurement.rec.scene.test
     assert modes is not None
     mode = int(np.argmin(abs(modes.frequency - reference)))
@@ -83,10 +89,10 @@ def _mode_point(measurement: Measurement, sweep: SweepResults, level: str, refer
         "damping ratio / %": (damping, format_limited(damping, next(bounds), 100.0)),
     }
     note = "damping extrapolated" * bool(extrapolates_damping(modes, sweep.frfs)[mode])
-    highest = sweep.peaks[mode]
-    if highest is None:
+    found = next(((frf, peak) for frf, peak in sweep.found[mode] if frf.ratio == ratio), None)
+    if found is None:
         return LevelPoint(level, np.nan, quantities, note)
-    curve, peak = highest
+    curve, peak = found
     held = None if test is None else test.held_motion
     shown = next((frf for frf in sweep.frfs if held is not None and frf.outputs[0].at == held[0]), curve)
     line = int(np.argmin(abs(shown.frequency - peak.frequency)))
@@ -99,7 +105,7 @@ def _mode_point(measurement: Measurement, sweep: SweepResults, level: str, refer
         place = measurement.rec.scene.structure.label(shown.outputs[0].at) or shown.response
         quantities[f"amplitude of {place} / mm"] = amplitude, format_limited(amplitude, bound)
     unit, factor = curve.shown_in
-    quantities[f"peak of {curve.name} / ({unit})"] = factor * peak.value, peak.height_text(factor)
+    quantities[f"peak of {curve.name} at {curve.response} / ({unit})"] = factor * peak.value, peak.height_text(factor)
     return LevelPoint(level, driven, quantities, note)
 
 

@@ -8,7 +8,7 @@
   const GRAYS = { "#9aa2ab": "#68737f", "#404040": "#f2f4f7" };
   const UNDETERMINED = "#9aa2ab";
   const PRINT_WIDTH = 700; // px: the printable width of A4
-  const PRINT_HEIGHT = 0.64; // of the height on screen: two charts fit on a page
+  const PRINT_HEIGHT = 0.55; // of the height on screen: two charts fit on a page
   const MIN_CONTRAST = 6; // of curves on a dark page: they are thinner than text, for which WCAG requires 4.5
   const MIN_DECADE = 120; // px: a shorter decade has no grid lines between its ends
   const MIN_LABEL = 14; // px between labels of decades

@@ -273,8 +273,14 @@ class _Curve:
         samples = round(test.measure.periods * station.rate / point.frequency)
         # At constant drive, a motion next to a fold drifts slowly, and its force is in error.
         held = yield from tone.hold_envelope(samples, point.motion, feedback=self._holding)
+        if self._holding and not self.unstable and held.invasive >= _MAX_INVASIVE:
+            # Feedback excites some stable motions, such as those next to corners.
+            if (yield from tone.hold_at(point.frequency, point.motion)) is None:
+                return False
+            first = station.now
+            held = yield from tone.hold_envelope(samples, point.motion, feedback=False)
         settled = not held.growth and held.invasive < _MAX_INVASIVE and held.repeats
-        if not held.repeats:
+        if not held.repeats and held.invasive < _MAX_INVASIVE:
             self.irregular.append(point.frequency)
         tone.mark_measured(
             first,

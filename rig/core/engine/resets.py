@@ -279,7 +279,7 @@ def _set_direction(model: Model, i: int, push: float, contact: Any) -> None:
     element = model.laws.elements[i]
     is_coordinate = element.gap_coordinate >= 0
     contact.damper, contact.sign = i, push
-    contact.row = unsigned(element.gap_coordinate) if is_coordinate else element.position_index
+    contact.row = element.gap_coordinate if is_coordinate else element.position_index
     contact.direction = push if is_coordinate else -push
     contact.own = 0.0 if is_coordinate else 1.0 / element.mass
 

@@ -135,8 +135,7 @@ def change_mode(flow: Flow, model: Model, state: State, j: int, before: int, mod
 def load_signals(model: Model, state: State, signals: Signals) -> None:
     """Set the rows of the signals of the present modes."""
     for j in range(unsigned(model.laws.elements.shape[0])):
-        element = model.laws.elements[j]
-        row = (element.first_mode + state.mode[j]) * model.laws.numbers.shape[1]
+        element, row = model.laws.elements[j], mode_number(model, state, j) * unsigned(model.laws.numbers.shape[1])
         for k in range(element.lanes):
             signals.row[element.first_lane + k] = row + k
 

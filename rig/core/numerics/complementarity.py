@@ -41,7 +41,7 @@ MAX_PIVOTS = 100_000
 #: impulse. low, high: limits of p; those of a wall are 0 and infinity. flying: whether the damper was in flight.
 CONTACT_FIELDS = np.dtype(
     [
-        *(("damper", np.uintp), ("row", np.uintp), ("bound", np.int64)),
+        *(("damper", np.uintp), ("row", np.intp), ("bound", np.int64)),
         *((name, np.float64) for name in ("sign", "direction", "own", "wall_gap", "velocity_before", "magnitude")),
         *((name, np.float64) for name in ("opening_speed", "rhs", "reaction", "low", "high")),
         ("flying", np.bool_),

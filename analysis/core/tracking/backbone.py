@@ -279,6 +279,7 @@ def _mode(
     share = float(np.sqrt(others @ mass @ others)) / -coordinate.imag
     drive_share = max(share, abs(float(np.sum(others[driven])) / float(np.sum(motion.imag[driven]))))
     damping_error = 2.0 * relative + min(_MAX_QUADRATURE_PER_DAMPING * abs(damping), 1.0) * drive_share
-    angle_error = rotation + share * (share + relative)
+    # Without motion of other modes, an unbounded error of their motion has no effect (0 times infinity would be NaN).
+    angle_error = rotation + (share * (share + relative) if share else 0.0)
     error = abs(damping) * ((1.0 + tangent**2) * angle_error + abs(tangent) * damping_error)
     return _Mode(natural / (2.0 * np.pi), natural * error / (2.0 * np.pi), damping, abs(damping) * damping_error)

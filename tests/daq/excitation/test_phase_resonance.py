@@ -209,7 +209,8 @@ def test_test_is_foreseen() -> None:
 def test_command_prints_the_backbone(recording: Path, tmp_path: Path) -> None:
     assert f"next      analysis backbone {recording}" in str(daq.info(recording))
     result = CliRunner().invoke(app, ["backbone", str(recording), "-o", str(tmp_path)])
-    assert result.exit_code == 0 and "2 levels from 0.5 to 2 N: natural" in result.stdout
+    assert result.exit_code == 0 and "2 levels, natural frequency from (48.9" in result.stdout
+    assert " Hz at 0.5 N to (49.6" in result.stdout and " Hz at 2 N" in result.stdout
     assert len(list(tmp_path.iterdir())) == 3
 
 

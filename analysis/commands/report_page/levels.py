@@ -73,7 +73,7 @@ def level_table(measurements: Sequence[Measurement]) -> str:
 
 
 def _mode_point(measurement: Measurement, sweep: SweepResults, level: str, reference: float, ratio: str) -> LevelPoint:
-    """Return natural frequency and damping of a mode in a sweep, and the measured point nearest to its peak.
+    """Return natural frequency and damping of a mode in a sweep, and the highest measured point near it.
 
     `reference`: natural frequency of the mode at the first level, Hz; `ratio`: response whose peak is stated.
     """
@@ -89,15 +89,15 @@ def _mode_point(measurement: Measurement, sweep: SweepResults, level: str, refer
         "damping ratio / %": (damping, format_limited(damping, next(bounds), 100.0)),
     }
     note = "damping extrapolated" * bool(extrapolates_damping(modes, sweep.frfs)[mode])
-    found = next(((frf, peak) for frf, peak in sweep.found[mode] if frf.ratio == ratio), None)
-    if found is None:
+    curve = next((frf for frf in sweep.frfs if frf.ratio == ratio), None)
+    is_near = np.zeros(0, dtype=bool) if curve is None else abs(curve.frequency / frequency - 1.0) < MODE_SHIFT
+    if curve is None or not np.isfinite(curve.value[is_near]).any():
         return LevelPoint(level, np.nan, quantities, note)
-    curve, peak = found
+    line = int(np.nanargmax(np.where(is_near, abs(curve.value), np.nan)))
+    driven = float(curve.frequency[line])
+    quantities["driven frequency / Hz"] = driven, f"{driven:.4g}"
     held = None if test is None else test.held_motion
     shown = next((frf for frf in sweep.frfs if held is not None and frf.outputs[0].at == held[0]), curve)
-    line = int(np.argmin(abs(shown.frequency - peak.frequency)))
-    driven = float(shown.frequency[line])
-    quantities["driven frequency / Hz"] = driven, f"{driven:.4g}"
     motion = shown.to("displacement")
     if motion.amplitude is not None and motion.reference == "force":
         force = 1e3 * float(motion.amplitude[line])
@@ -105,7 +105,12 @@ def _mode_point(measurement: Measurement, sweep: SweepResults, level: str, refer
         place = measurement.rec.scene.structure.label(shown.outputs[0].at) or shown.response
         quantities[f"amplitude of {place} / mm"] = amplitude, format_limited(amplitude, bound)
     unit, factor = curve.shown_in
-    quantities[f"peak of {curve.name} at {curve.response} / ({unit})"] = factor * peak.value, peak.height_text(factor)
+    for frf, peak in sweep.found[mode]:
+        if frf is curve:
+            quantities[f"peak of {frf.name} at {frf.response} / ({unit})"] = (
+                factor * peak.value,
+                peak.height_text(factor),
+            )
     return LevelPoint(level, driven, quantities, note)
 
 

@@ -217,15 +217,16 @@ def _largest_share(result: Dampers) -> str:
 
 
 def _decay_texts(measurements: Sequence[Measurement]) -> list[str]:
-    """Return one sentence with the time to fall below 1 g and the time of a fall by 6 dB, for each free decay."""
-    parts = []
-    for measurement in measurements:
-        result = measurement.decay
-        if result is None:
-            continue
-        time_below_1_g, time_of_6_db = result.quiet_from, result.halving
-        text = "stays above 1 g" if np.isnan(time_below_1_g) else f"falls below 1 g after {time_below_1_g:.3g} s"
-        if not np.isnan(time_of_6_db):
-            text += f" and its energy level decreases by 6 dB in {time_of_6_db:.3g} s"
-        parts.append(f"“{measurement.label}”: after the impact, {result.channel} {text}")
-    return [f"{'; '.join(parts)}."] if parts else []
+    """Compare the times in which free decays fall below 1 g and by 6 dB."""
+    decays = {each.label: each.decay for each in measurements if each.decay is not None}
+    if not decays:
+        return []
+    channels = ", ".join(dict.fromkeys(result.channel for result in decays.values()))
+    names = f": {' → '.join(f'“{label}”' for label in decays)}" if len(decays) > 1 else ""
+    lines = [f"Free decay of {channels} after the impact{names}"]
+    for name, times in (
+        ("below 1 g after", [result.quiet_from for result in decays.values()]),
+        ("6 dB lower after", [result.halving for result in decays.values()]),
+    ):
+        lines.append(f"{name}: {' → '.join('–' if np.isnan(time) else f'{time:.3g} s' for time in times)}")
+    return ["\n".join(lines)]

@@ -114,8 +114,10 @@ class _RidingModes:
     poles: ComplexArray  # 1/s, (modes,)
     shapes: ComplexArray  # (states, modes)
     participation: ComplexArray  # derivative of each modal coordinate per unit of drive
-    # Per unit of drive: complex amplitudes of the states; modal coordinates of real and imaginary part.
-    steady: dict[float, tuple[ComplexArray, ComplexArray, ComplexArray]]
+    rows: dict[float, int]  # row of each tone in the next arrays, by its frequency
+    steady: ComplexArray  # complex amplitudes of the states per unit of drive, (tones, states)
+    in_phase: ComplexArray  # modal coordinates of their real parts, (tones, modes)
+    quadrature: ComplexArray  # modal coordinates of their imaginary parts, (tones, modes)
 
     @classmethod
     def of(cls, scene: Scene, system: HybridSystem, tones: Array) -> _RidingModes | None:
@@ -125,20 +127,18 @@ class _RidingModes:
         poles, shapes = np.linalg.eig(np.linalg.solve(descriptor, state_matrix))
         if np.linalg.cond(shapes) > _MAX_CONDITION:
             return None
-        to_modes = np.linalg.inv(shapes)
-        states = riding_response(system, name, 2.0 * np.pi * tones)
-        steady = {
-            tone: (state, to_modes @ state.real, to_modes @ state.imag)
-            for tone, state in zip(tones.tolist(), states.T, strict=True)
-        }
-        return cls(poles, shapes, to_modes @ np.linalg.solve(descriptor, input_vector), steady)
+        to_modes: ComplexArray = np.linalg.inv(shapes)
+        rows = {tone: row for row, tone in enumerate(dict.fromkeys(tones.tolist()))}
+        steady = riding_response(system, name, 2.0 * np.pi * np.array(list(rows))).T
+        participation = to_modes @ np.linalg.solve(descriptor, input_vector)
+        return cls(poles, shapes, participation, rows, steady, steady.real @ to_modes.T, steady.imag @ to_modes.T)
 
 
 class _PredictedTone(SteadyTone):
     """A tone whose amplitudes are those of the linear response."""
 
     def __init__(self, station: Station, system: HybridSystem, modes: _RidingModes, number: int) -> None:
-        super().__init__(station, next(iter(modes.steady)), controlled(station))
+        super().__init__(station, next(iter(modes.rows)), controlled(station))
         scene, self.windows = station.scene, 0
         self._modes, self._random = modes, station.generator(f"predicted noise {number}")
         # Modal coordinates of the transient, relative to the steady state of the present tone.
@@ -155,12 +155,11 @@ class _PredictedTone(SteadyTone):
         for place, factor in scene.controlled_terms.items():
             force[0, places.index(place)] = factor
         self._quantities = np.concatenate([force, np.eye(len(motions))])
-        settings, tones = {channel.name: channel for channel in scene.channels or ()}, np.array(list(modes.steady))
-        densities = np.empty((tones.size, len(motions)))
-        for row, info in zip(densities.T, motions, strict=True):
+        settings, tones = {channel.name: channel for channel in scene.channels or ()}, np.array(list(modes.rows))
+        self._densities = np.empty((tones.size, len(motions)))
+        for row, info in zip(self._densities.T, motions, strict=True):
             gain = abs(info.response(tones)) * (2.0 * np.pi * tones) ** (info.derivative or 0)
             row[:] = noise_density(scene, settings.get(info.name), info, tones) / gain
-        self._densities = dict(zip(tones.tolist(), densities, strict=True))
 
     def transition(self, samples: int, frequency: float, amplitude: float) -> Array:
         """Generate a transition between drives, and compute the transient after it."""
@@ -184,8 +183,9 @@ class _PredictedTone(SteadyTone):
         """Return the modal coordinates of the steady state at the present phase."""
         if self.amplitude == 0.0:
             return np.zeros(self._modes.poles.size, dtype=complex)
-        _, real, imaginary = self._modes.steady[self.frequency]
-        return self.amplitude * (real * np.sin(self.phase) + imaginary * np.cos(self.phase))
+        row = self._modes.rows[self.frequency]
+        in_phase, quadrature = self._modes.in_phase[row], self._modes.quadrature[row]
+        return self.amplitude * (in_phase * np.sin(self.phase) + quadrature * np.cos(self.phase))
 
     def observe(self, samples: int) -> Generator[Array, Array, ComplexArray]:
         """Return the amplitudes in a window, without computing its samples."""
@@ -206,14 +206,14 @@ class _PredictedTone(SteadyTone):
         self._decay_in_window = decay[-1]
         weights = lock_in_weights((self.frequency,), self.rate, samples)
         lock_in_gain = (weights[0] + 1j * weights[1]) @ decay[:-1]
-        state, *_ = self._modes.steady[self.frequency]
-        self._steady = -1j * (self._quantities @ self._motions @ state)
+        row = self._modes.rows[self.frequency]
+        self._steady = -1j * (self._quantities @ self._motions @ self._modes.steady[row])
         gains = self._quantities @ self._motions @ self._modes.shapes
         self._transient_gain = gains * lock_in_gain
         # Standard deviation of real and imaginary part for white noise up to half the sample rate; the weights of both
         # parts have about the same norm.
         noise_gain = np.linalg.norm(weights) * math.sqrt(self.rate) / 2.0
-        self._scatter = self._quantities * self._densities[self.frequency] * noise_gain
+        self._scatter = self._quantities * self._densities[row] * noise_gain
 
     def _noise(self) -> ComplexArray:
         """Return one complex random number for each motion channel; real and imaginary part have a variance of 1."""

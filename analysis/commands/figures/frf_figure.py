@@ -178,7 +178,7 @@ def _caption(frfs: Sequence[Response], symbols: set[str]) -> list[str]:
     if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
         sentences.append("Crosses: steady state not reached.")
     if any(np.isfinite(frf.value).sum() < frf.frequency.size or frf.resolution == 0.0 for frf in frfs):
-        sentences.append("Thin curve: local model through the points.")
+        sentences.append("Thin curve: local model through the points, with gaps where they do not determine it.")
     sentences += [text for symbol, text in PEAK_SYMBOLS.items() if symbol in symbols]
     if any(frf.omitted.size for frf in frfs):
         sentences.append("Gaps with a mark at the axis: omitted frequencies.")

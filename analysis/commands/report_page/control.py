@@ -21,7 +21,7 @@ from rig.core.scene.excitation import FORCE_TOLERANCE
 from rig.core.scene.excitation.profile import from_decibels
 
 # The duration of a pulse is the time above this fraction of its peak.
-_VISIBLE_PART = 0.01
+_VISIBLE_PART = 0.2
 # The chart first shows this multiple of the duration of the pulse.
 _PULSE_VIEW = 3.0
 

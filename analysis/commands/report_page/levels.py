@@ -16,7 +16,8 @@ from rig.core.results.uncertainty import expand
 
 _CAPTION = (
     "Results at each level, with 95 % intervals. Natural frequency and damping ratio are those of the mode; the driven "
-    "frequency is that of the excitation at the highest measured point, to which amplitude and energy belong."
+    "frequency is that of the excitation at the highest measured point, to which amplitude and energy belong. The two "
+    "differ where other modes contribute to the motion, and by up to the distance of the measured frequencies."
 )
 
 
@@ -46,7 +47,7 @@ def level_points(measurement: Measurement) -> dict[str, list[LevelPoint]]:
 
 
 def level_headline(measurement: Measurement, groups: Mapping[str, Sequence[LevelPoint]]) -> str:
-    """State the smallest and the largest value of each quantity, a line for each; with several modes, for each mode."""
+    """State each quantity over the levels, a line for each; with several modes, a line for each mode."""
     [first, *_] = groups.values()
     lines = [f"“{measurement.label}”: {len(first)} levels (95 % intervals)"]
     for title, points in groups.items():

@@ -198,6 +198,7 @@ def response_chart(
     symbols = {curve.draw for curve in magnitude}
     notes = [
         "Bands and U: 95 % intervals.",
+        "Thin: local model through the points, with gaps where they do not determine it." * ("points" in symbols),
         *(text for symbol, text in PEAK_SYMBOLS.items() if symbol in symbols),
         "Crosses: steady state not reached." * ("crosses" in symbols),
         "Gray, with a strip at the axis: undetermined (noise, or bound above 100 %)." * bool(strips),

@@ -36,6 +36,7 @@ _BREAK = re.compile(
     r"(?<=[\d)]) (?=(?:%|[kM]?Hz|[kmµ]?N|dB|g|kg|m?s|[mµ]?m|m?V|µm/N|m/s²|k?N/m|mm/s)(?![\w/]))| (?=±)|(?<=±) "
     r"|(?<=\d) (?=→)|(?<=→) (?=\d)"
 )
+_CODE = re.compile("`([^`]+)`")
 # Largest number of decimals of a change in dB.
 _MAX_DECIBEL_DECIMALS = 2
 # Compared heights are rounded to this fraction at the finest.
@@ -53,7 +54,7 @@ def typeset(text: str) -> str:
     >>> typeset("-0.5 Hz (<1 ± 2 %), a-1").replace(chr(160), "_")
     '−0.5_Hz (&lt;1_±_2_%), a-1'
     """
-    return escape_html(_BREAK.sub("\u00a0", _HYPHEN.sub("\u2212", text)))
+    return _CODE.sub(r"<code>\1</code>", escape_html(_BREAK.sub("\u00a0", _HYPHEN.sub("\u2212", text))))
 
 
 def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], numbers: int = 0) -> str:

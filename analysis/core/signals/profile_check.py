@@ -158,6 +158,11 @@ class ProfileCheck(Result):
         parts = [f"{100 * inside:.1f} % of the frequencies within {self.tolerance:g} dB of the profile"]
         if self.is_reduced.any():
             parts.append(f"{100 * self.is_reduced.mean():.1f} % below it because of limits")
+        if self.within < 1.0:
+            parts.append(f"{100.0 * (1.0 - self.within):.1f} % outside for another reason")
+        if self.is_density:
+            rms = [float(np.sqrt(np.trapezoid(values, self.frequency))) for values in (self.control, self.profile)]
+            parts.append(f"rms {rms[0]:.3g} m/s² (profile {rms[1]:.3g} m/s²)")
         parts.append(f"highest {self.deviation[worst]:+.1f} dB at {self.frequency[worst]:.4g} Hz")
         parts += self.excesses()
         return f"{self.label}: {'; '.join(parts)}"

@@ -90,10 +90,10 @@ class Backbone(Result):
     settled: NDArray[np.bool_]
 
     def summary(self) -> str:
-        """Return the number of levels, and the lowest and the highest frequency."""
+        """Return the number of levels, and the frequency at the first and last level and at its extreme values."""
         ranges = quantity_ranges(self.level_points())
         name = "natural frequency" if "natural frequency" in ranges else "driven frequency"
-        return f"{self.label}: {self.level.size} levels, {name} from {ranges[name]}"
+        return f"{self.label}: {self.level.size} levels, {name} {ranges[name]}"
 
     def level_points(self) -> list[LevelPoint]:
         """Return natural frequency, damping ratio, driven frequency and amplitude of each point."""

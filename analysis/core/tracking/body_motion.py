@@ -32,22 +32,20 @@ class LevelPoint(NamedTuple):
 
 
 def quantity_ranges(points: Sequence[LevelPoint]) -> dict[str, str]:
-    """Write the smallest and the largest value of each quantity with its interval and level.
+    """Write each quantity with its interval at the first and last level, and at its smallest and largest value.
 
     >>> points = [(level, {"damping / %": (d, f"{d} ± 0.1")}) for level, d in (("1 N", 0.7), ("2 N", 0.9))]
     >>> quantity_ranges([LevelPoint(level, 1.0, quantities) for level, quantities in points])
-    {'damping': '(0.7 ± 0.1) % at 1 N to (0.9 ± 0.1) % at 2 N'}
+    {'damping': '(0.7 ± 0.1) % at 1 N → (0.9 ± 0.1) % at 2 N'}
     """
     ranges = {}
     for key in dict.fromkeys(key for point in points for key in point.quantities):
         name, _, unit = key.partition(" / ")
-        known = [point for point in points if key in point.quantities and point.quantities[key][1]]
-        known.sort(key=lambda point: point.quantities[key][0])
-        ends = [
-            f"{_with_unit(point.quantities[key][1], unit)} at {point.level}" for point in known[:1] + known[1:][-1:]
-        ]
-        if ends:
-            ranges[name] = " to ".join(ends)
+        known = [(*point.quantities[key], point.level) for point in points if key in point.quantities]
+        known = [each for each in known if each[1]]
+        if known:
+            chosen = [each for each in known if each in (known[0], min(known), max(known), known[-1])]
+            ranges[name] = " → ".join(f"{_with_unit(text, unit)} at {level}" for _, text, level in chosen)
     return ranges
 
 

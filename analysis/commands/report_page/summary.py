@@ -83,7 +83,7 @@ def limitations(measurements: Sequence[Measurement]) -> list[str]:
 def _control_texts(measurement: Measurement) -> list[str]:
     """Return a sentence on the controlled motion of each test: its profile, or its shocks."""
     if measurement.profile is not None:
-        return [f"{measurement.profile.summary()}."]
+        return [f"{measurement.profile.agreement()}."]
     shocks = shocks_of(measurement.rec.markers)
     if not shocks:
         return []

@@ -152,7 +152,11 @@ class ProfileCheck(Result):
         return texts
 
     def summary(self) -> str:
-        """Return the fractions of frequencies within the tolerance and reduced by limits, and the largest excesses."""
+        """Return the agreement with the profile, and the largest excesses above limits."""
+        return "; ".join([self.agreement(), *self.excesses()])
+
+    def agreement(self) -> str:
+        """Return the fractions of frequencies within the tolerance, reduced by limits and outside, and the rms."""
         worst = int(np.argmax(self.deviation))
         inside = np.mean(abs(self.deviation) <= self.tolerance)
         parts = [f"{100 * inside:.1f} % of the frequencies within {self.tolerance:g} dB of the profile"]
@@ -164,7 +168,6 @@ class ProfileCheck(Result):
             rms = [float(np.sqrt(np.trapezoid(values, self.frequency))) for values in (self.control, self.profile)]
             parts.append(f"rms {rms[0]:.3g} m/s² (profile {rms[1]:.3g} m/s²)")
         parts.append(f"highest {self.deviation[worst]:+.1f} dB at {self.frequency[worst]:.4g} Hz")
-        parts += self.excesses()
         return f"{self.label}: {'; '.join(parts)}"
 
     def columns(self) -> Mapping[str, Array]:

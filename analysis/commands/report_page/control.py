@@ -38,7 +38,7 @@ def _profile_chart(check: ProfileCheck) -> Chart:
         curves.append(Curve(level.channel, frequency, level.values, level.low, level.high, style._replace(dashes=())))
         curves.append(Curve(f"limit of {level.channel}", frequency, level.bound, style=style._replace(dashes=(6, 3))))
     return Chart(
-        f"Control channel with profile and tolerance of {check.tolerance:g} dB, and limited channels with their limits.",
+        f"Control channel with profile and tolerance of {check.tolerance:g} dB; limited channels with limits.",
         "Control and limited channels against the profile.",
         [
             Panel(

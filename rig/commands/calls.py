@@ -174,7 +174,8 @@ def cost(
     scene : Scene, str, Path or mapping
         A scene, or an argument of `rig.load`.
     frequency : float or str, optional
-        Drive frequency; default: the frequency of the test, or of the largest acceleration of the linear structure.
+        Excitation frequency; default: the frequency of the test, or of the largest acceleration of the linear
+        structure.
     periods : int
         Number of drive periods to simulate.
     say : callable, optional

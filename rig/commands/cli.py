@@ -285,8 +285,8 @@ def cost(
         str | None,
         typer.Option(
             metavar="F",
-            help="Drive frequency, such as '49 Hz'. Default: in the range of the test, the frequency of the largest "
-            "acceleration with the dampers at rest on their floors.",
+            help="Excitation frequency, such as '49 Hz'. Default: in the range of the test, the frequency of the "
+            "largest acceleration with the dampers at rest on their floors.",
         ),
     ] = None,
     periods: Annotated[

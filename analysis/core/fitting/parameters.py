@@ -77,11 +77,11 @@ class Parameter:
         return 1.0 - value if self.is_ratio_below_one else 1.0
 
     def unknown(self, value: float) -> float:
-        """Convert a value to its unknown."""
+        """Return the unknown of a value: its logarithm, or its logit for a ratio below 1."""
         return float(np.log(value / (1.0 - value)) if self.is_ratio_below_one else np.log(value))
 
     def value(self, unknown: float) -> float:
-        """Convert an unknown to its value."""
+        """Return the value of an unknown, which is its logarithm, or its logit for a ratio below 1."""
         return float(expit(unknown) if self.is_ratio_below_one else np.exp(min(unknown, _MAX_UNKNOWN)))
 
 

@@ -271,7 +271,7 @@ class Projection:
         return self._factorized[1]
 
     def unknowns(self, x: Array) -> Array:
-        """Return the best linear parameters, shape (responses, unknowns)."""
+        """Return the least-squares residues and residual terms for the poles `x`, shape (responses, unknowns)."""
         factors = self.factors(x)
         diagonal = abs(np.einsum("oii->oi", factors.triangle))
         if diagonal.min() > 1e-10 * diagonal.max():

@@ -88,8 +88,8 @@ class Circuit:
     """
 
     a: Array  # state matrix; (states, states)
-    # Row i: weights in the states of an input in front of section i. The last row, for an input after the last section,
-    # is zero; (sections + 1, states).
+    # Row i: factors of an input that enters before section i, in the derivatives of the states. The last row, for an
+    # input after the last section, is zero; (sections + 1, states).
     b: Array
     c: Array  # weights of the states in the output; (states,)
     d: Array  # feedthrough from each of these inputs to the output; the last is 1; (sections + 1,)

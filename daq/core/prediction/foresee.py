@@ -237,7 +237,7 @@ class _Assessment:
             nonlinear=dampers_fly,
             aborts=self.rehearsed_test.aborted,
             signals=signals,
-            unread=(
+            hidden=(
                 *self._below_resolution(expectations),
                 *self._below_noise(signals),
                 *unresolved_force(self.scene, self.system, self.bench.channels),

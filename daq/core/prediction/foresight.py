@@ -92,7 +92,7 @@ class Foresight(Result):
     nonlinear: bool  # whether dampers fly, so that `largest_level` is approximate
     aborts: str | None  # reason why the test will abort; None if it will not
     signals: dict[str, LowestSignalToNoise] = field(default_factory=dict)  # by channel name
-    unread: tuple[str, ...] = ()  # warnings of signals that are not resolved
+    hidden: tuple[str, ...] = ()  # warnings about signals below the resolution or noise, and about an unresolved force
     flights: tuple[str, ...] = ()  # lines about dampers in flight
     seconds: float = 0.0  # duration of the test, s
     seconds_range: tuple[float, float] = (0.0, 0.0)  # shortest and longest probable duration, s
@@ -167,7 +167,7 @@ class Foresight(Result):
             signal = str(self.signals[entry.name]) if entry.name in self.signals else ""
             rows.append((entry.name, format_quantity(entry.largest, entry.unit), entry.place, limit, share, signal))
         about, reason = "about " if self.rehearsed else "", ""
-        lines = [*self.unread, *self.checks, *self.flights, *self.outside]
+        lines = [*self.hidden, *self.checks, *self.flights, *self.outside]
         shortest, longest = self.seconds_range
         if longest > _MIN_RANGE_RATIO * shortest > 0.0:
             about = f"{duration_text(shortest)} to {duration_text(longest)}, {about}"

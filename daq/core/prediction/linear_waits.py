@@ -35,9 +35,9 @@ _SAMPLES_PER_PERIOD = 32
 _MAX_CONDITION = 1e13
 # A prediction ends after this number of measuring windows, about 1 s of CPU time.
 _MAX_WINDOWS = 20000
-# The prediction is repeated with other noise, until the runs have this number of windows in total, at least the second
-# number. A mean of four runs would be only 9 % closer to the test, because the test itself has noise, and would take
-# twice the time.
+# A second run with other noise ends when both runs have `_REPEATED_WINDOWS` in total, but has at least
+# `_MIN_REPEATED_WINDOWS`. A mean of four runs would be only 9 % closer to the test, because the test itself has noise,
+# and would take twice the time.
 _REPEATED_WINDOWS = 2000
 _MIN_REPEATED_WINDOWS = 500
 # Number of windows whose noise is drawn at once.

@@ -178,7 +178,10 @@ class TestController:
         """
         scene, shaker = self._scene, self._scene.driven_shaker
         if scene.shakers and (scene.hammer is not None or shaker is None or shaker.carries_structure):
-            raise SceneError("the page has no theory of a structure with an idle shaker, or on a table.")
+            raise SceneError(
+                "the page computes no compliance for comparison if a shaker stays attached in an impact test, or if "
+                "the structure stands on a table. Remove the shaker."
+            )
         force = np.zeros(scene.structure.bodies)
         force[[body - 1 for body in scene.force_on]] = 1.0
         rows = [info.body - 1 for info in self._monitor.channels if info.body and info.quantity != "force"]

@@ -222,7 +222,7 @@ def _slip_kind(trajectory: Trajectory, event: int, system: HybridSystem) -> int:
 
 
 def walls_from_modes(modes: NDArray[np.int64], system: HybridSystem) -> NDArray[np.int64]:
-    """Return the wall states of a sequence for the engine's modes, shape (dampers,)."""
+    """Convert the modes of the dampers in the engine to the wall states of an event sequence, shape (dampers,)."""
     laws = [element.law for element in system.elements]
     walls = np.array([list(law.modes.values())[mode].wall for law, mode in zip(laws, modes.tolist(), strict=True)])
     has_force = ~system.detached & (system.finite_contact | (walls == FLIGHT))

@@ -1,7 +1,7 @@
 """Assembly of the hybrid linear system of a scene, which the engine simulates.
 
-A damper's *bed* is its particles, modeled as one mass in a cavity of a body. The bed *rides* while it is at rest in the
-cavity; otherwise it *flies*.
+A damper's *bed* is its particles, modeled as one mass in a cavity of a body. The bed *rides* while it is at rest on a
+wall of the cavity; otherwise it *flies*.
 """
 
 from collections.abc import Callable

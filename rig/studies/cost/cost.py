@@ -140,7 +140,7 @@ def cost(scene: Scene, frequency: float | None, periods: int, report: Callable[[
     Parameters
     ----------
     frequency : float or None
-        Drive frequency, Hz; None: see `rig.studies.cost.motion_study.default_frequency`.
+        Excitation frequency, Hz; None: see `rig.studies.cost.motion_study.default_frequency`.
     periods : int
         Length of the motion; grains are simulated until their motion is steady.
     report : callable, optional

@@ -102,8 +102,8 @@ def motion_study(
 ) -> MotionStudy:
     """Measure all methods for the first periods of a scene's motion under a sinusoidal drive.
 
-    `frequency`: drive frequency, Hz; None: `default_frequency`. Raises `SceneError` if nothing drives the scene, or
-    its impacts are coupled by a full mass matrix.
+    `frequency`: excitation frequency, Hz; None: `default_frequency`. Raises `SceneError` if nothing drives the
+    scene, or its impacts are coupled by a full mass matrix.
     """
     system, periods = assemble(scene), count(periods, 1, "periods")
     frequency = frequency if frequency is not None else default_frequency(scene, system)

@@ -50,7 +50,7 @@ class Branch:
     """
 
     motion_type: MotionType  # 'I', 'II' or 'III'
-    frequency: Array  # driving frequency [Hz]; not monotonic where the curve folds, shape (points,)
+    frequency: Array  # excitation frequency [Hz]; not monotonic where the curve folds, shape (points,)
     compliance: NDArray[np.complex128]
     peak: Array  # half the peak-to-peak of the coordinate over the force's amplitude [m/N], shape (points,)
     phi: Array
@@ -214,7 +214,7 @@ def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13)
 
 
 def dimensionless(mode: SingleMode, ratio: float | Array) -> MotionParameters:
-    """Return the dimensionless parameters at the ratio of driving frequency to natural frequency."""
+    """Return the dimensionless parameters at the ratio of excitation frequency to natural frequency."""
     return MotionParameters(
         ratio=ratio,
         damping=mode.damping_ratio,

@@ -45,7 +45,7 @@ Array = NDArray[Any]
 class MotionParameters(NamedTuple):
     """The dimensionless parameters of a motion."""
 
-    ratio: Any  # r, driving frequency over the natural frequency of the mode
+    ratio: Any  # r, excitation frequency over the natural frequency of the mode
     damping: Any  # zeta, damping ratio of the mode
     mass_ratio: Any  # mu
     force: Any  # F = phi_k f / (M g)

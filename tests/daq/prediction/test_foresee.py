@@ -309,17 +309,17 @@ def test_smallest_signal_is_that_of_weakest_tone() -> None:
 
 def test_channel_below_its_noise_is_named() -> None:
     noisy = accelerometer(accelerometer={"sensitivity": "100 mV/g", "noise": "1 g/sqrt(Hz)"})
-    (line,) = daq.foresee(one_body(TONE | {"force": "0.1 N"}, channels=noisy)).unread
+    (line,) = daq.foresee(one_body(TONE | {"force": "0.1 N"}, channels=noisy)).hidden
     assert line.startswith("a1: at 30 Hz, the signal is")
-    assert daq.foresee(one_body(TONE | {"force": "1 kN"}, channels=noisy)).unread == ()
+    assert daq.foresee(one_body(TONE | {"force": "1 kN"}, channels=noisy)).hidden == ()
 
 
 def test_channel_below_two_counts_is_named() -> None:
     converter = {"rate": 1024, "bits": 8, "range": "10 V"}
-    (line,) = daq.foresee(one_body(TONE, channels=accelerometer(), converter=converter)).unread
+    (line,) = daq.foresee(one_body(TONE, channels=accelerometer(), converter=converter)).hidden
     assert line.startswith("a1: the largest reading is below two counts")
     with_24_bits = daq.foresee(one_body(TONE, channels=accelerometer(), converter=converter | {"bits": 24}))
-    assert with_24_bits.unread == ()
+    assert with_24_bits.hidden == ()
 
 
 def test_modes_outside_the_band_are_listed() -> None:

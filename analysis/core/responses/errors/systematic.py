@@ -125,12 +125,13 @@ def relative_to_reading(error: Array) -> Array:
 def gain_error_bound(true_ratio: Array, recorded_ratio: Array, contributions: ChannelContributions) -> Array:
     """Compute the maximum error of a response if the reading of each channel is 1 + e times its true value.
 
-    The response is the ratio of two sums over the channels, with the contributions u to the numerator and l to the
-    denominator. Its error is ``sum (u - l sum(u)) e/(1+e)`` over ``sum l/(1+e)``. A first upper bound follows directly.
-    Further bounds follow if both sums are first divided by the factor 1 + e of any single channel; these bounds are
-    smaller for a channel that is the entire denominator. All bounds are valid; the smallest is returned. `true_ratio`
-    and `recorded_ratio` are upper bounds of ``abs(e)`` and ``abs(e / (1 + e))``, shape (channels, lines) or (channels,
-    1). The result is infinite if the true denominator may be zero.
+    The response is the ratio of two sums over the channels. With their recorded contributions u to the numerator and v
+    to the denominator, both relative to the recorded denominator so that sum(v) = 1, its error is ``sum((u - v sum(u))
+    e/(1+e)) / sum(v/(1+e))``. A first upper bound follows directly. Further bounds follow if both sums are first
+    divided by the factor 1 + e of any single channel; these bounds are smaller for a channel that is the entire
+    denominator. All bounds are valid; the smallest is returned. `true_ratio` and `recorded_ratio` are upper bounds of
+    ``abs(e)`` and ``abs(e / (1 + e))``, shape (channels, lines) or (channels, 1). The result is infinite if the true
+    denominator may be zero.
     """
     in_response: Array = np.asarray(abs(contributions.gain_sensitivity), dtype=float)
     in_reference: Array = np.asarray(abs(contributions.reference), dtype=float)

@@ -170,7 +170,7 @@ class EnvelopeTone(SteadyTone):
         return amplitudes
 
     def steer(self, drive: complex) -> Generator[Array, Array, ComplexArray]:
-        """Change the drive to an envelope within a window; return the envelopes of all quantities."""
+        """Change the envelope of the drive to `drive` in one control window; return the envelopes of all quantities."""
         samples, start, direction = self.window, self.envelope, self.direction
         readings = yield self.station.drive(self._steered(samples, drive))
         envelopes = self.amplitudes(readings, [self._start_phase])[0] * direction

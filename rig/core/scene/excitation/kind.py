@@ -19,8 +19,8 @@ from rig.core.settings.settings import Settings
 
 Frequency = Annotated[float, Quantity(FREQUENCY, above=0.0)]
 Duration = Annotated[float, Quantity(TIME, above=0.0)]
-# The unit of the drive depends on the shaker: volts at its amplifier, or commanded displacement of the table.
 Force = Annotated[float, Quantity(FORCE, above=0.0)]
+# The unit depends on the kind of shaker: V at its amplifier, m of its table, or m/s² of a base.
 Drive = Annotated[float, Quantity(VOLTAGE, LENGTH, ACCELERATION, above=0.0)]
 Forces = Annotated[float | tuple[float, ...], Quantity(FORCE, above=0.0, listed=True)]
 Drives = Annotated[float | tuple[float, ...], Quantity(VOLTAGE, LENGTH, ACCELERATION, above=0.0, listed=True)]

@@ -105,7 +105,7 @@ def write_reference() -> None:
             lines.append("")
         (reference / f"{package}.md").write_text("\n".join([*lines, "```", ""]), encoding="utf-8")
         (reference / f"{package}-commands.md").write_text(commands(package), encoding="utf-8")
-    (reference / "scenes.md").write_text(reference_page(), encoding="utf-8")
+    (reference / "scenes.md").write_text(reference_page().replace("^2", "²").replace("^3", "³"), encoding="utf-8")
 
 
 def commands(package: str) -> str:
@@ -124,7 +124,7 @@ def commands(package: str) -> str:
 
 use_style()
 # Labels are legible in thumbnails.
-matplotlib.rcParams.update({"figure.figsize": (5.6, 3.8), "savefig.dpi": 160})
+matplotlib.rcParams.update({"figure.figsize": (4.9, 3.4), "savefig.dpi": 180})
 copy_pages()
 write_reference()
 write_examples()

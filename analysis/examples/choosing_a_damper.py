@@ -33,5 +33,7 @@ peaks = np.array([highest_peak(float(clearance)) for clearance in clearances])
 best = clearances[np.argmin(peaks)]
 print(f"clearance with the lowest peak: {best} mm ({peaks.min():.0f} µm/N)")
 axes = plt.subplots(layout="constrained")[1]
-axes.plot(clearances, peaks, "o-")
+axes.plot(clearances, peaks, "o-", label="one damper in body 2")
+axes.plot(best, peaks.min(), "o", markersize=13, fillstyle="none", label=f"optimum: {best} mm")
+axes.legend()
 axes.set(xlabel="clearance / mm", ylabel="highest compliance / (µm/N)", ylim=(0.0, None))

@@ -40,21 +40,25 @@ for name, text in tests.items():
     path = daq.record(rig.loads(text), "hits.mcap", overwrite=True)
     with daq.open(path) as recording:
         hit = next(marker for marker in recording.markers if marker.kind == "hit").first_sample
-        force = recording.read("hammer", hit, hit + 4096)
+        force, arm = (recording.read(channel, hit, hit + 4096) for channel in ("hammer", "arm"))
         overloads[name] = sum(marker.kind == "overload" for marker in recording.markers)
+        # N s; the minimum is taken below 2 kHz.
+        spectrum, frequency = abs(np.fft.rfft(force)) / 5120.0, np.fft.rfftfreq(4096, 1 / 5120.0)
+        above.semilogy(frequency, spectrum, label=name)
         try:
             frf = analysis.frfs(recording)["arm"]
         except rig.RecordingError as error:
             print(f"{name}: {error}")
+            # The ratio of the clipped spectra: acceleration, hence the division by the squared angular frequency.
+            shown = (frequency > 10) & (frequency < 400)
+            ratio = abs(np.fft.rfft(arm))[shown] / 5120.0 / spectrum[shown] / (2 * np.pi * frequency[shown]) ** 2
+            below.semilogy(frequency[shown], 1e6 * ratio, "--")
             continue
-    # N s; the minimum is taken below 2 kHz.
-    spectrum = abs(np.fft.rfft(force)) / 5120.0
-    above.semilogy(np.fft.rfftfreq(4096, 1 / 5120.0), spectrum, label=name)
     below.semilogy(frf.frequency, 1e6 * abs(frf.value), label=name)
     peaks[name] = float(frf.frequency[np.argmax(abs(frf.value))])
     print(
         f"{name}: highest peak at {peaks[name]:.2f} Hz, minimum of the force spectrum {spectrum[:1600].min():.1e} N s"
     )
-above.set(xlim=(0, 400), ylim=(1e-4, 1), ylabel="force / (N s)")
-below.set(xlim=(0, 400), xlabel="frequency / Hz", ylabel="compliance / (µm/N)")
+above.set(xlim=(0, 400), ylim=(1e-2, 1), ylabel="force / (N s)")
+below.set(xlim=(0, 400), ylim=(1e-3, 1e3), xlabel="frequency / Hz", ylabel="compliance / (µm/N)")
 above.legend()

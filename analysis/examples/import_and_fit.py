@@ -45,5 +45,10 @@ print(fit)
 axes = plt.subplots(layout="constrained")[1]
 frf = frfs["body3"].band(5.0, 60.0)
 axes.semilogy(frf.frequency, 1e6 * abs(frf.value), label="imported")
+# The model as the sensor of body 3 would read it.
+(compared,) = fit.compared
+order = np.argsort(compared.curves.frequency)
+shown = order[abs(compared.curves.frequency[order] - 32.5) < 27.5]
+axes.semilogy(compared.curves.frequency[shown], 1e6 * abs(compared.predicted[2, shown]), "--", label="fitted model")
 axes.set(xlabel="frequency / Hz", ylabel="compliance of body 3 / (µm/N)")
 axes.legend()

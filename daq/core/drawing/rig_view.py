@@ -253,7 +253,7 @@ class RigView:
         middles = [bottom + height / 2 for bottom, height in zip(self.stack.bottoms, self.stack.heights, strict=True)]
         yield "rig/rest", lines([[(x - 0.030, y, z), (x, y, z)] for z in middles], MARK, 0.0008)
         length = _scale_bar(self.exaggeration)
-        height, x, z = length * self.exaggeration, x - 0.07, middles[0]
+        height, x, z = length * self.exaggeration, x - 0.12, middles[0]
         end_marks: list[list[Point]] = [[(x - 0.008, y, z + end), (x + 0.008, y, z + end)] for end in (0.0, height)]
         yield "rig/scale", lines([[(x, y, z), (x, y, z + height)], *end_marks], MARK, 0.0010)
         text = f"{length * 1e3:g} mm, drawn × {self.exaggeration:g}"

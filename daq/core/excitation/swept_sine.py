@@ -136,10 +136,11 @@ def _sweep_controlled(
         table, body = _displacements(station, rows, middle_frequency, *estimate_amplitudes(recent, phases, rate))
         spring_force = stiffness * (table - body)
         monitor.add(station.now - length, station.now, middle_frequency, abs(spring_force))
-        sweep_rate = (test.frequency_at(completed / total) - middle_frequency) / (length / 2 / rate)
+        newest_frequency = test.frequency_at(completed / total)
+        sweep_rate = (newest_frequency - middle_frequency) / (length / 2 / rate)
         observation = Observation(completed / rate, middle_frequency, sweep_rate, length / rate, body, spring_force)
         next_amplitude = control.next_drive(observation, window / rate)
-        station.report(completed / total, f"{format_decimals(middle_frequency, 2)} Hz")
+        station.report(completed / total, f"{format_decimals(newest_frequency, 2)} Hz")
     return amplitude
 
 

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 # A peak must exceed the minima on both sides by at least this factor.
 _MIN_PROMINENCE = 1.5
+# Fewer averages scatter more: this number over the averages is added to the factor.
+_SCATTER_PROMINENCE = 2.0
 # The half-power width must contain at least this number of lines; a smaller width is determined by the resolution.
 _MIN_WIDTH_LINES = 3.0
 # A peak with a smaller coherence, or from a single average, is not listed.
@@ -30,7 +32,7 @@ def largest_peaks(curves: LiveCurves, count: int) -> list[tuple[str, float, floa
     found = []
     rows = zip(curves.names, np.abs(curves.value), curves.coherence, curves.relation, strict=True)
     for name, magnitude, coherence, relation in rows:
-        for frequency, value, damping in live_peaks(curves.frequency, magnitude):
+        for frequency, value, damping in live_peaks(curves.frequency, magnitude, curves.averages):
             k = np.searchsorted(curves.frequency, frequency)
             if coherence[k] >= _MIN_COHERENCE:
                 found.append((name, frequency, value, None if relation[k] else damping, RELATIONS[relation[k]]))
@@ -41,14 +43,14 @@ def largest_peaks(curves: LiveCurves, count: int) -> list[tuple[str, float, floa
     return sorted(largest[:count], key=lambda peak: peak[1])
 
 
-def live_peaks(frequency: Array, magnitude: Array) -> list[tuple[float, float, float | None]]:
+def live_peaks(frequency: Array, magnitude: Array, averages: int) -> list[tuple[float, float, float | None]]:
     """Return frequency (Hz), magnitude and damping ratio of the peaks of a curve, which may have gaps (NaN).
 
     The damping ratio is the half-power width over twice the frequency (Ewins, Modal Testing, 4.2); None if the width is
     not resolved or not measured on both sides.
 
     >>> f = np.linspace(1.0, 20.0, 1901)
-    >>> [(f0, value, damping)] = live_peaks(f, 1.0 / abs(100.0 - f**2 + 2j * 0.01 * 10.0 * f))
+    >>> [(f0, value, damping)] = live_peaks(f, 1.0 / abs(100.0 - f**2 + 2j * 0.01 * 10.0 * f), 10)
     >>> round(f0, 2), round(value, 3), round(damping, 4)
     (10.0, 0.5, 0.01)
     """
@@ -57,7 +59,7 @@ def live_peaks(frequency: Array, magnitude: Array) -> list[tuple[float, float, f
     is_maximum = (bounded[1:-1] > bounded[:-2]) & (bounded[1:-1] >= bounded[2:])
     for k in (np.flatnonzero(is_maximum & np.isfinite(bounded[:-2]) & np.isfinite(bounded[2:])) + 1).tolist():
         left, right = _crossing(magnitude, k, -1), _crossing(magnitude, k, 1)
-        if not _is_prominent(bounded, k):
+        if not _is_prominent(bounded, k, _MIN_PROMINENCE + _SCATTER_PROMINENCE / averages):
             continue
         damping = None
         if left is not None and right is not None and right - left >= _MIN_WIDTH_LINES:
@@ -78,12 +80,12 @@ def _crossing(magnitude: Array, k: int, step: int) -> float | None:
     return None
 
 
-def _is_prominent(bounded: Array, k: int) -> bool:
-    """Return whether a curve falls enough on both sides of a maximum before it rises above the maximum."""
+def _is_prominent(bounded: Array, k: int, factor: float) -> bool:
+    """Return whether a curve falls by a factor on both sides of a maximum before it rises above the maximum."""
     for side in (bounded[:k][::-1], bounded[k + 1 :]):
         higher = np.flatnonzero(side > bounded[k])
         part = side[: higher[0] if higher.size else side.size]
         part = part[np.isfinite(part)]
-        if not part.size or _MIN_PROMINENCE * part.min() > bounded[k]:
+        if not part.size or factor * part.min() > bounded[k]:
             return False
     return True

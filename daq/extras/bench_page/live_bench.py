@@ -396,11 +396,13 @@ class LiveBench:
         return max(0.0, (time.time_ns() - self.chassis.time_ns(self.chassis.position)) * 1e-9)
 
     def outputs(self) -> list[str]:
-        """Return a line for each output: peak in V and frequency."""
-        lines = []
+        """Return a line for each output: peak in V, and frequency of the tone of the test, or else of the drive."""
+        lines, band = [], self.controller.excited_band() if self.controller.running else None
         for number, ((peak, frequency), drive_per_volt) in enumerate(
             zip(self.monitor.drive_levels(), self.chassis.terminals.drive_per_volt, strict=False), 1
         ):
+            if frequency and band and band[0] == band[1]:
+                frequency = band[0]
             tone = f", {frequency:.4g} Hz" if frequency else ""
             lines.append(f"output {number}: {peak / drive_per_volt:.4g} V{tone}")
         return lines

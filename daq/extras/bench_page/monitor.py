@@ -156,16 +156,16 @@ class Monitor:
     def drive_levels(self) -> list[tuple[float, float]]:
         """Return peak (in the unit of the drive) and frequency (Hz) of the drive at each input of the rig.
 
-        The frequency is determined from the upward zero crossings; it is 0 with fewer than two crossings.
+        The frequency is that of the newest period between upward zero crossings; 0 with fewer than two crossings.
         """
         peaks_and_frequencies = []
         for drive in self.drive_history.last(round(_DRIVE_S * self.rate)):
             peak = float(np.abs(drive).max(initial=0.0))
             centered = drive - drive.mean()
             zero_crossings = np.flatnonzero((centered[:-1] < 0) & (centered[1:] >= 0))
-            periods = len(zero_crossings) - 1
-            duration_s = float(zero_crossings[-1] - zero_crossings[0]) / self.rate if periods > 0 else 0.0
-            peaks_and_frequencies.append((peak, periods / duration_s if peak and periods > 0 else 0.0))
+            # Crossings lie between samples.
+            times = (zero_crossings - centered[zero_crossings] / np.diff(centered)[zero_crossings]) / self.rate
+            peaks_and_frequencies.append((peak, float(1.0 / (times[-1] - times[-2])) if times.size > 1 else 0.0))
         return peaks_and_frequencies
 
     def motion(self) -> RigMotion | None:

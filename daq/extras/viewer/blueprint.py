@@ -14,6 +14,8 @@ CURSOR_PERIODS = 2.5
 TIMELINE = "time"
 # Parent of the entities of overloaded channels.
 OVERLOAD_ENTITY = "overload"
+# Parent of the entities of the envelopes of channels.
+ENVELOPE_ENTITY = "envelopes"
 #: Position of the camera, and the point it looks at, m.
 Camera = tuple[tuple[float, ...], tuple[float, ...]]
 
@@ -26,29 +28,27 @@ def layout(
     camera: Camera,
     span_s: tuple[float, float],
     is_whole: bool,
-    tables: Sequence[str],
     speed: float,
 ) -> rrb.Blueprint:
     """Arrange a replay: rig, phases of the test and notes at the left, plots at the right.
 
-    The plot at the top shows the whole segment, without the tables, whose larger motion would hide the bodies. The
-    plots below show some periods of the lowest mode around the time cursor.
+    The plot at the top shows the envelope of each channel in the whole segment: filled curves would hide each other.
+    The plots below show some periods of the lowest mode around the time cursor.
 
     `plots` lists entity and title of the plot of each quantity, the most important first. `damper_count` is the number
     of dampers with known gaps. `camera` is the position of the camera and the point at which it looks. `span_s` is the
-    start and the end on the timeline; `is_whole` states whether this is the whole recording. `tables` lists the
-    entities of channels on tables. `speed` is the playback speed (1 is real time).
+    start and the end on the timeline; `is_whole` states whether this is the whole recording. `speed` is the playback
+    speed (1 is real time).
     """
     cursor_range = _cursor_range(CURSOR_PERIODS / lowest_mode_hz, CURSOR_PERIODS / lowest_mode_hz)
-    entity, title = plots[0]
+    title = plots[0][1]
     # Without limits the viewer shows only about a minute around the cursor.
     begin, end = (rrb.TimeRangeBoundary.absolute(seconds=time_s) for time_s in span_s)
     axis = rrb.TimeAxis(view_range=rrb.TimeRange(start=begin, end=end))
     part = "whole recording" if is_whole else f"{round(span_s[0], 3):g} s to {round(span_s[1], 3):g} s of the recording"
     overview = rrb.TimeSeriesView(
-        origin=entity,
-        contents=[f"{entity}/**", *(f"- {table}" for table in tables)],
-        name=f"{title}, {part}{', without table' if tables else ''}",
+        origin=ENVELOPE_ENTITY,
+        name=f"{title}, {part}: envelopes",
         # The legend of the plot below is also valid here.
         plot_legend=rrb.PlotLegend(visible=False),
         axis_x=axis,

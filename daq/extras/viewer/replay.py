@@ -16,7 +16,7 @@ from daq.extras.viewer.blueprint import OVERLOAD_ENTITY, layout
 from daq.extras.viewer.description import markdown_page
 from daq.extras.viewer.marker_log import LabeledSegment, log_lines, overloads, phases
 from daq.extras.viewer.recorded_motion import BLOCK_SAMPLES, RecordedMotion
-from daq.extras.viewer.viewer_stream import CurveSender, channel_entity, plots
+from daq.extras.viewer.viewer_stream import CurveSender, plots
 from rig.core.base.errors import SceneError
 from rig.core.base.progress import FractionProgress
 
@@ -31,6 +31,8 @@ _MAX_FRAMES_PER_S = 1000.0
 _MIN_FRAMES_PER_S = 100.0
 # Modes below this frequency, Hz, such as rigid-body modes, do not determine the time range of the plots.
 _MIN_MODE_HZ = 1.0
+# About one column for each pixel of the plot.
+_ENVELOPE_COLUMNS = 800
 # The frame rate is reduced above this number of frames.
 _MAX_FRAMES = 60_000
 
@@ -103,14 +105,9 @@ class Replay:
         span = self.start / self.recording.rate, self.stop / self.recording.rate
         overloaded = len(overloads(self.recording, self.start, self.stop))
         curves = plots(self.recording.channels)
-        tables = [
-            channel_entity(info.quantity, name)
-            for name, info in self.recording.channels.items()
-            if info.at.startswith("table") and curves[0][0] == f"channels/{info.quantity}"
-        ]
         is_whole = (self.start, self.stop) == (0, self.recording.samples)
         camera = self.view.camera
-        return layout(curves, dampers, overloaded, self.lowest_mode_hz, camera, span, is_whole, tables, self.speed)
+        return layout(curves, dampers, overloaded, self.lowest_mode_hz, camera, span, is_whole, self.speed)
 
     def send(
         self,
@@ -145,7 +142,9 @@ class Replay:
         for first in range(self.start, self.stop, BLOCK_SAMPLES):
             last = min(first + BLOCK_SAMPLES, self.stop)
             for name in recording.channels:
-                sender.send_channel(name, first, recording.read(name, first, last))
+                samples = recording.read(name, first, last)
+                sender.send_channel(name, first, samples)
+                sender.send_envelope(name, first, samples, math.ceil(total / _ENVELOPE_COLUMNS))
             if dampers:
                 gap, contact = (recording.truth(quantity, first, last) for quantity in ("gap", "contact"))
                 sender.send_dampers(first, gap, contact)

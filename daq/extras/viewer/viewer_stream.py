@@ -10,7 +10,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from daq.core.drawing.palette import body_color, channel_color
-from daq.extras.viewer.blueprint import TIMELINE
+from daq.extras.viewer.blueprint import ENVELOPE_ENTITY, TIMELINE
 from rig.core.scene.scene import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -56,6 +56,8 @@ class CurveSender:
 
         for name, info in channels.items():
             stream.log(channel_entity(info.quantity, name), curve_style(channel_color(info.at), name), static=True)
+            envelope_style = rr.SeriesLines(colors=[channel_color(info.at)] * 2, names=[name] * 2, widths=[1.2] * 2)
+            stream.log(rr.new_entity_path([ENVELOPE_ENTITY, name]), envelope_style, static=True)
         contact_style = rr.SeriesLines(widths=[12.0], aggregation_policy="Off", interpolation_mode="StepAfter")
         for number, damper in enumerate(dampers, start=1):
             style = curve_style(body_color(damper.body), f"damper {number} (body {damper.body})")
@@ -74,6 +76,18 @@ class CurveSender:
         times = self.time_column(np.arange(first, first + samples.size))
         columns = rr.Scalars.columns(scalars=samples * DISPLAY_UNITS[quantity][0])
         self._stream.send_columns(channel_entity(quantity, name), [times], columns)
+
+    def send_envelope(self, name: str, first: int, samples: NDArray[np.float64], column: int) -> None:
+        """Send minimum and maximum of each `column` samples of a channel with the quantity of the first plot."""
+        info = self._channels[name]
+        if not plots(self._channels)[0][0].endswith(f"/{info.quantity}"):
+            return
+        starts = np.arange(0, samples.size, column)
+        ends = np.stack([extreme.reduceat(samples, starts) for extreme in (np.fmin, np.fmax)], axis=1)
+        columns = rr.Scalars.columns(scalars=ends * DISPLAY_UNITS[info.quantity][0])
+        self._stream.send_columns(
+            rr.new_entity_path([ENVELOPE_ENTITY, name]), [self.time_column(first + starts)], columns
+        )
 
     def send_dampers(self, first: int, gap: NDArray[np.float64], contact: NDArray[np.float64 | np.int8]) -> None:
         """Send the next samples of gaps [m] and contacts, both (dampers, samples); NaN where lost."""

@@ -14,6 +14,8 @@ from rig.core.base.errors import SceneError, suggestion
 _SCHEMA = Path(__file__).parent / "data" / "scene.schema.json"
 # Maximum number of characters in a line of help.
 _WIDTH = 100
+# Text before the unit of a number without a unit.
+_BARE_NUMBER = "; a bare number is in "
 # Text for the default of a key whose value is a mapping.
 _DEFAULTS_OF_INNER_KEYS = "the defaults of its keys"
 _INTRODUCTION = (
@@ -306,16 +308,15 @@ def _dotted(name: str) -> str:
 
 def reference_page() -> str:
     """Return the whole reference as Markdown."""
-    lines = ["# Scene files", "", _INTRODUCTION]
+    lines = ["# Scene files", "", f"{_INTRODUCTION} The column *unit* has the unit of a bare number."]
     for key in keys():
         if "." not in key.name:
             lines += ["", f"## {key.name}", "", key.meaning, "", f"Values: {key.values}. Default: {key.default}."]
             inner = [entry for entry in keys() if _dotted(entry.name).startswith(f"{_dotted(key.name)}.")]
             if inner:
-                lines += ["", "| key | meaning | values | default | effect |", "|---|---|---|---|---|"]
-            lines += [
-                f"| `{entry.name.partition('.')[2]}`{_kinds_note(entry)} | {entry.meaning} | {entry.values} | "
-                f"{entry.default} | {entry.effect} |"
-                for entry in inner
-            ]
+                lines += ["", "| key | meaning | values | unit | default | effect |", "|---|---|---|---|---|---|"]
+            for entry in inner:
+                values, _, unit = entry.values.partition(_BARE_NUMBER)
+                name = f"`{entry.name.partition('.')[2]}`{_kinds_note(entry)}"
+                lines.append(f"| {name} | {entry.meaning} | {values} | {unit} | {entry.default} | {entry.effect} |")
     return "\n".join(lines) + "\n"

@@ -166,12 +166,12 @@ def test_sine_follows_frequency_and_level(bench):
     bench.controller.start()
     pass_time(bench, 5.0)
     (peak, frequency), *_ = bench.monitor.drive_levels()
-    assert (peak, frequency) == (pytest.approx(5.0, rel=0.01), pytest.approx(40.0, rel=0.01))  # N, Hz
+    assert (peak, frequency) == (pytest.approx(5.0, rel=0.01), pytest.approx(40.0, rel=0.001))  # N, Hz
     set_controls(bench, frequency=50.0, level=2.0)
     bench.controller.apply_settings()
     pass_time(bench, 5.0)
     (peak, frequency), *_ = bench.monitor.drive_levels()
-    assert (peak, frequency) == (pytest.approx(2.0, rel=0.01), pytest.approx(50.0, rel=0.01))
+    assert (peak, frequency) == (pytest.approx(2.0, rel=0.01), pytest.approx(50.0, rel=0.001))
 
 
 @pytest.mark.parametrize("bench", ["sweep"], indirect=True)
@@ -262,8 +262,13 @@ def test_live_peak_next_to_a_gap_has_no_damping():
     f = np.linspace(1.0, 20.0, 1901)
     magnitude = 1.0 / abs(100.0 - f**2 + 2j * 0.01 * 10.0 * f)
     magnitude[(f > 10.05) & (f < 10.5)] = np.nan
-    ((frequency, _, damping),) = live_peaks(f, magnitude)
+    ((frequency, _, damping),) = live_peaks(f, magnitude, 10)
     assert frequency == pytest.approx(10.0) and damping is None
+
+
+@pytest.mark.parametrize(("averages", "listed"), [(2, 0), (20, 1)])
+def test_small_peak_needs_many_averages(averages, listed):
+    assert len(live_peaks(np.arange(1.0, 6.0), np.array([1.0, 1.0, 2.0, 1.0, 1.0]), averages)) == listed
 
 
 def test_peak_list_names_highest_coherent_channel():

@@ -221,9 +221,8 @@ def test_texts_and_scales_suit_the_values(bench, browser):
     clipped = "cause({name: 'a', unit: 'm/s^2', limit: 490.3325}, [3.624, READING])"
     assert value(clipped.replace("READING", "490.3")) == "a: clipped at 50 g (3.62\u00a0s)"
     assert value(clipped.replace("READING", "588.4")) == "a: 60 g, limit 50 g (3.62\u00a0s)"
-    entry = "document.querySelector('#legend [data-name]')"
-    marked = f"levels.rows.forEach((row) => {{ row.over = true; }}), response.draw(), {entry}.className"
-    assert value(f"({marked})") == "over"
+    names = "[...document.querySelectorAll('#history-legend [data-name]')].map((entry) => entry.textContent)"
+    assert value(names) == value("channels.map((channel) => channel.name)")
     panel = "{name: 'µm', range: [-2000, 2000], curves: [{y: Float32Array.of(1500)}]}"
     assert value(f"inMillimeters({panel}).name") == "mm"
     assert value(f"inMillimeters({panel}).curves[0].y[0]") == 1.5

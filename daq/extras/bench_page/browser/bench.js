@@ -44,6 +44,15 @@ function unpack(buffer) {
   return content;
 }
 
+function fillLegend(legend, shown) {
+  for (const { name, color } of shown) {
+    const entry = make(legend, "span");
+    entry.dataset.name = name;
+    make(entry, "i").style.background = color;
+    entry.append(name);
+  }
+}
+
 // The channels of each unit; a hammer has a panel of its own, because its pulse would hide other forces.
 function groups() {
   const grouped = new Map();
@@ -103,6 +112,7 @@ function receive(content) {
     channels = content.description.channels;
     histories = new Chart($("history"), { name: "time / s", log: false });
     spectra = new Chart($("spectrum"), { name: "frequency / Hz", log: true });
+    for (const name of ["history-legend", "spectrum-legend"]) fillLegend($(name), channels);
     response.start(channels);
     levels.start(channels);
     for (const part of [controls, bar, rig]) part.start(content.description);

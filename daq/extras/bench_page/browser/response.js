@@ -9,12 +9,7 @@ const response = {
   start(channels) {
     this.channels = channels.filter((channel) => channel.responds);
     this.chart = new Chart($("frf"), { name: "frequency / Hz", log: false });
-    for (const { name, color } of this.channels) {
-      const entry = make($("legend"), "span");
-      entry.dataset.name = name;
-      make(entry, "i").style.background = color;
-      entry.append(name);
-    }
+    fillLegend($("legend"), this.channels);
     make($("legend"), "small").id = "thin";
     $("frf").addEventListener("click", (event) => {
       this.chart.cursors[event.shiftKey ? 1 : 0] = this.nearest(this.chart.value(event.offsetX));
@@ -70,6 +65,7 @@ const response = {
   draw() {
     const micro = (values) => Float32Array.from(values, (value) => 1e6 * value);
     const { curves, previous, theory } = this, magnitude = [], phase = [], coherence = [];
+    $("last").disabled = !previous;
     const showsLast = previous && $("last").checked;
     if (showsLast) for (const row of previous.rows) magnitude.push({ x: previous.frequency, y: micro(row.magnitude), color: LAST, width: 1 });
     const isClipped = curves?.rows.some((row) => row.relation.some(Boolean));
@@ -85,7 +81,7 @@ const response = {
       magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => certain[k]), width: 1.8 });
       // The line is interrupted where the phase wraps.
       phase.push({ ...style, y: only(row.phase, (k) => certain[k] && !(Math.abs(row.phase[k] - row.phase[k - 1]) > 180)), width: 1.6 });
-      coherence.push({ ...style, y: row.coherence, width: 0.6, opacity: 0.6 }, { ...style, y: only(row.coherence, (k) => isDetermined[k]) });
+      coherence.push({ ...style, y: row.coherence, width: 0.6, opacity: 0.6 }, { ...style, y: only(row.coherence, (k) => certain[k]) }, { ...style, y: only(row.coherence, (k) => row.relation[k]), dash: [5, 4] });
       // Arrows at the highest clipped point show on which sides of it the true value may be.
       const highest = row.magnitude.reduce((best, value, k) => (row.relation[k] && value > (row.magnitude[best] || 0) ? k : best), -1);
       if (highest >= 0) magnitude.push({ x: [curves.frequency[highest]], y: Float32Array.of(1e6 * row.magnitude[highest]), color: AMBER, width: 2, arrows: [[1], [-1], [1, -1]][row.relation[highest] - 1] });
@@ -123,7 +119,11 @@ const response = {
     if (!peaks.length) return $("peaks").replaceChildren();
     fillTable($("peaks"), [["peak", "frequency", "value", "damping"], ...peaks.map(([name, f, value, damping, relation]) => [
       name, `${digits(f, 5)} Hz`, relation === "?" ? "clipped" : `${relation}${withUnit(value, "m/N")}`, damping == null ? "–" : `${digits(100 * damping, 2)} %`])]);
-    peaks.forEach(([, , , , relation], k) => $("peaks").rows[k + 1].classList.toggle("bound", relation !== ""));
+    peaks.forEach(([, , , damping, relation], k) => {
+      const row = $("peaks").rows[k + 1];
+      row.classList.toggle("bound", relation !== "");
+      if (damping == null) row.lastChild.title = relation ? "No damping: the peak is clipped." : "No damping: the half-power width has fewer than 3 lines, or one side of the peak is not measured.";
+    });
   },
 };
 

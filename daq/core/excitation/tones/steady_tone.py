@@ -125,7 +125,7 @@ def check_spacing(frequencies: Sequence[float], max_wait_s: float) -> None:
     if spacing < required:
         raise SceneError(
             f"test: tones that differ by {spacing:.2g} Hz do not settle within {max_wait_s:g} s. Space the tones by at "
-            f"least {required:.2g} Hz, or allow a longer wait."
+            f"least {required:.2g} Hz, or increase `test.settle.longest`."
         )
 
 

@@ -124,7 +124,7 @@ def commands(package: str) -> str:
 
 use_style()
 # Labels are legible in thumbnails.
-matplotlib.rcParams.update({"figure.figsize": (4.9, 3.4), "savefig.dpi": 180})
+matplotlib.rcParams.update({"figure.figsize": (4.9, 3.4), "axes.titlesize": 8.5, "savefig.dpi": 180})
 copy_pages()
 write_reference()
 write_examples()

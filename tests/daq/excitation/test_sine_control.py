@@ -192,4 +192,4 @@ def test_profile_and_responses_are_evaluated(recording: Path, tmp_path: Path) ->
     peak = np.max(abs(analysis.frfs(recording)["unit"].value))
     assert peak == pytest.approx(1.0 / (2 * 0.03), rel=0.35)
     page = analysis.report(recording, tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "Band of the profile: tolerance" in page
+    assert "Control channel with profile and tolerance of" in page

@@ -18,6 +18,14 @@ from tests.daq.measurement.bench_run import run
 
 # The lower, stable part of the curve at 1.2 N, its fold at 50.52 Hz, and the unstable part up to 51 Hz.
 FOLDED = {"force": 1.2, "from": "51 Hz", "to": "50 Hz"}
+#: Channels of random scenes: an accelerometer on body 1 and a force cell.
+BODY_1_AND_FORCE = {
+    "channels": [
+        {"name": "a1", "at": "body 1", "accelerometer": {"sensitivity": "10 mV/g", "noise": "20 ug/sqrt(Hz)"}},
+        {"name": "force", "at": "shaker", "hammer": {"sensitivity": "100 mV/N"}},
+    ],
+    "converter": {"rate": 5120.0, "bits": 24, "range": 10.0},
+}
 
 
 def scene_with(**changes: Any) -> rig.Scene:
@@ -73,11 +81,7 @@ def test_curve_continues_behind_a_corner(tmp_path: Path) -> None:
         "dampers": [{"body": 1, "mass_ratio": 0.05692, "clearance": 0.000526314}],
         "shaker": {"kind": "force", "body": 1},
         "test": {"kind": "continuation", "from": 48.9, "to": 48.5, "at": "body 1", "force": 0.8629473},
-        "channels": [
-            {"name": "a1", "at": "body 1", "accelerometer": {"sensitivity": "10 mV/g", "noise": "20 ug/sqrt(Hz)"}},
-            {"name": "force", "at": "shaker", "hammer": {"sensitivity": "100 mV/N"}},
-        ],
-        "converter": {"rate": 5120.0, "bits": 24, "range": 10.0},
+        **BODY_1_AND_FORCE,
     })  # fmt: skip
     with pytest.warns(daq.RunWarning, match=r"no points from 48\.\d+ to 48\.\d+"):
         path = daq.record(scene, tmp_path / "corner.mcap")
@@ -150,11 +154,7 @@ def test_unsteady_point_is_measured_with_a_shorter_step() -> None:
         "shaker": {"kind": "force", "body": 1},
         "test": {"kind": "continuation", "at": "body 1", "force": 0.9731671836943548}
         | {"from": 78.63434701857639, "to": 71.76338465772992, "points": 3},
-        "channels": [
-            {"name": "a1", "at": "body 1", "accelerometer": {"sensitivity": "10 mV/g", "noise": "20 ug/sqrt(Hz)"}},
-            {"name": "force", "at": "shaker", "hammer": {"sensitivity": "100 mV/N"}},
-        ],
-        "converter": {"rate": 5120.0, "bits": 24, "range": 10.0},
+        **BODY_1_AND_FORCE,
         "seed": 819552,
     })  # fmt: skip
     points = [fields for *_, fields in run(scene).marks_of("measure")]
@@ -207,11 +207,7 @@ def test_irregular_start_gives_up() -> None:
         "dampers": [{"body": 1, "mass_ratio": 0.069502, "clearance": 0.0147404}],
         "shaker": {"kind": "force", "body": 1},
         "test": {"kind": "continuation", "from": 17.43923, "to": 15.91541, "at": "body 1", "force": 8.540843},
-        "channels": [
-            {"name": "a1", "at": "body 1", "accelerometer": {"sensitivity": "10 mV/g", "noise": "20 ug/sqrt(Hz)"}},
-            {"name": "force", "at": "shaker", "hammer": {"sensitivity": "100 mV/N"}},
-        ],
-        "converter": {"rate": 5120.0, "bits": 24, "range": 10.0},
+        **BODY_1_AND_FORCE,
         "seed": 436797,
     })  # fmt: skip
     with pytest.raises(RunError, match=r"level 8\.54.*, 0 points: .*17\.44 Hz"):

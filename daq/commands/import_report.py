@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from daq.core.measurement.run_report import summary
+from daq.core.recording.markers import hits_of
 from daq.core.recording.recording import Recording
 from daq.core.recording.recording import open as open_recording
 from daq.extras.importing.files import signals_of
@@ -65,7 +66,7 @@ def import_and_report(
 
 def _detection_lines(recording: Recording, scene: Scene) -> Iterator[str]:
     """Yield lines about the impacts or steps that were detected in the samples."""
-    hits = [marker for marker in recording.markers if marker.kind == "hit"]
+    hits = hits_of(recording.markers)
     if hits:
         peaks = [float(hit.fields["peak"]) for hit in hits]
         test, count = scene.test, len(hits)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.core.recording.layout import require_ordered_times
+from daq.core.recording.markers import hits_of
 from daq.core.recording.recording import Recording
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
@@ -123,7 +124,7 @@ def interpolated(samples: Array, is_valid: NDArray[np.bool_]) -> Array:
 
 def hits(rec: Recording) -> list[tuple[int, int]]:
     """Return the first and last sample of every impact; a free decay counts as one impact at sample 0."""
-    hit_limits = sorted((m.first_sample, m.end) for m in rec.markers if m.kind == "hit")
+    hit_limits = [(hit.first_sample, hit.end) for hit in hits_of(rec.markers)]
     if hit_limits:
         return hit_limits
     if not rec.test.drives:

@@ -193,6 +193,11 @@ class Gap:
     reason: str  # `never acquired`, or how the samples were lost
 
 
+def hits_of(markers: Iterable[Marker]) -> list[Marker]:
+    """Return the markers of impacts, in order of time."""
+    return sorted((marker for marker in markers if marker.kind == "hit"), key=lambda marker: marker.first_sample)
+
+
 def faulty_hits(markers: Sequence[Marker], channels: Collection[str] | None = None) -> dict[int, str]:
     """Return the faults of impacts by the number of the impact: a second pulse followed, or channels were overloaded.
 
@@ -202,7 +207,7 @@ def faulty_hits(markers: Sequence[Marker], channels: Collection[str] | None = No
     >>> faulty_hits([*hits, Marker("overload", 105, 130, {"channel": "hammer"})])
     {1: 'clipped (hammer)', 2: 'double'}
     """
-    hits = sorted((marker for marker in markers if marker.kind == "hit"), key=lambda marker: marker.first_sample)
+    hits = hits_of(markers)
     starts = [hit.first_sample for hit in hits]
     faults: dict[int, dict[str, None]] = {
         number: {"double": None} for number, hit in enumerate(hits, 1) if hit.fields.get("double")

@@ -5,36 +5,39 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy
 
 from daq.extras.bench_page.live_frf import RELATIONS
-from rig.core.base.arrays import Array
+from rig.core.base.arrays import Array, ComplexArray
 
 if TYPE_CHECKING:
     from daq.extras.bench_page.live_frf import LiveCurves
 
-# A peak must exceed the minima on both sides by at least this factor.
-_MIN_PROMINENCE = 1.5
-# Fewer averages scatter more: this number over the averages is added to the factor.
-_SCATTER_PROMINENCE = 2.0
+# A peak must exceed the minima on both sides by at least this factor, so that it has a half-power width, ...
+_MIN_RATIO = 2.0**0.5
+# ... and by this multiple of the scatter of its line. A flat response with noise then has 0.7 false peaks in 200 lines
+# with 2 averages, and at most 0.2 from 4 averages (simulated: Hann window, coherence 0.1 to 0.9).
+_MIN_SCATTERS = 6.0
+# Number of lines over which the scatter is a median.
+_SCATTER_LINES = 25
 # The half-power width must contain at least this number of lines; a smaller width is determined by the resolution.
 _MIN_WIDTH_LINES = 3.0
-# A peak with a smaller coherence, or from a single average, is not listed.
-_MIN_COHERENCE = 0.5
 # Peaks of several channels belong to one resonance if their frequencies differ by less than this fraction.
 _SAME_PEAK = 0.03
 
 
 def largest_peaks(curves: LiveCurves, count: int) -> list[tuple[str, float, float, float | None, str]]:
-    """Return the highest coherent peaks: channel with the highest peak, frequency (Hz), magnitude, damping, relation.
+    """Return the highest peaks: channel with the highest peak, frequency (Hz), magnitude, damping, relation.
 
-    The relation is one of `RELATIONS`. A clipped peak has no damping.
+    A single average has no peaks. The relation is one of `RELATIONS`. A clipped peak has no damping.
     """
     found = []
-    rows = zip(curves.names, np.abs(curves.value), curves.coherence, curves.relation, strict=True)
-    for name, magnitude, coherence, relation in rows:
-        for frequency, value, damping in live_peaks(curves.frequency, magnitude, curves.averages):
+    for name, response, coherence, relation in zip(
+        curves.names, curves.value, curves.coherence, curves.relation, strict=True
+    ):
+        for frequency, value, damping in live_peaks(curves.frequency, response):
             k = np.searchsorted(curves.frequency, frequency)
-            if coherence[k] >= _MIN_COHERENCE:
+            if np.isfinite(coherence[k]):
                 found.append((name, frequency, value, None if relation[k] else damping, RELATIONS[relation[k]]))
     largest: list[tuple[str, float, float, float | None, str]] = []
     for peak in sorted(found, key=lambda peak: -peak[2]):
@@ -43,23 +46,24 @@ def largest_peaks(curves: LiveCurves, count: int) -> list[tuple[str, float, floa
     return sorted(largest[:count], key=lambda peak: peak[1])
 
 
-def live_peaks(frequency: Array, magnitude: Array, averages: int) -> list[tuple[float, float, float | None]]:
+def live_peaks(frequency: Array, response: ComplexArray) -> list[tuple[float, float, float | None]]:
     """Return frequency (Hz), magnitude and damping ratio of the peaks of a curve, which may have gaps (NaN).
 
     The damping ratio is the half-power width over twice the frequency (Ewins, Modal Testing, 4.2); None if the width is
     not resolved or not measured on both sides.
 
     >>> f = np.linspace(1.0, 20.0, 1901)
-    >>> [(f0, value, damping)] = live_peaks(f, 1.0 / abs(100.0 - f**2 + 2j * 0.01 * 10.0 * f), 10)
+    >>> [(f0, value, damping)] = live_peaks(f, 1.0 / (100.0 - f**2 + 2j * 0.01 * 10.0 * f))
     >>> round(f0, 2), round(value, 3), round(damping, 4)
     (10.0, 0.5, 0.01)
     """
     peaks = []
+    magnitude, scatter = np.abs(response), _scatter(response)
     bounded = np.where(np.isfinite(magnitude), magnitude, -np.inf)
     is_maximum = (bounded[1:-1] > bounded[:-2]) & (bounded[1:-1] >= bounded[2:])
     for k in (np.flatnonzero(is_maximum & np.isfinite(bounded[:-2]) & np.isfinite(bounded[2:])) + 1).tolist():
         left, right = _crossing(magnitude, k, -1), _crossing(magnitude, k, 1)
-        if not _is_prominent(bounded, k, _MIN_PROMINENCE + _SCATTER_PROMINENCE / averages):
+        if not _is_prominent(bounded, k, min(bounded[k] / _MIN_RATIO, bounded[k] - _MIN_SCATTERS * scatter[k])):
             continue
         damping = None
         if left is not None and right is not None and right - left >= _MIN_WIDTH_LINES:
@@ -80,12 +84,24 @@ def _crossing(magnitude: Array, k: int, step: int) -> float | None:
     return None
 
 
-def _is_prominent(bounded: Array, k: int, factor: float) -> bool:
-    """Return whether a curve falls by a factor on both sides of a maximum before it rises above the maximum."""
+def _scatter(response: ComplexArray) -> Array:
+    """Return the standard deviation of the noise around each line, from second differences of every other line.
+
+    The noise of adjacent lines is correlated, because of the window; that of every other line is almost independent.
+    """
+    scatter, is_known = np.full(response.size, np.inf), np.isfinite(response)
+    known = response[is_known]
+    if known.size > 4:
+        second = np.abs(known[4:] - 2.0 * known[2:-2] + known[:-4]) / np.sqrt(6.0)
+        scatter[is_known] = np.pad(scipy.ndimage.median_filter(second, _SCATTER_LINES, mode="nearest"), 2, "edge")
+    return scatter
+
+
+def _is_prominent(bounded: Array, k: int, level: float) -> bool:
+    """Return whether a curve falls below a level on both sides of a maximum before it rises above the maximum."""
     for side in (bounded[:k][::-1], bounded[k + 1 :]):
         higher = np.flatnonzero(side > bounded[k])
         part = side[: higher[0] if higher.size else side.size]
-        part = part[np.isfinite(part)]
-        if not part.size or factor * part.min() > bounded[k]:
+        if not (np.isfinite(part) & (part < level)).any():
             return False
     return True

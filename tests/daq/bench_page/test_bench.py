@@ -6,6 +6,7 @@ import re
 import socket
 import threading
 import webbrowser
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -22,7 +23,7 @@ from daq.core.recording.committed_file import RESERVE, CommittedFile
 from daq.extras.bench_page.bench import _open_browser, _serve_page
 from daq.extras.bench_page.half_power import largest_peaks, live_peaks
 from daq.extras.bench_page.live_bench import LiveBench
-from daq.extras.bench_page.live_frf import RELATIONS, LiveCurves
+from daq.extras.bench_page.live_frf import RELATIONS, LiveCurves, LiveFrf
 from daq.extras.bench_page.page import Page
 from daq.extras.bench_page.rig_svg import RigDrawing
 from daq.extras.ni_device.connecting import connect_scene
@@ -260,22 +261,31 @@ def test_clients_see_a_frequency_response(bench):
 
 def test_live_peak_next_to_a_gap_has_no_damping():
     f = np.linspace(1.0, 20.0, 1901)
-    magnitude = 1.0 / abs(100.0 - f**2 + 2j * 0.01 * 10.0 * f)
-    magnitude[(f > 10.05) & (f < 10.5)] = np.nan
-    ((frequency, _, damping),) = live_peaks(f, magnitude, 10)
+    response = 1.0 / (100.0 - f**2 + 2j * 0.01 * 10.0 * f)
+    response[(f > 10.05) & (f < 10.5)] = np.nan
+    ((frequency, _, damping),) = live_peaks(f, response)
     assert frequency == pytest.approx(10.0) and damping is None
 
 
-@pytest.mark.parametrize(("averages", "listed"), [(2, 0), (20, 1)])
-def test_small_peak_needs_many_averages(averages, listed):
-    assert len(live_peaks(np.arange(1.0, 6.0), np.array([1.0, 1.0, 2.0, 1.0, 1.0]), averages)) == listed
+@pytest.mark.parametrize("bench", ["sweep"], indirect=True)
+@pytest.mark.parametrize("averages", [2, 4, 30])
+def test_noise_has_few_live_peaks(bench, averages):
+    frf = LiveFrf(bench.chassis.bench.scene, bench.monitor.channels, 1024.0, 1.0, (5.0, 400.0))
+    readings = np.random.default_rng(1).standard_normal((3, 512 * (averages + 1)))
+    # Half of the motion is due to the force.
+    readings[:2] += readings[2]
+    frf.add(readings, np.zeros(readings.shape, bool), (5.0, 400.0))
+    curves = frf.curves()
+    # A flat acceleration: the displacement falls with the square of the frequency.
+    flat = replace(curves, value=curves.value * curves.frequency**2)
+    assert curves.averages == averages and len(largest_peaks(flat, 100)) <= 2
 
 
-def test_peak_list_names_highest_coherent_channel():
+def test_peak_list_names_highest_determined_channel():
     f = np.linspace(1.0, 20.0, 1901)
-    low, high = (1.0 / abs(f0**2 - f**2 + 2j * 0.01 * f0 * f) for f0 in (5.0, 12.0))
+    low, high = (1.0 / (f0**2 - f**2 + 2j * 0.01 * f0 * f) for f0 in (5.0, 12.0))
     values = np.array([low + 0.1 * high, 0.1 * low + high])
-    curves = LiveCurves(["a", "b"], f, values.astype(complex), np.ones(values.shape), np.zeros(values.shape, int), 3)
+    curves = LiveCurves(["a", "b"], f, values, np.ones(values.shape), np.zeros(values.shape, int), 3)
     assert [(name, round(f0, 1)) for name, f0, *_ in largest_peaks(curves, 4)] == [("a", 5.0), ("b", 12.0)]
     curves.coherence[:, f > 10.0] = np.nan
     assert [name for name, *_ in largest_peaks(curves, 4)] == ["a"]

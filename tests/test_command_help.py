@@ -1,11 +1,14 @@
 """The help of every command: options in groups, and an example that the command accepts."""
 
+import inspect
 import shlex
 from importlib import import_module
 
 import pytest
 import typer.testing
 
+import analysis
+import rig
 from rig.core.scene.loading import load_with_options
 
 COMMANDS = [
@@ -57,3 +60,21 @@ def test_many_options_are_listed_in_groups():
 def test_few_options_need_no_groups():
     text = command("daq", "info").get_help(command("daq", "info").make_context("info", ["a.mcap"]))
     assert "\nOptions:\n" in text and "\nOutput:\n" not in text
+
+
+@pytest.mark.parametrize(
+    ("call", "name", "text"),
+    [
+        (analysis.srs, "q", "Quality factor of the oscillators, 1 / (2 damping ratio)."),
+        (analysis.frf, "response", "Response channels. Default: all channels on bodies. May be repeated."),
+        (rig.response, "last", "Highest frequency, such as '80 Hz'. Default: as in the scene's test."),
+    ],
+)
+def test_option_is_declared_by_its_call(call, name, text):
+    option = next(each for each in command(call.__module__.split(".")[0], call.__name__).params if each.name == name)
+    assert (option.help, option.default) == (text, inspect.signature(call).parameters[name].default)
+
+
+def test_option_rejects_numbers_below_the_minimum_of_its_call():
+    with pytest.raises(typer.BadParameter, match="greater than or equal to 1"):
+        command("rig", "design").make_context("design", ["fig9", "--dampers", "0"])

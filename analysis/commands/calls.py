@@ -97,20 +97,24 @@ def frf(
     recordings : daq.Recording, str, Path or a sequence of these
         Recordings, or .uff and .csv files with responses that other programs have estimated.
     response : sequence of str, optional
-        Channels; if omitted, all channels on bodies.
+        Response channels. Default: all channels on bodies.
     reference : {'force', 'table'}, optional
-        Input: force on the structure, or displacement of the table; if omitted, the table if it carries the structure
-        (shaker: base), otherwise the force.
+        Input of the responses: force on the structure, or displacement of the table. Default: the table if it carries
+        the structure, otherwise the force.
     motion : {'displacement', 'velocity', 'acceleration'}
-        Compliance, mobility or accelerance.
+        Motion of the response: displacement (compliance), velocity (mobility) or acceleration (accelerance).
     estimator : {'H1', 'H2', 'Hv'}, optional
-        Estimator that averages the spectra of blocks, for random and impact tests. If omitted, the whole record is
-        evaluated at once, without leakage.
-    block, overlap, window : float, float and str, optional
-        Length of the blocks in s, their overlap as a fraction of the length, and their window by its name in
-        `scipy.signal.get_window`.
+        Average spectra of blocks, in random and impact tests. H1 assumes noise in the response, H2 in the force, Hv in
+        both. Default: a fit to the whole record, without leakage.
+    block : float, optional
+        Average the spectra of blocks of this length in seconds, in random and impact tests.
+    overlap : float, optional
+        Overlap of blocks, as a fraction of their length. Default: 0.5.
+    window : str, optional
+        Window of the blocks, such as ``hann`` or ``flattop`` (names of scipy). Default: ``hann`` in random tests, none
+        in impact tests.
     unit : str, optional
-        Unit of the values, such as ``"g/N"``, for files that do not state a unit.
+        Unit of responses in a file (.uff, .csv) without a unit, such as ``g/N``.
     progress : callable, optional
         Called with (completed, total).
     level, direction : float or str, and str, optional
@@ -161,7 +165,7 @@ def modes(
     recordings, reference : as in `frf`
         Recordings or files with responses, and the input.
     modes : int, optional
-        Largest number of modes; if omitted, all significant modes.
+        Largest number of modes. Default: all significant modes.
     block, unit, progress : as in `frf`
         Length of blocks, unit of files, and a callable for the progress.
 
@@ -245,7 +249,7 @@ def report(
     progress : callable, optional
         Called with (completed, total).
     note : str
-        Text below the summary, such as date, operator and remarks.
+        Text below the summary: date, operator, remarks.
 
     Returns
     -------
@@ -279,15 +283,18 @@ def export(
     output : str or Path
         File to write: .uff, .mat, .csv, .npz or .wav.
     channel : sequence of str, optional
-        Channels; if omitted, all.
-    from_s, to_s : float, optional
-        Limits of the segment in s; if omitted, the whole recording.
+        Channels to export. Default: all.
+    from_s : float, optional
+        Start of the exported part, in seconds from the beginning of the recording.
+    to_s : float, optional
+        End of the exported part, in seconds from the beginning of the recording.
     speed : float
-        Playback speed factor of a .wav file: with 10, a tone of 30 Hz sounds at 300 Hz.
+        Playback speed of a .wav file. At 10, a tone of 30 Hz sounds at 300 Hz.
     overwrite : bool
         Whether an existing file may be replaced.
     what : {'samples', 'frfs', 'modes'}
-        Content of the file. Frequency responses and modes require .uff or .mat.
+        Write the samples, or the frequency responses (frfs) or modes estimated from them. The latter two require a
+        .uff or .mat file.
     progress : callable, optional
         Called with (completed, total).
 
@@ -320,7 +327,7 @@ def cost(
     scene : Scene, str, Path or mapping
         A scene, or an argument of `rig.load`.
     frequency : sequence of float, optional
-        Test frequencies in Hz; if omitted, both ends of the test and the frequency of largest acceleration.
+        Frequencies to measure, Hz. Default: both ends of the test, and the frequency of largest acceleration.
     progress : callable, optional
         Called with (completed, total).
 

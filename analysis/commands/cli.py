@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,242 +18,147 @@ if TYPE_CHECKING:
 
 app = create_application("Curves, modes and reports from recordings.")
 
-Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings (.mcap).")]
-Curves = Annotated[
-    list[Path],
-    typer.Argument(metavar="FILE...", help="Recordings (.mcap), or responses from other programs (.uff, .csv)."),
-]
-Compared = Annotated[
-    list[Path],
-    typer.Argument(metavar="FILE...", help="Recordings (.mcap). The first is the baseline of the comparison."),
-]
-Output = Annotated[
-    Path | None,
-    typer.Option("--output", "-o", metavar="DIR", help="Folder to write to. Default: the folder of the first FILE."),
-]
-Reference = Annotated[
-    str | None,
-    typer.Option(
-        metavar="force|table",
-        help="Input of the responses: force on the structure, or displacement of the table. Default: the table if it "
-        "carries the structure, otherwise the force.",
-    ),
-]
-Block = Annotated[
-    float | None,
-    typer.Option(
-        metavar="S", help="Average the spectra of blocks of this length in seconds, in random and impact tests."
-    ),
-]
-Unit = Annotated[
-    str | None,
-    typer.Option(metavar="UNIT", help="Unit of responses in a .uff or .csv FILE without a unit, such as g/N."),
-]
-Count = Annotated[
-    int | None, typer.Option("--modes", metavar="N", help="Largest number of modes. Default: all significant modes.")
-]
-Table = Annotated[
-    Path,
-    typer.Option(
-        "--output", "-o", metavar="FILE", help="CSV table of results. Points in this table are not computed again."
-    ),
-]
+Recordings = Annotated[list[Path], "FILE...: Recordings (.mcap)."]
+Curves = Annotated[list[Path], "FILE...: Recordings (.mcap), or responses from other programs (.uff, .csv)."]
+Compared = Annotated[list[Path], "FILE...: Recordings (.mcap). The first is the baseline of the comparison."]
+Folder = Annotated[Path | None, "DIR: Folder to write to. Default: the folder of the first FILE."]
+Table = Annotated[Path, "FILE: CSV table of results. Points in this table are not computed again."]
 
 
-@app.command(example="analysis frf sweep.mcap --response body3")
+@app.command(
+    example="analysis frf sweep.mcap --response body3",
+    options={
+        "analysis.commands.calls.frf": "--response CHANNEL --reference --motion QUANTITY --estimator --block S "
+        "--overlap SHARE --window NAME --unit UNIT"
+    },
+)
 def frf(
     files: Curves,
-    output: Output = None,
-    response: Annotated[
-        list[str] | None,
-        typer.Option(metavar="CHANNEL", help="Response channel. May be repeated. Default: all channels on bodies."),
-    ] = None,
-    reference: Reference = None,
-    motion: Annotated[
-        str,
-        typer.Option(
-            metavar="QUANTITY",
-            help="Motion of the response: displacement (compliance), velocity (mobility) or acceleration "
-            "(accelerance).",
-        ),
-    ] = "displacement",
-    estimator: Annotated[
-        str | None,
-        typer.Option(
-            metavar="H1|H2|Hv",
-            help="Average spectra of blocks, in random and impact tests. H1 assumes noise in the response, H2 in the "
-            "force, Hv in both. Default: a fit to the whole record, without leakage.",
-        ),
-    ] = None,
-    block: Block = None,
-    overlap: Annotated[
-        float | None,
-        typer.Option(metavar="SHARE", help="Overlap of blocks, as a fraction of their length. Default: 0.5."),
-    ] = None,
-    window: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Window of the blocks, such as hann or flattop. Default: hann in random tests, none in impact tests.",
-        ),
-    ] = None,
-    unit: Unit = None,
-    theory: Annotated[
-        bool, typer.Option("--theory", help="Add the exact response of the scene without dampers.")
-    ] = False,
+    output: Folder = None,
+    *,
+    theory: Annotated[bool, "Add the exact response of the scene without dampers."] = False,
     overwrite: Overwrite = False,
+    **options: Any,
 ) -> None:
     """Estimate frequency responses with 95 % intervals and coherence."""
     from analysis.commands.presentation.frf_findings import present_frf
 
     with allow_overwriting(overwrite), count_progress("analyzing") as progress:
-        result = present_frf(
-            files, output, response, reference, motion, estimator, block, theory, progress, overlap, window, unit
-        )
-    _print_output(result)
+        _print_output(present_frf(files, output, theory=theory, progress=progress, **options))
 
 
-@app.command(example="analysis decay impulse.mcap --channel body3")
-def decay(
-    files: Recordings,
-    output: Output = None,
-    channel: Annotated[
-        str | None, typer.Option(metavar="CHANNEL", help="Response channel. Default: the channel of the last body.")
-    ] = None,
-    hit: Annotated[int, typer.Option(metavar="N", help="Number of the impact to analyze, counted from 1.")] = 1,
-    overwrite: Overwrite = False,
-) -> None:
+@app.command(
+    example="analysis decay impulse.mcap --channel body3",
+    options={"analysis.core.decays.free_decay.decay": "--channel CHANNEL --hit N"},
+)
+def decay(files: Recordings, output: Folder = None, *, overwrite: Overwrite = False, **options: Any) -> None:
     """Estimate natural frequencies and damping from a free decay."""
     from analysis.commands.presentation.decay_findings import present_decay
 
     with allow_overwriting(overwrite):
-        result = present_decay(files, output, channel, hit)
-    _print_output(result)
+        _print_output(present_decay(files, output, **options))
 
 
-@app.command(example="analysis srs shock.mcap --channel table --q 10")
+@app.command(
+    example="analysis srs shock.mcap --channel table --q 10",
+    options={"analysis.core.signals.shock_spectrum.srs": "--q Q --lowest HZ --highest HZ --from S --to S"},
+)
 def srs(
     files: Recordings,
-    output: Output = None,
-    channel: Annotated[
-        list[str] | None,
-        typer.Option(metavar="CHANNEL", help="Channel. May be repeated. Default: all channels on bodies."),
-    ] = None,
-    q: Annotated[
-        float, typer.Option("--q", metavar="Q", help="Quality factor of the oscillators, 1 / (2 damping ratio).")
-    ] = 10.0,
-    lowest: Annotated[float | None, typer.Option(metavar="HZ", help="Lowest natural frequency. Default: 5 Hz.")] = None,
-    highest: Annotated[
-        float | None,
-        typer.Option(metavar="HZ", help="Highest natural frequency. Default: a fifth of the sample rate."),
-    ] = None,
-    start: Annotated[
-        float | None, typer.Option("--from", metavar="S", help="Start of the evaluated part, in seconds.")
-    ] = None,
-    stop: Annotated[
-        float | None, typer.Option("--to", metavar="S", help="End of the evaluated part, in seconds.")
-    ] = None,
+    output: Folder = None,
+    channel: Annotated[list[str] | None, "CHANNEL: Channel. May be repeated. Default: all channels on bodies."] = None,
+    *,
     overwrite: Overwrite = False,
+    **options: Any,
 ) -> None:
     """Compute shock response spectra of any channel."""
     from analysis.commands.presentation.shock_findings import present_srs
 
     with allow_overwriting(overwrite):
-        result = present_srs(files, output, channel, q, lowest, highest, start, stop)
-    _print_output(result)
+        _print_output(present_srs(files, output, channel, **options))
 
 
 @app.command(example="analysis profile random.mcap")
-def profile(files: Recordings, output: Output = None, overwrite: Overwrite = False) -> None:
+def profile(files: Recordings, output: Folder = None, overwrite: Overwrite = False) -> None:
     """Compare controlled motion with the profile of its test."""
     from analysis.commands.presentation.profile_findings import present_profile
 
     with allow_overwriting(overwrite):
-        result = present_profile(files, output)
-    _print_output(result)
+        _print_output(present_profile(files, output))
 
 
 @app.command(example="analysis backbone resonance.mcap")
-def backbone(files: Recordings, output: Output = None, overwrite: Overwrite = False) -> None:
+def backbone(files: Recordings, output: Folder = None, overwrite: Overwrite = False) -> None:
     """Estimate frequency and damping against amplitude."""
     from analysis.commands.presentation.backbone_findings import present_backbone
 
     with allow_overwriting(overwrite):
-        result = present_backbone(files, output)
-    _print_output(result)
+        _print_output(present_backbone(files, output))
 
 
 @app.command(example="analysis continuation curve.mcap --theory")
 def continuation(
     files: Recordings,
-    output: Output = None,
-    theory: Annotated[bool, typer.Option("--theory", help="Add the exact orbits of the scene.")] = False,
+    output: Folder = None,
+    theory: Annotated[bool, "Add the exact orbits of the scene."] = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Draw responses at constant force with their folds."""
     from analysis.commands.presentation.continuation_findings import present_continuation
 
     with allow_overwriting(overwrite):
-        result = present_continuation(files, output, theory)
-    _print_output(result)
+        _print_output(present_continuation(files, output, theory))
 
 
 @app.command(example="analysis surface held.mcap --force 1")
 def surface(
     files: Recordings,
-    output: Output = None,
-    force: Annotated[
-        list[float] | None,
-        typer.Option(metavar="N", help="Draw the response at this force amplitude in N. May be repeated."),
-    ] = None,
+    output: Folder = None,
+    force: Annotated[list[float] | None, "N: Draw the response at this force amplitude in N. May be repeated."] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Draw the force over frequency and held amplitude."""
     from analysis.commands.presentation.surface_findings import present_surface
 
     with allow_overwriting(overwrite):
-        result = present_surface(files, output, force or ())
-    _print_output(result)
+        _print_output(present_surface(files, output, force or ()))
 
 
-@app.command(example="analysis modes sweep.mcap")
+@app.command(
+    example="analysis modes sweep.mcap",
+    options={
+        "analysis.commands.calls.frf": "--reference --block S --unit UNIT",
+        "analysis.commands.calls.modes": "--modes N",
+    },
+)
 def modes(
     files: Curves,
-    output: Output = None,
-    reference: Reference = None,
-    modes: Count = None,
-    block: Block = None,
-    unit: Unit = None,
+    output: Folder = None,
+    *,
+    modes: int | None,
     exponential_window: Annotated[
         float | None,
-        typer.Option(
-            metavar="S",
-            help="Correct damping ratios for an exponential window with this time constant in s, which was applied to "
-            "the signals.",
-        ),
+        "S: Correct damping ratios for an exponential window with this time constant in s, which was applied to the "
+        "signals.",
     ] = None,
     roving: Annotated[
         bool,
-        typer.Option(
-            "--roving",
-            help="Each FILE contains impacts at another point, with the same fixed sensor. Identify the modes of all "
-            "points at once, by reciprocity.",
-        ),
+        "Each FILE contains impacts at another point, with the same fixed sensor. Identify the modes of all points at "
+        "once, by reciprocity.",
     ] = False,
     overwrite: Overwrite = False,
+    **options: Any,
 ) -> None:
     """Estimate natural frequencies, damping ratios and mode shapes."""
     from analysis.commands.presentation.mode_findings import present_modes
 
+    options |= {"count": modes, "exponential_window": exponential_window, "roving": roving}
     with allow_overwriting(overwrite), count_progress("analyzing") as progress:
-        result = present_modes(
-            files, output, reference, modes, block, progress, unit, exponential_window=exponential_window, roving=roving
-        )
-    _print_output(result)
+        _print_output(present_modes(files, output, progress=progress, **options))
 
 
 @app.command(example="analysis dampers sweep.mcap")
-def dampers(files: Recordings, output: Output = None, overwrite: Overwrite = False) -> None:
+def dampers(files: Recordings, output: Folder = None, overwrite: Overwrite = False) -> None:
     """Estimate the impacts of dampers, and the energy they dissipate.
 
     Each frequency of a sine or stepped-sine test is evaluated.
@@ -261,12 +166,11 @@ def dampers(files: Recordings, output: Output = None, overwrite: Overwrite = Fal
     from analysis.commands.presentation.damper_findings import present_dampers
 
     with allow_overwriting(overwrite), count_progress("analyzing") as progress:
-        result = present_dampers(files, output, progress)
-    _print_output(result)
+        _print_output(present_dampers(files, output, progress))
 
 
 @app.command(example="analysis compare without.mcap with.mcap")
-def compare(files: Compared, output: Output = None, overwrite: Overwrite = False) -> None:
+def compare(files: Compared, output: Folder = None, overwrite: Overwrite = False) -> None:
     """Compare height and frequency of resonance peaks.
 
     The changes relative to the first recording are printed with 95 % intervals.
@@ -274,35 +178,21 @@ def compare(files: Compared, output: Output = None, overwrite: Overwrite = False
     from analysis.commands.presentation.comparison import present_compare
 
     with allow_overwriting(overwrite), count_progress("analyzing") as progress:
-        result = present_compare(files, output, progress)
-    _print_output(result)
+        _print_output(present_compare(files, output, progress))
 
 
-@app.command(example="analysis fit sweep.mcap guess.yaml --free structure -o fitted.yaml")
+@app.command(
+    example="analysis fit sweep.mcap guess.yaml --free structure -o fitted.yaml",
+    options={"analysis.core.fitting.fit.fit": "--free KEY"},
+)
 def fit(
-    files: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="RECORDING...", help="Recordings of one structure, with or without dampers, at any level."
-        ),
-    ],
+    files: Annotated[list[Path], "RECORDING...: Recordings of one structure, with or without dampers, at any level."],
     scene: SceneName,
     changes: Changes = None,
-    free: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="KEY",
-            help="Value to fit, such as structure.masses or dampers[1].clearance. May be repeated. Default: masses, "
-            "springs, damping and all values of the dampers.",
-        ),
-    ] = None,
-    output: Annotated[
-        Path,
-        typer.Option(
-            "--output", "-o", metavar="FILE", help="Fitted scene to write; the figures are written next to it."
-        ),
-    ] = Path("fitted.yaml"),
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace FILE if it exists.")] = False,
+    *,
+    free: list[str] | None,
+    output: Annotated[Path, "FILE: Fitted scene to write; the figures are written next to it."] = Path("fitted.yaml"),
+    overwrite: Annotated[bool, "Replace FILE if it exists."] = False,
 ) -> None:
     """Fit the values of a scene to recordings, with 95 % intervals."""
     from analysis.commands.presentation.fit_findings import present_fit
@@ -317,32 +207,21 @@ def fit(
 def report(
     files: Compared,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="DIR|FILE.html",
-            help="Folder or page to write. Default: the folder of the first FILE.",
-        ),
+        Path | None, "DIR|FILE.html: Folder or page to write. Default: the folder of the first FILE."
     ] = None,
-    note: Annotated[
-        str | None, typer.Option("--note", metavar="TEXT", help="Text below the summary: date, operator, remarks.")
-    ] = None,
+    note: Annotated[str | None, "TEXT: Text below the summary: date, operator, remarks."] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Write an interactive HTML page about recordings."""
     from analysis.commands.report_page.report import write_report
 
     with allow_overwriting(overwrite), count_progress("analyzing") as progress:
-        result = write_report(files, output, progress, note or "")
-    _print_output(result)
+        _print_output(write_report(files, output, progress, note or ""))
 
 
 @app.command(example="analysis demo -o recordings")
 def demo(
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the recordings and figures.")
-    ] = Path("recordings"),
+    output: Annotated[Path, "DIR: Folder for the recordings and figures."] = Path("recordings"),
     overwrite: Overwrite = False,
 ) -> None:
     """Record and analyze tests of Inoue, Yokomichi, Hiraki (2011).
@@ -354,39 +233,20 @@ def demo(
     demonstrate(output, _print_line, overwrite=overwrite)
 
 
-@app.command(example="analysis export sweep.mcap -o sweep.uff")
+@app.command(
+    example="analysis export sweep.mcap -o sweep.uff",
+    options={"analysis.commands.calls.export": "--channel CHANNEL --from S --to S --speed X --what"},
+)
 def export(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="The recording.")],
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="OUT", help="File to write: .uff, .mat, .csv, .npz or .wav.")
-    ],
-    channel: Annotated[
-        list[str] | None, typer.Option(metavar="CHANNEL", help="Channel to export. May be repeated. Default: all.")
-    ] = None,
-    start: Annotated[
-        float | None,
-        typer.Option(
-            "--from", metavar="S", help="Start of the exported part, in seconds from the beginning of the recording."
-        ),
-    ] = None,
-    stop: Annotated[
-        float | None,
-        typer.Option(
-            "--to", metavar="S", help="End of the exported part, in seconds from the beginning of the recording."
-        ),
-    ] = None,
-    speed: Annotated[
-        float, typer.Option(metavar="X", help="Playback speed of a .wav file. At 10, a tone of 30 Hz sounds at 300 Hz.")
-    ] = 1.0,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace OUT if it exists.")] = False,
-    what: Annotated[
-        str,
-        typer.Option(
-            metavar="samples|frfs|modes",
-            help="Write the samples, or the frequency responses (frfs) or modes estimated from them. The latter two "
-            "require a .uff or .mat file.",
-        ),
-    ] = "samples",
+    file: Annotated[Path, "FILE: The recording."],
+    output: Annotated[Path, "OUT: File to write: .uff, .mat, .csv, .npz or .wav."],
+    *,
+    channel: list[str] | None,
+    from_s: float | None,
+    to_s: float | None,
+    speed: float,
+    overwrite: Annotated[bool, "Replace OUT if it exists."] = False,
+    what: str,
 ) -> None:
     """Export a recording as UFF, MATLAB, CSV, NPZ or WAV file."""
     from analysis.core.recordings.slices import Slice
@@ -396,7 +256,7 @@ def export(
     from daq.core.recording.recording import open as open_recording
 
     if what != "samples":
-        if channel or start is not None or stop is not None or speed != 1.0:
+        if channel or from_s is not None or to_s is not None or speed != 1.0:
             raise typer.BadParameter(
                 "--channel, --from, --to and --speed apply to samples only. Omit these options, or omit --what."
             )
@@ -405,7 +265,7 @@ def export(
         print(*lines, sep="\n")
         return
     with open_recording(file) as recording:
-        segment = Slice.of(recording, channel, start, stop)
+        segment = Slice.of(recording, channel, from_s, to_s)
         n_bytes = expected_bytes(segment, kind_of(output))
         print(f"writing {output}: about {n_bytes / 1e6:.3g} MB", file=sys.stderr)
         with count_progress("exporting") as progress:
@@ -415,21 +275,13 @@ def export(
     report_written(output)
 
 
-@app.command(example="analysis cost fig9")
+@app.command(example="analysis cost fig9", options={"analysis.commands.calls.cost": "--frequency HZ"})
 def cost(
     scene: SceneName,
     changes: Changes = None,
-    frequency: Annotated[
-        list[float] | None,
-        typer.Option(
-            metavar="HZ",
-            help="Frequency to measure. May be repeated. Default: both ends of the test, and the frequency of largest "
-            "acceleration.",
-        ),
-    ] = None,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the figure and the table.")
-    ] = Path(),
+    *,
+    frequency: list[float] | None,
+    output: Annotated[Path, "DIR: Folder for the figure and the table."] = Path(),
     overwrite: Overwrite = False,
 ) -> None:
     """Measure error and computing time of the measurement chain.
@@ -452,12 +304,8 @@ def cost(
 
 @app.command(example="analysis paper -o paper")
 def paper(
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for data, figures and the page.")
-    ] = Path("recordings/paper"),
-    fresh: Annotated[
-        list[str] | None, typer.Option(metavar="PART", help="Part to compute again, such as rec-fig9. May be repeated.")
-    ] = None,
+    output: Annotated[Path, "DIR: Folder for data, figures and the page."] = Path("recordings/paper"),
+    fresh: Annotated[list[str] | None, "PART: Part to compute again, such as rec-fig9. May be repeated."] = None,
     cluster: Cluster = None,
     overwrite: Overwrite = False,
 ) -> None:

@@ -27,28 +27,16 @@ app = create_application("The instrument: record, inspect, repair and replay tes
 OTHER_SUFFIXES = (
     ".csv", ".txt", ".npz", ".mat", ".uff", ".wav", ".tdms", ".rrd", ".yaml", ".png", ".svg", ".html",
 )  # fmt: skip
-# Help text of the option for the scene that scripts and clients drive.
-BENCH_SCENE_HELP = "Scene of the rig. Default: environment variable SHOTRIG_SCENE, or a rig with three dampers."
 
+# Text on the scene that scripts and clients drive.
+_BENCH_SCENE = "Scene of the rig. Default: environment variable SHOTRIG_SCENE, or a rig with three dampers."
 
-def _option(metavar: str | None, text: str, *names: str) -> Any:
-    """Return an option with a placeholder for its value, and a help text."""
-    return typer.Option(*names, metavar=metavar, help=text)
-
-
-def _output(text: str, metavar: str = "FILE") -> Any:
-    """Return the option -o for an output file."""
-    return _option(metavar, text, "-o", "--output")
-
-
-Replace = Annotated[bool, _option(None, "Replace the file if it exists.", "--overwrite")]
-Start = Annotated[float | None, _option("S", "Start of the part to use, in seconds from the first sample.", "--from")]
-Stop = Annotated[float | None, _option("S", "End of the part to use, in seconds from the first sample.", "--to")]
-Web = Annotated[bool, _option(None, "Show the viewer in a browser on this machine.", "--web")]
+BenchScene = Annotated[str | None, f"[SCENE]: {_BENCH_SCENE}"]
 Clock = Annotated[
     str | None,
-    _option("real|fast", "Run in real time or as fast as possible. Default: SHOTRIG_CLOCK (environment), or real."),
+    "real|fast: Run in real time or as fast as possible. Default: SHOTRIG_CLOCK (environment), or real.",
 ]
+Replace = Annotated[bool, "Replace the file if it exists."]
 
 
 @app.command(example="daq record fig8-three-dampers --set test.force=2N -o sweep.mcap")
@@ -56,7 +44,7 @@ def record(
     scenes: SceneNames,
     changes: Changes = None,
     output: Annotated[
-        Path | None, _output("Recording to write, or folder for SCENE.mcap. Default: folder recordings.", "FILE|DIR")
+        Path | None, "FILE|DIR: Recording to write, or folder for SCENE.mcap. Default: folder recordings."
     ] = None,
     overwrite: Replace = False,
     block: Annotated[
@@ -67,10 +55,8 @@ def record(
             help="Largest number of samples per channel acquired at a time. The recording does not depend on it.",
         ),
     ] = None,
-    dry_run: Annotated[
-        bool, _option(None, "Do not record. Simulate the test, and print its maxima, limits and duration.", "--dry-run")
-    ] = False,
-    anyway: Annotated[bool, _option(None, "Start a test even if it is expected to abort.", "--anyway")] = False,
+    dry_run: Annotated[bool, "Do not record. Simulate the test, and print its maxima, limits and duration."] = False,
+    anyway: Annotated[bool, "Start a test even if it is expected to abort."] = False,
 ) -> None:
     """Run the tests of scenes and record them. Ctrl-C ends a test early (exit code 130) and keeps the recording."""
     from daq.core.measurement.estimate import check_resources, estimate
@@ -102,30 +88,29 @@ def record(
                 raise typer.Exit(code)
 
 
-@app.command("import", example="daq import bench.csv --scene mine.yaml --table channels.yaml -o bench.mcap")
+@app.command(
+    "import",
+    example="daq import bench.csv --scene mine.yaml --table channels.yaml -o bench.mcap",
+    options={"daq.extras.importing.import_files.import_files": "--from S --to S"},
+)
 def import_recording(
     files: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="FILE...", help="Time histories: .tdms .uff .wav .csv .txt .npz .mat, or .mcap of another program."
-        ),
+        list[Path], "FILE...: Time histories: .tdms .uff .wav .csv .txt .npz .mat, or .mcap of another program."
     ],
     scene: Annotated[
-        str | None,
-        _option("SCENE", "Scene of the bench and its channels. Without a scene, the contents of FILE are listed."),
+        str | None, "SCENE: Scene of the bench and its channels. Without a scene, the contents of FILE are listed."
     ] = None,
     changes: Changes = None,
     table: Annotated[
         Path | None,
-        _option(
-            "FILE.yaml|csv",
-            "Table that assigns columns of FILE to channels. Default: columns with the names of the channels.",
-        ),
+        "FILE.yaml|csv: Table that assigns columns of FILE to channels. Default: columns with the names of the "
+        "channels.",
     ] = None,
-    start: Start = None,
-    stop: Stop = None,
-    output: Annotated[Path | None, _output("Recording to write. Default: FILE.mcap.", "REC")] = None,
-    overwrite: Annotated[bool, _option(None, "Replace the recording if it exists.", "--overwrite")] = False,
+    *,
+    from_s: float | None,
+    to_s: float | None,
+    output: Annotated[Path | None, "REC: Recording to write. Default: FILE.mcap."] = None,
+    overwrite: Annotated[bool, "Replace the recording if it exists."] = False,
 ) -> None:
     """Make a recording from files of another program.
 
@@ -136,7 +121,7 @@ def import_recording(
     from daq.commands.import_report import import_and_report, listing
 
     if scene is None:
-        if changes or overwrite or any(option is not None for option in (table, start, stop, output)):
+        if changes or overwrite or any(option is not None for option in (table, from_s, to_s, output)):
             raise typer.BadParameter(
                 "--set, --table, --from, --to, -o and --overwrite require --scene. Add --scene, or omit these options."
             )
@@ -146,46 +131,30 @@ def import_recording(
     settings = load_scene(scene, changes)
     path = output if output is not None else files[0].with_suffix(".mcap")
     _reject_other_suffix(path)
-    import_and_report(files, settings, path, table, start, stop, overwrite)
+    import_and_report(files, settings, path, table, from_s, to_s, overwrite)
 
 
-@app.command("replay", example="daq replay sweep.mcap --screenshot sweep.png")
+@app.command(
+    "replay",
+    example="daq replay sweep.mcap --screenshot sweep.png",
+    options={
+        "daq.extras.viewer.show.replay": "--save FILE.rrd --web --screenshot FILE.png --at S --from S --to S --speed X"
+    },
+)
 def replay_recording(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording to show.")],
-    save: Annotated[
-        Path | None, _option("FILE.rrd", "Write a file for the viewer (.rrd) instead of opening a window.")
-    ] = None,
-    web: Web = False,
-    screenshot: Annotated[
-        Path | None,
-        _option("FILE.png", "Draw a picture instead of opening a window; needs Vulkan drivers, no display."),
-    ] = None,
-    at: Annotated[
-        float | None,
-        _option(
-            "S",
-            "Time of the picture in seconds from the start. Default: time of the largest damper gap or displacement.",
-        ),
-    ] = None,
-    start: Start = None,
-    stop: Stop = None,
-    speed: Annotated[float, _option("X", "Playback speed; 1 is real time, 0.1 is ten times slower.")] = 1.0,
-    overwrite: Overwrite = False,
+    file: Annotated[Path, "FILE: Recording to show."], *, overwrite: Overwrite = False, **options: Any
 ) -> None:
     """Show a recording in the viewer, or draw a picture of it."""
     from daq.extras.viewer.show import replay
 
     with progress(file.stem) as report_progress:
-        replay(
-            file, save=save, screenshot=screenshot, web=web, at=at, from_s=start, to_s=stop, speed=speed,
-            overwrite=overwrite, progress=report_progress,
-        )  # fmt: skip
+        replay(file, overwrite=overwrite, progress=report_progress, **options)
 
 
 @app.command("info", example="daq info sweep.mcap --check")
 def describe_recordings(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings.")],
-    check: Annotated[bool, _option(None, "Read the whole file and verify every record.", "--check")] = False,
+    files: Annotated[list[Path], "FILE...: Recordings."],
+    check: Annotated[bool, "Read the whole file and verify every record."] = False,
 ) -> None:
     """Describe recordings and list the commands that can analyze them."""
     from daq.extras.viewer.description import info
@@ -196,11 +165,9 @@ def describe_recordings(
 
 @app.command(example="daq recover damaged.mcap -o repaired.mcap")
 def recover(
-    file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="The incomplete or damaged recording; it is not changed.")
-    ],
-    output: Annotated[Path, _option("FIXED", "Recording to write.", "-o", "--output")],
-    overwrite: Annotated[bool, _option(None, "Replace FIXED if it exists.", "--overwrite")] = False,
+    file: Annotated[Path, "FILE: The incomplete or damaged recording; it is not changed."],
+    output: Annotated[Path, "FIXED: Recording to write."],
+    overwrite: Annotated[bool, "Replace FIXED if it exists."] = False,
 ) -> None:
     """Repair an incomplete or damaged recording.
 
@@ -219,14 +186,14 @@ def recover(
     example="daq run --scene fig9 my_script.py",
 )
 def run_a_script(
-    script: Annotated[Path, typer.Argument(metavar="SCRIPT.py", help="Python script that uses nidaqmx.")],
+    script: Annotated[Path, "SCRIPT.py: Python script that uses nidaqmx."],
     arguments: Annotated[
         list[str] | None,
         # This callback replaces the common callback, which would interpret the script's arguments as options of `daq
         # run`.
         typer.Argument(metavar="[ARGS]...", help="Arguments of the script.", callback=lambda given: given),
     ] = None,
-    scene: Annotated[str | None, typer.Option(metavar="SCENE", help=BENCH_SCENE_HELP)] = None,
+    scene: Annotated[str | None, f"SCENE: {_BENCH_SCENE}"] = None,
     changes: Changes = None,
     clock: Clock = None,
 ) -> None:
@@ -238,29 +205,29 @@ def run_a_script(
     raise typer.Exit(code)
 
 
-@app.command("serve", example="daq serve fig9 --clock fast")
+@app.command(
+    "serve",
+    example="daq serve fig9 --clock fast",
+    options={"daq.extras.ni_server.serve.serve": "--address HOST[:PORT] --port N"},
+)
 def serve_a_rig(
-    scene: Annotated[str | None, typer.Argument(metavar="[SCENE]", help=BENCH_SCENE_HELP)] = None,
+    scene: BenchScene = None,
     changes: Changes = None,
     clock: Clock = None,
-    address: Annotated[
-        str, _option("HOST[:PORT]", "Address to listen on; other machines can connect only with certificates.")
-    ] = "127.0.0.1",
-    port: Annotated[int, _option("N", "Port; 0 selects a free port.")] = 31763,
-    certificate: Annotated[Path | None, _option("FILE.pem", "The server's certificate, for TLS.")] = None,
-    key: Annotated[Path | None, _option("FILE.pem", "The certificate's private key.")] = None,
+    *,
+    host: str,
+    port: int,
+    certificate: Annotated[Path | None, "FILE.pem: The server's certificate, for TLS."] = None,
+    key: Annotated[Path | None, "FILE.pem: The certificate's private key."] = None,
     client_ca: Annotated[
         Path | None,
-        _option(
-            "FILE.pem",
-            "Certificate of an authority. Only clients with a certificate from this authority are accepted (mutual "
-            "TLS).",
-        ),
+        "FILE.pem: Certificate of an authority. Only clients with a certificate from this authority are accepted "
+        "(mutual TLS).",
     ] = None,
     session_timeout: Annotated[
-        float, _option("S", "Time in seconds without connection after which the tasks of a client are closed.")
+        float, "S: Time in seconds without connection after which the tasks of a client are closed."
     ] = 30.0,
-    output: Annotated[Path | None, _output("Recording of all channels to write. Default: none.")] = None,
+    output: Annotated[Path | None, "FILE: Recording of all channels to write. Default: none."] = None,
     overwrite: Replace = False,
 ) -> None:
     """Serve the virtual instrument to clients of NI's gRPC protocol.
@@ -287,23 +254,27 @@ def serve_a_rig(
     if output is not None:
         with allow_overwriting(overwrite):
             _prepare_recordings(output)
-    serve(bench, clock, address, port, certificates, limits, output, output is not None)
+    serve(bench, clock, host, port, certificates, limits, output, output is not None)
 
 
-@app.command("bench", example="daq bench fig9 --port 0")
+@app.command(
+    "bench",
+    example="daq bench fig9 --port 0",
+    options={"daq.extras.bench_page.bench.bench": "--address HOST[:PORT] --port N --device-port N --browser"},
+)
 def bench_in_the_browser(
-    scene: Annotated[str | None, typer.Argument(metavar="[SCENE]", help=BENCH_SCENE_HELP)] = None,
+    scene: BenchScene = None,
     changes: Changes = None,
     output: Annotated[
-        Path | None, _output("First recording; further recordings are numbered. Default: recordings/SCENE-bench.mcap.")
+        Path | None,
+        "FILE: First recording; further recordings are numbered. Default: recordings/SCENE-bench.mcap.",
     ] = None,
     overwrite: Replace = False,
-    address: Annotated[
-        str, _option("HOST[:PORT]", "Address of the page; a browser needs the printed token.")
-    ] = "127.0.0.1",
-    port: Annotated[int, _option("N", "Port of the page; 0 selects a free port.")] = 8031,
-    device_port: Annotated[int, _option("N", "Port of the device for NI clients; 0 selects a free port.")] = 31763,
-    browser: Annotated[bool, _option(None, "Open the page in the browser.", "--browser/--no-browser")] = True,
+    *,
+    host: str,
+    port: int,
+    device_port: int,
+    browser: bool,
 ) -> None:
     """Run a rig live in the browser.
 
@@ -323,7 +294,7 @@ def bench_in_the_browser(
         path = output
         with allow_overwriting(overwrite):
             _prepare_recordings(path)
-    bench(settings, address, port, device_port, path, output is not None, browser)
+    bench(settings, host, port, device_port, path, output is not None, browser)
 
 
 def _check_port(option: str, port: int) -> None:

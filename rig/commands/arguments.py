@@ -1,4 +1,4 @@
-"""Arguments shared by several commands: scene, changes by `--set`, frequencies, cluster."""
+"""Arguments shared by several commands: scene, changes by `--set`, cluster, overwriting."""
 
 from __future__ import annotations
 
@@ -29,44 +29,15 @@ SceneNames = Annotated[
 ]
 Changes = Annotated[
     list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Change a value of the scene, such as test.force=5N or dampers[2].clearance=0.5mm. Repeat the option to "
-        "change several values. `rig help` lists the keys.",
-    ),
-]
-
-# Upper limit for numbers of frequencies or periods, so that typing errors are rejected.
-MAX_COUNT = 100_000
-First = Annotated[
-    str | None,
-    typer.Option("--from", metavar="F", help="Lowest frequency, such as '8 Hz'. Default: as in the scene's test."),
-]
-Last = Annotated[
-    str | None,
-    typer.Option("--to", metavar="F", help="Highest frequency, such as '80 Hz'. Default: as in the scene's test."),
-]
-Points = Annotated[
-    int | None,
-    typer.Option(min=2, max=MAX_COUNT, metavar="N", help="Number of frequencies. Default: as in the scene's test."),
+    "KEY=VALUE: Change a value of the scene, such as test.force=5N or dampers[2].clearance=0.5mm. Repeat the option to "
+    "change several values. `rig help` lists the keys.",
 ]
 Cluster = Annotated[
     str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        help="Distribute the computation over the workers of a Dask scheduler at this address, such as "
-        "tcp://host:8786. Default: use the cores of this computer.",
-    ),
+    "ADDRESS: Distribute the computation over the workers of a Dask scheduler at this address, such as "
+    "tcp://host:8786. Default: use the cores of this computer.",
 ]
-
-Overwrite = Annotated[
-    bool,
-    typer.Option(
-        "--overwrite",
-        help="Replace existing output files, even if they have been changed or come from another input.",
-    ),
-]
+Overwrite = Annotated[bool, "Replace existing output files, even if they have been changed or come from another input."]
 
 
 def load_scene(scene: str, changes: Sequence[str] | None) -> Scene:

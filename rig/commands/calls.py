@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from rig.core.base.progress import CountProgress
 from rig.core.scene.loading import SceneLike, scene_of
-from rig.core.settings.quantities import FREQUENCY, number
+from rig.core.settings.quantities import FREQUENCY, finite_number
 
 if TYPE_CHECKING:
     from rig.core.steady_response.frequency_response import SteadyResponse
@@ -34,12 +34,14 @@ def response(
     ----------
     scene : Scene, str, Path or mapping
         A scene, or an argument of `rig.load`.
-    first, last : float or str, optional
-        Lowest and highest frequency, in Hz or as strings such as ``"49 Hz"``; default: as in the test.
-    points : int, optional
-        Number of frequencies; default: as in the test, or 101.
+    first : float or str, optional
+        Lowest frequency, such as ``"8 Hz"``. Default: as in the scene's test.
+    last : float or str, optional
+        Highest frequency, such as ``"80 Hz"``. Default: as in the scene's test.
+    points : int, at least 2, optional
+        Number of frequencies. Default: as in the scene's test, or 101.
     direction : {'up', 'down', 'both'}, optional
-        Order in which the frequencies are computed; default: as in the test.
+        Order of the frequencies; both: first up, then down. Default: as in the scene's test.
     progress : callable, optional
         Called with the number of completed points and the total.
 
@@ -57,7 +59,7 @@ def response(
     from rig.core.steady_response.response_output import sweep_frequencies
 
     scene = scene_of(scene)
-    band = number(first, FREQUENCY, "first"), number(last, FREQUENCY, "last")
+    band = finite_number(first, FREQUENCY, "`first`"), finite_number(last, FREQUENCY, "`last`")
     frequencies, order = sweep_frequencies(scene, *band, points, direction)
     return frequency_response(scene, frequencies, direction=order, progress=progress)
 
@@ -78,8 +80,8 @@ def grains(
     ----------
     scene, first, last, points : as in `rig.response`
         The scene, and its frequencies.
-    periods : int
-        Drive periods in each averaged block.
+    periods : int, at least 1
+        Number of drive periods in an average. The motion is steady when two successive averages agree within 1 %.
     table : str or Path, optional
         CSV file that stores the results; frequencies in this file are not recomputed.
     cluster : str, optional
@@ -101,7 +103,7 @@ def grains(
     from rig.extras.bed_response.bed_response import bed_response
 
     scene = scene_of(scene)
-    band = number(first, FREQUENCY, "first"), number(last, FREQUENCY, "last")
+    band = finite_number(first, FREQUENCY, "`first`"), finite_number(last, FREQUENCY, "`last`")
     frequencies, _ = sweep_frequencies(scene, *band, points, None)
     return bed_response(scene, frequencies, periods, None if table is None else Path(table), cluster, progress)
 
@@ -126,11 +128,14 @@ def map(
     scene : as in `rig.response`
         The scene.
     over : {'force', 'drive', 'clearance'}, optional
-        Quantity of the vertical axis; default: the level of the test.
-    least, most : float or str, optional
-        Limits of the vertical axis, in SI or as strings such as ``"0.5 N"``.
+        Quantity that is varied in addition to the frequency. Default: the force or drive of the test.
+    least : float or str, optional
+        Lowest value of the varied quantity, such as ``"0.5 N"``. Default: below that of the scene, and below the lowest
+        at which a damper lifts off.
+    most : float or str, optional
+        Highest value of the varied quantity, such as ``"20 N"``. Default: above that of the scene.
     rows : int
-        Number of levels or clearances.
+        Number of values of the varied quantity.
     first, last : as in `rig.response`
         Lowest and highest frequency.
     points : int
@@ -157,9 +162,9 @@ def map(
 
     scene = scene_of(scene)
     over, kind = vertical_axis(scene, over)
-    band = number(first, FREQUENCY, "first"), number(last, FREQUENCY, "last")
+    band = finite_number(first, FREQUENCY, "`first`"), finite_number(last, FREQUENCY, "`last`")
     frequencies = select_frequencies(scene, *band, points)
-    limits = (number(least, kind, "least"), number(most, kind, "most"))
+    limits = (finite_number(least, kind, "`least`"), finite_number(most, kind, "`most`"))
     values = select_row_values(scene, over, frequencies, *limits, rows)
     return map_motion(scene, over, values, frequencies, progress, cluster, None if kept is None else Path(kept))
 
@@ -174,8 +179,8 @@ def cost(
     scene : Scene, str, Path or mapping
         A scene, or an argument of `rig.load`.
     frequency : float or str, optional
-        Excitation frequency; default: the frequency of the test, or of the largest acceleration of the linear
-        structure.
+        Excitation frequency, such as ``"49 Hz"``. Default: in the range of the test, the frequency of the largest
+        acceleration with the dampers at rest on their floors.
     periods : int
         Number of drive periods to simulate.
     say : callable, optional
@@ -193,4 +198,4 @@ def cost(
     """
     from rig.studies.cost.cost import cost as measure_cost
 
-    return measure_cost(scene_of(scene), number(frequency, FREQUENCY, "frequency"), periods, say)
+    return measure_cost(scene_of(scene), finite_number(frequency, FREQUENCY, "`frequency`"), periods, say)

@@ -1,24 +1,26 @@
 """Layout of the help that `COMMAND --help` prints: options in groups, and an example for each command."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import typer
 from typer.core import TyperCommand
+
+from rig.commands.declaration import declare
 
 # Group titles and their options (parameter names), for options whose declaration specifies no group.
 _GROUPS = {
     "Scene": ("changes", "scene", "clock", "table"),
     "Test": ("duration", "rate", "force", "drive", "block_samples", "dry_run", "anyway", "measure"),
     "Frequencies": (
-        "frequency", "frequencies", "first", "last", "points", "direction", "periods", "over", "lowest", "highest",
+        "frequency", "first", "last", "points", "direction", "periods", "over", "least", "most", "lowest", "highest",
         "rows",
     ),
     "Dampers to choose from": ("budget", "bodies", "dampers", "clearance"),
-    "Criterion": ("levels", "band", "response_bodies", "damping_uncertainty", "stiffness_uncertainty"),
+    "Criterion": ("levels", "band", "watched", "damping_off", "stiffness_off"),
     "Curves": ("response", "reference", "motion", "unit", "theory", "modes", "channel", "hit", "free"),
     "Averages of blocks": ("estimator", "block", "overlap", "window"),
-    "Network": ("address", "port", "certificate", "key", "client_ca", "session_timeout"),
+    "Network": ("host", "port", "certificate", "key", "client_ca", "session_timeout"),
     "Output": (
         "output", "overwrite", "save", "web", "viewer", "screenshot", "at", "begin", "end", "speed", "what", "fresh",
     ),
@@ -66,10 +68,23 @@ class GroupedCommand(TyperCommand):
 class Application(typer.Typer):
     """An application in which each command has an example."""
 
-    def command(self, name: str | None = None, *, example: str | None = None, **settings: Any) -> Callable[..., Any]:
+    def command(
+        self,
+        name: str | None = None,
+        *,
+        example: str | None = None,
+        options: Mapping[str, str] | None = None,
+        **settings: Any,
+    ) -> Callable[..., Any]:
         """Register a command.
 
         `name`: name of the command; omitted, the name of the function; `example`: a command line as a user types it;
-        `**settings`: arguments of `typer.Typer.command`.
+        `options`: options that are parameters of Python calls, see `declare`; `**settings`: arguments of
+        `typer.Typer.command`.
         """
-        return super().command(name, cls=GroupedCommand, epilog=example, **settings)
+
+        def register(function: Callable[..., Any]) -> Any:
+            declare(function, options or {})
+            return super(Application, self).command(name, cls=GroupedCommand, epilog=example, **settings)(function)
+
+        return register

@@ -30,15 +30,8 @@ if TYPE_CHECKING:
 
 # Upper limit of numeric options in any unit.
 MAX_OPTION_VALUE = 1e12
-# Options of parameters that have another name in Python.
-_OPTIONS_OF_PARAMETERS = {
-    "from_s": "--from",
-    "to_s": "--to",
-    "host": "--address",
-    "certificates": "--certificate",
-    "uncertain": "--damping-off",
-    "path": "--output",
-}
+# Options of parameters of functions that no command has.
+_OPTIONS_OF_PARAMETERS = {"certificates": "--certificate", "uncertain": "--damping-off", "path": "--output"}
 # Form in which messages of functions name parameters.
 _PARAMETER = re.compile(r"`([a-z_]+)`")
 # Options of the running subcommand by the names of the parameters in Python.

@@ -58,7 +58,7 @@ def present_frf(
     recordings: OpenRecordings,
     paths: Sequence[Path],
     output: Path | None = None,
-    channels: Sequence[str] | None = None,
+    response: Sequence[str] | None = None,
     reference: str | None = None,
     motion: str = "displacement",
     estimator: str | None = None,
@@ -89,14 +89,14 @@ def present_frf(
     acquisitions: set[str] = set()
     for path, label in zip(paths, labels(recordings, paths), strict=True):
         if is_frf_file(path):
-            file_curves = read_curves(path, reference, channels, unit)
+            file_curves = read_curves(path, reference, response, unit)
             curves += [replace(frf.to(motion), label=label) for frf in file_curves]
             moving[label], excitations[label] = True, ""
             warnings += with_recording_name(path, file_curves[0].warnings)
             continue
         rec = recordings.of(path)
         options = vars(blocks.for_kind(rec.test.kind))
-        groups = frequency_responses(rec, channels, reference, motion, progress=progress, **options)
+        groups = frequency_responses(rec, response, reference, motion, progress=progress, **options)
         curves += [relabel(frf, rec.scene.name, label) for group in groups for frf in group]
         moving[label], excitations[label] = not rec.scene.is_linear, excitation_text(rec)
         acquisitions.add(acquisition_text(rec, groups[0][0]))

@@ -172,9 +172,9 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     rec : daq.Recording, str or Path
         Recording of an impact test or a free decay.
     channel : str, optional
-        Motion channel; default: the channel of the last body.
+        Response channel. Default: the channel of the last body.
     hit : int
-        Number of the impact, from 1.
+        Number of the impact to analyze, counted from 1.
     modes : int, optional
         Maximum number of modes; default: the number of bodies of the structure.
 

@@ -195,8 +195,8 @@ def fit(
     scene : Scene, str, Path or mapping
         The model: structure and dampers with guessed values. Shaker, test and channels come from the recordings.
     free : sequence of str, optional
-        Keys of the free values, such as ``structure.masses`` or ``dampers[1].clearance``; if omitted, masses,
-        springs, damping, and all values of the dampers.
+        Values to fit, such as ``structure.masses`` or ``dampers[1].clearance``. Default: masses, springs, damping and
+        all values of the dampers.
     progress : callable, optional
         Function that is called with the name of each stage.
 

@@ -131,12 +131,18 @@ def srs(
         Channel; default: the channel of the last body.
     q : float
         Quality factor of the oscillators, 1 / (2 damping ratio).
-    lowest, highest : float, optional
-        Limits of the natural frequencies, Hz; default: 5 Hz, and a fifth of the sample rate.
+    lowest : float, optional
+        Lowest natural frequency, Hz. Default: 5 Hz.
+    highest : float, optional
+        Highest natural frequency, Hz. Default: a fifth of the sample rate.
     per_octave : int
         Number of natural frequencies per octave.
-    from_s, to_s : float, optional
-        Start and end of the segment, s; default: the first shock at full level, otherwise the whole recording.
+    from_s : float, optional
+        Start of the evaluated part, in seconds. Default: the start of the first shock at full level, otherwise of the
+        recording.
+    to_s : float, optional
+        End of the evaluated part, in seconds. Default: the end of the first shock at full level, otherwise of the
+        recording.
 
     Returns
     -------

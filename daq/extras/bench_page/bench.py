@@ -49,16 +49,18 @@ def bench(
     ----------
     scene : Scene, str or None
         Scene of the rig; see `daq.connect`.
-    host, port : str and int
-        Address of the page; port 0 selects a free port.
+    host : str
+        Address of the page; a browser needs the printed token.
+    port : int
+        Port of the page; 0 selects a free port.
     device_port : int
-        Port of the device for NI clients on this machine; 0 selects a free port.
+        Port of the device for NI clients; 0 selects a free port.
     recording : str or Path
         File of the first recording that the switch on the page starts; further files are numbered.
     overwrite : bool
         Whether the first recording may replace an existing file.
     browser : bool
-        Whether to open the page in the browser.
+        Open the page in the browser.
 
     Raises
     ------

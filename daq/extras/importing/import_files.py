@@ -87,8 +87,10 @@ def import_files(
     table : mapping, or str or Path, optional
         The column of each channel, such as ``{"body1": {"column": "ai0", "unit": "g"}}``, or a file with this table;
         see `daq.extras.importing.channel_table`.
-    from_s, to_s : float, optional
-        Times in s after the first sample between which samples are taken.
+    from_s : float, optional
+        Start of the part to use, in seconds from the first sample.
+    to_s : float, optional
+        End of the part to use, in seconds from the first sample.
     overwrite : bool
         Whether an existing recording may be replaced.
     progress : callable, optional

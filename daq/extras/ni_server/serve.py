@@ -70,8 +70,11 @@ def serve(
     ----------
     scene, clock : as in `daq.connect`
         The rig, and the clock that advances it.
-    host, port : str and int
-        Address of the server; an IPv6 address may be in brackets, and a port may follow the host.
+    host : str
+        Address to listen on; other machines can connect only with certificates. An IPv6 address may be in brackets, and
+        a port may follow the host.
+    port : int
+        Port; 0 selects a free port.
     certificates : Certificates, optional
         Required for addresses that other computers can reach.
     limits : Limits, optional

@@ -36,17 +36,19 @@ def replay(
     recording : Recording, str or Path
         An open recording, or a file.
     save : str or Path, optional
-        File (.rrd) to write for the viewer instead of opening a window.
+        Write a file for the viewer (.rrd) instead of opening a window.
     screenshot : str or Path, optional
-        Picture (.png) to draw instead of opening a window; requires Vulkan drivers, but no display.
+        Draw a picture (.png) instead of opening a window; needs Vulkan drivers, no display.
     web : bool
-        Whether to show the recording in a browser on this machine, until interrupted.
+        Show the viewer in a browser on this machine, until interrupted.
     at : float, optional
-        Time of the picture, s; by default the time of the largest damper gaps, or of the largest displacement.
-    from_s, to_s : float, optional
-        Start and end of the shown segment, s from the start of the recording.
+        Time of the picture in seconds from the start. Default: time of the largest damper gap or displacement.
+    from_s : float, optional
+        Start of the part to use, in seconds from the first sample.
+    to_s : float, optional
+        End of the part to use, in seconds from the first sample.
     speed : float
-        Playback speed; 0.1 is slow motion.
+        Playback speed; 1 is real time, 0.1 is ten times slower.
     overwrite : bool
         Whether an existing file may be replaced.
     announce : callable

@@ -248,6 +248,18 @@ def number(value: float | str | None, kind: Kind, name: str) -> float | None:
         raise SceneError(f"{name}: {error}; expected {expected_quantity(value, [kind])}") from None
 
 
+@overload
+def finite_number(value: float | str, kind: Kind, name: str) -> float: ...
+@overload
+def finite_number(value: float | str | None, kind: Kind, name: str) -> float | None: ...
+def finite_number(value: float | str | None, kind: Kind, name: str) -> float | None:
+    """Convert an argument like `number`; its magnitude must be finite and within the limits of its kind."""
+    quantity = number(value, kind, name)
+    if quantity is not None and (math.isinf(quantity) or not kind.supports(quantity)):
+        raise SceneError(f"{name}: got {str(value)[:60]}; expected {kind.noun} {kind.range}")
+    return quantity
+
+
 def ascending_pair(values: ArrayLike, kind: Kind, name: str) -> tuple[float, float]:
     """Convert an argument of two quantities in ascending order, each like `number`.
 

@@ -34,9 +34,9 @@ def check_suffix(path: Path) -> None:
 def simulate_to_file(
     output: Path | None,
     scene: Scene,
-    duration: float | None,
-    rate: float,
-    frequency: float | None,
+    duration: float | str | None,
+    rate: float | str,
+    frequency: float | str | None,
     progress: CountProgress,
 ) -> Run:
     """Simulate a scene and write the run; with grains, a checkpoint is kept next to the file until it is written.

@@ -21,7 +21,7 @@ from rig.core.numerics.memory import require_memory
 from rig.core.results import Result, complete_style
 from rig.core.scene.loading import SceneLike, scene_of
 from rig.core.scene.scene import Scene
-from rig.core.settings.quantities import FREQUENCY, SAMPLE_RATE, TIME, number
+from rig.core.settings.quantities import FREQUENCY, SAMPLE_RATE, TIME, finite_number
 from rig.core.simulation.energy import Energy, energy_balance
 from rig.core.simulation.grains import grains_simulation
 from rig.core.system.assembly import assemble
@@ -128,7 +128,8 @@ def simulate(
     drive : array_like, shape (inputs, samples), optional
         A sampled drive at `rate`, with first-order hold, instead of the scene's test.
     frequency : float or str, optional
-        Hz, or text with a unit: a tone of this frequency at the test's level, instead of the test's own frequencies.
+        Drive with a sine of this frequency, such as ``"49 Hz"``, instead of the test's signal. Its amplitude is the
+        test's force or drive.
     keep : Path, optional
         Checkpoint file for a run with grains, which takes long. After an interruption, the same run continues from the
         file, with bit-identical results. The file is not deleted at the end.
@@ -161,11 +162,11 @@ def simulate(
     ((3, 101), 5)
     """
     scene = scene_of(scene)
-    duration, rate = number(duration, TIME, "duration"), number(rate, SAMPLE_RATE, "rate")
-    frequency = number(frequency, FREQUENCY, "frequency")
+    duration, rate = finite_number(duration, TIME, "`duration`"), finite_number(rate, SAMPLE_RATE, "`rate`")
+    frequency = finite_number(frequency, FREQUENCY, "`frequency`")
     for name, value in (("duration", duration), ("rate", rate)):
-        if value is None or not (np.isfinite(value) and value > 0.0):
-            raise SceneError(f"{name}: got {value!r}; expected a positive, finite number")
+        if value is None or value <= 0.0:
+            raise SceneError(f"`{name}`: got {value!r}; expected a positive, finite number")
     system = assemble(scene)
     _check_memory(system, duration * rate)
     samples = int(duration * rate * (1.0 + 1e-12)) + 1

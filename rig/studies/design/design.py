@@ -177,22 +177,22 @@ def design(
         Structure, shaker and level. Its dampers are replaced; the new dampers have the restitution and contact of its
         first damper.
     budget : float or str, optional
-        Largest added mass: kg, ``"50 g"``, or a share of the structure's mass such as ``"5 %"``, which is the
-        default.
+        Largest total mass of the dampers, such as ``"50 g"``, or ``"5 %"`` of the structure's mass. Default: ``"5 %"``.
     bodies : sequence of int or str, optional
-        Bodies that may carry a damper, by number from 1 or name; default all. A body that is given twice may carry two
-        dampers; such designs take several times as long, because their coupled motion is simulated and averaged.
-    dampers : int
+        Bodies that may contain a damper, by number from 1 or name. A body that is listed twice may contain two dampers;
+        such designs take several times as long, because their coupled motion is simulated and averaged. Default: all.
+    dampers : int, at least 1
         Largest number of dampers; fewer are chosen if they are as effective.
     clearance : (float, float) or (str, str), optional
-        Smallest and largest, m, or strings with units. By default, dampers hardly move at the smallest clearance and
-        hardly reach the ceiling at the largest, and dampers without a ceiling are tried too.
+        Range of clearances to search, such as ``0.2mm,3mm``. Default: dampers hardly move at the smallest clearance
+        and hardly reach the ceiling at the largest; designs without a ceiling are then included.
     levels : sequence of float or str, optional
-        Force levels, N; default half, once and twice the level of the scene's test.
+        Force amplitudes for which dampers are designed, such as ``1N,3N``. Default: 0.5, 1 and 2 times the force of
+        the test.
     band : (float, float) or (str, str), optional
-        Hz; default the range of the scene's test.
+        Frequency band in which the peaks are reduced, such as ``30Hz,60Hz``. Default: as in the scene's test.
     watched : sequence of int or str, optional
-        Bodies whose peaks are evaluated, by number from 1 or name; default all.
+        Bodies whose peaks are reduced, by number from 1 or name. Default: all.
     uncertain : (float, float) or (str, str)
         Relative uncertainty of the structure's damping and stiffness; the worst combination decides.
     cluster : str, optional

@@ -1,0 +1,131 @@
+"""Options of commands. Each option is declared once: by the Python call with this parameter, or by the command.
+
+Signature and docstring (numpydoc) of a call are read from its source, because its import would load numba or scipy.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, get_args
+
+import typer
+
+# Upper limit for numbers of frequencies or periods, so that typing errors are rejected.
+MAX_COUNT = 100_000
+# Options of parameters that have another name in Python.
+_OPTIONS = {
+    "changes": "--set", "first": "--from", "from_s": "--from", "last": "--to", "to_s": "--to", "host": "--address",
+}  # fmt: skip
+# Types of options by the annotations of calls. Text may contain units, and commas between several values.
+_TYPES: dict[str, Any] = {
+    "bool": bool,
+    "int": int,
+    "float": float,
+    "str": str,
+    "float | str": str,
+    "Sequence[float | str]": str,
+    "Sequence[int | str]": str,
+    "str | Path": Path,
+    "Sequence[str]": list[str],
+    "Sequence[float]": list[float],
+}
+_PACKAGES = Path(__file__).parents[2]
+
+
+def declare(command: Callable[..., Any], calls: Mapping[str, str]) -> None:
+    """Give a command function the signature from which typer makes its arguments and options.
+
+    A parameter of the function is annotated with a placeholder and a text: `Annotated[float, "S: Time in seconds."]`.
+    `calls`: options that are parameters of Python calls, with placeholders, such as `--at S --speed X`, by the path of
+    the call. The function has parameters of the same names, or `**options`.
+    """
+    of_calls = [option for call, usage in calls.items() for option in _options_of(call, usage)]
+    names = [option.name for option in of_calls]
+    own = [
+        parameter.replace(annotation=_with_text(parameter))
+        for parameter in inspect.signature(command, eval_str=True).parameters.values()
+        if parameter.kind is not parameter.VAR_KEYWORD and parameter.name not in names
+    ]
+    n_first = sum(parameter.kind is not parameter.KEYWORD_ONLY for parameter in own)
+    signature = inspect.Signature([*own[:n_first], *of_calls, *own[n_first:]])
+    # The signature contains all types; typer would evaluate the annotations of the function again.
+    vars(command).update(__signature__=signature, __annotations__={})
+
+
+def _with_text(parameter: inspect.Parameter) -> Any:
+    """Return the annotation of a parameter of a command, with an argument or option."""
+    value_type, *notes = get_args(parameter.annotation) or (parameter.annotation,)
+    if not notes or not isinstance(notes[0], str):
+        return parameter.annotation
+    placeholder, separator, text = notes[0].partition(": ")
+    if not separator or " " in placeholder:
+        placeholder, text = "", notes[0]
+    if placeholder.startswith("[") or (parameter.default is parameter.empty and parameter.name != "output"):
+        return Annotated[value_type, typer.Argument(metavar=placeholder, help=text)]
+    return _option(parameter.name, value_type, placeholder, text, is_on=parameter.default is True)
+
+
+def _option(name: str, value_type: Any, placeholder: str, text: str, *, is_on: bool, minimum: int | None = None) -> Any:
+    """Return the annotation of an option. `is_on`: it is a flag that is on by default."""
+    option = _option_name(name)
+    names = ["-o", option] if name == "output" else [f"{option}/--no-{name}" if is_on else option]
+    maximum = None if minimum is None else MAX_COUNT
+    return Annotated[value_type, typer.Option(*names, metavar=placeholder or None, help=text, min=minimum, max=maximum)]
+
+
+def _option_name(parameter: str) -> str:
+    return _OPTIONS.get(parameter, f"--{parameter.replace('_', '-')}")
+
+
+def _options_of(call: str, usage: str) -> Iterator[inspect.Parameter]:
+    """Yield the options in a usage text, such as `--from F --direction`, from the parameters of a call."""
+    function = _read(call)
+    arguments = [*function.args.args, *function.args.kwonlyargs]
+    defaults = [*function.args.defaults, *function.args.kw_defaults]
+    by_option = {
+        _option_name(argument.arg): (argument, default)
+        for argument, default in zip(arguments[-len(defaults) :], defaults, strict=True)
+    }
+    texts = _texts(ast.get_docstring(function) or "")
+    for option, placeholder in re.findall(r"(--\S+)(?: ([^-\s]\S*))?", usage):
+        argument, default_node = by_option[option]
+        default = ast.literal_eval(default_node)
+        value_type = _TYPES[ast.unparse(argument.annotation).removesuffix(" | None")]
+        kind, text = texts[argument.arg]
+        if value_type in (list[str], list[float]):
+            text += " May be repeated."
+        minimum = re.search(r"at least (\d+)", kind)
+        declared = _option(
+            argument.arg,
+            value_type,
+            placeholder or "|".join(re.findall(r"'(\w+)'", kind)),
+            text,
+            is_on=default is True,
+            minimum=None if minimum is None else int(minimum[1]),
+        )
+        yield inspect.Parameter(argument.arg, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=declared)
+
+
+@cache
+def _read(call: str) -> Any:
+    """Return the syntax tree of a call without its code."""
+    module, _, name = call.rpartition(".")
+    source = (_PACKAGES / f"{module.replace('.', '/')}.py").read_text(encoding="utf-8")
+    head = re.search(rf'^def {name}\(.*?^    """$', source, re.DOTALL | re.MULTILINE)
+    assert head is not None, f"{call} has no docstring"
+    return ast.parse(head[0]).body[0]
+
+
+def _texts(docstring: str) -> dict[str, tuple[str, str]]:
+    """Return the types and texts of the parameters in a docstring."""
+    texts: dict[str, tuple[str, str]] = {}
+    for names, kind, text in re.findall(r"^(\w[\w, ]*) : (.*)\n((?:    .*\n?)+)", docstring, re.MULTILINE):
+        # In a terminal, text is in single quotes, and names have no quotes.
+        plain = re.sub(r"``(.*?)``", lambda found: found[1].replace('"', "'"), " ".join(text.split()))
+        texts |= dict.fromkeys(names.split(", "), (kind, plain))
+    return texts

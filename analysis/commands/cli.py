@@ -27,10 +27,8 @@ Table = Annotated[Path, "FILE: CSV table of results. Points in this table are no
 
 @app.command(
     example="analysis frf sweep.mcap --response body3",
-    options={
-        "analysis.commands.calls.frf": "--response CHANNEL --reference --motion QUANTITY --estimator --block S "
-        "--overlap SHARE --window NAME --unit UNIT"
-    },
+    options="--response CHANNEL --reference --motion QUANTITY --estimator --block S --overlap SHARE --window NAME "
+    "--unit UNIT",
 )
 def frf(
     files: Curves,
@@ -47,10 +45,7 @@ def frf(
         _print_output(present_frf(files, output, theory=theory, progress=progress, **options))
 
 
-@app.command(
-    example="analysis decay impulse.mcap --channel body3",
-    options={"analysis.core.decays.free_decay.decay": "--channel CHANNEL --hit N"},
-)
+@app.command(example="analysis decay impulse.mcap --channel body3", options="--channel CHANNEL --hit N")
 def decay(files: Recordings, output: Folder = None, *, overwrite: Overwrite = False, **options: Any) -> None:
     """Estimate natural frequencies and damping from a free decay."""
     from analysis.commands.presentation.decay_findings import present_decay
@@ -60,8 +55,7 @@ def decay(files: Recordings, output: Folder = None, *, overwrite: Overwrite = Fa
 
 
 @app.command(
-    example="analysis srs shock.mcap --channel table --q 10",
-    options={"analysis.core.signals.shock_spectrum.srs": "--q Q --lowest HZ --highest HZ --from S --to S"},
+    example="analysis srs shock.mcap --channel table --q 10", options="--q Q --lowest HZ --highest HZ --from S --to S"
 )
 def srs(
     files: Recordings,
@@ -124,13 +118,7 @@ def surface(
         _print_output(present_surface(files, output, force or ()))
 
 
-@app.command(
-    example="analysis modes sweep.mcap",
-    options={
-        "analysis.commands.calls.frf": "--reference --block S --unit UNIT",
-        "analysis.commands.calls.modes": "--modes N",
-    },
-)
+@app.command(example="analysis modes sweep.mcap", options="--reference --block S --unit UNIT --modes N")
 def modes(
     files: Curves,
     output: Folder = None,
@@ -181,10 +169,7 @@ def compare(files: Compared, output: Folder = None, overwrite: Overwrite = False
         _print_output(present_compare(files, output, progress))
 
 
-@app.command(
-    example="analysis fit sweep.mcap guess.yaml --free structure -o fitted.yaml",
-    options={"analysis.core.fitting.fit.fit": "--free KEY"},
-)
+@app.command(example="analysis fit sweep.mcap guess.yaml --free structure -o fitted.yaml", options="--free KEY")
 def fit(
     files: Annotated[list[Path], "RECORDING...: Recordings of one structure, with or without dampers, at any level."],
     scene: SceneName,
@@ -234,8 +219,7 @@ def demo(
 
 
 @app.command(
-    example="analysis export sweep.mcap -o sweep.uff",
-    options={"analysis.commands.calls.export": "--channel CHANNEL --from S --to S --speed X --what"},
+    example="analysis export sweep.mcap -o sweep.uff", options="--channel CHANNEL --from S --to S --speed X --what"
 )
 def export(
     file: Annotated[Path, "FILE: The recording."],
@@ -275,7 +259,7 @@ def export(
     report_written(output)
 
 
-@app.command(example="analysis cost fig9", options={"analysis.commands.calls.cost": "--frequency HZ"})
+@app.command(example="analysis cost fig9", options="--frequency HZ")
 def cost(
     scene: SceneName,
     changes: Changes = None,

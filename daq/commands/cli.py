@@ -91,7 +91,8 @@ def record(
 @app.command(
     "import",
     example="daq import bench.csv --scene mine.yaml --table channels.yaml -o bench.mcap",
-    options={"daq.extras.importing.import_files.import_files": "--from S --to S"},
+    call="import_files",
+    options="--from S --to S",
 )
 def import_recording(
     files: Annotated[
@@ -137,9 +138,7 @@ def import_recording(
 @app.command(
     "replay",
     example="daq replay sweep.mcap --screenshot sweep.png",
-    options={
-        "daq.extras.viewer.show.replay": "--save FILE.rrd --web --screenshot FILE.png --at S --from S --to S --speed X"
-    },
+    options="--save FILE.rrd --web --screenshot FILE.png --at S --from S --to S --speed X",
 )
 def replay_recording(
     file: Annotated[Path, "FILE: Recording to show."], *, overwrite: Overwrite = False, **options: Any
@@ -205,11 +204,7 @@ def run_a_script(
     raise typer.Exit(code)
 
 
-@app.command(
-    "serve",
-    example="daq serve fig9 --clock fast",
-    options={"daq.extras.ni_server.serve.serve": "--address HOST[:PORT] --port N"},
-)
+@app.command("serve", example="daq serve fig9 --clock fast", options="--address HOST[:PORT] --port N")
 def serve_a_rig(
     scene: BenchScene = None,
     changes: Changes = None,
@@ -258,9 +253,7 @@ def serve_a_rig(
 
 
 @app.command(
-    "bench",
-    example="daq bench fig9 --port 0",
-    options={"daq.extras.bench_page.bench.bench": "--address HOST[:PORT] --port N --device-port N --browser"},
+    "bench", example="daq bench fig9 --port 0", options="--address HOST[:PORT] --port N --device-port N --browser"
 )
 def bench_in_the_browser(
     scene: BenchScene = None,

@@ -112,10 +112,7 @@ def explain(
         print(f"\n{prediction}")
 
 
-@app.command(
-    example="rig simulate fig9 --duration 2s -o run.npz",
-    options={"rig.core.simulation.simulate.simulate": "--frequency F"},
-)
+@app.command(example="rig simulate fig9 --duration 2s -o run.npz", options="--frequency F")
 def simulate(
     scene: SceneName,
     changes: Changes = None,
@@ -148,7 +145,7 @@ def simulate(
 
 @app.command(
     example="rig response fig9 --from 30Hz --to 40Hz --points 21 -o response.csv",
-    options={"rig.commands.calls.response": "--from F --to F --points N --direction"},
+    options="--from F --to F --points N --direction",
 )
 def response(
     scene: SceneName,
@@ -181,10 +178,7 @@ def response(
 
 @app.command(
     example="rig grains fig9 --set 'dampers[1].grains={diameter: 2 mm}' --points 5 -o grains.csv",
-    options={
-        "rig.commands.calls.response": "--from F --to F --points N",
-        "rig.commands.calls.grains": "--periods N",
-    },
+    options="--from F --to F --points N --periods N",
 )
 def grains(
     scene: SceneName,
@@ -212,7 +206,7 @@ def grains(
         report_written(output)
 
 
-@app.command(example="rig cost fig9", options={"rig.commands.calls.cost": "--frequency F"})
+@app.command(example="rig cost fig9", options="--frequency F")
 def cost(
     scene: SceneName,
     changes: Changes = None,
@@ -242,12 +236,7 @@ def cost(
 
 
 @app.command(
-    "map",
-    example="rig map fig9 --rows 12 --points 24",
-    options={
-        "rig.commands.calls.map": "--over --least VALUE --most VALUE",
-        "rig.commands.calls.response": "--from F --to F",
-    },
+    "map", example="rig map fig9 --rows 12 --points 24", options="--over --least VALUE --most VALUE --from F --to F"
 )
 def map_(
     scene: SceneName,
@@ -288,10 +277,8 @@ def map_(
 
 @app.command(
     example="rig design fig9 --budget '50 g' --bodies 3 --levels 3N -o design",
-    options={
-        "rig.studies.design.design.design": "--budget MASS|SHARE --bodies BODY,... --dampers N --clearance LOW,HIGH "
-        "--levels F,F,... --band LOW,HIGH --watched BODY,..."
-    },
+    options="--budget MASS|SHARE --bodies BODY,... --dampers N --clearance LOW,HIGH --levels F,F,... --band LOW,HIGH "
+    "--watched BODY,...",
 )
 def design(
     scene: SceneName,

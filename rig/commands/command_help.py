@@ -1,6 +1,6 @@
 """Layout of the help that `COMMAND --help` prints: options in groups, and an example for each command."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import typer
@@ -69,22 +69,17 @@ class Application(typer.Typer):
     """An application in which each command has an example."""
 
     def command(
-        self,
-        name: str | None = None,
-        *,
-        example: str | None = None,
-        options: Mapping[str, str] | None = None,
-        **settings: Any,
+        self, name: str | None = None, *, example: str | None = None, options: str = "", call: str = "", **settings: Any
     ) -> Callable[..., Any]:
         """Register a command.
 
         `name`: name of the command; omitted, the name of the function; `example`: a command line as a user types it;
-        `options`: options that are parameters of Python calls, see `declare`; `**settings`: arguments of
-        `typer.Typer.command`.
+        `options`: options that are parameters of a Python call, see `declare`; `call`: its name, by default the name of
+        the command; `**settings`: arguments of `typer.Typer.command`.
         """
 
         def register(function: Callable[..., Any]) -> Any:
-            declare(function, options or {})
+            declare(function, call or name or function.__name__, options)
             return super(Application, self).command(name, cls=GroupedCommand, epilog=example, **settings)(function)
 
         return register

@@ -8,7 +8,7 @@ from __future__ import annotations
 import ast
 import inspect
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, get_args
@@ -37,22 +37,22 @@ _TYPES: dict[str, Any] = {
 _PACKAGES = Path(__file__).parents[2]
 
 
-def declare(command: Callable[..., Any], calls: Mapping[str, str]) -> None:
+def declare(command: Callable[..., Any], call: str, usage: str) -> None:
     """Give a command function the signature from which typer makes its arguments and options.
 
     A parameter of the function is annotated with a placeholder and a text: `Annotated[float, "S: Time in seconds."]`.
-    `calls`: options that are parameters of Python calls, with placeholders, such as `--at S --speed X`, by the path of
-    the call. The function has parameters of the same names, or `**options`.
+    `usage`: options that are parameters of a call, with placeholders, such as `--at S --speed X`; `call`: its name in
+    the package of the command. The function has parameters of the same names, or `**options`.
     """
-    of_calls = [option for call, usage in calls.items() for option in _options_of(call, usage)]
-    names = [option.name for option in of_calls]
+    of_call = list(_options_of(command.__module__.partition(".")[0], call, usage)) if usage else []
+    names = [option.name for option in of_call]
     own = [
         parameter.replace(annotation=_with_text(parameter))
         for parameter in inspect.signature(command, eval_str=True).parameters.values()
         if parameter.kind is not parameter.VAR_KEYWORD and parameter.name not in names
     ]
     n_first = sum(parameter.kind is not parameter.KEYWORD_ONLY for parameter in own)
-    signature = inspect.Signature([*own[:n_first], *of_calls, *own[n_first:]])
+    signature = inspect.Signature([*own[:n_first], *of_call, *own[n_first:]])
     # The signature contains all types; typer would evaluate the annotations of the function again.
     vars(command).update(__signature__=signature, __annotations__={})
 
@@ -82,21 +82,21 @@ def _option_name(parameter: str) -> str:
     return _OPTIONS.get(parameter, f"--{parameter.replace('_', '-')}")
 
 
-def _options_of(call: str, usage: str) -> Iterator[inspect.Parameter]:
+def _options_of(package: str, call: str, usage: str) -> Iterator[inspect.Parameter]:
     """Yield the options in a usage text, such as `--from F --direction`, from the parameters of a call."""
-    function = _read(call)
+    function = _read(package, call)
     arguments = [*function.args.args, *function.args.kwonlyargs]
     defaults = [*function.args.defaults, *function.args.kw_defaults]
     by_option = {
         _option_name(argument.arg): (argument, default)
         for argument, default in zip(arguments[-len(defaults) :], defaults, strict=True)
     }
-    texts = _texts(ast.get_docstring(function) or "")
-    for option, placeholder in re.findall(r"(--\S+)(?: ([^-\s]\S*))?", usage):
-        argument, default_node = by_option[option]
+    for words in usage.removeprefix("--").split(" --"):
+        option, _, placeholder = words.partition(" ")
+        argument, default_node = by_option[f"--{option}"]
         default = ast.literal_eval(default_node)
         value_type = _TYPES[ast.unparse(argument.annotation).removesuffix(" | None")]
-        kind, text = texts[argument.arg]
+        kind, text = _kind_and_text(package, call, argument.arg)
         if value_type in (list[str], list[float]):
             text += " May be repeated."
         minimum = re.search(r"at least (\d+)", kind)
@@ -111,21 +111,30 @@ def _options_of(call: str, usage: str) -> Iterator[inspect.Parameter]:
         yield inspect.Parameter(argument.arg, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=declared)
 
 
+def _kind_and_text(package: str, call: str, parameter: str) -> tuple[str, str]:
+    """Return the type and the text of a parameter in the docstring of a call, or of the call to which this refers."""
+    docstring = ast.get_docstring(_read(package, call)) or ""
+    for names, kind, lines in re.findall(r"^(\w[\w, ]*) : (.*)\n((?:    .*\n?)+)", docstring, re.MULTILINE):
+        if parameter in names.split(", "):
+            if kind.startswith("as in `"):
+                return _kind_and_text(package, kind.strip("`").rpartition("`")[2].rpartition(".")[2], parameter)
+            # In a terminal, text is in single quotes, and names have no quotes.
+            return kind, re.sub(r"``(.*?)``", lambda code: code[1].replace('"', "'"), " ".join(lines.split()))
+    raise KeyError(f"{package}.{call} does not describe {parameter}")
+
+
 @cache
-def _read(call: str) -> Any:
-    """Return the syntax tree of a call without its code."""
-    module, _, name = call.rpartition(".")
-    source = (_PACKAGES / f"{module.replace('.', '/')}.py").read_text(encoding="utf-8")
-    head = re.search(rf'^def {name}\(.*?^    """$', source, re.DOTALL | re.MULTILINE)
-    assert head is not None, f"{call} has no docstring"
-    return ast.parse(head[0]).body[0]
+def _read(package: str, call: str) -> Any:
+    """Return the syntax tree of a public call without its code."""
+    source = (_PACKAGES / package / f"{_modules(package)[call].replace('.', '/')}.py").read_text(encoding="utf-8")
+    begin = source.index(f"\ndef {call}(")
+    end = source.index('"""', source.index('"""', begin) + 3)
+    return ast.parse(source[begin : end + 3]).body[0]
 
 
-def _texts(docstring: str) -> dict[str, tuple[str, str]]:
-    """Return the types and texts of the parameters in a docstring."""
-    texts: dict[str, tuple[str, str]] = {}
-    for names, kind, text in re.findall(r"^(\w[\w, ]*) : (.*)\n((?:    .*\n?)+)", docstring, re.MULTILINE):
-        # In a terminal, text is in single quotes, and names have no quotes.
-        plain = re.sub(r"``(.*?)``", lambda found: found[1].replace('"', "'"), " ".join(text.split()))
-        texts |= dict.fromkeys(names.split(", "), (kind, plain))
-    return texts
+@cache
+def _modules(package: str) -> dict[str, str]:
+    """Return the modules of the public names of a package."""
+    stub = (_PACKAGES / package / "__init__.pyi").read_text(encoding="utf-8")
+    imports = re.findall(r"^from \.(\S+) import (.*)", stub, re.MULTILINE)
+    return {name: module for module, names in imports for name in names.split(", ")}

@@ -49,28 +49,9 @@ def frequency_responses(
     rec : daq.Recording, str or Path
         The recording, or its path, of a sine, stepped sine, swept sine, random, multisine or impulse test.
     channels : sequence of str, optional
-        Responses; if omitted, every channel on a body.
-    reference : {'force', 'table'}, optional
-        Divide by the force on the structure, or by the displacement of the table; if omitted, by the table if it
-        carries the structure (shaker: base), otherwise by the force.
-    motion : {'displacement', 'velocity', 'acceleration'}
-        Compliance, mobility or accelerance.
-    estimator : {'H1', 'H2', 'Hv'}, optional
-        Average the spectra of blocks, for random tests and hits. If omitted, the local rational method processes
-        random tests, impacts and sweeps as a whole, without leakage. For tones the amplitudes are averaged.
-    block : float, optional
-        Length of the blocks in s, for random tests and hits; each hit begins a block. This selects block averaging,
-        with H1 by default.
-    progress : callable, optional
-        Called with (completed, total).
-    overlap : float, optional
-        Overlap of successive blocks as a fraction of the block length, for random tests; 0.5 if omitted.
-    window : str, optional
-        Window of the blocks, as in `scipy.signal.get_window`; if omitted, ``hann`` for random, none for impacts.
-    level : float or str, optional
-        Level to select if the test ran several, such as ``"2.6 N"``; if omitted, all levels.
-    direction : {'up', 'down'}, optional
-        Direction to select if the test ran both directions; if omitted, both.
+        As `response` in `analysis.frf`.
+    reference, motion, estimator, block, progress, overlap, window, level, direction : as in `analysis.frf`
+        Input, quantity and estimator of the responses, and the selected sweeps; by default, all sweeps.
 
     Returns
     -------

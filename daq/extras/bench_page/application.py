@@ -52,6 +52,7 @@ class Application:
                 name, value = await socket.receive_json()
                 # A test may compile kernels at its start, which takes seconds.
                 await run_in_threadpool(self._obey, page, name, value)
+                page.obeyed += 1
                 if name == "theory":
                     await socket.send_bytes(await run_in_threadpool(page.theory))
         except (WebSocketDisconnect, ValueError, TypeError, LookupError, OverflowError, RuntimeError):

@@ -60,8 +60,8 @@ class History:
 
     def last(self, samples: int) -> Array:
         """Return the last samples, shape (rows, samples)."""
-        length = self._values.shape[1]
-        return self._values[:, np.arange(self.stop - min(samples, length), self.stop) % length]
+        length, stop = self._values.shape[1], self.stop
+        return self._values[:, np.arange(stop - min(samples, length), stop) % length]
 
 
 class Monitor:

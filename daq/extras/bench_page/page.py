@@ -94,6 +94,7 @@ class Page:
         self._refreshes = 0
         self._shown_version: Any = None
         self.span = 1.0  # duration of the shown time histories, s
+        self.obeyed = 0  # number of commands of the browser that were carried out
 
     def description(self) -> bytes:
         """Return the first message, which contains all data that do not change."""
@@ -118,7 +119,11 @@ class Page:
     def refresh(self) -> bytes:
         """Return the next message: the state and the curves that are due."""
         monitor = self._monitor
-        content: dict[str, Any] = {"state": self._state(), "span": self.span}
+        # First, because a command may be carried out while the state is read.
+        content: dict[str, Any] = {"obeyed": self.obeyed, "span": self.span}
+        # Locked, because a test can end while the state is read.
+        with self._bench.chassis.changed:
+            content["state"] = self._state()
         history = monitor.history.last(round(self.span * monitor.rate))
         arrays: dict[str, NDArray[Any]] = {"history": min_max_envelope(history, _HISTORY_COLUMNS)}
         if self._refreshes % _REFRESHES_PER_SPECTRUM == 0:

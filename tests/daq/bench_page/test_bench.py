@@ -81,6 +81,20 @@ def test_scene_without_input_is_reported_at_start(tmp_path):
 
 
 @pytest.mark.parametrize("bench", ["shaker"], indirect=True)
+def test_bench_stands_still_while_its_state_is_read(bench, monkeypatch):
+    changed, acquired = bench.chassis.changed, []
+
+    def remaining(_):
+        other = threading.Thread(target=lambda: acquired.append(changed.acquire(blocking=False)))
+        other.start()
+        other.join()
+
+    monkeypatch.setattr(type(bench.controller), "remaining", property(remaining))
+    Page(bench).refresh()
+    assert acquired == [False]
+
+
+@pytest.mark.parametrize("bench", ["shaker"], indirect=True)
 def test_stuck_display_does_not_delay_the_bench(bench, monkeypatch):
     released, monitor = threading.Event(), bench.monitor
     monkeypatch.setattr(monitor, "_process", lambda *_: released.wait())

@@ -119,18 +119,20 @@ def test_sweep_is_displayed_recorded_and_analyzed(bench, browser, tmp_path):
     wait_for(browser, lambda: element(browser, "state").text == "ready")
     for name, value in {"level": 5, "low": 57, "high": 67, "duration": 8}.items():
         set_number(browser, name, value)
-    browser.execute_script(STORE_STATES)
-    element(browser, "record").click()
-    element(browser, "start").click()
-    # The file is named from the start of the sweep on, which may have ended before a busy machine looks again.
-    wait_for(browser, lambda: "test.mcap" in element(browser, "file").text)
-    # Another program reads a channel, and the page shows its task.
+    # Another program reads the noise of a channel, and the page shows its task. A task that runs after the sweep would
+    # have a recording of its own.
     with open_channel(device) as channel, nidaqmx.Task("other", grpc_options=_options(channel)) as task:
         task.ai_channels.add_ai_accel_chan("cDAQ1Mod1/ai0")
         task.timing.cfg_samp_clk_timing(1024.0, samps_per_chan=1024)
         task.start()
         wait_for(browser, lambda: "other" in element(browser, "clients").text)
         assert np.ptp(task.read(1024)) > 0.0
+    wait_for(browser, lambda: "other" not in element(browser, "clients").text)
+    browser.execute_script(STORE_STATES)
+    element(browser, "record").click()
+    element(browser, "start").click()
+    # The file is named from the start of the sweep on, which may have ended before a busy machine looks again.
+    wait_for(browser, lambda: "test.mcap" in element(browser, "file").text)
     wait_for(browser, lambda: element(browser, "state").text == "ready")
     assert any(" Hz" in state for state in browser.execute_script("return window.states"))
     wait_for(browser, lambda: browser.execute_script(CURVE, "arm"))
@@ -147,6 +149,22 @@ def test_sweep_is_displayed_recorded_and_analyzed(bench, browser, tmp_path):
         recording.check()
         frf = analysis.frfs(recording)["arm"]
     assert frf.frequency[np.argmax(abs(frf.value))] == pytest.approx(62.0, abs=0.3)
+
+
+@pytest.mark.thorough
+def test_controls_wait_for_the_bench(bench, browser):
+    browser.get(bench[0])
+    wait_for(browser, lambda: element(browser, "state").text == "ready")
+    is_inert = functools.partial(value_of, browser, "document.getElementById('controls').inert")
+    browser.execute_script("socket.close()")
+    wait_for(browser, is_inert)
+    wait_for(browser, lambda: not is_inert())
+    # Until the last command is carried out, messages do not change the fields.
+    browser.execute_script("sent++; controls.fields.level[1].value = '7'; window.before = messages")
+    wait_for(browser, lambda: value_of(browser, "messages > before + 4"))
+    assert value_of(browser, "controls.fields.level[1].value") == "7"
+    browser.execute_script("sent--")
+    wait_for(browser, lambda: value_of(browser, "controls.fields.level[1].value") == "10")
 
 
 @pytest.mark.thorough

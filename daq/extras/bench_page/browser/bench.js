@@ -2,7 +2,7 @@
 "use strict";
 
 const $ = (name) => document.getElementById(name);
-let socket = null, frozen = false, messages = 0, channels = [], histories = null, spectra = null;
+let socket = null, frozen = false, messages = 0, sent = 0, channels = [], histories = null, spectra = null;
 const shownScales = new Map();
 const VISIBLE_PART = 0.1; // of the limit of a channel
 
@@ -22,7 +22,9 @@ function fillTable(table, rows) {
 }
 
 function send(name, value = null) {
-  if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify([name, value]));
+  if (socket?.readyState !== WebSocket.OPEN) return;
+  sent++;
+  socket.send(JSON.stringify([name, value]));
 }
 
 function freeze() {
@@ -119,8 +121,11 @@ function receive(content) {
   } else if (content.theory !== undefined) {
     response.setTheory(content);
   } else {
-    // Texts and bars need no more than 10 updates a second.
-    if (messages++ % 2 === 0) for (const part of [controls, bar, levels]) part.update(content);
+    // Texts and bars need no more than 10 updates a second. A state from before the last command would undo its effect.
+    if (messages++ % 2 === 0 && content.obeyed === sent) {
+      $("controls").inert = false;
+      for (const part of [controls, bar, levels]) part.update(content);
+    }
     if (frozen) return;
     rig.update(content);
     response.update(content);
@@ -131,8 +136,10 @@ function receive(content) {
 function connect() {
   socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
   socket.binaryType = "arraybuffer";
+  sent = 0;
   socket.addEventListener("message", (event) => receive(unpack(event.data)));
   socket.addEventListener("close", () => {
+    $("controls").inert = true;
     setText("message", "the bench has ended, or the connection is lost; connecting again");
     setTimeout(connect, 2000);
   });

@@ -30,7 +30,8 @@ const controls = {
       this.fields[name] = [title, field];
     }
     $("form").addEventListener("submit", (event) => event.preventDefault());
-    for (const name of ["start", "stop", "hit", "clear"]) $(name).addEventListener("click", () => send(name));
+    for (const name of ["start", "stop", "hit"]) $(name).addEventListener("click", () => this.request(name));
+    $("clear").addEventListener("click", () => send("clear"));
     $("record").addEventListener("change", () => send("record", $("record").checked));
     $("freeze").addEventListener("click", () => freeze());
     $("hit").hidden = $("hit-key").hidden = $("hit-panel").hidden = !hasHammer;
@@ -42,12 +43,18 @@ const controls = {
     document.addEventListener("keydown", (event) => this.press(event));
   },
 
+  // The start of a test can take seconds.
+  request(name) {
+    setText("message", name === "stop" ? "stopping" : "starting");
+    send(name);
+  },
+
   // Keys have no effect while a field is edited. A space must not also press the focused button.
   press(event) {
     if (event.target.matches("input:not([type=checkbox]), select") || event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
-    const actions = { " ": () => send(this.running ? "stop" : "start"), f: freeze, h: () => send("hit") };
+    const actions = { " ": () => this.request(this.running ? "stop" : "start"), f: freeze, h: () => this.request("hit") };
     const action = actions[event.key.toLowerCase()];
-    if (!action) return;
+    if (!action || $("controls").inert) return;
     event.preventDefault();
     action();
   },

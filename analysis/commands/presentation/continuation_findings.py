@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from analysis.commands.presentation.figures_of_recordings import present_each
-from analysis.commands.presentation.outputs import CommandOutput
+from analysis.commands.presentation.outputs import CommandOutput, with_recording_name
 from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.tracking.continuation import AmplitudeCurve, continuation
 from rig.core.base.figure_style import add_legend_below
@@ -56,10 +57,13 @@ def present_continuation(
 ) -> CommandOutput:
     """Draw and tabulate each recording; `theory`: add the exact orbits of its scene."""
     exact: list[ExactBranch] = []
+    warnings: list[str] = []
 
     def evaluate(rec: Recording) -> AmplitudeCurve:
         result = continuation(rec)
         exact[:] = exact_branches(rec, result) if theory else []
+        remedy = "Raise test.settle.longest, or give a smaller test.step."
+        warnings.extend(with_recording_name(rec.path, [f"{text}. {remedy}" for text in result.omissions()]))
         return result
 
     def draw(result: AmplitudeCurve, figure: Figure, axes: Axes) -> None:
@@ -77,9 +81,10 @@ def present_continuation(
         add_legend_below(figure, "Points: measured, with 95 % intervals.", *caption)
 
     title = "Response at constant level"
-    return present_each(
+    written = present_each(
         recordings, paths, output, "continuation", title, evaluate, draw, lambda result: fold_lines(result, exact)
     )
+    return replace(written, warnings=tuple(warnings))
 
 
 def fold_lines(result: AmplitudeCurve, exact: Sequence[ExactBranch]) -> list[str]:

@@ -99,7 +99,7 @@ def present_frf(
         groups = frequency_responses(rec, response, reference, motion, progress=progress, **options)
         curves += [relabel(frf, rec.scene.name, label) for group in groups for frf in group]
         moving[label], excitations[label] = not rec.scene.is_linear, excitation_text(rec)
-        acquisitions.add(acquisition_text(rec, groups[0][0]))
+        acquisitions.add(acquisition_text(rec, groups[0][0], blocks.title(rec.test.kind)))
         warnings += with_recording_name(path, [warning for group in groups for warning in group[0].warnings])
         tolerance_remarks += stated_tolerances(rec, [frf for group in groups for frf in group])
         if theory:

@@ -7,7 +7,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import count
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -61,6 +61,15 @@ class Curve:
     draw: str = "line"
 
 
+class Mark(NamedTuple):
+    """A label above the axes, joined to a value by a dotted line."""
+
+    x: float
+    y: float
+    label: str
+    color: str = ""  # default: that of text; on a narrow screen, only these labels are drawn
+
+
 @dataclass(frozen=True)
 class Panel:
     """A pair of axes; all panels of a chart share the abscissa."""
@@ -73,7 +82,7 @@ class Panel:
     limits: tuple[float, float] | None = None  # limits of the vertical axis
     ticks: Sequence[float] | None = None  # ticks of the vertical axis
     image: dict[str, Any] | None = None  # image from `level_image`
-    marks: Sequence[tuple[float, float, str]] = ()  # abscissa, value and label of peaks, ascending
+    marks: Sequence[Mark] = ()  # ascending
     strips: Sequence[tuple[float, float]] = ()  # ranges of the abscissa without a determined value
 
 

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from analysis.commands.report_page.charts import Chart, Curve, EvenlySpaced, Panel, limits_with_margin, side_limits
+from analysis.commands.report_page.charts import (
+    Chart,
+    Curve,
+    EvenlySpaced,
+    Mark,
+    Panel,
+    limits_with_margin,
+    side_limits,
+)
 from analysis.commands.report_page.measurements import Measurement
 from analysis.core.decays.sensor_correction import correct_motion
-from analysis.core.responses.measurands import response_channels
 from analysis.core.signals.profile_check import ProfileCheck
-from analysis.core.signals.shock_spectrum import srs
 from analysis.core.tracking.backbone import Backbone
 from analysis.core.tracking.body_motion import CurvePart
 from analysis.core.tracking.continuation import AmplitudeCurve
@@ -70,7 +76,7 @@ def _tracking_chart(result: AmplitudeCurve | Backbone) -> Chart:
         * (difference > FORCE_TOLERANCE),
     ]
     frequency = np.concatenate([np.asarray(curve.x) for curve in curves])
-    marks = [(at, 1e3 * height, text) for at, height, text in sorted(result.marks())]
+    marks = [Mark(at, 1e3 * height, text) for at, height, text in sorted(result.marks())]
     return Chart(
         " ".join(filter(None, notes)),
         "Amplitude over the frequency of the controlled tone.",
@@ -115,15 +121,14 @@ def control_charts(measurement: Measurement) -> list[Chart]:
         return [*charts, _modal_chart(measurement.tracked)] if isinstance(measurement.tracked, Backbone) else charts
     if measurement.profile is not None:
         return [_profile_chart(measurement.profile)]
-    shocks = shocks_of(rec.markers)
-    if not shocks or rec.scene.test is None:
+    if not measurement.spectra or rec.scene.test is None:
         return []
-    test, mark = rec.scene.test, shocks[0]
+    test, mark = rec.scene.test, shocks_of(rec.markers)[0]
     control = next(name for _, name in test.named_channels)
     samples = rec.read(control, mark.first_sample, mark.end + 1)
     wave = correct_motion(rec.channels[control], samples, "acceleration", 2.0 / test.shortest, 0.4 * rec.rate)
     center = int(mark.fields["center"]) - mark.first_sample
-    time = EvenlySpaced(-center / rec.rate, 1.0 / rec.rate, wave.size)
+    time = EvenlySpaced(-1e3 * center / rec.rate, 1e3 / rec.rate, wave.size)
     curves = [Curve(control, time, wave, style=place_style(rec.channels[control].at))]
     elapsed = (np.arange(wave.size) - center) / rec.rate
     pulse, view = test.pulse(elapsed), None
@@ -132,20 +137,19 @@ def control_charts(measurement: Measurement) -> list[Chart]:
         # The measured pulse is drawn over the prescribed pulse.
         band = target - tolerance, target + tolerance
         curves.insert(0, Curve("prescribed", time, target, *band, CurveStyle(REFERENCE)))
-        moving = elapsed[abs(target) > _VISIBLE_PART * abs(target).max()]
+        moving = 1e3 * elapsed[abs(target) > _VISIBLE_PART * abs(target).max()]
         view = _PULSE_VIEW * float(moving.min()), _PULSE_VIEW * float(moving.max())
     waveform = Chart(
         "First shock at the control channel; band: tolerance.",
         f"Acceleration of {control} in the first shock.",
         [Panel("acceleration", "m/s²", curves, height=220)],
         x_name="time",
-        x_unit="s",
+        x_unit="ms",
         x_view=view,
     )
-    spectra = [srs(rec, name) for name in dict.fromkeys((control, *response_channels(rec)))]
     curves = [
         Curve(each.channel, each.frequency, each.maximax, style=place_style(rec.channels[each.channel].at))
-        for each in spectra
+        for each in measurement.spectra
     ]
     prescribed = test.shock_spectrum()
     if prescribed is not None:

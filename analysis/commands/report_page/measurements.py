@@ -30,10 +30,12 @@ from analysis.core.modal.mode_warnings import extrapolates_damping
 from analysis.core.modal.modes import Modes
 from analysis.core.recordings.names import OpenRecordings, reference_label, relabel, scene_labels, sweep_name
 from analysis.core.responses.frequency_responses import frequency_responses
+from analysis.core.responses.measurands import response_channels
 from analysis.core.signals.profile_check import ProfileCheck, profile
+from analysis.core.signals.shock_spectrum import ShockSpectrum, srs
 from analysis.core.tracking.backbone import Backbone, backbone
 from analysis.core.tracking.continuation import AmplitudeCurve, continuation
-from daq.core.recording.recorded_test import FOLLOWED_CURVE, HELD_PHASE, ControlledTones
+from daq.core.recording.recorded_test import FOLLOWED_CURVE, HELD_PHASE, ControlledTones, shocks_of
 from daq.core.recording.recording import Recording
 from rig.core.base.errors import ShotrigError
 from rig.core.base.progress import CountProgress
@@ -121,6 +123,8 @@ class Measurement:
     profile: ProfileCheck | None = None
     # Followed curves and resonances have points at frequencies that the controller chose, and no sweeps.
     tracked: AmplitudeCurve | Backbone | None = None
+    # Of the control channel and the bodies, for the first shock.
+    spectra: tuple[ShockSpectrum, ...] = ()
 
 
 @dataclass
@@ -166,11 +170,14 @@ class Measurements:
 
     def _measure(self, path: Path, label: str, rec: Recording) -> Measurement:
         frfs_of_sweeps = tracked = None
+        spectra: Sequence[ShockSpectrum] = ()
         tracking = next((analysis for tones, analysis in _TRACKED.items() if tones.measured(rec.markers)), None)
         if tracking is not None:
             tracked = self._attempt(path, "Controlled motion", tracking, rec)
             if tracked is not None:
                 tracked = relabel(tracked, rec.scene.name, f"“{label}”")
+        elif shocks_of(rec.markers):
+            spectra = self._attempt(path, "Shock response spectra", _shock_spectra, rec) or ()
         elif rec.test.drives:
             frfs_of_sweeps = self._attempt(
                 path, "Frequency responses", frequency_responses, rec, progress=self.progress
@@ -193,7 +200,7 @@ class Measurements:
             check = self._attempt(path, "Controlled motion", profile, rec)
         if check is not None:
             check = replace(check, label=f"“{label}”")
-        return Measurement(path, label, rec, sweeps, tuple(dampers or ()), free_decay, check, tracked)
+        return Measurement(path, label, rec, sweeps, tuple(dampers or ()), free_decay, check, tracked, tuple(spectra))
 
     def _evaluate_sweep(self, path: Path, label: str, rec: Recording, frfs: Sequence[Response]) -> SweepResults:
         frfs = [relabel(frf, rec.scene.name, label) for frf in frfs]
@@ -228,6 +235,13 @@ class Measurements:
 
     def _warn(self, path: Path, texts: Sequence[str]) -> None:
         self.warnings += [text for text in with_recording_name(path, texts) if text not in self.warnings]
+
+
+def _shock_spectra(rec: Recording) -> list[ShockSpectrum]:
+    """Return the spectra of the control channels of a shock test and of the responses."""
+    assert rec.scene.test is not None
+    controls = [str(name) for _, name in rec.scene.test.named_channels]
+    return [srs(rec, name) for name in dict.fromkeys((*controls, *response_channels(rec)))]
 
 
 def _peaks_of_modes(frfs: Sequence[Response], modes: Modes) -> tuple[tuple[tuple[Response, Peak], ...], ...]:

@@ -214,6 +214,7 @@ def _modes(results: Sequence[Measurement]) -> list[str]:
             ]
             sections += [
                 f"<h3>{escape_html(modes.label)}</h3>",
+                '<p class="test">Each shape is scaled so that its largest element is +1.</p>',
                 f'<div class="shapes">{"".join(drawings)}</div>',
             ]
     return sections

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from math import inf, isfinite
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ from analysis.commands.figures.frf_figure import (
 from analysis.commands.report_page.charts import (
     Chart,
     Curve,
+    Mark,
     Panel,
     limits_with_margin,
     needs_logarithmic_axis,
@@ -34,7 +35,8 @@ from analysis.commands.report_page.charts import (
 from analysis.commands.report_page.measurements import Measurement, SweepResults, force_deviation
 from analysis.core.decays.free_decay import Decay
 from analysis.core.decays.modal_decay import ModalDecay
-from analysis.core.recordings.names import belongs_to, excitation_text, without_common_direction
+from analysis.core.recordings.names import acquisition_text, belongs_to, excitation_text, without_common_direction
+from analysis.core.responses.estimator import Blocks
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.palette import DAMPER, REFERENCE, CurveStyle, place_style, place_styles, recording_styles
 from rig.core.results import format_decimals, format_frequencies, format_percent
@@ -79,8 +81,8 @@ def response_charts(measurements: Sequence[Measurement], reference: str) -> list
         baseline = next((each for each in with_responses if each.label == reference), with_responses[0]).sweeps[0]
         band = np.concatenate([frf.frequency for frf in group])
         view = None if baseline.modes is None else _first_view(band, baseline.modes.frequency)
-        chart = response_chart(group, names, styles, marks, _mode_marks(baseline, group), view)
-        tests = {each.label: excitation_text(each.rec) for each in with_responses}
+        chart = response_chart(group, names, styles, marks, _mode_marks(sweeps, baseline, group, styles), view)
+        tests = {each.label: _test_text(each) for each in with_responses}
         equal = len(set(tests.values())) == 1
         levels = [text if equal else f"{label}: {text}" for label, text in tests.items() if text]
         test = "; ".join(dict.fromkeys(levels))
@@ -89,6 +91,13 @@ def response_charts(measurements: Sequence[Measurement], reference: str) -> list
         charts.append(replace(chart, caption=" ".join(text for text in sentences if text not in stated)))
         stated.update(sentences)
     return charts
+
+
+def _test_text(measurement: Measurement) -> str:
+    """Describe excitation, lines and estimate of the responses of a recording."""
+    rec = measurement.rec
+    estimate = acquisition_text(rec, measurement.sweeps[0].frfs[0], Blocks().title(rec.test.kind))
+    return ", ".join(filter(None, [excitation_text(rec), estimate]))
 
 
 def _sweep_names(labels: Sequence[str], reference: str) -> list[str]:
@@ -103,15 +112,28 @@ def _sweep_styles(labels: Sequence[str], reference: str) -> list[CurveStyle]:
     return recording_styles([each and (len(labels) == 1 or not all(of_reference)) for each in of_reference])
 
 
-def _mode_marks(sweep: SweepResults, frfs: Sequence[Response]) -> list[tuple[float, float, str]]:
-    """Return frequency, height and label of each mode of a sweep; the height is that of the mode's peak in a chart."""
-    if sweep.modes is None:
-        return []
+def _mode_marks(
+    sweeps: Sequence[SweepResults],
+    baseline: SweepResults,
+    frfs: Sequence[Response],
+    styles: Sequence[CurveStyle] | None,
+) -> list[Mark]:
+    """Label each mode of the sweeps in a chart; labels of other sweeps than the baseline have the color of their curve.
+
+    The height is that of the mode's highest peak in the chart.
+    """
     marks = []
-    for frequency, found in zip(sweep.modes.frequency.tolist(), sweep.found, strict=True):
-        heights = [frf.shown_in[1] * peak.value for frf, peak in found if any(frf is each for each in frfs)]
-        marks.append((frequency, max(heights, default=inf), f"{format_decimals(frequency, 2)} Hz"))
-    return sorted(mark for mark in marks if isfinite(mark[1]))
+    for sweep in sweeps if styles else [baseline]:
+        found = zip([] if sweep.modes is None else sweep.modes.frequency.tolist(), sweep.found, strict=True)
+        for frequency, peaks in found:
+            drawn = [
+                (frf.shown_in[1] * peak.value, k) for frf, peak in peaks for k, each in enumerate(frfs) if frf is each
+            ]
+            if drawn:
+                height, curve = max(drawn)
+                color = styles[curve].color if styles and sweep is not baseline else ""
+                marks.append(Mark(frequency, height, f"{format_decimals(frequency, 2)} Hz", color))
+    return sorted(marks)
 
 
 def response_chart(
@@ -119,7 +141,7 @@ def response_chart(
     names: Sequence[str],
     styles: Sequence[CurveStyle] | None = None,
     peaks: Sequence[Sequence[PeakMark]] = (),
-    marks: Sequence[tuple[float, float, str]] = (),
+    marks: Sequence[Mark] = (),
     view: tuple[float, float] | None = None,
 ) -> Chart:
     """Return a chart of magnitude with its expanded uncertainty, phase and coherence, for one input.
@@ -311,7 +333,7 @@ def stabilization_charts(measurements: Sequence[Measurement]) -> list[Chart]:
                 zip(frequency[selected], order[selected], strict=True),
             )
         ]
-        marks = [(natural, 0.0, f"{format_decimals(natural, 2)} Hz") for natural in sorted(sweep.modes.frequency)]
+        marks = [Mark(natural, 0.0, f"{format_decimals(natural, 2)} Hz") for natural in sorted(sweep.modes.frequency)]
         charts.append(
             Chart(
                 f"{sweep.label}: poles of models of increasing order. Dotted lines: the identified modes, each with a "

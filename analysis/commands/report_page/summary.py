@@ -58,6 +58,7 @@ def limitations(measurements: Sequence[Measurement]) -> list[str]:
         elif rec.overloads:
             faults.append(f"{len(rec.overloads)} overload{'s' * (len(rec.overloads) > 1)}")
         faults += [] if measurement.profile is None else measurement.profile.excesses()
+        faults += [] if measurement.tracked is None else measurement.tracked.omissions()
         if rec.gaps:
             faults.append(f"lost samples at {len(rec.gaps)} place{'s' * (len(rec.gaps) > 1)}")
         for sweep in measurement.sweeps:
@@ -92,10 +93,16 @@ def _control_texts(measurement: Measurement) -> list[str]:
         [factor * float(shock.fields[key]) for shock in shocks] for key in ("deviation", "tolerance")
     )
     within = sum(map(le, deviations, tolerances))
-    return [
+    text = (
         f"“{measurement.label}”: {within} of {len(shocks)} shocks within the tolerance of {tolerances[0]:.3g} {unit}; "
         f"largest deviation {max(deviations):.3g} {unit}."
-    ]
+    )
+    if measurement.spectra:
+        text += f" Largest values of the shock response spectra, Q = {measurement.spectra[0].q:g}:"
+    for each in measurement.spectra:
+        peak = int(np.argmax(each.maximax))
+        text += f"\n{each.channel}: {each.maximax[peak]:.3g} {each.unit} at {each.frequency[peak]:.3g} Hz"
+    return [text]
 
 
 def _change_texts(changes: Sequence[SweepChange]) -> list[str]:

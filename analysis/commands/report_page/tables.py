@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 _HYPHEN = re.compile(r"(?<![\w.-])-(?=\d)")
 _BREAK = re.compile(
     r"(?<=[\d)]) (?=(?:%|[kM]?Hz|[kmµ]?N|dB|g|kg|m?s|[mµ]?m|m?V|µm/N|m/s²|k?N/m|mm/s)(?![\w/]))| (?=±)|(?<=±) "
-    r"|(?<=\d) (?=→)|(?<=→) (?=\d)"
+    r"|(?<=\d) (?=→)|(?<=→) (?=\d)|(?<=Δf) "
 )
 _CODE = re.compile("`([^`]+)`")
 # Largest number of decimals of a change in dB.

@@ -173,11 +173,11 @@ def excitation_text(rec: Recording) -> str:
     return ", ".join(filter(None, [test.title, level]))
 
 
-def acquisition_text(rec: Recording, frf: Response | None = None) -> str:
-    """Describe number of averages or points, line spacing and sample rate: 3 impacts of 4 ms, Δf 0.33 Hz, 5120 Hz."""
+def acquisition_text(rec: Recording, frf: Response | None = None, estimate: str = "") -> str:
+    """Describe number of averages or points, line spacing, estimate and sample rate: 3 impacts of 4 ms, Δf 0.33 Hz."""
     details = () if rec.scene.test is None else rec.scene.test.details
     spacing = "" if frf is None else line_spacing(frf)
-    return ", ".join(filter(None, [*details, spacing, f"sampled at {rec.rate:g} Hz"]))
+    return ", ".join(filter(None, [*details, spacing, estimate, f"sampled at {rec.rate:g} Hz"]))
 
 
 def full_test_text(rec: Recording) -> str:

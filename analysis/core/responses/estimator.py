@@ -52,6 +52,15 @@ class Blocks:
         """Return the options without those that have no effect on a kind of recording."""
         return Blocks(**{name: getattr(self, name) for name in estimator_of(kind).options})
 
+    def title(self, kind: str) -> str:
+        """Describe the estimate of a kind of recording in few words: H1 of blocks of 2 s, window hann."""
+        own, own_estimator = self.for_kind(kind), estimator_of(kind)
+        if own == Blocks():
+            return own_estimator.title
+        length = "" if own.block is None else f" of {own.block:g} s"
+        overlap = "" if own.overlap is None else f", overlap {own.overlap:g}"
+        return f"{own.estimator or 'H1'} of blocks{length}{overlap}, window {own.window or own_estimator.window}"
+
 
 class Source(Protocol):
     """Spectra or amplitudes of a sweep, or of a test without sweeps, from which responses are estimated."""
@@ -110,7 +119,9 @@ class Estimator:
 
     compute: Callable[[Request], list[Response]]  # returns the response of each sweep, or of the test
     method: str  # description, for messages
+    title: str  # description in few words, for figures
     options: frozenset[str] = frozenset()  # fields of `Blocks` that have an effect
+    window: str = "none"  # default window of blocks
     jumps: bool = False  # whether the motion may change to another branch at one frequency
     # Whether the lines are values of local models of a much finer spectrum, so that fewer lines resolve a peak.
     resolves_between_lines: bool = False

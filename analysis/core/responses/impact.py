@@ -103,7 +103,7 @@ def _compute(request: Request) -> list[Response]:
     blocks = request.blocks
     if blocks == Blocks():
         return request.compute([segment_fits(request.rec, request.channels)])
-    averages = averaged_spectra(request.rec, request.channels, blocks.block, blocks.window or "none")
+    averages = averaged_spectra(request.rec, request.channels, blocks.block, blocks.window or ESTIMATOR.window)
     return request.compute([replace(averages, estimator=blocks.estimator or "H1")])
 
 
@@ -119,6 +119,7 @@ def _parts(request: Request) -> list[Parts]:
 ESTIMATOR = Estimator(
     _compute,
     "a block belongs to one impact",
+    "local rational method",
     frozenset({"estimator", "block", "window"}),
     parts=_parts,
     resolves_between_lines=True,

@@ -300,4 +300,4 @@ def _parts(request: Request) -> list[Parts]:
     return [Parts(np.concatenate(starts), period, low, high, is_steady=True)]
 
 
-ESTIMATOR = Estimator(_compute, "whole periods of a multisine are averaged", parts=_parts)
+ESTIMATOR = Estimator(_compute, "whole periods of a multisine are averaged", "whole periods", parts=_parts)

@@ -57,7 +57,7 @@ def averaged_spectra(
     0.5. `window`: name of the window; default: "hann". All three are ignored for bursts: each burst is a block without
     overlap or window.
     """
-    overlap, window = 0.5 if overlap is None else overlap, window or "hann"
+    overlap, window = 0.5 if overlap is None else overlap, window or ESTIMATOR.window
     if not 0.0 <= overlap < 1.0:
         raise SceneError(f"overlap: got {overlap:g}; expected 0 or more, below 1")
     if block is not None and not 0.0 < block < np.inf:
@@ -154,6 +154,8 @@ def _parts(request: Request) -> list[Parts]:
 ESTIMATOR = Estimator(
     _compute,
     "a random test is processed as a whole, by the local rational method",
+    "local rational method",
     frozenset({"estimator", "block", "overlap", "window"}),
+    window="hann",
     parts=_parts,
 )

@@ -11,4 +11,4 @@ def _compute(request: Request) -> list[Response]:
     raise RecordingError(f"{path}: a shock has no frequency responses. Use `analysis srs {path}`.")
 
 
-ESTIMATOR = Estimator(_compute, "a shock has no frequency responses")
+ESTIMATOR = Estimator(_compute, "a shock has no frequency responses", "")

@@ -623,6 +623,7 @@ def _tone_intervals(request: Request) -> list[ToneInterval]:
 ESTIMATOR = Estimator(
     _compute,
     "steady tones are averaged over whole periods",
+    "fits in whole periods",
     jumps=True,
     tones=_tone_intervals,
     peak_remedy=_peak_remedy,

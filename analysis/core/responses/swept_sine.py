@@ -329,5 +329,9 @@ def _tones(request: Request) -> list[ToneInterval]:
 
 
 ESTIMATOR = Estimator(
-    _compute, "a sweep is processed as a whole, by the local rational method", jumps=True, tones=_tones
+    _compute,
+    "a sweep is processed as a whole, by the local rational method",
+    "local rational method",
+    jumps=True,
+    tones=_tones,
 )

@@ -95,6 +95,10 @@ class Backbone(Result):
         name = "natural frequency" if "natural frequency" in ranges else "driven frequency"
         return f"{self.label}: {self.level.size} levels, {name} {ranges[name]}"
 
+    def omissions(self) -> list[str]:
+        """Return no sentence: each level has one point, and the test ends where it does not reach a level."""
+        return []
+
     def level_points(self) -> list[LevelPoint]:
         """Return natural frequency, damping ratio, driven frequency and amplitude of each point."""
         columns = {

@@ -36,6 +36,10 @@ if TYPE_CHECKING:
 _FITTED = 3
 
 
+# A curve reaches an end of the band up to this ratio of frequencies.
+_BAND_END = 1.001
+
+
 class Fold(NamedTuple):
     """A point at which a curve turns back."""
 
@@ -58,6 +62,8 @@ class AmplitudeCurve(Result):
         Body whose amplitude is given.
     unit : str
         Unit of the level.
+    band : tuple of float
+        Lowest and highest frequency of the test, Hz.
     level, force : ndarray, shape (n,)
         Level in the unit of the test, and amplitude of the measured force in N.
     frequency, frequency_bound : ndarray, shape (n,)
@@ -73,6 +79,7 @@ class AmplitudeCurve(Result):
     label: str
     body: str
     unit: str
+    band: tuple[float, float]
     level: Array
     force: Array
     frequency: Array
@@ -90,6 +97,18 @@ class AmplitudeCurve(Result):
             f"{self.label}: {np.unique(self.level).size} levels, {self.level.size} points ({(~self.stable).sum()} "
             f"unstable), {folds} fold{'s' * (folds != 1)}, {self.body} up to {1e3 * self.amplitude.max():.3g} mm"
         )
+
+    def omissions(self) -> list[str]:
+        """Return a sentence on each level whose curve ends inside the band of the test."""
+        (low, high), omissions = self.band, []
+        for level in dict.fromkeys(self.level.tolist()):
+            frequency = self.frequency[(self.level == level) & self.settled]
+            ends = [f"below {frequency.min():.2f} Hz"] if frequency.size and frequency.min() > low * _BAND_END else []
+            ends += [f"above {frequency.max():.2f} Hz"] if frequency.size and high > frequency.max() * _BAND_END else []
+            if ends:
+                name = f"{format_number(level)} {self.unit}"
+                omissions.append(f"{name}: not followed {' and '.join(ends)}, where amplitudes may be larger")
+        return omissions
 
     def resolution(self, level: float) -> float:
         """Return the smallest distance of two folds that steps and noise resolve above half of the maximum, Hz.
@@ -203,7 +222,7 @@ def continuation(rec: Recording) -> AmplitudeCurve:
     """
     markers = FOLLOWED_CURVE.measured(rec.markers)
     test = rec.scene.test
-    if not markers or test is None:
+    if not markers or test is None or test.band is None:
         raise RecordingError(f"{rec.path}: contains no continuation test. Record a test of kind continuation.")
     [location] = rec.scene.controlled_terms
     rows: list[Array] = []
@@ -245,6 +264,7 @@ def continuation(rec: Recording) -> AmplitudeCurve:
         label=rec.scene.name,
         body=rec.scene.structure.label(location),
         unit=test.level_unit(rec.scene.driven_shaker),
+        band=test.band,
         level=level_,
         force=force,
         frequency=frequency,

@@ -264,11 +264,15 @@ def test_missing_result_is_a_warning(tmp_path: Path) -> None:
 
 def test_report_of_shock_shows_its_pulse(tmp_path: Path) -> None:
     path = daq.record(rig.load("shaker-table-shock"), tmp_path / "shock.mcap")
-    page = text_of(write_report([path], tmp_path).files[0])
-    view = re.search(r'"name":"time","unit":"s","log":false,"range":null,"view":\[(.*?),(.*?)\]', page)
-    assert view is not None and -0.5 < float(view[1]) < 0.0 < float(view[2]) < 0.5
-    # A section without content is omitted, and warnings name no folder.
-    assert ">Mode shapes<" not in page and "Use <code>analysis srs shock.mcap</code>" in page
+    result = write_report([path], tmp_path)
+    page = text_of(result.files[0])
+    view = re.search(r'"name":"time","unit":"ms","log":false,"range":null,"view":\[(.*?),(.*?)\]', page)
+    assert view is not None and -500.0 < float(view[1]) < 0.0 < float(view[2]) < 500.0
+    spectrum = analysis.srs(path, "unit")
+    peak = int(np.argmax(spectrum.maximax))
+    assert f"unit: {spectrum.maximax[peak]:.3g} m/s² at {spectrum.frequency[peak]:.3g} Hz" in result.lines[0]
+    # A section without content is omitted: a shock has no frequency responses.
+    assert ">Mode shapes<" not in page and result.warnings == ()
 
 
 @pytest.mark.parametrize(
@@ -359,9 +363,8 @@ def test_page_has_force_and_mac_and_note(recordings: list[Path], tmp_path: Path)
 
 def test_peak_labels_have_the_frequencies_of_the_table(page: Path) -> None:
     text = text_of(page)
-    labels = {
-        label for marks in re.findall(r'"marks":(\[\[.*?\]\])', text) for label in re.findall(r'"(.*?) Hz"', marks)
-    }
+    marks = "".join(re.findall(r'"marks":(\[\[.*?\]\])', text))
+    labels = set(re.findall(r'"([\d.]+) Hz"', marks))
     table = text.partition("Resonances, with 95 % intervals")[2].partition("</table>")[0]
     assert labels and labels <= {f"{float(frequency):.2f}" for frequency in re.findall(r">([\d.]+) ±", table)}
 

@@ -10,7 +10,7 @@ def curve_of(settled: bool) -> AmplitudeCurve:
     """Return a curve of three points at one level."""
     ones = np.ones(3)
     return AmplitudeCurve(
-        "test", "body 1", "N", level=ones, force=ones, frequency=np.array([10.0, 10.2, 10.5]),
+        "test", "body 1", "N", (9.0, 10.5), level=ones, force=ones, frequency=np.array([10.0, 10.2, 10.5]),
         frequency_bound=0.01 * ones, amplitude=1e-3 * ones, amplitude_bound=1e-5 * ones,
         stable=np.full(3, True), settled=np.full(3, settled), folds=(),
     )  # fmt: skip
@@ -20,6 +20,10 @@ def test_level_without_steady_state_resolves_nothing() -> None:
     curve = curve_of(settled=False)
     assert curve.resolution(1.0) == np.inf
     assert curve.level_points()[0].note.startswith("no steady state") and fold_lines(curve, []) == []
+
+
+def test_part_of_band_without_points_is_reported() -> None:
+    assert curve_of(settled=True).omissions() == ["1 N: not followed below 10.00 Hz, where amplitudes may be larger"]
 
 
 def test_widest_step_limits_resolved_folds() -> None:

@@ -169,14 +169,15 @@
       if (["dots", "circles", "diamonds"].includes(curve.draw)) context.fill();
       context.stroke();
     }
-    context.fillStyle = theme("text");
-    context.strokeStyle = theme("text");
     context.lineWidth = 0.6 * ratio;
     context.font = `${12 * ratio}px system-ui, sans-serif`;
     context.textAlign = "center";
-    const marks = panel.marks.map(([x, y, label]) => [...position(x, y), label]).filter(([px]) => px >= left && px <= left + width);
-    const places = spread(marks.map(([px, , label]) => [px, context.measureText(label).width + 8 * ratio]), left, left + width);
-    marks.forEach(([px, py, label], k) => {
+    let marks = panel.marks.map(([x, y, label, color]) => [...position(x, y), label, color]).filter(([px]) => px >= left && px <= left + width);
+    const space = (label) => context.measureText(label).width + 8 * ratio;
+    if (marks.reduce((sum, [, , label]) => sum + space(label), 0) > width) marks = marks.filter(([, , , color]) => !color);
+    const places = spread(marks.map(([px, , label]) => [px, space(label)]), left, left + width);
+    marks.forEach(([px, py, label, color], k) => {
+      context.fillStyle = context.strokeStyle = color ? shade(color) : theme("text");
       context.setLineDash([2 * ratio, 3 * ratio]);
       context.beginPath();
       context.moveTo(px, top);

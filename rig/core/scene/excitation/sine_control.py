@@ -66,6 +66,11 @@ class SineControl(FrequencySweep, ProfileControl, KindOfTest):
         return self.profile.text
 
     @property
+    def details(self) -> tuple[str, ...]:
+        """Rate of the sweep, and the limits."""
+        return self.rate_text, *super().details
+
+    @property
     def prescription(self) -> Prescription:
         """Profile and limits of the amplitudes."""
         return Prescription(self.control, self.profile, self.limits, self.tolerance, self.abort, None)

@@ -40,6 +40,13 @@ class FrequencySweep:
         """Direction of the sweep."""
         return "up" if self.from_ < self.to else "down"
 
+    @property
+    def rate_text(self) -> str:
+        """Rate of the sweep, in the unit in which it is constant."""
+        if self.spacing == "linear":
+            return f"{abs(self.to - self.from_) / self.duration:.3g} Hz/s"
+        return f"{60.0 * abs(np.log2(self.to / self.from_)) / self.duration:.3g} oct/min"
+
     def frequency_at(self, fraction: Any) -> Any:
         """Return the frequency, Hz, at a fraction, 0 to 1, of the sweep: a number, or an array of fractions."""
         if self.spacing == "linear":
@@ -88,6 +95,11 @@ class SweptSine(FrequencySweep, KindOfTest):
     drive: Drive | None = None
     """Instead of `force`: amplitude of the drive, open loop [V, m for a table shaker, or m/s^2 for a base]."""
     shaker: DrivenShaker = None
+
+    @property
+    def details(self) -> tuple[str, ...]:
+        """Rate of the sweep."""
+        return (self.rate_text,)
 
     def check_consistency(self) -> Iterable[Problem]:
         """Check that the two end frequencies differ."""

@@ -61,6 +61,8 @@ PEAK_SYMBOLS = {
     "diamonds": "Diamonds: extrapolated peaks, more than 3 dB above the points on either side.",
     "arrows": "Arrows: the peak may be higher.",
 }
+# The axis includes this multiple of a marked value.
+_MARK_SPACE = 2.0
 _MARKERS = {"circles": "o", "diamonds": "D"}
 _THEORY_COLOR = "#222222"
 _NOISE_COLOR = "#c4c4c4"
@@ -110,6 +112,7 @@ def frf_figure(
         for measured, curve_style, marked in zip(frfs, styles, marked_peaks, strict=True):
             _draw_curve(measured, curve_style, top, marked, magnitude_axes, phase_axes, coherence_axes)
             heights += _draw_marks(marked, measured.shown_in[1], curve_style.color, magnitude_axes)
+        _label_peaks([mark for marked in marked_peaks for mark in marked], frfs[0].shown_in[1], magnitude_axes)
         for frequency, text in marks:
             magnitude_axes.axvline(frequency, color="#777777", lw=0.8, ls=":")
             magnitude_axes.annotate(
@@ -313,17 +316,30 @@ def _draw_marks(marks: Iterable[PeakMark], factor: float, color: str, axes: Axes
     """Draw the marks of a curve; return the heights that the axis must include, in its unit."""
     heights = []
     for symbol, frequency, height, _ in marks:
-        heights.append(factor * height)
+        # An arrow or a label is above the mark.
+        heights.append(_MARK_SPACE * factor * height)
         if symbol != "arrows":
             style: dict[str, Any] = {"mfc": "white", "mec": color, "mew": 1.0, "ms": 4.5, "zorder": 5}
-            axes.plot(frequency, heights[-1], _MARKERS[symbol], **style)
+            axes.plot(frequency, factor * height, _MARKERS[symbol], **style)
             continue
         axes.annotate(
-            "", (frequency, heights[-1]), xytext=(0, 17), textcoords="offset points",
+            "", (frequency, factor * height), xytext=(0, 17), textcoords="offset points",
             arrowprops={"arrowstyle": "<-", "color": color, "lw": 1.0, "shrinkB": 1}, zorder=5,
         )  # fmt: skip
-        heights[-1] *= 2.0
     return heights
+
+
+def _label_peaks(marks: Iterable[PeakMark], factor: float, axes: Axes) -> None:
+    """Write the frequency above the highest of the marked peaks near it."""
+    labeled: list[float] = []
+    for symbol, frequency, height, _ in sorted(marks, key=lambda mark: -mark.height):
+        if symbol != "arrows" and all(abs(frequency / other - 1.0) > _PEAK_RANGE for other in labeled):
+            labeled.append(frequency)
+            axes.annotate(
+                f"{frequency:.4g} Hz", (frequency, factor * height), xytext=(0, 5), textcoords="offset points",
+                ha="center", fontsize=7.5, color="#555555", zorder=5,
+                bbox={"fc": "white", "ec": "none", "alpha": 0.7, "pad": 0.5},
+            )  # fmt: skip
 
 
 def with_local_models(

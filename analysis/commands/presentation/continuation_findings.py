@@ -77,8 +77,8 @@ def present_continuation(
                 axes.plot(branch.value, np.where(joined, 1e3 * amplitude, np.nan), ls=dashes, **line)
         for dashes, name in (("-", "exact, stable"), ((0, (3, 2)), "exact, unstable")) if exact else ():
             axes.plot([], [], ls=dashes, color="#555555", lw=1.2, label=name)
-        caption = ["A branch without measured points was not followed by the test."] if exact else []
-        add_legend_below(figure, "Points: measured, with 95 % intervals.", *caption)
+        omissions = [f"{text}." for text in result.omissions()]
+        add_legend_below(figure, "Points: measured, with 95 % intervals.", *omissions)
 
     title = "Response at constant level"
     written = present_each(

@@ -72,7 +72,7 @@ def write_report(
     texts = {
         "title": escape_html(title),
         "uplot_css": template("uPlot.min.css"),
-        "page_css": template("page.css"),
+        "page_css": template("page.css").replace("$footer", _footer(paths)),
         "uplot": template("uPlot.iife.min.js"),
         "charts": template("charts.js"),
     }
@@ -93,6 +93,15 @@ def page_title(measurements: Measurements) -> str:
     test = "Vibration test" if not any(simulated) else "Simulated vibration test"
     partly = " (partly measured)" * (any(simulated) and not all(simulated))
     return f"{test}{partly}: {' · '.join(dict.fromkeys(each.label for each in measurements.results))}"
+
+
+def _footer(paths: Sequence[Path]) -> str:
+    """Return the files and the date of the report as a string of CSS for the foot of a printed page."""
+    first, *others = (path.name for path in paths)
+    files_text = f"{first} and {len(others)} more" if len(others) > 1 else ", ".join([first, *others])
+    text = f"{files_text} · report of {datetime.now(UTC):%Y-%m-%d} · shotrig {version('shotrig')}"
+    # CSS names any character by its code.
+    return "".join(letter if letter.isalnum() else f"\\{ord(letter):x} " for letter in text)
 
 
 def _page(paths: Sequence[Path], output: Path | None) -> Path:

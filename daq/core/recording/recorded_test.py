@@ -77,6 +77,11 @@ class TestKind(StrEnum):
         return self is TestKind.TONES
 
     @property
+    def spectrum(self) -> str:
+        """Kind of spectrum that suits the signals: density of noise, transform of pulses, otherwise amplitude."""
+        return {"random": "density", "hits": "transform", "free": "transform"}.get(self.value, "amplitude")
+
+    @property
     def marked(self) -> bool:
         """Whether measured intervals require markers `measure`."""
         return self in (TestKind.SWEEP, TestKind.RANDOM, TestKind.MULTISINE)

@@ -159,6 +159,16 @@ class TestController:
         return "amplitude" if is_tone else "rms"
 
     @property
+    def level_per_rms(self) -> float:
+        """Ratio of the level of a continuous test to the rms of its force."""
+        return 2.0**0.5 if self.level_kind == "amplitude" else 1.0
+
+    @property
+    def sentence(self) -> str:
+        """Description of the last test; empty before a test."""
+        return "" if self._test is None else self._test[1].sentence(self._scene.driven_shaker)
+
+    @property
     def band(self) -> tuple[float, float] | None:
         """Band of the last test, or of the settings before a test, Hz.
 
@@ -198,7 +208,7 @@ class TestController:
             return detector.hits[-1].peak if detector.hits else None
         if frf is None or frf.force_rms is None:
             return None
-        return frf.force_rms * (np.sqrt(2.0) if self.level_kind == "amplitude" else 1.0)
+        return frf.force_rms * self.level_per_rms
 
     @property
     def remaining(self) -> float | None:

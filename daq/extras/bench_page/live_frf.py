@@ -45,6 +45,7 @@ class LiveCurves:
     value: ComplexArray  # compliance (displacement over force), m/N; (channels, frequencies)
     coherence: Array  # (channels, frequencies)
     relation: NDArray[np.intp]  # Index in `RELATIONS`; (channels, frequencies)
+    force: Array  # rms of the force in the blocks that excited a line, N; NaN for impacts; (frequencies,)
     averages: int  # largest number of averaged blocks or impacts of a line
 
 
@@ -56,6 +57,7 @@ class _SpectrumSums:
         self.motion = np.zeros((channels, lines))
         self.cross = np.zeros((channels, lines), complex)
         self.count = np.zeros(lines, int)
+        self.force_power = np.zeros(lines)  # N²
         self.relation = np.zeros((channels, lines), int)
 
     def add(
@@ -64,7 +66,9 @@ class _SpectrumSums:
         motion: ComplexArray,
         relation: NDArray[np.intp],
         excited: NDArray[np.bool_] | bool = True,
+        force_power: float = np.nan,
     ) -> None:
+        self.force_power += np.where(excited, force_power, 0.0)
         self.relation |= excited * relation
         self.force += excited * np.abs(force) ** 2
         self.motion += excited * np.abs(motion) ** 2
@@ -127,7 +131,8 @@ class LiveFrf:
             )
             force_is_clipped = bool((relation >= RELATIONS.index("≤")).any())
             self.force_rms = None if force_is_clipped else float(np.sqrt(power))
-            self._block_sums.add(force, motion, relation, (self.frequency >= low) & (self.frequency <= high))
+            excited = (self.frequency >= low) & (self.frequency <= high)
+            self._block_sums.add(force, motion, relation, excited, float(power))
             self._drop(self._block_samples // 2)
 
     def add_hit(self, hit: Hit) -> None:
@@ -163,7 +168,9 @@ class LiveFrf:
             coherence = np.abs(sums.cross) ** 2 / (force * sums.motion)
             value = np.asarray(sums.cross / force, dtype=complex)
         coherence[:, sums.count < _MIN_COHERENCE_AVERAGES] = np.nan
-        return LiveCurves(self.names, self.frequency, value, coherence, sums.relation, int(sums.count.max()))
+        rms = np.sqrt(np.where(excited, sums.force_power, np.nan) / np.maximum(sums.count, 1))
+        averages = int(sums.count.max())
+        return LiveCurves(self.names, self.frequency, value, coherence, sums.relation, rms, averages)
 
     def _drop(self, samples: int) -> None:
         """Remove the oldest pending samples."""

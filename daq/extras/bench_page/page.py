@@ -155,6 +155,7 @@ class Page:
             "target": controller.target if controller.tests else None,
             "force": controller.force,
             "level_kind": controller.level_kind,
+            "sentence": controller.sentence,
             "lag": bench.lag,
             "settings": vars(controller.settings),
             "enabled": recordings.enabled,
@@ -201,6 +202,7 @@ class Page:
             "magnitude": np.abs(curves.value),
             "phase": np.degrees(np.angle(curves.value)),
             "coherence": curves.coherence,
+            "force": controller.level_per_rms * curves.force,
             "relation": curves.relation,
         }
 

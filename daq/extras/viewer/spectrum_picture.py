@@ -1,14 +1,16 @@
-"""Amplitude spectra of a recording's channels, as a picture."""
+"""Spectra of a recording's channels, as a picture: amplitudes of tones, densities of noise, transforms of pulses."""
 
 from __future__ import annotations
 
 import io
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from daq.core.drawing.palette import channel_color
+from daq.core.recording.markers import hits_of
+from rig.core.base.arrays import Array
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import set_log_scale
 from rig.core.scene.scene import STANDARD_GRAVITY
@@ -28,27 +30,60 @@ _FOREGROUND = "#c8ccd4"
 _DISPLAY_UNITS = {"m": (1e6, "µm"), "m/s": (1e3, "mm/s"), "m/s^2": (1.0 / STANDARD_GRAVITY, "g")}
 
 
-def peak_hold_spectrum(
-    recording: Recording, channel: str, start: int, stop: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return frequencies (Hz, without 0) and, at each, the largest amplitude over Hann-windowed segments of a channel.
+class _Estimate(NamedTuple):
+    """A kind of spectrum."""
 
-    The amplitude is in the unit of the channel. For a tone it is the amplitude of the tone, for a sweep the amplitude
-    at each frequency. Segments of up to 4 s overlap by half; at most `_MAX_SEGMENTS`, evenly spread, are used. The
-    amplitude is NaN if every segment has lost samples.
+    title: str
+    unit: str  # with UNIT for the unit of the signal
+    power: int  # power of the unit
+    has_window: bool  # whether segments have a Hann window, or begin with a pulse
+    # Returns the values of a segment from the magnitudes of its discrete Fourier transform, window and sample rate.
+    scale: Callable[[Array, Array, float], Array]
+    # Returns the spectrum from that of the previous segments, the values of a segment, and the number of segments.
+    combine: Callable[[Array, Array, int], Array]
+
+
+# The values of `TestKind.spectrum`.
+_ESTIMATES = {
+    "amplitude": _Estimate(
+        "amplitude, peak hold, Hann", "UNIT", 1, True,
+        lambda x, window, rate: 2.0 * x / window.sum(), lambda previous, values, count: np.fmax(previous, values),
+    ),
+    "density": _Estimate(
+        "power spectral density, mean, Hann", "(UNIT²/Hz)", 2, True,
+        lambda x, window, rate: 2.0 * x**2 / (rate * np.sum(window**2)),
+        lambda previous, values, count: values if count == 1 else previous + (values - previous) / count,
+    ),
+    "transform": _Estimate(
+        "Fourier transform of pulses, largest", "(UNIT s)", 1, False,
+        lambda x, window, rate: x / rate, lambda previous, values, count: np.fmax(previous, values),
+    ),
+}  # fmt: skip
+
+
+def channel_spectrum(recording: Recording, channel: str, start: int, stop: int) -> tuple[Array, Array]:
+    """Return frequencies (Hz, without 0) and the spectrum of a channel that suits the test, in the channel's unit.
+
+    Tones: largest amplitude of all segments. Noise: one-sided power spectral density, unit²/Hz, mean of all segments.
+    Pulses: magnitude of the Fourier transform from the begin of a pulse, unit times s, largest of all pulses; of the
+    force it is the impulse at low frequencies. Segments last up to 4 s, and overlap by half if they have a window; at
+    most `_MAX_SEGMENTS`, evenly spread, are used. The values are NaN if every segment has lost samples.
     """
-    segment_length = max(8, min(stop - start, round(_SEGMENT_S * recording.rate)))
-    segment_count = min(_MAX_SEGMENTS, max(1, 2 * (stop - start) // segment_length - 1))
-    segment_starts = np.linspace(start, max(start, stop - segment_length), segment_count).astype(np.int64)
-    window = np.hanning(segment_length + 1)[:-1]
-    peak_amplitude = np.full(segment_length // 2, np.nan)
-    for segment_start in segment_starts:
-        samples = recording.read(channel, int(segment_start), int(segment_start) + segment_length)
-        if samples.size < segment_length or np.isnan(samples).any():
-            continue
-        magnitudes = np.abs(np.fft.rfft((samples - samples.mean()) * window))[1 : segment_length // 2 + 1]
-        peak_amplitude = np.fmax(peak_amplitude, 2.0 * magnitudes / window.sum())
-    return np.arange(1, segment_length // 2 + 1) * recording.rate / segment_length, peak_amplitude
+    estimate = _ESTIMATES[recording.test.kind.spectrum]
+    pulses = [hit.first_sample for hit in hits_of(recording.markers) if start <= hit.first_sample < stop] or [start]
+    shortest = min(np.diff([*pulses, stop])) if not estimate.has_window else stop - start
+    length = max(8, min(int(shortest), round(_SEGMENT_S * recording.rate)))
+    count = min(_MAX_SEGMENTS, max(1, 2 * (stop - start) // length - 1))
+    spread = np.linspace(start, max(start, stop - length), count).astype(np.int64).tolist()
+    window = np.hanning(length + 1)[:-1] if estimate.has_window else np.ones(length)
+    spectrum, used = np.full(length // 2, np.nan), 0
+    for first in spread if estimate.has_window else pulses:
+        samples = recording.read(channel, first, first + length)
+        if samples.size == length and not np.isnan(samples).any():
+            transform = np.abs(np.fft.rfft((samples - samples.mean()) * window))[1 : length // 2 + 1]
+            used += 1
+            spectrum = estimate.combine(spectrum, estimate.scale(transform, window, recording.rate), used)
+    return np.arange(1, length // 2 + 1) * recording.rate / length, spectrum
 
 
 def spectrum_picture(recording: Recording, start: int, stop: int) -> bytes:
@@ -60,28 +95,33 @@ def spectrum_picture(recording: Recording, start: int, stop: int) -> bytes:
 
     from rig.core.system.structural_model import structural_model
 
+    estimate = _ESTIMATES[recording.test.kind.spectrum]
     natural_hz = structural_model(recording.scene).modes.frequency
     quantities = sorted({(info.quantity, info.unit) for info in recording.channels.values()})
     figure = Figure(figsize=_SIZE_INCH, dpi=150, facecolor=_BACKGROUND, layout="constrained")
     panels = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0]
     for panel, (quantity, unit) in zip(panels, quantities, strict=True):
         channels = {name: info for name, info in recording.channels.items() if info.quantity == quantity}
-        spectra = {name: peak_hold_spectrum(recording, name, start, stop) for name in channels}
+        spectra = {name: channel_spectrum(recording, name, start, stop) for name in channels}
         frequency = next(iter(spectra.values()))[0]
         in_range = (frequency >= 1.0) & (frequency <= max(100.0, 8 * natural_hz[-1]))
         factor, shown_unit = _DISPLAY_UNITS.get(unit, (1.0, unit))
         for name, (_, amplitude) in spectra.items():
             color = tuple(component / 255 for component in channel_color(channels[name].at))
             panel.plot(
-                frequency[in_range], factor * amplitude[in_range], color=color, label=escape_figure(name), linewidth=1.2
+                frequency[in_range],
+                factor**estimate.power * amplitude[in_range],
+                color=color,
+                label=escape_figure(name),
+                linewidth=1.2,
             )
         for natural_frequency in natural_hz[natural_hz > 1.0]:
             panel.axvline(natural_frequency, color=_FOREGROUND, linewidth=0.8, linestyle=":", alpha=0.7)
         set_log_scale(panel.xaxis)
         if any(np.any(amplitude[in_range] > 0.0) for _, amplitude in spectra.values()):
             set_log_scale(panel.yaxis, 5)
-        divisor = f"({shown_unit})" if "/" in shown_unit else shown_unit
-        panel.set_ylabel(f"{quantity} / {divisor}".replace("^2", "²"), color=_FOREGROUND)
+        inner = f"({shown_unit})" if "/" in shown_unit else shown_unit
+        panel.set_ylabel(f"{quantity} / {estimate.unit.replace('UNIT', inner)}".replace("^2", "²"), color=_FOREGROUND)
         panel.set_facecolor(_BACKGROUND)
         panel.grid(color=_FOREGROUND, alpha=0.15)
         panel.tick_params(colors=_FOREGROUND, which="both")
@@ -89,7 +129,7 @@ def spectrum_picture(recording: Recording, start: int, stop: int) -> bytes:
         panel.legend(facecolor=_BACKGROUND, edgecolor="none", labelcolor=_FOREGROUND, fontsize="small", framealpha=0.6)
     panels[-1].set_xlabel("frequency / Hz", color=_FOREGROUND)
     panels[0].set_title(
-        f"peak hold, Hann, lines of {frequency[0]:.2g} Hz; dotted: natural frequencies without dampers",
+        f"{estimate.title}, lines of {frequency[0]:.2g} Hz; dotted: natural frequencies without dampers",
         color=_FOREGROUND, fontsize="medium", loc="left",
     )  # fmt: skip
     picture = io.BytesIO()

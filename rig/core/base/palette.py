@@ -69,12 +69,12 @@ def place_styles(places: Sequence[str]) -> list[CurveStyle]:
 
     Further curves of the same location have other dashes and markers.
 
-    >>> [style.color == BODIES[2] for style in place_styles(["body 3", "node 7", "", "body 3"])]
+    >>> [style.color == BODIES[2] for style in place_styles(["body 3", "shaker", "", "body 3"])]
     [True, False, True, True]
     """
     styles: list[CurveStyle] = []
     for position, place in enumerate(places, 1):
-        known = _BODY.fullmatch(place) or place.startswith(("table", "drive", "hammer"))
+        known = _BODY.fullmatch(place) or place.startswith(("table", "drive", "hammer", "shaker"))
         style = place_style(place) if known else body_style(position)
         repeated = sum(style.color == other.color for other in styles)
         other = body_style(_DASHES.index(style.dashes) + 1 + repeated) if repeated else style

@@ -299,7 +299,7 @@ def test_peak_list_names_highest_determined_channel():
     f = np.linspace(1.0, 20.0, 1901)
     low, high = (1.0 / (f0**2 - f**2 + 2j * 0.01 * f0 * f) for f0 in (5.0, 12.0))
     values = np.array([low + 0.1 * high, 0.1 * low + high])
-    curves = LiveCurves(["a", "b"], f, values, np.ones(values.shape), np.zeros(values.shape, int), 3)
+    curves = LiveCurves(["a", "b"], f, values, np.ones(values.shape), np.zeros(values.shape, int), np.ones(f.size), 3)
     assert [(name, round(f0, 1)) for name, f0, *_ in largest_peaks(curves, 4)] == [("a", 5.0), ("b", 12.0)]
     curves.coherence[:, f > 10.0] = np.nan
     assert [name for name, *_ in largest_peaks(curves, 4)] == ["a"]
@@ -351,6 +351,17 @@ def test_clipped_hit_bounds_the_response(bench, rows, relations):
     assert hit.faults == ["clipped"] and frf.curves() is None
     hit.overloaded, hit.accepted = rows, True
     assert [RELATIONS[k] for k in frf.curves().relation[:, 0]] == relations
+
+
+@pytest.mark.parametrize("bench", ["sweep"], indirect=True)
+def test_live_force_of_sweep_is_its_level(bench):
+    set_controls(bench, level=5.0, low=40.0, high=50.0, duration=4.0)
+    bench.controller.start()
+    while bench.controller.running:
+        pass_time(bench, 0.5)
+    force = bench.controller.level_per_rms * bench.monitor.frf.curves().force
+    assert np.nanmin(force) > 4.8 and np.nanmax(force) < 5.2
+    assert bench.controller.sentence == "swept sine, 40 to 50 Hz, 5 N, 4.83 oct/min, 4 s"
 
 
 @pytest.mark.parametrize("bench", ["sweep"], indirect=True)

@@ -1,6 +1,7 @@
 """A replay for the rerun viewer contains the data of the recording: .rrd files, read by rerun's own reader."""
 
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
@@ -11,6 +12,8 @@ from rerun.chunk import RrdReader
 import daq
 import rig
 from daq.core.recording.displacement import HIGH_PASS_HZ
+from daq.core.recording.markers import Marker
+from daq.core.recording.recorded_test import TestKind
 from daq.core.recording.recorder import Recorder
 from daq.core.signal_chain.chain import Chain
 from daq.extras.viewer import spectrum_picture
@@ -313,6 +316,28 @@ def test_truth_of_another_rig_is_ignored(change, recording):
     assert not motion.gaps_known
     for _, rig_motion in motion.segments(0, 512, 64):
         assert rig_motion.gap is None and len(rig_motion.displacement) == recording.scene.structure.bodies
+
+
+@pytest.mark.parametrize(
+    ("kind", "frequency", "value"),
+    [(TestKind.TONES, 8.0, 3.0), (TestKind.RANDOM, 8.0, 4.0), (TestKind.HITS, 0.25, 0.5)],
+)
+def test_spectrum_suits_the_kind_of_test(kind, frequency, value):
+    rate, time = 128.0, np.arange(128 * 400) / 128.0
+    pulse = np.zeros(time.size)
+    pulse[1280] = 0.5 * rate  # 0.5 N s
+    signals = {
+        TestKind.TONES: 3.0 * np.sin(2.0 * np.pi * 8.0 * time),
+        # 4 N²/Hz up to 64 Hz
+        TestKind.RANDOM: 16.0 * np.random.default_rng(1).standard_normal(time.size),
+        TestKind.HITS: pulse,
+    }
+    recording = SimpleNamespace(
+        test=SimpleNamespace(kind=kind), rate=rate, markers=[Marker("hit", 1280, 1290, {})],
+        read=lambda channel, first, stop: signals[kind][first:stop],
+    )  # fmt: skip
+    lines, spectrum = spectrum_picture.channel_spectrum(recording, "force", 0, time.size)
+    assert spectrum[np.searchsorted(lines, frequency)] == pytest.approx(value, rel=0.15)
 
 
 def test_spectrum_picture_fills_its_view(recording):

@@ -28,7 +28,7 @@ const response = {
     if (arrays.frequency) {
       const { frequency, magnitude, phase, coherence } = arrays;
       const rows = this.channels.map((channel, k) => ({ ...channel, magnitude: magnitude[k], phase: wrapped(phase[k]), coherence: coherence[k], relation: arrays.relation[k] }));
-      this.curves = { test: head.test, level: `${digits(head.level, 3)} N`, frequency: frequency[0], rows };
+      this.curves = { test: head.test, level: head.level, force: arrays.force[0], frequency: frequency[0], rows };
     }
     if ($("theory").checked && this.band?.join() !== head.band?.join()) send("theory");
     this.band = head.band;
@@ -50,7 +50,8 @@ const response = {
     }
     const averages = this.head?.averages;
     const empty = state.hits.length ? (state.hits[0][4] ? "no accepted impact" : "after this impact") : state.running ? "after settling" : "start a test";
-    return (averages ? (averages > 1 ? `H1, ${averages} averages` : "1 average: no γ²") : state.frf_reason || empty) + (this.problem ? `; ${this.problem}` : "");
+    const spacing = averages && this.curves ? `, Δf ${digits(this.curves.frequency[1] - this.curves.frequency[0], 2)} Hz` : "";
+    return (averages ? (averages > 1 ? `H1, ${averages} averages` : "1 average: no γ²") + spacing : state.frf_reason || empty) + (this.problem ? `; ${this.problem}` : "");
   },
 
   // The band of the test, or of a pulse: at most DECADES up to the highest excited frequency.
@@ -69,7 +70,7 @@ const response = {
     const showsLast = previous && $("last").checked;
     if (showsLast) for (const row of previous.rows) magnitude.push({ x: previous.frequency, y: micro(row.magnitude), color: LAST, width: 1 });
     const isClipped = curves?.rows.some((row) => row.relation.some(Boolean));
-    setText("thin", [isClipped ? "dashed: clipped; arrow: side of the true value" : "", curves ? "thin: uncertain (γ² < 0.7, or phase scatters)" : "", showsLast ? `gray: last test, ${previous.level}` : ""].filter(Boolean).join("; "));
+    setText("thin", [isClipped ? "dashed: clipped; arrow: side of the true value" : "", curves ? "thin: uncertain (γ² < 0.7, or phase scatters)" : "", showsLast ? `gray: last test, ${digits(previous.level, 3)} N` : ""].filter(Boolean).join("; "));
     if (theory && $("theory").checked) {
       theory.rows.forEach((row, k) => magnitude.push({ x: theory.frequency, y: micro(row), color: this.channels[k].color, dash: [7, 4], width: 1 }));
     }
@@ -96,8 +97,17 @@ const response = {
       { name: "phase / °", range: [-285, 105], ticks: fixed([-270, -180, -90, 0, 90]), curves: phase },
       // A single average has no coherence.
       ...(curves?.rows.every((row) => row.coherence.every(isNaN)) ? [] : [{ name: "γ²", range: [0, 1.02], ticks: fixed([0, 0.5, 1]), share: 0.7, curves: coherence }]),
+      ...(curves ? this.forcePanel(curves) : []),
     ]);
     this.describe();
+  },
+
+  // The force at each line, and its level (dashed); empty for impacts, whose force is in the panel of the impact.
+  forcePanel({ frequency, force, level }) {
+    if (force.every(isNaN)) return [];
+    const required = { x: [frequency[0], frequency[frequency.length - 1]], y: Float32Array.of(level, level), color: LAST, dash: [5, 4], width: 1 };
+    const largest = roundUp(Math.max(level, ...force.filter(isFinite)));
+    return [{ name: "force / N", range: [0, largest], ticks: [[0, true], [largest / 2, false], [largest, true]], share: 0.7, curves: [required, { x: frequency, y: force, color: "#ffffff" }] }];
   },
 
   nearest(frequency) {

@@ -117,7 +117,7 @@ def import_recording(
 
     Without --scene, the contents of the files are listed.
 
-    The scene's test specifies the excitation. Hammer impacts and steps of a stepped sine are detected in the samples.
+    The scene's test specifies the excitation. Hammer impacts and dwells of a stepped sine are detected in the samples.
     """
     from daq.commands.import_report import import_and_report, listing
 

@@ -49,7 +49,7 @@ def import_and_report(
     to_s: float | None,
     overwrite: bool,
 ) -> None:
-    """Import files with a progress bar; print the detected impacts or steps, and a summary."""
+    """Import files with a progress bar; print the detected impacts or dwells, and a summary."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", RunWarning)
         with progress(f"importing {files[0].name}") as report_progress:
@@ -65,7 +65,7 @@ def import_and_report(
 
 
 def _detection_lines(recording: Recording, scene: Scene) -> Iterator[str]:
-    """Yield lines about the impacts or steps that were detected in the samples."""
+    """Yield lines about the impacts or dwells that were detected in the samples."""
     hits = hits_of(recording.markers)
     if hits:
         peaks = [float(hit.fields["peak"]) for hit in hits]
@@ -76,15 +76,15 @@ def _detection_lines(recording: Recording, scene: Scene) -> Iterator[str]:
         plan = "" if count == planned else f" (test.repeats is {planned})"
         peak_range = f"a peak of {peaks[0]:.3g} N" if count == 1 else f"peaks of {min(peaks):.3g} to {max(peaks):.3g} N"
         yield f"{share} detected in the force{plan}, with {peak_range}"
-    steps = [marker for marker in recording.markers if "settled" in marker.fields]
-    if steps:
-        frequencies = [float(step.fields["frequency"]) for step in steps]
+    dwells = [marker for marker in recording.markers if "settled" in marker.fields]
+    if dwells:
+        frequencies = [float(dwell.fields["frequency"]) for dwell in dwells]
         total_s = recording.samples / recording.rate
-        settled_s = sum((step.stop - step.first_sample) / recording.rate for step in steps)
+        settled_s = sum((dwell.stop - dwell.first_sample) / recording.rate for dwell in dwells)
         yield (
-            f"{len(steps)} step{'s' if len(steps) > 1 else ''} detected, {min(frequencies):.6g} to "
+            f"{len(dwells)} dwell{'s' if len(dwells) > 1 else ''} detected, {min(frequencies):.6g} to "
             f"{max(frequencies):.6g} Hz; settled, and measured, for {settled_s:.4g} of {total_s:.4g} s"
         )
-        unsettled_count = sum(not step.fields["settled"] for step in steps)
+        unsettled_count = sum(not dwell.fields["settled"] for dwell in dwells)
         if unsettled_count:
-            yield f"{unsettled_count} of these steps did not reach steady state; marked as not settled"
+            yield f"{unsettled_count} of these dwells did not reach steady state; marked as not settled"

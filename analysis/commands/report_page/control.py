@@ -81,7 +81,7 @@ def _tracking_chart(result: AmplitudeCurve | Backbone) -> Chart:
         " ".join(filter(None, notes)),
         "Amplitude over the frequency of the controlled tone.",
         [Panel(f"amplitude of {result.body}", "mm", curves, 300, limits=limits_with_margin(curves), marks=marks)],
-        x_name="driven frequency",
+        x_name="excitation frequency",
         x_limits=side_limits(frequency),
     )
 

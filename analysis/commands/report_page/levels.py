@@ -1,4 +1,4 @@
-"""Results at several levels of a test: natural and driven frequency, damping, amplitude and energy, in one table."""
+"""Table of the results at several levels: natural and excitation frequency, damping, amplitude and energy."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from rig.core.results import format_decimals, format_limited
 from rig.core.results.uncertainty import expand
 
 _CAPTION = (
-    "Results at each level, with 95 % intervals. Natural frequency and damping ratio are those of the mode; the driven "
-    "frequency is that of the excitation at the highest measured point, to which amplitude and energy belong. The two "
+    "Results at each level, with 95 % intervals. Natural frequency and damping ratio are those of the mode; the "
+    "excitation frequency is that of the highest measured point, to which amplitude and energy belong. The two "
     "differ where other modes contribute to the motion, and by up to the distance of the measured frequencies."
 )
 
@@ -54,7 +54,7 @@ def level_headline(measurement: Measurement, groups: Mapping[str, Sequence[Level
         ranges = quantity_ranges(points)
         if title:
             ranges = {title: "; ".join(f"{name} {ranges[name]}" for name in list(ranges)[:2])}
-        lines += [f"{name}: {text}" for name, text in ranges.items() if name != "driven frequency"]
+        lines += [f"{name}: {text}" for name, text in ranges.items() if name != "excitation frequency"]
     remarks = [f"{point.level}: {point.note}" for points in groups.values() for point in points if point.note]
     return "\n".join([*lines, *remarks])
 
@@ -95,8 +95,8 @@ def _mode_point(measurement: Measurement, sweep: SweepResults, level: str, refer
     if curve is None or not np.isfinite(curve.value[is_near]).any():
         return LevelPoint(level, np.nan, quantities, note)
     line = int(np.nanargmax(np.where(is_near, abs(curve.value), np.nan)))
-    driven = float(curve.frequency[line])
-    quantities["driven frequency / Hz"] = driven, f"{driven:.4g}"
+    excited_at = float(curve.frequency[line])
+    quantities["excitation frequency / Hz"] = excited_at, f"{excited_at:.4g}"
     held = None if test is None else test.held_motion
     shown = next((frf for frf in sweep.frfs if held is not None and frf.outputs[0].at == held[0]), curve)
     motion = shown.to("displacement")
@@ -112,11 +112,11 @@ def _mode_point(measurement: Measurement, sweep: SweepResults, level: str, refer
                 factor * peak.value,
                 peak.height_text(factor),
             )
-    return LevelPoint(level, driven, quantities, note)
+    return LevelPoint(level, excited_at, quantities, note)
 
 
 def _with_energy(measurement: Measurement, point: LevelPoint) -> LevelPoint:
-    """Add the share of the supplied energy that the dampers dissipate at the driven frequency of a point."""
+    """Add the share of the supplied energy that the dampers dissipate at the excitation frequency of a point."""
     for result in measurement.dampers:
         name, energy = f"{sweep_name(result.label, measurement.label)} ", result.energy
         if name.startswith(f"{point.level} ") and energy is not None and np.isfinite(point.frequency):

@@ -12,9 +12,9 @@ import numpy as np
 
 from analysis.core.damper_motion.joint_fit import ITERATIONS, Jump
 
-# Number of sets that are extended by a further jump.
+# Number of sets of jumps that are extended by a further jump.
 _BEAM_WIDTH = 3
-# Number of fitted extensions of each set.
+# Number of candidates for the further jump of a set that are fitted completely.
 _EXTENSIONS = 4
 # Maximum number of jumps in a set.
 MAX_GROUP = 8

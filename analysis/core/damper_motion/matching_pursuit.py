@@ -81,8 +81,8 @@ NOISE_REDUCTION = 0.7
 _MAX_JOINT_JUMPS = 5
 # Offsets from which the time of a new jump is fitted, samples.
 _START_OFFSETS = (0.0, -2.5, 2.5, -5.0, 5.0)
-# If two jumps are closer than this, one of them may be spurious.
-_SPURIOUS_DISTANCE_SAMPLES = 10.0
+# Two fitted jumps that are closer than this may represent a single jump.
+_SAME_JUMP_SAMPLES = 10.0
 # Prior standard deviation of steps of the acceleration, relative to the 90th percentile of the smoothed acceleration.
 _STEP_PRIOR_RATIO = 0.2
 # The acceleration is smoothed over this number of samples for the prior standard deviation above.
@@ -260,7 +260,7 @@ class MatchingPursuit:
             if not start or all(abs(jump.time + start - other.time) >= _MIN_DISTANCE_SAMPLES for other in others)
         ]
         best_jumps, residual_square = min(fits, key=lambda fit: fit[1])
-        if any(abs(other.time - jump.time) < _SPURIOUS_DISTANCE_SAMPLES for other in others):
+        if any(abs(other.time - jump.time) < _SAME_JUMP_SAMPLES for other in others):
             reduced, reduced_square = fit_within(self.residual, model, others, shared_range, prior)
             if reduced_square < residual_square + (DETECTION_SIGMAS * deviation) ** 2:
                 best_jumps = reduced
@@ -346,9 +346,9 @@ class MatchingPursuit:
         return np.array(limits).reshape(-1, 2)
 
     def _step_exceeds_weight(self, jump: Jump) -> bool:
-        """Return whether a finite-duration impact has a larger step than the weight of a bed causes.
+        """Return whether the acceleration changes by more in a finite-duration impact than the weight of a bed causes.
 
-        The contact may then have ended early, and the sign of its jump is undetermined.
+        The contact may then have ended early, and the sign of the velocity jump is undetermined.
         """
         return self.model.contact_samples > 0 and abs(jump.step) > _MAX_STEP_SIGMAS * self.prior[0]
 
@@ -367,7 +367,7 @@ class MatchingPursuit:
         for jump in old_jumps:
             self._add(jump, 1.0)
         sufficient = _SUFFICIENT_RATIO * (limit * model.template_norm) ** 2
-        # The tolerated residual is included in the noise; otherwise steps and kinks would be fitted to it.
+        # The tolerated residual is included in the noise; otherwise the residual would be fitted by steps and kinks.
         noise = max(float(self.noise()[first]), (sufficient / model.window_length) ** 0.5)
 
         def fit(jumps: list[Jump], iterations: int) -> tuple[list[Jump], float]:

@@ -265,7 +265,7 @@ def _read_samples(rec: Recording, info: ChannelInfo, hit: int, start: int, stop:
 
 
 def _overload_warnings(rec: Recording, info: ChannelInfo, hit: int, start: int, stop: int) -> list[str]:
-    """Return a warning if the channel was overloaded in a decay; raise `RecordingError` if too much of it."""
+    """Return a warning if the channel was overloaded in a decay; raise `RecordingError` if most was overloaded."""
     # First sample that the decay affects, with the delay of the converter's filter.
     first = arrival(info, start, start)[0]
     overloads = [marker for marker in rec.overloads if marker.fields.get("channel") == info.name]

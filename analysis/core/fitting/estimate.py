@@ -53,7 +53,7 @@ _MAX_EXPLAINED_SQUARE = 1.5
 _MAX_SQUARE = 9.0
 # Squared residual assigned to a point where the model has no orbit.
 _FAILED_SQUARE = 1e6
-# The robust cost has this value if about half of the points have no orbit.
+# Robust cost of a model without an orbit at about half of the points.
 _HALF_FAILED_COST = 4.5
 # Maximum number of fits of all unknowns, each after a search for other orbits at outliers.
 _MAX_ROUNDS = 4

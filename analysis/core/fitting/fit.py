@@ -190,7 +190,7 @@ def fit(
     Parameters
     ----------
     recordings : sequence of daq.Recording, str or Path
-        Recordings of one structure: stepped, swept, random, multisine or impulse tests; with moving dampers only
+        Recordings of one structure: stepped, swept, random, multisine or impact tests; with moving dampers only
         stepped-sine tests. The scene of each recording specifies which dampers were in place.
     scene : Scene, str, Path or mapping
         The model: structure and dampers with guessed values. Shaker, test and channels come from the recordings.

@@ -36,7 +36,7 @@ _MAX_FITTED = 4
 _MODEL_ERROR = 0.1
 # In the comparison of assignments, residuals are limited to this number of standard deviations.
 _MAX_RESIDUAL = 30.0
-# Difference of ln(frequency) between an identified mode and a model mode that counts as a distance of 1.
+# The distance of an identified mode from a model mode is the difference of their ln(frequency) in units of this value.
 _LOG_FREQUENCY_SCALE = 0.1
 # In the squared distance, 1 - MAC (modal assurance criterion, `mac`) has this weight.
 _MAC_WEIGHT = 4.0

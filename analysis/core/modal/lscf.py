@@ -67,7 +67,7 @@ def poles_by_order(
         with np.errstate(divide="ignore"):
             # z = exp(-(s - 2 pi i f_min) T) with T = 1 / (2 (f_max - f_min)).
             s = -np.log(roots[roots != 0]) * 2.0 * (f_max - f_min) + 2j * np.pi * f_min
-        # Poles in the outermost hundredth of the band are spurious, because the polynomial is poorly determined there.
+        # In the outermost hundredths of the band the polynomial is poorly determined, and poles are computational.
         edge = 0.01 * (f_max - f_min)
         inside = (s.real < 0) & (s.imag > 2 * np.pi * (f_min + edge)) & (s.imag < 2 * np.pi * (f_max - edge))
         yield order, s[inside]

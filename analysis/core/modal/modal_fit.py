@@ -76,7 +76,7 @@ def fit_modes(
     stable, candidates = stable[:_MAX_INITIAL_POLES], candidates[:_MAX_CANDIDATES]
     max_modes = MAX_MODES if count is None else count
     weighted, model, model_error, assumed = _best_model(measured, sigma, stable, candidates, max_modes, assumed_errors)
-    model, rejected = _remove_spurious_poles(weighted, model, curves)
+    model, rejected = _remove_computational_poles(weighted, model, curves)
     return FittedModes(measured, weighted, model, chart, model_error, assumed, rejected)
 
 
@@ -181,7 +181,7 @@ def _best_model(
     return curves, model, float(relative_error) if is_nonlinear else 0.0, assumed_errors[best]
 
 
-def _remove_spurious_poles(
+def _remove_computational_poles(
     curves: Curves, model: ModalModel, frfs: Sequence[Response]
 ) -> tuple[ModalModel, list[float]]:
     """Remove poles that are not modes; return the new model, and the frequencies of the removed poles, Hz.
@@ -222,7 +222,7 @@ def _systematic_ratio(model: ModalModel, frfs: Sequence[Response]) -> Array:
 
 
 def nearest_lines(curve: Response, frequency: Array, selected: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return the nearest of the selected lines of a curve to each of some frequencies, Hz."""
+    """Return, for each frequency in Hz, the nearest of the selected lines of a curve."""
     lines = np.flatnonzero(selected)
     return np.asarray(lines[np.argmin(abs(curve.frequency[lines] - frequency[:, None]), axis=1)])
 
@@ -260,6 +260,6 @@ def _local_median(error: Array, degrees_of_freedom: Array) -> Array:
 
 
 def systematic_bound(curves: Sequence[Response], names: Sequence[str]) -> Array:
-    """Return the root sum of squares of some systematic errors, shape (responses, lines); infinite if unknown."""
+    """Return the root sum of squares of the named systematic errors, shape (responses, lines); infinite if unknown."""
     bounds = [[curve.limits.get(name, np.zeros(curve.value.size)) for name in names] for curve in curves]
     return np.asarray(np.nan_to_num(np.linalg.norm(bounds, axis=1), nan=np.inf, posinf=np.inf))

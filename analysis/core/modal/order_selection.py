@@ -72,12 +72,12 @@ def are_narrower_than_resolution(curves: Curves, poles: ComplexArray) -> NDArray
 
 
 def initial_model(curves: Curves, initial: ComplexArray) -> ModalModel:
-    """Fit a model with those poles of `initial`, rad/s, that are significant and not spurious."""
-    # Most poles that are spurious or not significant are recognized after few evaluations. Only the fit of the
+    """Fit a model with those poles of `initial`, rad/s, that are significant and not computational."""
+    # Most poles that are computational or not significant are recognized after few evaluations. Only the fit of the
     # remaining poles is completed.
-    approximate = _fit_without_spurious_poles(curves, initial, _APPROXIMATE_EVALUATIONS)
+    approximate = _fit_without_computational_poles(curves, initial, _APPROXIMATE_EVALUATIONS)
     poles, _ = _significant_poles(curves, approximate)
-    return _prune(curves, _fit_without_spurious_poles(curves, poles, MAX_EVALUATIONS))
+    return _prune(curves, _fit_without_computational_poles(curves, poles, MAX_EVALUATIONS))
 
 
 def select_model(
@@ -103,22 +103,22 @@ def select_model(
     return current if current is initial else _prune(curves, current)
 
 
-def _fit_without_spurious_poles(curves: Curves, poles: ComplexArray, max_evaluations: int) -> ModalModel:
+def _fit_without_computational_poles(curves: Curves, poles: ComplexArray, max_evaluations: int) -> ModalModel:
     """Fit a model, and remove its computational poles in steps: the least significant pole of each group of neighbors.
 
-    Without this pole, the other poles of the group may not be spurious.
+    Without this pole, the other poles of the group may be modes.
     """
     model = fit(curves, poles, max_evaluations)
-    while (spurious := spurious_poles(curves, model)).size:
+    while (rejected := computational_poles(curves, model)).size:
         misfits = misfits_without(curves, model.poles)
-        groups = np.split(spurious, np.flatnonzero(np.diff(spurious) > 1) + 1)
+        groups = np.split(rejected, np.flatnonzero(np.diff(rejected) > 1) + 1)
         removed = [group[np.argmin(misfits[group])] for group in groups]
         model = fit(curves, np.delete(model.poles, removed), max_evaluations)
     return model
 
 
 def _with_best_added_pole(curves: Curves, current: ModalModel, candidates: ComplexArray) -> ModalModel | None:
-    """Return the best model with an additional pole that is significant and not spurious; None if there is none."""
+    """Return the best model with another pole that is significant and not computational; None without such a pole."""
     misfits = misfits_with(curves, current.poles, candidates)
     approximate: list[ModalModel] = []
     tried: list[complex] = []
@@ -136,7 +136,7 @@ def _with_best_added_pole(curves: Curves, current: ModalModel, candidates: Compl
         if current.misfit - model.misfit < _MIN_APPROXIMATE_REDUCTION * necessary:
             continue
         larger = fit(curves, model.poles)
-        if is_significant(curves, current, larger) and not spurious_poles(curves, larger).size:
+        if is_significant(curves, current, larger) and not computational_poles(curves, larger).size:
             return larger
     return None
 
@@ -178,14 +178,14 @@ def correlation_length(residual: ComplexArray) -> float:
     return total
 
 
-def spurious_poles(curves: Curves, model: ModalModel) -> NDArray[np.intp]:
+def computational_poles(curves: Curves, model: ModalModel) -> NDArray[np.intp]:
     """Return the indices of computational poles.
 
-    A pole is spurious if its damping ratio exceeds `MAX_DAMPING`, or if it and its neighbor are fitted to one peak.
+    The damping ratio of a computational pole exceeds `MAX_DAMPING`, or two of them are fitted to one peak.
     """
     poles, width = model.poles, half_width(model.poles)
     is_inside = are_in_band(curves, poles)
-    spurious = {int(i) for i in np.flatnonzero(is_inside & (-poles.real > MAX_DAMPING * abs(poles)))}
+    rejected = {int(i) for i in np.flatnonzero(is_inside & (-poles.real > MAX_DAMPING * abs(poles)))}
     order = [int(i) for i in np.argsort(poles.imag) if is_inside[i]]
     for low, high in pairwise(order):
         distance = (poles[high].imag - poles[low].imag) / (2 * np.pi)
@@ -201,8 +201,8 @@ def spurious_poles(curves: Curves, model: ModalModel) -> NDArray[np.intp]:
             or is_unresolved
             or (is_close and _local_misfit(curves, model, poles[[low, high]]) > _MAX_NOISE_RATIO)
         ):
-            spurious |= {low, high}
-    return np.array(sorted(spurious), dtype=np.intp)
+            rejected |= {low, high}
+    return np.array(sorted(rejected), dtype=np.intp)
 
 
 def _local_misfit(curves: Curves, model: ModalModel, poles: ComplexArray) -> float:

@@ -124,7 +124,7 @@ def systematic_pole_errors(
 
 
 def _relative(curve: Response, names: Sequence[str]) -> Array:
-    """Return the root sum of squares of some systematic errors, relative to the curve; shape (n,)."""
+    """Return the root sum of squares of the named systematic errors, relative to the curve; shape (n,)."""
     bounds = [curve.limits[name] for name in names if name in curve.limits]
     return np.asarray(
         np.linalg.norm([np.zeros(curve.value.size), *bounds], axis=0) / np.maximum(abs(curve.value), 1e-300)

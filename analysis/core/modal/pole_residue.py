@@ -69,7 +69,7 @@ class Curves:
 
 @dataclass(frozen=True)
 class ModalModel:
-    """Best modal model of some curves for a number of poles."""
+    """Modal model with a given number of poles that fits curves best."""
 
     poles: ComplexArray  # rad/s, in ascending order of frequency; shape (modes,)
     residue: ComplexArray  # m/(N s), shape (responses, modes)
@@ -108,7 +108,7 @@ def fit(curves: Curves, start: ComplexArray, max_evaluations: int = MAX_EVALUATI
 
 
 def jacobian(curves: Curves, poles: ComplexArray) -> ComplexArray:
-    """Differentiate the weighted residuals of the best model with some poles, shape (2 modes, responses, n).
+    """Differentiate the weighted residuals of the best model with given poles, shape (2 modes, responses, n).
 
     The parameters are the logarithms of the decay rates, then the damped frequencies in units of the decay rates.
     """

@@ -107,7 +107,7 @@ class Likelihood:
         return float(np.einsum("ka,kab,kb->", residual.conj(), self.information, residual, optimize=True).real)
 
     def _derivatives(self, model: ModalModel, lines: slice) -> tuple[ComplexArray, ComplexArray]:
-        """Differentiate the model at some lines.
+        """Differentiate the model at given lines.
 
         Returns the derivatives with respect to the parameters of the poles, shape (lines, responses, 2 modes), and with
         respect to residues and residual terms, shape (lines, unknowns). The derivatives with respect to residues and

@@ -1,7 +1,7 @@
-"""Responses of fixed sensors to hits at several points, as responses of these points to forces at the sensors.
+"""Responses of fixed sensors to impacts at several points, as responses of these points to forces at the sensors.
 
 By the reciprocity theorem of Maxwell and Betti, output and input of a curve may be exchanged. Modes are then identified
-from all curves at once, and their shapes have an element for each hit point.
+from all curves at once, and their shapes have an element for each point of impact.
 """
 
 from collections.abc import Sequence
@@ -19,24 +19,24 @@ _MIN_LINES = 8
 
 
 def exchange_points(curves: Sequence[Response]) -> Response:
-    """Exchange output and input of curves; outputs of the result are the hit points, and inputs are the sensors.
+    """Exchange output and input of curves; outputs of the result are the points of impact, and inputs are the sensors.
 
-    Raises `SceneError` if there is one point only, or if a point lacks a sensor or is hit in several tests. Raises
+    Raises `SceneError` if there is one point only, or if a point lacks a sensor or has impacts in several tests. Raises
     `RecordingError` if the curves have too few lines in common.
     """
     elements = {(curve.input_at, curve.output_at or curve.response): curve for curve in curves}
     points, sensors = (list(dict.fromkeys(names)) for names in zip(*elements, strict=True))
     if len(points) < 2 or not len(elements) == len(curves) == len(points) * len(sensors):
         raise SceneError(
-            f"roving hammer: {len(curves)} curves of hits at {', '.join(points)[:200]} with sensors at "
-            f"{', '.join(sensors)[:200]}; expected several points, each hit in one file, with the same sensors. Give "
+            f"roving hammer: {len(curves)} curves of impacts at {', '.join(points)[:200]} with sensors at "
+            f"{', '.join(sensors)[:200]}; expected one file for each of several points, with the same sensors. Give "
             "files of this kind."
         )
     lines = reduce(np.intersect1d, [curve.frequency for curve in curves])
     if lines.size < _MIN_LINES:
         raise RecordingError(
-            f"roving hammer: the curves have {lines.size} frequencies in common, too few for modes. Record hits with "
-            "equal sample rates and intervals."
+            f"roving hammer: the curves have {lines.size} frequencies in common, too few for modes. Record impacts "
+            "with equal sample rates and intervals."
         )
     exchanged = [
         replace(

@@ -47,7 +47,7 @@ def frequency_responses(
     Parameters
     ----------
     rec : daq.Recording, str or Path
-        The recording, or its path, of a sine, stepped sine, swept sine, random, multisine or impulse test.
+        The recording, or its path, of a sine, stepped sine, swept sine, random, multisine or impact test.
     channels : sequence of str, optional
         As `response` in `analysis.frf`.
     reference, motion, estimator, block, progress, overlap, window, level, direction : as in `analysis.frf`

@@ -120,7 +120,7 @@ class Hits:
             return np.nan
         if self.arrivals[0][0] < begin:
             return np.inf
-        # A shorter interval would contain only a part of a slow motion.
+        # In an interval shorter than `PRE_HIT_S` only a part of a slow motion is visible.
         largest, visible_ratio = 0.0, min(1.0, (begin - first) / (PRE_HIT_S * rec.rate))
         for name in names:
             reading = rec.read(name, first, min(begin + self.interval, stop))
@@ -224,8 +224,8 @@ class Hits:
         """
         steps = quantization_steps(rec, names)[:, None]
         step = np.where(steps > 0.0, steps, 1.0)
-        # Power spectra of the errors, summed over hits. Each error ends `n_after_hit` samples after its hit, so that a
-        # short transform determines the autocorrelation.
+        # Power spectra of the errors, summed over impacts. Each error ends `n_after_hit` samples after its impact, so
+        # that a short transform determines the autocorrelation.
         errors, noise, max_counts = [np.zeros((1, 1)) for _ in _COARSER_CONVERTERS], [], np.zeros(steps.shape)
         power = np.zeros((1, 1))
         for (block, spectra), (start, stop) in zip(readings, segments, strict=True):

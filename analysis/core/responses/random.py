@@ -139,7 +139,7 @@ def _compute(request: Request) -> list[Response]:
 
 
 def _parts(request: Request) -> list[Parts]:
-    """Return the bursts of each measurement, or sections of it without bursts."""
+    """Return the bursts of each measurement, or sections of a measurement without bursts."""
     parts = []
     for fit in (segment_fits(request.rec, marker, request.channels) for marker in request.measured):
         if fit.bursts is None:

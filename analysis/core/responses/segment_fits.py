@@ -1,7 +1,7 @@
 """Frequency responses of tests without steady tones: local fits to the spectra of whole segments.
 
 A *segment* is a part of the test without overloaded or lost samples. The local rational method (see `local_models`)
-treats random excitation, bursts and hits in the same manner: it uses the measured force, and the transients at the
+treats random excitation, bursts and impacts in the same manner: it uses the measured force, and the transients at the
 beginning and end of a segment are part of the fit. The response need not decay, no window adds damping, and double
 impacts are acceptable.
 """

@@ -150,7 +150,7 @@ class Lines:
         return [block + self.channels.index(name) for name in names]
 
     def _rows_of(self, positions: Sequence[int]) -> tuple[ComplexArray, Scatter, Scatter, Array | None, Array | None]:
-        """Return mean, scatter, noise, residual transient and resolution of some channels."""
+        """Return mean, scatter, noise, residual transient and resolution of given channels."""
         scatter, noise = (
             Scatter(each.rows[:, positions], each.degrees_of_freedom)
             for each in (self.scatter, self.scatter if self.noise is None else self.noise)

@@ -209,7 +209,7 @@ class LockIn:
         return np.stack([np.cos(angle), -np.sin(angle)], axis=2).reshape(samples.size, -1)
 
     def _gram(self, length: int) -> tuple[Array, Array]:
-        """Return the Gram matrix of the terms of a part of some samples, and its Cholesky factor; both are stored."""
+        """Return the Gram matrix of the terms in a part of `length` samples, and its Cholesky factor (cached)."""
         if length not in self._grams:
             gram = np.asarray(
                 sum(rotation @ basis @ basis.T @ rotation.T for _, rotation, basis in self._pieces(length))
@@ -295,7 +295,7 @@ _SweepKey = tuple[float, str]
 
 
 class _Point(NamedTuple):
-    """Measurement in a window."""
+    """Amplitudes of a tone, fitted in a window of samples."""
 
     tone: ToneFit
     window: tuple[int, int]  # first sample, and one past the last
@@ -303,7 +303,7 @@ class _Point(NamedTuple):
 
 
 class _Omission(NamedTuple):
-    """A window that was not evaluated."""
+    """A measured window whose amplitudes were not estimated."""
 
     frequency: float  # Hz
     reason: str  # reason without times: equal for all windows with the same flaw
@@ -498,7 +498,7 @@ def _reason_without_result(rec: Recording, reasons: list[str]) -> str:
         return "samples are lost in every measured window. Record again, or repair the file with `daq recover`."
     if rec.source:
         return (
-            f"no step was detected in these {duration}. No tone lasts at least ten periods, so this may not be a "
+            f"no dwell was detected in these {duration}. No tone lasts at least ten periods, so this may not be a "
             "stepped sine. Set the actual test in the scene (test: {kind: swept_sine} or {kind: random}) and import "
             "the file again."
         )

@@ -316,7 +316,7 @@ def _compute(request: Request) -> list[Response]:
 
 
 def _tones(request: Request) -> list[ToneInterval]:
-    """Return the sweeps."""
+    """Return the intervals of the sweeps, with the change of the frequency in each."""
     rec, intervals = request.rec, []
     for marker in request.measured:
         first, last, duration = (float(marker.fields[key]) for key in ("from", "to", "duration"))

@@ -115,7 +115,8 @@ class ProfileCheck(Result):
     def is_limited(self, level: Level) -> NDArray[np.bool_]:
         """Return flags of the frequencies at which a channel limits the drive.
 
-        The control holds a density below its limit; the channel is near the limit if the end of its interval is.
+        The controller keeps a density below its limit. The channel therefore counts as limited where the upper end of
+        its 95 % interval is near the limit.
         """
         end = replace(level, values=np.where(np.isfinite(level.high), level.high, level.values))
         return limits_drive(-self.deviation, -self.excess(end), _NOTCH_DB)

@@ -36,7 +36,7 @@ _BAND_RATIO = 0.4
 _CORRECTED_RATIO = 0.1
 # Lost samples are interpolated if they are at most this fraction.
 _MAX_LOST_FRACTION = 0.01
-# Number of copies of the samples in memory.
+# Memory of the computation, in multiples of the memory of the samples.
 _COPIES = 12.0
 # Largest number of natural frequencies.
 _MAX_FREQUENCIES = 10_000
@@ -73,7 +73,7 @@ class ShockSpectrum(Result):
 
     @property
     def maximax(self) -> Array:
-        """Largest magnitude."""
+        """Larger magnitude of `positive` and `negative` at each natural frequency."""
         return np.maximum(self.positive, self.negative)
 
     def summary(self) -> str:

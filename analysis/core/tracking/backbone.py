@@ -92,7 +92,7 @@ class Backbone(Result):
     def summary(self) -> str:
         """Return the number of levels, and the frequency at the first and last level and at its extreme values."""
         ranges = quantity_ranges(self.level_points())
-        name = "natural frequency" if "natural frequency" in ranges else "driven frequency"
+        name = "natural frequency" if "natural frequency" in ranges else "excitation frequency"
         return f"{self.label}: {self.level.size} levels, {name} {ranges[name]}"
 
     def omissions(self) -> list[str]:
@@ -100,11 +100,11 @@ class Backbone(Result):
         return []
 
     def level_points(self) -> list[LevelPoint]:
-        """Return natural frequency, damping ratio, driven frequency and amplitude of each point."""
+        """Return natural frequency, damping ratio, excitation frequency and amplitude of each point."""
         columns = {
             "natural frequency / Hz": (self.natural_frequency, self.natural_frequency_bound),
             "damping ratio / %": (100.0 * self.damping, 100.0 * self.damping_bound),
-            "driven frequency / Hz": (self.frequency, self.frequency_bound),
+            "excitation frequency / Hz": (self.frequency, self.frequency_bound),
             f"amplitude of {self.body} / mm": (1e3 * self.amplitude, 1e3 * self.amplitude_bound),
         }
         points = []
@@ -159,7 +159,7 @@ class Backbone(Result):
                 level, (frequency, 1e3 * amplitude), (-7 if is_left else 7, 5), textcoords="offset points",
                 fontsize=8, ha="right" if is_left else "left",
             )  # fmt: skip
-        ax.set(xlabel="driven frequency / Hz", ylabel=f"amplitude of {self.body} / mm")
+        ax.set(xlabel="excitation frequency / Hz", ylabel=f"amplitude of {self.body} / mm")
 
 
 @takes_path

@@ -25,7 +25,7 @@ class LevelPoint(NamedTuple):
     """The highest measured point at one level of a test."""
 
     level: str
-    frequency: float  # driven frequency, Hz
+    frequency: float  # excitation frequency, Hz
     # Value and text with its 95 % interval of each quantity; its name ends with its unit: "damping ratio / %".
     quantities: Mapping[str, tuple[float, str]]
     note: str = ""

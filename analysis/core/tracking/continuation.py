@@ -123,7 +123,7 @@ class AmplitudeCurve(Result):
         return float(np.maximum(steps, noise[1:])[is_high[1:]].max(initial=0.0))
 
     def level_points(self) -> list[LevelPoint]:
-        """Return driven frequency and amplitude of the highest point at each level, with the folds of the level."""
+        """Return excitation frequency and amplitude of the highest point at each level, with the folds of the level."""
         points = []
         for level in dict.fromkeys(self.level.tolist()):
             chosen = np.flatnonzero(self.level == level)
@@ -141,7 +141,7 @@ class AmplitudeCurve(Result):
             # The curve continues beyond its first and last point.
             note += "; highest point at an end of the curve" * (highest in chosen[[0, -1]])
             quantities = {
-                "driven frequency / Hz": (frequency, f"{frequency:.4g}"),
+                "excitation frequency / Hz": (frequency, f"{frequency:.4g}"),
                 f"largest amplitude of {self.body} / mm": (peak[0], format_limited(*peak)),
             }
             points.append(LevelPoint(f"{format_number(level)} {self.unit}", frequency, quantities, note))
@@ -198,7 +198,7 @@ class AmplitudeCurve(Result):
                 ms=8,
                 capsize=2,
             )
-        ax.set(xlabel="driven frequency / Hz", ylabel=f"amplitude of {self.body} / mm")
+        ax.set(xlabel="excitation frequency / Hz", ylabel=f"amplitude of {self.body} / mm")
 
 
 @takes_path

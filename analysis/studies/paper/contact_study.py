@@ -52,7 +52,7 @@ TABLE = Table(
 
 
 class ContactPoint(NamedTuple):
-    """A point of the study."""
+    """Motion and contact at which the beds are compared with a single mass."""
 
     level: float  # acceleration of the body, g
     clearance: float  # m
@@ -61,7 +61,7 @@ class ContactPoint(NamedTuple):
 
 
 class FittedContact(NamedTuple):
-    """A contact fitted to beds."""
+    """Contact of a single mass that dissipates as beds of grains do."""
 
     restitution: float
     duration: float  # s

@@ -55,7 +55,7 @@ def lines(strips: Sequence[Sequence[Point]], color: Color, radius: float) -> rr.
 
 
 def coils(x_positions: Sequence[float], length: float, color: Color) -> rr.LineStrips3D:
-    """Draw coil springs from z = 0 to z = `length` at some positions x: each is a helix with straight ends."""
+    """Draw coil springs from z = 0 to z = `length` at given positions x: each is a helix with straight ends."""
     import rerun as rr
 
     fraction_of_length = np.linspace(0.0, 1.0, 24 * COIL_TURNS + 1)

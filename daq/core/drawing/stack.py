@@ -100,7 +100,7 @@ class Block(NamedTuple):
 
     @property
     def entity(self) -> str:
-        """Path of the drawing."""
+        """Path of the joint's entity in the viewer."""
         return f"rig/joint_{self.number}" if self.body is None else f"rig/body_{self.body}/joint_{self.number}"
 
 

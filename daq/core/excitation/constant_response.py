@@ -104,7 +104,7 @@ class HeldMotion(EnvelopeTone):
 
 
 def excite(station: Station, test: ConstantResponse) -> Excitation:
-    """Run the test; raise `GivenUp` if no step reached its level."""
+    """Run the test; raise `GivenUp` if no dwell reached its level."""
     tone = HeldMotion(station, test)
     settled = yield from stepped_sine.excite(station, test, tone)
     messages = []
@@ -134,7 +134,7 @@ class ConstantResponseProcedure(StepsProcedure["ConstantResponse"]):
     duration_ratio = 1.5
 
     def excite(self, station: Station, test: ConstantResponse) -> Excitation:
-        """Run the test."""
+        """Yield the drive of the test block by block, and mark the measured intervals."""
         return excite(station, test)
 
     def part(self, test: ConstantResponse, seconds: float, scene: Scene) -> ConstantResponse:
@@ -147,7 +147,7 @@ class ConstantResponseProcedure(StepsProcedure["ConstantResponse"]):
         return test.at_level(max(test.levels)).replace(**steps)
 
     def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
-        """Return steps over the band at the level of the scene's test, or 1 mm of body 1."""
+        """Return a stepped sine over the band at the level of the scene's test, or 1 mm of body 1."""
         level = {"at": "body 1", "displacement": 1e-3}
         if test is not None and test.held_motion is not None:
             level = {"at": test.held_motion[0], test.level_key: test.levels}

@@ -533,7 +533,7 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
     duration_ratio = 3.0
 
     def excite(self, station: Station, test: Continuation) -> Excitation:
-        """Run the test."""
+        """Yield the drive of the test block by block, and mark the measured intervals."""
         return excite(station, test)
 
     def waits(self, test: Continuation, scene: Scene) -> float:

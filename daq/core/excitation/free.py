@@ -30,7 +30,7 @@ class FreeProcedure(Procedure["Free"]):
     detection = "start"
 
     def excite(self, station: Station, test: Free) -> Excitation:
-        """Run the test."""
+        """Yield the drive of the test block by block, and mark the measured intervals."""
         return excite(station, test)
 
 

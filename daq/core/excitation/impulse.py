@@ -121,7 +121,7 @@ class ImpulseProcedure(Procedure["Impulse"]):
     form = Form("hammer", ("level", "interval", "hits"))
 
     def excite(self, station: Station, test: Impulse) -> Excitation:
-        """Run the test."""
+        """Yield the drive of the test block by block, and mark the measured intervals."""
         return excite(station, test)
 
     def power_on_wait(self, channels: Sequence[ChannelInfo]) -> float:

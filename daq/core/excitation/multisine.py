@@ -132,7 +132,7 @@ class MultisineProcedure(Procedure["Multisine"]):
     budget = 4.0
 
     def excite(self, station: Station, test: Multisine) -> Excitation:
-        """Run the test."""
+        """Yield the drive of the test block by block, and mark the measured intervals."""
         return excite(station, test)
 
     def noise_gain(self, test: Multisine, frequency: Array) -> Array:
@@ -147,7 +147,7 @@ class MultisineProcedure(Procedure["Multisine"]):
         return 3.0 * test.realisations * test.period_s + (_EQUALIZING_S if scene.controlled_terms else 0.0)
 
     def stored(self, test: Multisine) -> float:
-        """Return the period, s."""
+        """Return the period, which is the part of the drive stored in memory, s."""
         return test.period_s
 
     def part(self, test: Multisine, seconds: float, scene: Scene) -> Multisine:

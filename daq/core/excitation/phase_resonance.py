@@ -179,7 +179,7 @@ class PhaseResonanceProcedure(SteadyTonesProcedure["PhaseResonance"]):
     duration_ratio = 2.0
 
     def excite(self, station: Station, test: PhaseResonance) -> Excitation:
-        """Run the test."""
+        """Yield the drive of the test block by block, and mark the measured intervals."""
         return excite(station, test)
 
     def waits(self, test: PhaseResonance, scene: Scene) -> float:
@@ -187,7 +187,7 @@ class PhaseResonanceProcedure(SteadyTonesProcedure["PhaseResonance"]):
         return len(test.levels) * min(_PERIODS_OF_LOCK / test.frequency, test.settle.longest)
 
     def part(self, test: PhaseResonance, seconds: float, scene: Scene) -> PhaseResonance:
-        """Return the highest level."""
+        """Return the test at its highest level only."""
         return test.at_level(max(test.levels))
 
     def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:

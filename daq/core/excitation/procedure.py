@@ -53,14 +53,14 @@ class Form:
 class Procedure(Generic[TestT]):
     """The procedure of a kind of test; subclasses override the methods that differ from a drive of fixed duration.
 
-    `detection`: the features that an import detects in the samples: impacts, steps of constant frequency, the start of
-    a decay, or only the band of the test. `rehearsal`: whether a long test is represented by its first part, or by
-    steps about the peaks of the linear response. `budget`: multiple of the CPU time for a rehearsal. `duration_ratio`:
-    ratio by which the duration may differ from `seconds`; more than 1 if the waits at other levels or points differ
-    from the waits in the part. `form`: form of the test on the bench page; None if the page does not offer it.
+    `detection`: the features that an import detects in the samples: impacts, dwells, the start of a decay, or only the
+    band of the test. `rehearsal`: whether a long test is represented by its first part, or by dwells about the peaks of
+    the linear response. `budget`: multiple of the CPU time for a rehearsal. `duration_ratio`: ratio by which the
+    duration may differ from `seconds`; more than 1 if the waits at other levels or points differ from the waits in the
+    part. `form`: form of the test on the bench page; None if the page does not offer it.
     """
 
-    detection: ClassVar[Literal["hits", "steps", "start", "band"]] = "band"
+    detection: ClassVar[Literal["hits", "dwells", "start", "band"]] = "band"
     rehearsal: ClassVar[Literal["part", "peaks"]] = "part"
     budget: ClassVar[float] = 1.0
     duration_ratio: ClassVar[float] = 1.0
@@ -123,7 +123,7 @@ class Procedure(Generic[TestT]):
         return part_seconds + max(test.shortest - part.shortest, 0.0)
 
     def periods_of_step(self, test: TestT) -> int:
-        """Return the number of measured periods of each step of the rehearsal about the peaks."""
+        """Return the number of measured periods of each dwell of the rehearsal about the peaks."""
         return 5
 
     def frequency_at(self, test: TestT, fraction: float) -> float | None:

@@ -122,7 +122,7 @@ class RandomProcedure(Procedure["Random"]):
     form = Form("random", ("level", "low", "high", "duration"))
 
     def excite(self, station: Station, test: Random) -> Excitation:
-        """Run the test."""
+        """Yield the drive of the test block by block, and mark the measured intervals."""
         return excite(station, test)
 
     def noise_gain(self, test: Random, frequency: Array) -> Array:

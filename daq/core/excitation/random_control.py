@@ -182,7 +182,7 @@ class RandomControlProcedure(Procedure["RandomControl"]):
     form = Form("random control of the scene", ())
 
     def excite(self, station: Station, test: RandomControl) -> Excitation:
-        """Run the test."""
+        """Yield the drive of the test block by block, and mark the measured intervals."""
         return excite(station, test)
 
     def waits(self, test: RandomControl, scene: Scene) -> float:

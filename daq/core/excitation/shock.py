@@ -127,7 +127,7 @@ class ShockProcedure(Procedure["Shock"]):
     form = Form("shock of the scene", ())
 
     def excite(self, station: Station, test: Shock) -> Excitation:
-        """Run the test."""
+        """Yield the drive of the test block by block, and mark the measured intervals."""
         return excite(station, test)
 
     def waits(self, test: Shock, scene: Scene) -> float:

@@ -58,11 +58,11 @@ def excite(station: Station, test: Sine) -> Excitation:
 class SineProcedure(Procedure["Sine"]):
     """A tone of constant frequency."""
 
-    detection = "steps"
+    detection = "dwells"
     form = Form("sine", ("level", "frequency"), adjustable=True)
 
     def excite(self, station: Station, test: Sine) -> Excitation:
-        """Run the test."""
+        """Yield the drive of the test block by block, and mark the measured intervals."""
         return excite(station, test)
 
     def noise_gain(self, test: Sine, frequency: Array) -> Array:

@@ -286,7 +286,7 @@ class SineControlProcedure(Procedure["SineControl"]):
     form = Form("sine control of the scene", ())
 
     def excite(self, station: Station, test: SineControl) -> Excitation:
-        """Run the test."""
+        """Yield the drive of the test block by block, and mark the measured intervals."""
         return excite(station, test)
 
     def check(self, test: SineControl, scene: Scene, channels: Sequence[ChannelInfo]) -> Iterable[str]:

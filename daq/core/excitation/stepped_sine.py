@@ -30,31 +30,31 @@ StepsT = TypeVar("StepsT", bound="SteppedTest")
 
 # The drive is extrapolated by at most this natural logarithm of its ratio to the last drive.
 _MAX_LOG_CHANGE = 0.2
-# The wait at a step (one tone) has this fixed part, s, measured with the bundled scenes.
+# The wait of a dwell has this fixed part, s, measured with the bundled scenes.
 _FIXED_WAIT_S = 1.4
 # In the remaining part of the wait, transients decay for this number of time constants of the slowest mode.
 _STEP_TIME_CONSTANTS = 2.0
 
 
 def excite(station: Station, test: SteppedTest, tone: SteadyTone) -> Generator[Array, Array, int]:
-    """Run a tone through all steps at each level; return the number of steps in steady state.
+    """Run a tone through all dwells at each level; return the number of dwells in steady state.
 
-    The wait (`settle`) and the measurement (`measure`) of each step are marked.
+    The wait (`settle`) and the measurement (`measure`) of each dwell are marked.
     """
-    steps = list(test.order)
-    up_steps = len(steps) // 2 if test.direction == "both" else len(steps)
-    total, completed = len(test.levels) * len(steps), 0
+    dwells = list(test.order)
+    up_dwells = len(dwells) // 2 if test.direction == "both" else len(dwells)
+    total, completed = len(test.levels) * len(dwells), 0
     unsettled: list[str] = []
     limited: list[str] = []
     for level in test.levels:
         drive = tone.start(level)
         last_drives: list[tuple[float, float]] = []  # frequency in Hz and drive amplitude
-        tone.frequency = steps[0]
+        tone.frequency = dwells[0]
         # In open loop the level is the amplitude of the drive; its unit depends on the shaker.
         unit = test.level_unit(station.scene.driven_shaker)
         at_level = f"{level:g} {unit}" if station.is_controlled else f"level {level:g}"
-        for index, frequency in enumerate(steps):
-            direction = "down" if test.direction == "down" or index >= up_steps else "up"
+        for index, frequency in enumerate(dwells):
+            direction = "down" if test.direction == "down" or index >= up_dwells else "up"
             station.report(completed / total, f"{format_decimals(frequency, 2)} Hz {direction}, {at_level}")
             if station.is_controlled and last_drives:
                 drive = min(extrapolate_drive(last_drives, frequency), station.drive_limit)
@@ -64,8 +64,8 @@ def excite(station: Station, test: SteppedTest, tone: SteadyTone) -> Generator[A
             )
             yield from tone.measure(round(test.measure.periods * station.rate / frequency), settled, fields)
             if not settled:
-                steps_of_cause = limited if tone.control and tone.amplitude >= station.drive_limit else unsettled
-                steps_of_cause.append(f"{frequency:.4g} Hz {direction} at {at_level}")
+                dwells_of_cause = limited if tone.control and tone.amplitude >= station.drive_limit else unsettled
+                dwells_of_cause.append(f"{frequency:.4g} Hz {direction} at {at_level}")
             drive = tone.amplitude
             last_drives = [*last_drives[-2:], (frequency, drive)]
             completed += 1
@@ -74,12 +74,12 @@ def excite(station: Station, test: SteppedTest, tone: SteadyTone) -> Generator[A
         shaker = station.scene.driven_shaker
         limit = f"{station.drive_limit:g} {'' if shaker is None else shaker.drive_unit}"
         station.warn(
-            f"{len(limited)} of {total} steps did not reach the required level, because the drive is at the limit of "
+            f"{len(limited)} of {total} dwells did not reach the required level, because the drive is at the limit of "
             f"the amplifier, {limit} ({listed(limited)}). Lower the level, or raise shaker.amplifier.limit."
         )
     if unsettled:
         station.warn(
-            f"{len(unsettled)} of {total} steps did not reach steady state at the required level within "
+            f"{len(unsettled)} of {total} dwells did not reach steady state at the required level within "
             f"{test.settle.longest:g} s ({listed(unsettled)}). Their points are marked; raise test.settle.longest to "
             "wait longer."
         )
@@ -121,7 +121,7 @@ def extrapolate_drive(last_drives: Sequence[tuple[float, float]], frequency: flo
 class SteadyTonesProcedure(Procedure[SteadyT]):
     """Tones that are measured in steady state, over `test.measure` periods."""
 
-    detection = "steps"
+    detection = "dwells"
 
     def noise_gain(self, test: SteadyT, frequency: Array) -> Array:
         """Return the gain of a lock-in measurement over the measured periods."""
@@ -145,7 +145,7 @@ class StepsProcedure(SteadyTonesProcedure[StepsT]):
     """A series of tones of given frequencies."""
 
     def periods_of_step(self, test: StepsT) -> int:
-        """Return the number of measured periods of each step."""
+        """Return the number of measured periods of each dwell."""
         periods: int = test.measure.periods
         return periods
 
@@ -156,7 +156,7 @@ class SteppedSineProcedure(StepsProcedure["SteppedSine"]):
     rehearsal = "peaks"
 
     def excite(self, station: Station, test: SteppedSine) -> Excitation:
-        """Run the test."""
+        """Yield the drive of the test block by block, and mark the measured intervals."""
         yield from excite(station, test, SteadyTone(station, test.order[0], controlled(station)))
 
 

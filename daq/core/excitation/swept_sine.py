@@ -229,7 +229,7 @@ class SweptSineProcedure(Procedure["SweptSine"]):
     form = Form("sweep", ("level", "low", "high", "duration"))
 
     def excite(self, station: Station, test: SweptSine) -> Excitation:
-        """Run the test."""
+        """Yield the drive of the test block by block, and mark the measured intervals."""
         return excite(station, test)
 
     def noise_gain(self, test: SweptSine, frequency: Array) -> Array:

@@ -179,8 +179,8 @@ def rehearse_test(
             seconds = affordable_seconds(scene)
             plan = plan_about_peaks(scene, channels, seconds)
             parts += _rehearse_parts(plan, None, _MAX_TIME_RATIO * seconds)
-        steps = sum(len(part.steps) // 2 for part in parts)
-        return RehearsedTest(parts, False, f"{steps} steps about the peaks of the linear response")
+        dwells = sum(len(part.steps) // 2 for part in parts)
+        return RehearsedTest(parts, False, f"{dwells} dwells about the peaks of the linear response")
     if parts[0].aborted is not None:
         # The test aborts in this part, so later parts are not reached.
         return RehearsedTest(parts, True)
@@ -191,8 +191,8 @@ def rehearse_test(
 def _rehearse_parts(plan: RehearsalPlan, bench: Bench | None, max_seconds: float) -> tuple[Rehearsal, ...]:
     """Rehearse the parts one after another, up to an abort; each part lasts at most `max_seconds` of bench time."""
     parts: list[Rehearsal] = []
-    for scene, excluded_steps in plan.parts:
-        part = Rehearsal(scene, excluded_steps, bench if plan.is_complete else None)
+    for scene, excluded_dwells in plan.parts:
+        part = Rehearsal(scene, excluded_dwells, bench if plan.is_complete else None)
         parts.append(part.run(max_seconds))
         if parts[-1].aborted is not None:
             break
@@ -389,13 +389,13 @@ class _Assessment:
         """
         part = max(self.unlimited_test.parts, key=lambda rehearsal: float(rehearsal.readings.magnitude[row]))
         seconds = affordable_seconds(self.scene) / (2 * _MAX_SECANT_STEPS)
-        scene, excluded_steps = shorten_to_tone(part.scene, limiting.frequency, seconds)
+        scene, excluded_dwells = shorten_to_tone(part.scene, limiting.frequency, seconds)
         if scene is None:
             return level
         # Pairs: logarithms of the level, and of the ratio of the largest reading to its limit.
         unlimited_scene, log_ratios = without_limits(scene), [(np.log(self.level), np.log(limiting.driven_share))]
         for _ in range(_MAX_SECANT_STEPS):
-            rehearsal = Rehearsal(with_level(unlimited_scene, level), excluded_steps).run(4.0 * seconds)
+            rehearsal = Rehearsal(with_level(unlimited_scene, level), excluded_dwells).run(4.0 * seconds)
             reading_ratio = max(float(rehearsal.readings.magnitude[row]) / limiting.limit, 1e-12)
             log_ratios.append((np.log(level), np.log(reading_ratio)))
             if abs(reading_ratio - 1.0) < _LEVEL_TOLERANCE:
@@ -421,7 +421,7 @@ class _Assessment:
             return _Duration.within(seconds, procedure.duration_ratio)
         if not test.dwells:
             return _Duration.within(test.shortest)
-        order, steps = np.array(test.dwells), len(test.levels) * len(test.dwells)
+        order, dwells = np.array(test.dwells), len(test.levels) * len(test.dwells)
         linear = linear_waits(self.scene, self.system, self.bench.channels)
         rehearsed, flights = np.full(order.size, False), list[_Duration]()
         for number, part in enumerate(rehearsed_test.parts):
@@ -448,7 +448,7 @@ class _Assessment:
         last_part = rehearsed_test.parts[-1]
         last_tone = last_part.frequency_at(round(last_part.seconds * last_part.rate))
         index = int(np.argmin(abs(order - last_tone))) if last_tone is not None else 0
-        seconds = max(rehearsed_seconds, complete.expected * (index + 1) / steps) if index > 1 else rehearsed_seconds
+        seconds = max(rehearsed_seconds, complete.expected * (index + 1) / dwells) if index > 1 else rehearsed_seconds
         return _Duration.within(seconds, _ABORT_RATIO)
 
     def _rehearsed_waits(self, part: Rehearsal, is_beginning: bool) -> Iterable[tuple[float, _Duration]]:

@@ -80,14 +80,14 @@ def loads_of(scene: Scene, points: Sequence[str]) -> list[ShakerLoad]:
 class Rehearsal(BenchLoop):
     """A test on the bench that is not recorded; only the extremes of each quantity are stored.
 
-    The first `excluded_steps` steps are run but not evaluated. Each quantity has a row for each channel (`readings`, in
-    its unit), input (`drives`), body and table (`accelerations`, m/s^2), or load of a shaker (`loads`).
+    The first `excluded_dwells` dwells are run but not evaluated. Each quantity has a row for each channel (`readings`,
+    in its unit), input (`drives`), body and table (`accelerations`, m/s^2), or load of a shaker (`loads`).
     """
 
-    def __init__(self, scene: Scene, excluded_steps: int = 0, bench: Bench | None = None) -> None:
+    def __init__(self, scene: Scene, excluded_dwells: int = 0, bench: Bench | None = None) -> None:
         super().__init__(scene, bench=bench)
         bench = self.bench
-        self.scene, self.rate, self._excluded_steps = scene, bench.rate, excluded_steps
+        self.scene, self.rate, self._excluded_dwells = scene, bench.rate, excluded_dwells
         self.readings = Extremes(len(bench.channels))
         powered_on_s = np.array([POWER_ON_RATIO * settling_time(info) for info in bench.channels])
         self._powered_on = np.round(powered_on_s * self.rate)
@@ -141,9 +141,9 @@ class Rehearsal(BenchLoop):
         self.fraction = float(fraction)
 
     def ending_error(self, readings: Array) -> BaseException | None:
-        """Return the error that ends the test at an exceeded limit; None while steps are still excluded."""
+        """Return the error that ends the test at an exceeded limit; None while dwells are still excluded."""
         error = super().ending_error(readings)
-        return None if self._excluded_steps else error
+        return None if self._excluded_dwells else error
 
     def on_block(self, block: Block, readings: Array) -> None:
         """Update the extremes of channels, bodies and tables, and the impacts of dampers."""
@@ -151,7 +151,7 @@ class Rehearsal(BenchLoop):
         self._stored_samples += block.samples.shape[1]
         while self._stored_samples - self.last_blocks[0].samples.shape[1] > _STORED_END_S * self.rate:
             self._stored_samples -= self.last_blocks.popleft().samples.shape[1]
-        if self._excluded_steps:
+        if self._excluded_dwells:
             return
         motion = block.motion
         self.readings.add(block.first, readings)
@@ -177,7 +177,7 @@ class Rehearsal(BenchLoop):
 
     def on_window(self, first: int, drive: Array, overload: NDArray[np.bool_]) -> None:
         """Update the extremes of the drives, and the overloads."""
-        if self._excluded_steps:
+        if self._excluded_dwells:
             return
         self.drives.add(first, drive)
         for row in np.flatnonzero(overload.any(axis=1)):
@@ -188,7 +188,7 @@ class Rehearsal(BenchLoop):
         if kind in ("settle", "measure") and "frequency" in fields:
             settled = bool(fields.get("settled", True))
             self.steps.append(Step(first, stop, float(fields["frequency"]), settled))
-            self._excluded_steps -= kind == "measure" and self._excluded_steps > 0
+            self._excluded_dwells -= kind == "measure" and self._excluded_dwells > 0
         elif kind == "measure":
             self.measured = first, stop
 

@@ -43,9 +43,9 @@ _LONGEST_WAIT_S = 10.0
 _MIN_PEAK_RATIO = 0.15
 # Rehearsed frequencies whose indices differ by at most this number form a group.
 _MAX_INDEX_GAP = 4
-# Number of steps at the start of each group that are run but not evaluated, because their initial motion differs from
+# Number of dwells at the start of each group that are run but not evaluated, because their initial motion differs from
 # the complete test.
-_EXCLUDED_STEPS = 2
+_EXCLUDED_DWELLS = 2
 # Number of frequencies of the stepped sine that replaces a long sweep.
 _SWEEP_POINTS = 400
 
@@ -54,7 +54,7 @@ _SWEEP_POINTS = 400
 class RehearsalPlan:
     """The rehearsed parts of a test: scenes whose tests are run one after another."""
 
-    # Each scene, with the number of steps at its beginning that are run but not evaluated.
+    # Each scene, with the number of dwells at its beginning that are run but not evaluated.
     parts: tuple[tuple[Scene, int], ...]
     is_complete: bool = False  # whether the only part is the complete test
 
@@ -120,14 +120,14 @@ def plan_about_peaks(scene: Scene, channels: tuple[ChannelInfo, ...], seconds: f
     for group_indices in (np.clip(first_indices, 0, frequencies.size - 1), *groups):
         first, last, is_beginning = int(group_indices[0]), int(group_indices[-1]), not parts
         if direction != "down" and not is_beginning:
-            first = max(first - _EXCLUDED_STEPS, 0)
+            first = max(first - _EXCLUDED_DWELLS, 0)
         if direction != "up" and not is_beginning:
-            last = min(last + _EXCLUDED_STEPS, frequencies.size - 1)
+            last = min(last + _EXCLUDED_DWELLS, frequencies.size - 1)
         group = np.unique(frequencies[first : last + 1]).tolist()
-        excluded_steps = last - int(group_indices[-1]) if direction == "down" else int(group_indices[0]) - first
+        excluded_dwells = last - int(group_indices[-1]) if direction == "down" else int(group_indices[0]) - first
         # Only a part that begins with the first tone of the test contains the power-on transient of the sensors.
-        part = _with_settled_bias(scene) if excluded_steps else scene
-        parts.append((part.replace(test={**settings, "frequencies": group}), excluded_steps))
+        part = _with_settled_bias(scene) if excluded_dwells else scene
+        parts.append((part.replace(test={**settings, "frequencies": group}), excluded_dwells))
     return RehearsalPlan(tuple(parts))
 
 
@@ -195,10 +195,10 @@ def with_level(scene: Scene, level: float) -> Scene:
 
 
 def shorten_to_tone(scene: Scene, frequency: float | None, seconds: float) -> tuple[Scene | None, int]:
-    """Return a short scene with only the tones near a frequency in Hz, and the number of steps not to evaluate.
+    """Return a short scene with only the tones near a frequency in Hz, and the number of dwells not to evaluate.
 
-    Only a series of tones is shortened; its first step is evaluated only if it is also the first step of the test. Any
-    other test is returned unchanged if it takes at most `seconds`; otherwise the scene is None.
+    Only a series of dwells is shortened; its first dwell is evaluated only if it is also the first dwell of the test.
+    Any other test is returned unchanged if it takes at most `seconds`; otherwise the scene is None.
     """
     test = scene.test
     if test is None or frequency is None or not test.dwells or procedure_of(test).rehearsal != "peaks":

@@ -23,7 +23,7 @@ RAW = "/raw/"
 TRUTH = "/truth/"
 # Decimated waveforms, rms and peak of the channels, for viewers.
 DISPLAY = "/display/"
-# Events of the test, such as measured intervals and hits, with their samples.
+# Events of the test, such as measured intervals and impacts, with their samples.
 MARKERS = "/markers"
 # True contact events of the dampers.
 EVENTS = "/truth/events"

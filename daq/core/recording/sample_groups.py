@@ -45,7 +45,7 @@ class Group:
 
 
 class Grouping:
-    """Collects samples of some rows into groups of `length` samples on a fixed grid.
+    """Collects samples of a number of rows into groups of `length` samples on a fixed grid.
 
     `complete` contains the groups of completed cells by cell number, without empty groups. `position` is the number of
     the next sample, `group_bytes` the size of a group.

@@ -20,12 +20,12 @@ from daq.core.recording.recorder import Recorder
 from daq.core.signal_chain.driving_power import MOTION_INTEGRATIONS, DrivingPower
 from daq.extras.importing.assignment import AssignedSignal, ChosenSignal, assign, choose_signals, contradicted_units
 from daq.extras.importing.channel_table import Column, columns_of
+from daq.extras.importing.dwell_detection import DwellDetector
 from daq.extras.importing.files import signals_of
 from daq.extras.importing.force_pulses import ForcePulses
 from daq.extras.importing.joined_files import are_repetitions, join_repetitions
 from daq.extras.importing.overloads import Overloads
 from daq.extras.importing.signal import Signal
-from daq.extras.importing.steps import StepDetector
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, RunWarning, SceneError
 from rig.core.base.input_files import as_path, duplicate_files
@@ -71,9 +71,9 @@ def import_files(
 
     Signals become the channels of the scene, by name or as a table specifies, in SI. Missing samples are marked `lost`,
     clipped samples `overload`. The scene's test specifies the excitation. Impacts are detected in the force channel; a
-    step of a sine or stepped sine is detected where a tone is held. Any other excitation is one measurement over the
-    whole duration. Files of an impact test that contain the same signals are joined, as impacts of one test, unless
-    the table states files.
+    dwell of a sine or stepped sine is detected where the frequency is constant. Any other excitation is one measurement
+    over the whole duration. Files of an impact test that contain the same signals are joined, as impacts of one test,
+    unless the table states files.
 
     Parameters
     ----------
@@ -295,7 +295,7 @@ def _detection(scene: Scene) -> str:
 
 
 class _RecordingWriter:
-    """Reads the signals block by block, writes them to a recording, and marks impacts, steps and faults."""
+    """Reads the signals block by block, writes them to a recording, and marks impacts, dwells and faults."""
 
     def __init__(self, scene: Scene, assigned: Sequence[AssignedSignal], rate: float) -> None:
         self._scene, self._assigned, self._rate = scene, assigned, rate
@@ -322,7 +322,7 @@ class _RecordingWriter:
         ]
         self._power_rows = [force_rows[0], motion_rows[0]] if len(force_rows) == 1 and motion_rows else []
         self._power = DrivingPower(*(self._infos[row] for row in self._power_rows)) if self._power_rows else None
-        self._steps = StepDetector(scene, self._infos, rate) if self._detection == "steps" else None
+        self._dwells = DwellDetector(scene, self._infos, rate) if self._detection == "dwells" else None
 
     def run(self, path: Path, overwrite: bool, progress: FractionProgress | None) -> list[str]:
         """Write the recording; return the warnings about it."""
@@ -340,8 +340,8 @@ class _RecordingWriter:
                 recorder.write(block)
                 if self._power is not None:
                     self._power.add(*block[self._power_rows])
-                if self._steps is not None:
-                    self._steps.add(block)
+                if self._dwells is not None:
+                    self._dwells.add(block)
                 if progress is not None:
                     progress(stop / self._n_samples, f"{stop / self._rate:.0f} s")
             return [*self._mark_channels(recorder), *self._mark_test(recorder)]
@@ -380,7 +380,7 @@ class _RecordingWriter:
             yield warning
 
     def _mark_test(self, recorder: Recorder) -> Iterator[str]:
-        """Mark impacts, steps, or the whole recording as measured, as the scene's test requires; yield warnings."""
+        """Mark impacts, dwells, or the whole recording as measured, as the scene's test requires; yield warnings."""
         test = self._scene.test
         if self._detection == "start":
             motion_peaks = [
@@ -395,8 +395,8 @@ class _RecordingWriter:
                     f"{latest_peak / self._rate:.4g} s. Remove the time before it with `from_s`."
                 )
             return
-        if self._steps is not None:
-            yield from self._steps.mark(recorder, self._assigned[self._steps.reference_row])
+        if self._dwells is not None:
+            yield from self._dwells.mark(recorder, self._assigned[self._dwells.reference_row])
             return
         hits = [hit for pulses in self._force_pulses.values() for hit in pulses.hits(self._rate)]
         for number, hit in enumerate(hits, 1):

@@ -62,7 +62,7 @@ def functions(path: Path) -> list[dict[str, Any]]:
 
 
 def data_sets(path: Path, types: Sequence[int]) -> list[dict[str, Any]]:
-    """Read the data sets of some types in a Universal File.
+    """Read the data sets of given types in a Universal File.
 
     Raises `RecordingError` for a damaged file, `RunError` without pyuff.
     """

@@ -96,7 +96,7 @@ class BackgroundTest:
         self._is_stopping = True
 
     def release_outputs(self) -> None:
-        """End the test because a client uses an output; an impulse (hammer) test, which uses no output, continues."""
+        """End the test because a client uses an output; an impact test, which uses no output, continues."""
         scene = self._station.scene
         if not self.is_idle and scene.test is not None and scene.hammer is None:
             if self._on_end is None:

@@ -1,6 +1,6 @@
 """Converts markers of a recording to lines of a log, and to labeled segments of a timeline, for the viewer.
 
-A marker labels a sample or a segment of samples: a step that settles or is measured, an impact, an overload, a gap.
+A marker labels a sample or a segment of samples: a dwell that settles or is measured, an impact, an overload, a gap.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ class RunWarning(UserWarning):
 
 @contextmanager
 def add_path(path: Path | str) -> Iterator[None]:
-    """Add the path of a recording, or one of its topics, to errors of the body that do not begin with it."""
+    """Add the path of a recording, or one of its topics, to errors of the body that do not begin with this path."""
     try:
         yield
     except RecordingError as error:

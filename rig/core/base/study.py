@@ -29,7 +29,7 @@ Value = TypeVar("Value")
 
 @functools.cache
 def code_digest(*packages: str) -> str:
-    """Return a digest of the version, sources and data sheets of some packages, which identifies a result's code."""
+    """Return a digest of the version, sources and data sheets of given packages, which identifies a result's code."""
     digest = hashlib.sha256(version("shotrig").encode())
     for package in packages:
         spec = find_spec(package)

@@ -184,8 +184,8 @@ def _damping_text(scene: Scene) -> str:
         case ModalDamping(modal=ratio):
             ratios = ratio if isinstance(ratio, tuple) else (ratio,)
             return f"modal damping {', '.join(f'{100 * r:.3g} %' for r in ratios)}"
-        case RayleighDamping(rayleigh=factors):
-            return f"Rayleigh damping {factors.alpha:.3g} 1/s, {factors.beta:.3g} s"
+        case RayleighDamping(rayleigh=coefficients):
+            return f"Rayleigh damping {coefficients.alpha:.3g} 1/s, {coefficients.beta:.3g} s"
         case Dashpots():
             return "dashpots along the chain"
     matrices = scene.structure.matrices

@@ -179,7 +179,7 @@ class Law(NamedTuple):
 
     @property
     def forces(self) -> tuple[Row | None, ...]:
-        """The forces by their number."""
+        """Force of each number in `force_indices`."""
         numbers = self.force_indices
         return tuple({numbers[name]: mode.force for name, mode in self.modes.items()}.values())
 

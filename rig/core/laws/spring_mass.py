@@ -21,7 +21,7 @@ def spring_mass(declare_walls: Callable[[float, float], Law], below: float | Non
     """Declare the law of a mass that starts at rest on its spring.
 
     `declare_walls`: returns the law of walls at an upper and a lower gap, m, whose first mode is without contact.
-    `clearance`, `below`: distances of the mass at rest from the upper and the lower wall, m, infinite without this
+    `clearance`, `below`: distances of the mass at rest from ceiling and floor, m, infinite without this
     wall. If `below` is None, both distances are equal.
     """
     below = clearance if below is None else below

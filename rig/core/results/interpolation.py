@@ -42,7 +42,7 @@ _SAME_FREQUENCY = 1e-9
 
 @dataclass(frozen=True)
 class Interpolation:
-    """A curve at other frequencies."""
+    """A response interpolated at frequencies between its lines."""
 
     value: ComplexArray  # NaN outside the range of the lines
     uncertainty: UncertaintyBudget

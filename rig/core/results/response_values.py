@@ -155,7 +155,7 @@ class ResponseValues(Result):
 
     @property
     def shown_in(self) -> tuple[str, float]:
-        """Unit in which values are drawn and printed, and the factor from `unit` to it."""
+        """Unit in which values are drawn and printed, and the factor from `unit` to that unit."""
         return display_unit(self.unit)
 
     @property
@@ -318,7 +318,7 @@ class ResponseValues(Result):
     between = band
 
     def at(self, lines: NDArray[np.bool_] | NDArray[np.intp]) -> Self:
-        """Return the response at some lines, given by indices or flags; `interpolated` takes frequencies."""
+        """Return the response at selected lines, given by indices or flags; `interpolated` takes frequencies."""
         if not isinstance(lines, slice) and (np.ndim(lines) != 1 or np.asarray(lines).dtype.kind not in "biu"):
             raise SceneError(
                 f"at: got {lines!r:.60}; expected an array of indices or flags of lines. For the value at a frequency, "
@@ -339,7 +339,7 @@ class ResponseValues(Result):
         return replace(self, uncertainty=self.uncertainty.with_limits(limits))
 
     def without(self, *names: str) -> Self:
-        """Remove contributions to the uncertainty."""
+        """Return the response without these contributions to its uncertainty."""
         return replace(self, uncertainty=self.uncertainty.without(*names))
 
     def placed(self, output: str, force: str, body: int = 0) -> Self:

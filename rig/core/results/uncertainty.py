@@ -73,10 +73,10 @@ class Covariance(Protocol):
         """Noise power of the reference, relative to its power, shape (lines,); None if it is not estimated."""
 
     def at(self, lines: Lines) -> Covariance:
-        """Select some lines."""
+        """Return a copy with only the selected lines."""
 
     def select(self, elements: Sequence[int]) -> Covariance:
-        """Select some elements."""
+        """Return a copy with only the selected elements of the response matrix."""
 
     def of_sums(self, weights: ComplexArray) -> Array:
         """Return the covariance of ``Re(sum(conj(weights) e))``, (sums, sums); weights (lines, elements, sums)."""
@@ -86,10 +86,10 @@ class RandomErrors(Protocol):
     """Random errors of a response's elements, computed from the errors of the readings; elements may share readings."""
 
     def at(self, lines: Lines) -> RandomErrors:
-        """Select some lines."""
+        """Return a copy with only the selected lines."""
 
     def select(self, elements: Sequence[int]) -> RandomErrors:
-        """Select some elements."""
+        """Return a copy with only the selected elements of the response matrix."""
 
     def scaled(self, factor: ComplexArray) -> RandomErrors:
         """Multiply by a factor at each line."""
@@ -260,7 +260,7 @@ class UncertaintyBudget:
         return LineCovariance(lines, self.shared)
 
     def at(self, lines: Any) -> UncertaintyBudget:
-        """Select some lines."""
+        """Return a copy with only the selected lines."""
         return self.with_arrays(lambda array: array[lines], None if self.errors is None else self.errors.at(lines))
 
     def scaled(self, factor: ComplexArray) -> UncertaintyBudget:
@@ -282,7 +282,7 @@ class UncertaintyBudget:
         )
 
     def without(self, *names: str) -> UncertaintyBudget:
-        """Remove contributions."""
+        """Return the budget without the contributions of these names."""
         return replace(self, contributions=tuple(cause for cause in self.contributions if cause.name not in names))
 
     def with_gaps(self, lines: NDArray[np.intp]) -> UncertaintyBudget:
@@ -400,11 +400,11 @@ class LineCovariance:
     reference: Array | None = field(default=None, init=False)
 
     def at(self, lines: Lines) -> LineCovariance:
-        """Select some lines."""
+        """Return a copy with only the selected lines."""
         return replace(self, lines=self.lines[lines])
 
     def select(self, elements: Sequence[int]) -> LineCovariance:
-        """Select some elements."""
+        """Return a copy with only the selected elements of the response matrix."""
         return replace(self, lines=self.lines[:, elements][:, :, elements])
 
     def of_sums(self, weights: ComplexArray) -> Array:

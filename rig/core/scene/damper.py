@@ -108,8 +108,7 @@ class Damper(Settings):
     """Free height of the cavity above the bed, or above the mass at rest on its spring [m]; infinite: no ceiling.
     Without `spring` it is required, and 0 means that the bed cannot move."""
     clearance_below: Annotated[float, Quantity(LENGTH, at_least=0.0, infinite=True)] | None = None
-    """Distance of a mass at rest on its spring from the lower wall [m]; infinite: no lower wall, None: as
-    `clearance`."""
+    """Distance of a mass at rest on its spring from the floor [m]; infinite: no floor, None: as `clearance`."""
     spring: Annotated[float, Quantity(STIFFNESS, above=0.0)] | None = None
     """Stiffness of the spring [N/m] on which the mass rests: an impact damper or, without walls, a tuned mass damper.
     Its displacement is measured from its position at rest."""
@@ -141,12 +140,12 @@ class Damper(Settings):
 
     @property
     def below(self) -> float:
-        """Return the distance of a mass on a spring from its lower wall, m."""
+        """Return the distance of a mass on a spring from its floor, m."""
         return self.clearance if self.clearance_below is None else self.clearance_below
 
     @property
     def distances(self) -> tuple[float, float]:
-        """Return the distances of the mass at rest from its lower and from its upper wall, m."""
+        """Return the distances of the mass at rest from its floor and from its ceiling, m."""
         if self.friction is not None:
             return 0.5 * self.clearance, 0.5 * self.clearance
         return 0.0 if self.spring is None else self.below, self.clearance

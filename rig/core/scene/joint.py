@@ -40,7 +40,7 @@ _Ends = Annotated[
 
 
 class _Joint(Settings):
-    """Common part of all joints."""
+    """Settings that all kinds of joints have."""
 
     between: _Ends
     """The lower and the upper of two bodies, by number from 1 or name; one of them may be ground."""

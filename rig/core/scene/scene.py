@@ -24,7 +24,7 @@ MAX_CHANNELS = 16_000
 
 
 class Scene(Settings):
-    """Everything on the bench."""
+    """A vibration test: structure, dampers, joints, shakers, sensors, converter and excitation."""
 
     name: Annotated[str, AfterValidator(printable)] = Field("unnamed scene", min_length=1, max_length=200)
     """Name for titles and legends, on one line."""

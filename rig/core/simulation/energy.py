@@ -278,13 +278,13 @@ def _constant_forces(system: HybridSystem, forces: NDArray[np.int64]) -> Array:
 
 
 def _force_numbers(tables: FlowTables) -> NDArray[np.int64]:
-    """Return the number of the force of each element in its law; shape (configurations, elements)."""
+    """Return the index of the force of each element in `Law.forces`; shape (configurations, elements)."""
     configurations = np.array(sorted(tables.indices, key=tables.indices.__getitem__), dtype=np.int64)
     return tables.system.force_indices(configurations)
 
 
 def _spring_energy(system: HybridSystem, numbers: NDArray[np.int64], states: Array) -> Array:
-    """Return the energy in the springs of the elements, J; `numbers`, shape (states, elements): force numbers."""
+    """Return the energy in the springs of the elements, J; `numbers`: `_force_numbers` of each state."""
     energy = np.zeros(len(states))
     for element, number in zip(system.elements, numbers.T, strict=True):
         if element.gap < 0:

@@ -48,10 +48,10 @@ class Run(Result):
     displacement, velocity, acceleration : ndarray, shape (points, samples)
         SI; at a sample that coincides with an impact, the value after it.
     gap : ndarray, shape (dampers that move, samples)
-        Height of each damper above its lower wall, m; it includes the overlap of finite-duration contact. For a bed of
+        Height of each damper above its floor, m; it includes the overlap of finite-duration contact. For a bed of
         grains, height of its center of mass above the initial position.
     contact : ndarray of int8, shape (dampers that move, samples)
-        0 in flight, 1 at the lower wall, 2 at the upper wall.
+        0 in flight, 1 at the floor, 2 at the ceiling.
     events : structured ndarray
         `time` [s], `damper` (1-based position in the scene's list), `kind` ("separation", "floor", "ceiling"; with
         finite-duration contact "touch" and "release"), `speed` (closing speed at an impact or touch, m/s).

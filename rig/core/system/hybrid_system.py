@@ -76,7 +76,7 @@ class Element:
 
     @cached_property
     def law(self) -> Law:
-        """The law for the clearance."""
+        """Contact law of the element with its present clearance."""
         law = self.declare(self.clearance)
         return law._replace(start=self.start) if self.start else law
 

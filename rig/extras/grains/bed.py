@@ -139,7 +139,7 @@ class Bed:
             "fix move all nve/sphere",
             f"fix weight all gravity {self.gravity!r} vector 0 0 -1",
             f"timestep {self.step!r}",
-            # No thermodynamic data: energy and pressure would be computed at the ends of each run, thus in each step.
+            # Otherwise LAMMPS would compute energy and pressure at both ends of a run, and a run is a single step.
             "thermo 1000000000",
             "thermo_style custom step",
             "variable lid internal 0.0",

@@ -161,7 +161,7 @@ def _execute_on_this_rank(released: list[int], number: int, name: str | None, ar
 
 
 def _serve_first_rank() -> NoReturn:
-    """Execute the operations of the first rank until it ends."""
+    """Execute the operations that the first rank broadcasts, until the first rank ends."""
     # The first rank handles termination signals.
     for number in TERMINATION_SIGNALS:
         signal.signal(number, signal.SIG_IGN)

@@ -14,7 +14,7 @@ from rig.extras.grains.bed import Bed
 from rig.extras.grains.lammps_library import new_lammps
 from rig.extras.grains.ranks import OneRankError, Shared, communicators, rank_count, ranks_on_machine, sum_over_ranks
 
-#: Steps between checks of the distribution of the grains over the ranks.
+#: Number of time steps between checks of the distribution of the grains over the ranks.
 _BALANCE_STEPS = 10_000
 #: Grains are distributed again if a rank has more than this multiple of the mean number of grains per rank.
 _MAX_IMBALANCE = 1.05

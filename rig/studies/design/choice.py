@@ -214,7 +214,7 @@ class Objective:
 
     @property
     def response_display(self) -> tuple[str, str, float]:
-        """Name of the response, the unit in which it is printed, and the factor to it from SI."""
+        """Name of the response, the unit in which it is printed, and the factor from SI to that unit."""
         return frf_display(self.scenes[0].reference)
 
     @cached_property
@@ -270,12 +270,12 @@ def variants(scene: Scene, damping: float, stiffness: float) -> tuple[Scene, ...
             structure={
                 "matrices": {
                     "mass": nominal.mass.tolist(),
-                    "damping": (damping_factor * nominal.damping).tolist(),
-                    "stiffness": (stiffness_factor * nominal.stiffness).tolist(),
+                    "damping": (damping_scale * nominal.damping).tolist(),
+                    "stiffness": (stiffness_scale * nominal.stiffness).tolist(),
                 }
             }
         )
-        for damping_factor, stiffness_factor in sorted(factors)
-        if (damping_factor, stiffness_factor) != (1.0, 1.0)
+        for damping_scale, stiffness_scale in sorted(factors)
+        if (damping_scale, stiffness_scale) != (1.0, 1.0)
     ]
     return (scene, *variations)

@@ -36,7 +36,7 @@ class Batch:
 
     @property
     def motion(self) -> PeriodicMotion:
-        """All motions of the batch."""
+        """Motions of all solutions of the batch, in arrays."""
         return PeriodicMotion(self.kind, self.unknowns, self.parameters)
 
     def select(self, indices: NDArray[np.int64]) -> PeriodicMotion:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 import analysis
 import daq
-from analysis.core.modal.order_selection import spurious_poles
+from analysis.core.modal.order_selection import computational_poles
 from analysis.core.modal.pole_errors import LEAKAGE_FACTOR, pole_errors
 from analysis.core.modal.pole_residue import Curves, fit
 from analysis.core.responses.errors.systematic import UNSETTLED
@@ -185,7 +185,7 @@ def test_model_error_does_not_split_a_peak(has_model_error):
         frfs[0].frequency, value, np.full(value.shape, 1e5 / abs(value).max()), has_model_error=has_model_error
     )
     model = fit(curves, 2 * np.pi * 30.0 * np.array([1.0, 1.012]) * (-0.01 + 1j))
-    assert bool(spurious_poles(curves, model).size) == has_model_error
+    assert bool(computational_poles(curves, model).size) == has_model_error
 
 
 def test_clock_error_limits_frequencies():

@@ -62,7 +62,7 @@ def test_common_lines_are_used() -> None:
 
 @pytest.mark.parametrize("pairs", [[(1, 3)], [(1, 3), (1, 3)], [(1, 3), (2, 2)]])
 def test_missing_points_are_refused(pairs: list[tuple[int, int]]) -> None:
-    with pytest.raises(SceneError, match="expected several points, each hit in one file, with the same sensors"):
+    with pytest.raises(SceneError, match="expected one file for each of several points, with the same sensors"):
         exchange_points([hit(*pair) for pair in pairs])
 
 

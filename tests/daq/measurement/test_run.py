@@ -408,7 +408,7 @@ def test_unsettled_steps_are_counted(
     (tmp_path / "a.yaml").write_text(scene.to_yaml())
     assert run_command(monkeypatch, "record", str(tmp_path / "a.yaml"), "-o", str(tmp_path / "a.mcap")) == 0
     printed = capsys.readouterr()
-    assert "warning: 1 of 1 steps did not reach steady state" in printed.err
+    assert "warning: 1 of 1 dwells did not reach steady state" in printed.err
     assert "not settled: 1 of 1 measurements" in printed.out
 
 

@@ -33,7 +33,7 @@ _MAX_SAMPLES = 32768
 _MAX_PERIODS = 100.0
 # Number of sections of a random test.
 _SECTIONS = 16
-# Maximum number of evaluated parts; of more parts, some at equal distances are evaluated.
+# Maximum number of evaluated parts of the test; if there are more parts, every n-th is evaluated.
 _MAX_PARTS = 256
 # Maximum number of values of the spectra of all parts in memory, if at least `_SECTIONS` parts remain.
 _MAX_VALUES = 1 << 22

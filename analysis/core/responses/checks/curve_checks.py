@@ -35,7 +35,7 @@ _TRIAL_DELAYS = 801
 _MAX_LINES = 4096
 # The misalignment of doubled phases is 0 if all phases are 0 or 180 degrees. A delay is estimated if the misalignment
 # after its correction is at most the first value. It is significant if the correction reduces the misalignment by the
-# second value, a factor; misalignments below the third value are set to it.
+# second value, a factor; misalignments below the third value are set to the third value.
 _MAX_MISALIGNMENT = 0.25
 _MIN_IMPROVEMENT = 4.0
 _MIN_MISALIGNMENT = 0.03

@@ -42,8 +42,8 @@ _MAX_VALUES = 2_000_000
 # fraction of the root mean square of the readings.
 _MAX_REMAINING_FRACTION = 0.35
 _MAX_REMAINING = 0.1
-# Smallest magnitude of the logarithm of the ratio of a step, and largest fraction of it in another channel at the same
-# instant.
+# Smallest reported change of the logarithm of a gain, and the largest fraction of this change that another channel may
+# show at the same instant.
 _MIN_CHANGE = 0.1
 _MAX_COMMON = 0.25
 # The tone is hidden by noise if the relative residual of a channel remains above this fraction.

@@ -65,11 +65,11 @@ class MeanErrors:
         return cls(test, np.arange(test.shape[2]), (deviations,))
 
     def at(self, lines: Lines) -> MeanErrors:
-        """Select some lines."""
+        """Return a copy with only the selected lines."""
         return replace(self, lines=self.lines[lines], deviations=tuple(each[lines] for each in self.deviations))
 
     def select(self, elements: Sequence[int]) -> MeanErrors:
-        """Select some elements."""
+        """Return a copy with only the selected elements of the response matrix."""
         return replace(self, deviations=tuple(self.deviations[k] for k in elements))
 
     def scaled(self, factor: ComplexArray) -> MeanErrors:
@@ -114,7 +114,7 @@ class LocalErrors:
 
 @dataclass(frozen=True)
 class SharedErrors:
-    """Selected lines and elements of the errors of local fits.
+    """Errors of local fits at selected lines, for selected elements of the response matrix.
 
     The arrays of the fits are large. Selections, scaled responses and joined responses share them; only `covariance`
     makes copies.
@@ -131,11 +131,11 @@ class SharedErrors:
         return cls((errors,), np.arange(n_lines), (np.ones(n_lines, dtype=complex),))
 
     def at(self, lines: Lines) -> SharedErrors:
-        """Select some lines."""
+        """Return a copy with only the selected lines."""
         return replace(self, lines=self.lines[lines], factors=tuple(factor[lines] for factor in self.factors))
 
     def select(self, elements: Sequence[int]) -> SharedErrors:
-        """Select some elements."""
+        """Return a copy with only the selected elements of the response matrix."""
         return replace(
             self,
             elements=tuple(self.elements[k] for k in elements),
@@ -239,12 +239,12 @@ class BinNoise:
     within: NDArray[np.int64] | None = None  # position of each bin in the fit of its nearest line; shape (bins,)
 
     def select(self, elements: Sequence[int]) -> BinNoise:
-        """Select some elements."""
+        """Return a copy with only the selected elements of the response matrix."""
         fitted = None if self.fitted_response is None else self.fitted_response[:, elements]
         return replace(self, lines=self.lines[:, elements][:, :, elements], fitted_response=fitted)
 
     def covariance(self, bins: NDArray[np.int64]) -> ComplexArray:
-        """Return the covariance at some bins, shape (*bins.shape, elements, elements)."""
+        """Return the covariance at given bins, shape (*bins.shape, elements, elements)."""
         nearest = self.nearest[bins]
         covariance = self.lines[nearest]
         if self.reference is not None and self.fitted_response is not None and self.within is not None:
@@ -269,7 +269,7 @@ class LocalCovariance:
     reference: Array | None
 
     def at(self, lines: Lines) -> LocalCovariance:
-        """Select some lines."""
+        """Return a copy with only the selected lines."""
         return replace(
             self,
             lines=self.lines[lines],
@@ -280,7 +280,7 @@ class LocalCovariance:
         )
 
     def select(self, elements: Sequence[int]) -> LocalCovariance:
-        """Select some elements."""
+        """Return a copy with only the selected elements of the response matrix."""
         return replace(
             self,
             lines=self.lines[:, elements][:, :, elements],

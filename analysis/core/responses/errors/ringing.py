@@ -1,4 +1,4 @@
-"""Error of a stepped-sine response due to *ringing*: residual free vibration of the previous step.
+"""Error of a stepped-sine response due to *ringing*: residual free vibration of the previous dwell.
 
 A *window* is the interval in which the amplitude of a tone is measured. Noise may hide a slowly decaying transient in
 the window, especially if its frequency is close to that of the tone. The transient is therefore predicted from the

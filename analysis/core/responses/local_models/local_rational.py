@@ -52,7 +52,7 @@ _MAX_ELEMENTS = 1 << 17
 
 @dataclass(frozen=True)
 class OutputSpectra:
-    """Spectra of a channel, the output of a local fit, in some segments."""
+    """Spectra of a channel, the output of a local fit, in each segment."""
 
     # spectra of segments brought to equal length, without a window; complex, shape (segments, bins)
     spectra: ComplexArray
@@ -98,7 +98,7 @@ def local_fit(
     measured_share: float = 1.0,
     other_inputs: ComplexArray | None = None,
 ) -> LocalFit:
-    """Fit the response at some lines, each with `half_width` bins on either side.
+    """Fit the response at given lines, each with `half_width` bins on either side.
 
     `reference`: true spectra of the input, shape (segments, bins). `end_phases`, shape (segments, bins), states how the
     transients of a segment are modeled. The value is the phase factor of the segment's first sample if the transients
@@ -137,7 +137,7 @@ def local_fit(
 
 
 class _LocalData(NamedTuple):
-    """Spectra at the bins around some lines, relative to their root mean square."""
+    """Spectra at the bins around each line, relative to their root mean square."""
 
     output: ComplexArray  # shape (lines, segments, width)
     inputs: tuple[ComplexArray, ...]  # readings due to the reference and to other inputs; each of the shape of `output`
@@ -190,7 +190,7 @@ class _LocalData(NamedTuple):
         )
 
     def at(self, lines: NDArray[np.intp]) -> _LocalData:
-        """Select some lines."""
+        """Return a copy with only the selected lines."""
         names = ("output", "channel", "start_phases", "powers", "output_rms", "reference_rms", "first_bin")
         arrays = {name: getattr(self, name)[lines] for name in names}
         inputs, decays = (tuple(values[lines] for values in group) for group in (self.inputs, self.decays))
@@ -239,14 +239,14 @@ class _Estimate(NamedTuple):
         return 0.5 * self.noise_power * self.constant_variance
 
     def at(self, lines: NDArray[np.intp]) -> _Estimate:
-        """Select some lines."""
+        """Return a copy with only the selected lines."""
         names = ("one_step", "constant_variance", "residual_squares", "criterion")
         arrays = {name: getattr(self, name)[lines] for name in names}
         return self._replace(unknown=self.unknown.at(lines), point=self.point.at(lines), **arrays)
 
 
 def _fit(data: _LocalData, measured_share: float) -> tuple[LocalFit, Array, Array]:
-    """Fit polynomials of all orders at some lines, and select at each line.
+    """Fit polynomials of all orders at given lines, and select the order at each line.
 
     Also return the squared change of the value if the order is increased, and the variance of this change.
     """
@@ -340,7 +340,7 @@ class _Unknown(NamedTuple):
     transients: ComplexArray  # shape (lines, segments, terms)
 
     def at(self, lines: NDArray[np.intp]) -> _Unknown:
-        """Select some lines."""
+        """Return a copy with only the selected lines."""
         return _Unknown(self.numerator[lines], self.denominator[lines], self.transients[lines])
 
 
@@ -355,7 +355,7 @@ class _Terms(NamedTuple):
     denominator: ComplexArray | Array
 
     def at(self, lines: NDArray[np.intp]) -> _Terms:
-        """Select some lines."""
+        """Return a copy with only the selected lines."""
         return _Terms(self.numerator[lines], self.transients[lines], self.denominator[lines])
 
     def response(self, unknown: _Unknown) -> ComplexArray:
@@ -391,11 +391,11 @@ class _Terms(NamedTuple):
 def _improve(
     terms: _Terms, unknown: _Unknown, output: ComplexArray, lines: NDArray[np.intp]
 ) -> tuple[_Unknown, Array, NDArray[np.intp]]:
-    """Improve the fits at some lines by a Gauss-Newton step.
+    """Improve the fits at given lines by a Gauss-Newton step.
 
     Also return the variance of the constant at these lines, and the lines that need another step.
     """
-    # Only some lines are copied, because copies of all lines would take longer than the model.
+    # Only lines that are improved are copied, because copies of all lines would take longer than the model.
     part, current, local_output = (
         (terms, unknown, output) if lines.size == len(output) else (terms.at(lines), unknown.at(lines), output[lines])
     )

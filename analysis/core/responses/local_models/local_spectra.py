@@ -199,7 +199,7 @@ class LocalSpectra:
         )
 
     def power(self, spectra: ComplexArray, half_width: int | None = None) -> Array:
-        """Compute the mean square of spectra over some bins on either side of each line; shape (lines,).
+        """Compute the mean square of spectra over several bins on either side of each line; shape (lines,).
 
         `half_width`: number of bins, by default as in a fit.
         """

@@ -52,7 +52,7 @@ class Observation:
 
     @property
     def middle(self) -> float:
-        """Time of the middle, s."""
+        """Time of the middle of the observation, s."""
         return self.end - self.length / 2
 
     def angular_frequency(self, time: float) -> float:

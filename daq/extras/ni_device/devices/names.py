@@ -71,7 +71,7 @@ def unflatten(names: str) -> list[str]:
 
 
 def _expand(item: str) -> list[str]:
-    """Return the names in a range, in the order of the range."""
+    """Return the names from the first to the last of a range, such as ai0 to ai3, or ai3 to ai0."""
     match = re.fullmatch(r"(.*?)(\d{1,9}):(.*?)(\d{1,9})", item)
     if not match or (match[3] and match[3].lower() != match[1].lower()):
         raise DaqError(

@@ -111,7 +111,7 @@ class SyncPulse:
 
 @dataclass(frozen=True)
 class AtTime:
-    """A start at a given time."""
+    """A start trigger at a given time of the bench."""
 
     seconds: float  # time on the bench since power-on, s
 

@@ -40,9 +40,9 @@ class ConstantResponse(SteppedTest):
     """Instead of `displacement`: amplitude of its acceleration [m/s^2]."""
     shaker: DrivenShaker = None
     settle: Settle = Settle()
-    """Criterion for the steady state of a step."""
+    """Criterion for the steady state of a dwell."""
     measure: Measure = Measure()
-    """Measurement time of a step in steady state."""
+    """Measurement time of a dwell in steady state."""
 
     @property
     def held_motion(self) -> tuple[str, int]:
@@ -58,6 +58,6 @@ class ConstantResponse(SteppedTest):
         """None, because the drive depends on measured values."""
 
     def references(self, valid: Mapping[str, Any]) -> Iterable[Problem]:
-        """Check the shaker and the body."""
+        """Check that the test names an existing shaker and body."""
         yield from super().references(valid)
         yield from location_problems(valid, self.at)

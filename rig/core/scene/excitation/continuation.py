@@ -62,6 +62,6 @@ class Continuation(KindOfTest):
         return {self.at: 1.0}
 
     def references(self, valid: Mapping[str, Any]) -> Iterable[Problem]:
-        """Check the shaker and the body."""
+        """Check that the test names an existing shaker and body."""
         yield from super().references(valid)
         yield from location_problems(valid, self.at)

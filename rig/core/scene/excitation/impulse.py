@@ -88,12 +88,12 @@ class Impulse(KindOfTest):
 
     @property
     def shortest(self) -> float:
-        """Time of all impacts, s."""
+        """Duration of all impacts with their intervals, s."""
         return self.repeats * self.interval
 
     @property
     def simulated(self) -> float:
-        """Time of all impacts, s."""
+        """Duration of all impacts with their intervals, s."""
         return self.shortest
 
     @property
@@ -137,7 +137,7 @@ class Impulse(KindOfTest):
         return Pulses("hammer", force)
 
     def references(self, valid: Mapping[str, Any]) -> Iterable[Problem]:
-        """Check the body."""
+        """Check that the hammer hits an existing body."""
         return body_problems(valid, self.body, ("body",))
 
 

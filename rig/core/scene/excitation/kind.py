@@ -64,7 +64,7 @@ class Rest(NamedTuple):
 
 
 class Settle(Settings):
-    """Criterion for the steady state of a step."""
+    """Criterion for the steady state of a dwell."""
 
     tolerance: Annotated[float, Quantity(RATIO, above=0.0)] = 1e-3
     """Largest relative change of any channel's first harmonic between successive time windows."""

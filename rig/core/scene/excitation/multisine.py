@@ -57,7 +57,7 @@ class Multisine(KindOfTest):
         return self.period if self.period is not None else (self.lines or 2) / (self.to - self.from_)
 
     def check_consistency(self) -> Iterable[Problem]:
-        """Check the band."""
+        """Check that the lowest frequency is below the highest, and that a line lies between them."""
         yield from check_band(self.from_, self.to)
         if self.period is not None and math.floor(self.to * self.period) < math.ceil(self.from_ * self.period):
             message = f"no line of the multisine (multiple of {1.0 / self.period:g} Hz) lies between from and to"

@@ -82,6 +82,6 @@ class PhaseResonance(KindOfTest):
         return len(self.levels) * self.measure.periods / self.frequency
 
     def references(self, valid: Mapping[str, Any]) -> Iterable[Problem]:
-        """Check the shaker and the body."""
+        """Check that the test names an existing shaker and body."""
         yield from super().references(valid)
         yield from location_problems(valid, self.at)

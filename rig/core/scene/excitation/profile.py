@@ -36,7 +36,7 @@ class Breakpoints(Settings):
 
     @property
     def key(self) -> str:
-        """Key of the values."""
+        """Key of the given values in the scene file, such as one of `value_keys`."""
         return next(key for key in self.value_keys if getattr(self, key) is not None)
 
     def check_consistency(self) -> Iterable[Problem]:

@@ -24,7 +24,7 @@ class ProfileControl:
 
     @property
     def details(self) -> tuple[str, ...]:
-        """The limits."""
+        """The limits of channels, in words."""
         return limit_texts(self.limits)
 
     @property

@@ -46,5 +46,5 @@ class Random(KindOfTest):
     """Numbers of other shakers to drive simultaneously, with uncorrelated noise of the same spectrum."""
 
     def check_consistency(self) -> Iterable[Problem]:
-        """Check the band."""
+        """Check that the lowest frequency is below the highest."""
         return check_band(self.from_, self.to)

@@ -23,7 +23,7 @@ from rig.core.settings.settings import Settings
 
 
 class Measure(Settings):
-    """Measurement time of a step in steady state, in periods of the drive."""
+    """Measurement time of a dwell in steady state, in periods of the drive."""
 
     periods: Count = 20
     """Number of periods."""
@@ -105,7 +105,7 @@ class SteppedTest(KindOfTest):
 
     @property
     def steady_state(self) -> Settle:
-        """Criterion for the steady state of a step."""
+        """Criterion for the steady state of a dwell."""
         steady_state: Settle = self.settle
         return steady_state
 
@@ -128,6 +128,6 @@ class SteppedSine(SteppedTest):
     Several levels are run one after another."""
     shaker: DrivenShaker = None
     settle: Settle = Settle()
-    """Criterion for the steady state of a step."""
+    """Criterion for the steady state of a dwell."""
     measure: Measure = Measure()
-    """Measurement time of a step in steady state."""
+    """Measurement time of a dwell in steady state."""

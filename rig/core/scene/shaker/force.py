@@ -45,9 +45,9 @@ class ForceShaker(KindOfShaker):
         return {drive: 1.0}
 
     def effects(self, bodies: str, modes_at_rest: Callable[[], str]) -> Iterable[ShakerEffect]:
-        """Yield the force."""
+        """Yield the effect of the shaker: a force, without stiffness or mass."""
         yield ShakerEffect("force", 0, f"on {bodies}, nothing attached")
 
     def output_text(self, suffix: str, bodies: str) -> str:
-        """Describe the force."""
+        """Describe the bodies on which the force acts, and the force per volt."""
         return f"force on {bodies}, {DRIVE_PER_VOLT['N']:g} N/V"

@@ -17,7 +17,7 @@ from rig.core.settings.settings import Settings
 
 
 class Glyph(NamedTuple):
-    """Drawing of a shaker."""
+    """Symbol of a shaker in drawings of the rig."""
 
     title: str
     shape: Literal["arrow", "box", "cylinder"]

@@ -1,4 +1,4 @@
-"""Detect the steps of a sine or stepped-sine test in an imported file, which has no markers."""
+"""Detect the dwells of a sine or stepped-sine test in an imported file, which has no markers."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -9,7 +9,7 @@ from daq.core.excitation.lock_in import lock_in, min_samples, whole_periods
 from daq.core.recording.recorder import Recorder
 from daq.core.signal_chain.channel import ChannelInfo
 from daq.extras.importing.assignment import AssignedSignal
-from daq.extras.importing.held_tones import HeldTone, held_tones
+from daq.extras.importing.dwells import Dwell, dwells
 from daq.extras.importing.tone_track import ToneTracker
 from rig.core.base.arrays import Array
 from rig.core.scene.scene import Scene
@@ -20,12 +20,12 @@ _BAND_RATIO = 1.5
 _BLOCKS_PER_TONE = 8
 # Maximum number of samples of a block.
 _MAX_BLOCK = 1 << 16
-# Two steps are the same if their frequencies differ by less than this fraction.
+# Two dwells have the same frequency if the frequencies differ by less than this fraction.
 _SAME_FREQUENCY = 1e-5
 
 
-class StepDetector:
-    """Detects steps, block by block, in the reference: the channel that best represents the excitation."""
+class DwellDetector:
+    """Detects dwells, block by block, in the reference: the channel that best represents the excitation."""
 
     def __init__(self, scene: Scene, channels: Sequence[ChannelInfo], rate: float) -> None:
         assert scene.test is not None
@@ -51,13 +51,13 @@ class StepDetector:
         self._tracker.add(volts)
 
     def mark(self, recorder: Recorder, reference: AssignedSignal) -> list[str]:
-        """Mark the settled part of each step; return a warning if no step is detected."""
+        """Mark the settled part of each dwell; return a warning if no dwell is detected."""
         tolerance = self._test.steady_state.tolerance
-        tones = _refine_frequencies(held_tones(self._tracker.tracks(), tolerance), reference.volts, self._rate)
+        tones = _refine_frequencies(dwells(self._tracker.tracks(), tolerance), reference.volts, self._rate)
         if not tones:
             return [
-                f"no step was detected: the scene's test is a {self._test.kind}, but {reference.channel.name} contains "
-                "no tone of constant frequency for ten periods above its noise. Check whether columns are swapped, or "
+                f"no dwell was detected: the scene's test is a {self._test.kind}, but {reference.channel.name} has no "
+                "tone of constant frequency for ten periods above its noise. Check whether columns are swapped, or "
                 "the test was another (such as kind: swept_sine)."
             ]
         for pass_number, (direction, indices) in enumerate(_passes([tone.frequency for tone in tones])):
@@ -75,7 +75,7 @@ class StepDetector:
                 )
         return []
 
-    def _level(self, tones: Sequence[HeldTone], pass_number: int) -> float:
+    def _level(self, tones: Sequence[Dwell], pass_number: int) -> float:
         """Return the level of a pass: nearest to the measured force or, without a force channel, the next level."""
         test = self._test
         if self._reference.quantity == "force" and test.level_key == "force":
@@ -88,7 +88,7 @@ class StepDetector:
 
 
 def _passes(frequencies: Sequence[float]) -> list[tuple[str, list[int]]]:
-    """Divide steps into passes through the frequencies; return the direction and the step indices of each.
+    """Divide dwells into passes through the frequencies; return direction and indices of the dwells of each pass.
 
     >>> _passes([1.0, 2.0, 3.0, 3.0, 2.0, 1.0]), _passes([1.0, 2.0, 1.0, 2.0])
     ([('up', [0, 1, 2]), ('down', [3, 4, 5])], [('up', [0, 1]), ('up', [2, 3])])
@@ -103,11 +103,11 @@ def _passes(frequencies: Sequence[float]) -> list[tuple[str, list[int]]]:
         if not passes or sign_before != passes[-1][0]:
             passes.append((sign_after or sign_before or 1, []))
         passes[-1][1].append(index)
-    return [("up" if sign > 0 else "down", steps) for sign, steps in passes]
+    return [("up" if sign > 0 else "down", indices) for sign, indices in passes]
 
 
-def _refine_frequencies(tones: Sequence[HeldTone], read: Callable[[int, int], Array], rate: float) -> list[HeldTone]:
-    """Return the tones with frequencies refined by the phases of successive blocks, fitted with harmonics."""
+def _refine_frequencies(tones: Sequence[Dwell], read: Callable[[int, int], Array], rate: float) -> list[Dwell]:
+    """Return the dwells with frequencies refined by the phases of successive blocks, fitted with harmonics."""
     tone_blocks = []
     for tone in tones:
         frequency, tone_samples = tone.frequency * rate, tone.stop - tone.first
@@ -122,7 +122,7 @@ def _refine_frequencies(tones: Sequence[HeldTone], read: Callable[[int, int], Ar
     return [replace(tone, frequency=_refined_frequency(tone, size, samples, rate)) for tone, size in tone_blocks]
 
 
-def _refined_frequency(tone: HeldTone, block_samples: int, samples: Iterator[Array], rate: float) -> float:
+def _refined_frequency(tone: Dwell, block_samples: int, samples: Iterator[Array], rate: float) -> float:
     """Return the frequency from the advance of the phase from block to block, periods per sample."""
     starts = np.arange(tone.first, tone.stop - block_samples + 1, block_samples)
     phases = np.array([lock_in(next(samples)[None], [tone.frequency * rate], rate)[0, 0] for _ in starts])

@@ -1,4 +1,4 @@
-"""Frequency steps are detected in the force of an imported stepped-sine test, and not in other tests."""
+"""Dwells are detected in the force of an imported stepped-sine test, and not in other tests."""
 
 import numpy as np
 import pytest
@@ -43,7 +43,7 @@ def step_marks(recording: daq.Recording) -> list:
 
 
 @pytest.mark.parametrize("level", ["1 N", "[0.5 N, 2 N]"])
-def test_unmarked_steps_give_the_response_of_the_mode(level, tmp_path):
+def test_unmarked_dwells_give_the_response_of_the_mode(level, tmp_path):
     frequencies = np.linspace(36.0, 44.0, 5)
     levels = (1.0,) if level == "1 N" else (0.5, 2.0)
     write_npz(tmp_path / "a.npz", stepped_sine_samples(frequencies, levels))
@@ -70,7 +70,7 @@ def test_unmarked_steps_give_the_response_of_the_mode(level, tmp_path):
     assert not messages
 
 
-def test_steps_up_and_down_are_two_sweeps(tmp_path):
+def test_dwells_up_and_down_are_two_sweeps(tmp_path):
     rising = [20.0, 25.0, 31.0]
     write_npz(tmp_path / "a.npz", stepped_sine_samples([*rising, *rising[::-1]], hold_s=2.0))
     scene = make_scene("{kind: stepped_sine, from: 20 Hz, to: 31 Hz, points: 3, force: 1 N, direction: both}")
@@ -118,22 +118,22 @@ def forces_without_steps() -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("kind", forces_without_steps())
-def test_no_steps_are_detected_in_other_tests(kind, tmp_path):
+def test_no_dwells_are_detected_in_other_tests(kind, tmp_path):
     write_npz(tmp_path / "a.npz", samples_of(forces_without_steps()[kind]))
     scene = make_scene("{kind: stepped_sine, from: 10 Hz, to: 60 Hz, points: 5, force: 1 N}")
     recording, messages = import_recording(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
     with recording:
         assert not step_marks(recording)
-        with pytest.raises(RecordingError, match="no step was detected"):
+        with pytest.raises(RecordingError, match="no dwell was detected"):
             analysis.frequency_responses(recording)
-    assert any("no step was detected" in each for each in messages)
+    assert any("no dwell was detected" in each for each in messages)
 
 
-def test_import_command_reports_steps(tmp_path, monkeypatch):
+def test_import_command_reports_dwells(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_npz(tmp_path / "a.npz", stepped_sine_samples([20.0, 25.0], hold_s=2.0))
     scene = make_scene("{kind: stepped_sine, from: 20 Hz, to: 25 Hz, points: 2, force: 1 N}")
     (tmp_path / "bench.yaml").write_text(scene.to_si_yaml().replace("rate: 5120.0 Hz", "rate: 2048 Hz"))
     result = CliRunner().invoke(app, ["import", "a.npz", "--scene", "bench.yaml"])
     assert result.exit_code == 0, result.output
-    assert "2 steps detected, 20 to 25 Hz" in result.output
+    assert "2 dwells detected, 20 to 25 Hz" in result.output

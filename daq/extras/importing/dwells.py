@@ -1,6 +1,6 @@
-"""Detect held tones (dwells) in a track of frequency and phase (see `tone_track`), and the steady part of each tone.
+"""Detect dwells in a track of frequency and phase (see `tone_track`), and the steady part of each dwell.
 
-A held tone has a constant frequency, so that its phase is linear in time. Segments of a track are extended as
+A dwell is a tone of constant frequency, so that its phase is linear in time. Segments of a track are extended as
 long as a straight line fits their phase, and rejected if the frequency drifts as in a sweep.
 """
 
@@ -13,27 +13,27 @@ from daq.extras.importing.tone_track import HOPS_PER_BLOCK, Track
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.numerics.runs import runs_of
 
-# A held tone has at least this number of blocks: about ten periods.
+# A dwell has at least this number of blocks: about ten periods.
 _MIN_BLOCKS = 7
-# The phase of a held tone deviates from a straight line by at most this multiple of its scatter, limited to the range
+# The phase of a dwell deviates from a straight line by at most this multiple of its scatter, limited to the range
 # from `_MIN_TOLERANCE_RAD` to `_MAX_TOLERANCE_RAD`.
 _MAX_RESIDUAL_SIGMAS = 8.0
 _MIN_TOLERANCE_RAD = 0.02
 _MAX_TOLERANCE_RAD = 0.25
-# A tone ends where the phase deviates from the line through the middle half by this multiple of the scatter, but at
+# A dwell ends where the phase deviates from the line through the middle half by this multiple of the scatter, but at
 # least `_END_MIN_RAD`.
 _END_SIGMAS = 4.0
 _END_MIN_RAD = 0.01
-# A tone ends where the natural logarithm of the amplitude changes by more than this from one block to the next.
+# A dwell ends where the natural logarithm of the amplitude changes by more than this from one block to the next.
 _MAX_AMPLITUDE_STEP = 0.2
-# In the second half of a held tone, the natural logarithm of the amplitude changes by at most this.
+# In the second half of a dwell, the natural logarithm of the amplitude changes by at most this.
 _MAX_AMPLITUDE_CHANGE = 0.2
-# The frequency of a tone drifts by at most this fraction of the distance to the next tone; the frequency of a sweep
+# The frequency of a dwell drifts by at most this fraction of the distance to the next dwell; the frequency of a sweep
 # drifts more.
 _MAX_DRIFT = 0.25
-# Tones are held for at least this fraction of the time with a signal.
-_MIN_HELD_SHARE = 0.3
-# Below this fraction of the median amplitude of the held tones, there is no signal.
+# Dwells take at least this fraction of the time with a signal.
+_MIN_DWELL_SHARE = 0.3
+# Below this fraction of the median amplitude of the dwells, there is no signal.
 _SILENCE_RATIO = 0.05
 # Blocks at this distance scatter independently, although neighboring blocks share half of their samples.
 _INDEPENDENT_BLOCKS = 2
@@ -43,13 +43,13 @@ _STEADY_SIGMAS = 3.0
 _SETTLED_TOLERANCE_SHARE = 0.1
 # The last half of a segment is tested for steady state; if it is not steady, the last quarter.
 _FINAL_SHARES = (0.5, 0.25)
-# Two tones are the same if their frequencies differ by less than this fraction.
+# Two dwells have the same frequency if their frequencies differ by less than this fraction.
 _SAME_FREQUENCY = 2e-4
 
 
 @dataclass(frozen=True)
-class HeldTone:
-    """The settled samples [first, stop) of a held tone."""
+class Dwell:
+    """The settled samples [first, stop) of a dwell."""
 
     first: int
     stop: int
@@ -58,8 +58,8 @@ class HeldTone:
     settled: bool  # whether all channels are steady
 
 
-def held_tones(tracks: Sequence[Track], tolerance: float) -> list[HeldTone]:
-    """Return the held tones in order of time; an empty list for other kinds of signals.
+def dwells(tracks: Sequence[Track], tolerance: float) -> list[Dwell]:
+    """Return the dwells in order of time; an empty list for other kinds of signals.
 
     The phase of a sweep is linear for a short time only, and its frequency drifts within a segment. The phase of noise
     is rarely linear. `tolerance` is the largest relative change of a settled amplitude.
@@ -78,7 +78,7 @@ def held_tones(tracks: Sequence[Track], tolerance: float) -> list[HeldTone]:
             disjoint.append(interval)
     disjoint.sort(key=lambda interval: interval.first_sample)
     # The levels of the shortest blocks are used: they average over the fewest samples and therefore resolve all tones.
-    if not disjoint or _held_share(disjoint, tracks[-1]) < _MIN_HELD_SHARE:
+    if not disjoint or _dwell_share(disjoint, tracks[-1]) < _MIN_DWELL_SHARE:
         return []
     # In a sweep the frequency drifts within a segment as much as from one segment to the next.
     middle_frequency, start_frequency, end_frequency = np.array([interval.frequencies() for interval in disjoint]).T
@@ -87,8 +87,9 @@ def held_tones(tracks: Sequence[Track], tolerance: float) -> list[HeldTone]:
     smaller_spacing = np.minimum(np.append(spacing, np.inf), np.insert(spacing, 0, np.inf))
     if np.median(abs(end_frequency - start_frequency) / smaller_spacing) > _MAX_DRIFT:
         return []
-    # Between successive tones of one frequency a controller changed the level. Only the last settled tone is returned.
-    tones: list[HeldTone] = []
+    # Between successive dwells at one frequency a controller changed the level. Only the last settled dwell is
+    # returned.
+    tones: list[Dwell] = []
     for tone in (_measure_tone(interval, tolerance) for interval in disjoint):
         if not tones or abs(tone.frequency / tones[-1].frequency - 1.0) >= _SAME_FREQUENCY:
             tones.append(tone)
@@ -173,7 +174,7 @@ def _tone_intervals(track: Track) -> Iterator[_ToneInterval]:
             if not is_linear[start]:
                 start += 1
                 continue
-            # Extend the segment by doubled steps while its phase is linear, then by halved steps.
+            # Extend the segment by doubled lengths while its phase is linear, then by halved lengths.
             stop, extension = start + _MIN_BLOCKS, _MIN_BLOCKS
             while extension:
                 if stop + extension <= phase.size and _is_linear(phase[start : stop + extension], tolerance):
@@ -211,15 +212,15 @@ def _constant_range(phase: Array) -> tuple[int, int]:
     return (int(first_half[-1]) + 1 if first_half.size else 0), (int(second_half[0]) if second_half.size else size)
 
 
-def _held_share(intervals: Sequence[_ToneInterval], track: Track) -> float:
-    """Return the share of the time with a signal in which a tone is held."""
+def _dwell_share(intervals: Sequence[_ToneInterval], track: Track) -> float:
+    """Return the share of the time with a signal that the dwells take."""
     silence = _SILENCE_RATIO * float(np.median([interval.amplitude for interval in intervals]))
     return sum(interval.stop_sample - interval.first_sample for interval in intervals) / (
         track.hop * max(int(np.sum(track.levels > silence)), 1)
     )
 
 
-def _measure_tone(interval: _ToneInterval, tolerance: float) -> HeldTone:
+def _measure_tone(interval: _ToneInterval, tolerance: float) -> Dwell:
     """Return the tone of an interval without the transient at its beginning."""
     track, blocks = interval.track, slice(interval.first_block, interval.stop_block)
     amplitude = track.amplitude[blocks]
@@ -230,7 +231,7 @@ def _measure_tone(interval: _ToneInterval, tolerance: float) -> HeldTone:
         if not is_steady and amplitude.size * share >= _MIN_BLOCKS:
             is_steady, first_steady = _steady_range(channels, round(amplitude.size * (1.0 - share)), tolerance)
     frequency = float(np.polyfit(np.arange(amplitude.size - first_steady), interval.phase[first_steady:], 1)[0])
-    return HeldTone(
+    return Dwell(
         interval.middle(interval.first_block + first_steady),
         interval.stop_sample,
         frequency / (2.0 * np.pi * track.hop),

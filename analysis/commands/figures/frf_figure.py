@@ -47,8 +47,8 @@ _STRIP_HEIGHT = 0.015
 MAX_POINTS = 600
 # A peak between points is marked if it exceeds the highest point by this fraction.
 _MIN_PEAK_EXCESS = 0.01
-# A drawn curve carries a peak if it reaches this part of its height.
-_CARRYING_RATIO = 0.99
+# A drawn curve contains a peak if it reaches this fraction of the peak's height.
+_CONTAINING_RATIO = 0.99
 # A peak at a line with a smaller coherence is a peak of the noise, and is not marked.
 _MIN_PEAK_COHERENCE = 0.9
 # A peak is marked if it is the highest point within this relative distance in frequency.
@@ -355,7 +355,7 @@ def with_local_models(
         at, height = local_model(frf, mark.peak)
         height = height * (2.0 * np.pi * at) ** MOTIONS.index(frf.motion)
         is_near = (frequency >= at[0]) & (frequency <= at[-1])
-        if np.nanmax(magnitude[is_near], initial=0.0) < _CARRYING_RATIO * height.max():
+        if np.nanmax(magnitude[is_near], initial=0.0) < _CONTAINING_RATIO * height.max():
             position = np.searchsorted(frequency, at[0])
             frequency, magnitude = (
                 np.insert(column[~is_near], position, model) for column, model in ((frequency, at), (magnitude, height))

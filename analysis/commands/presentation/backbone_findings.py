@@ -10,6 +10,7 @@ from analysis.commands.presentation.figures_of_recordings import present_each
 from analysis.commands.presentation.outputs import CommandOutput
 from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.tracking.backbone import Backbone, backbone
+from analysis.core.tracking.body_motion import level_rows
 from rig.core.base.figure_style import add_caption
 from rig.core.results.text import table_lines
 
@@ -36,6 +37,6 @@ def _draw(result: Backbone, figure: Figure, axes: Axes) -> None:
 def level_lines(result: Backbone) -> list[str]:
     """Return a table of the levels."""
     points = result.level_points()
-    rows = [("level", *points[0].quantities, "")]
-    rows += [(point.level, *(text for _, text in point.quantities.values()), point.note) for point in points]
+    names = points[0].quantities
+    rows = [("level", *names, "remark"), *level_rows(points, names)]
     return [f"  {line}" for line in table_lines(rows, ">>>>><")]

@@ -39,7 +39,7 @@ from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import default_reference, reference_of, response_channels
 from rig.core.base.errors import SceneError
 from rig.core.base.progress import CountProgress
-from rig.core.results import format_decimals, round_to_bound
+from rig.core.results import format_decimals
 from rig.core.results.response import Response
 from rig.core.results.result import Result, complete_style
 from rig.core.results.text import table_lines
@@ -88,8 +88,7 @@ class Comparison(Result):
 
     def summary(self) -> str:
         """Count the significant changes: their 95 % interval excludes zero."""
-        limits = [change.decibel[1:] for _, _, change in self.changes]
-        changed = sum(not low <= 0.0 <= high for low, high in limits)
+        changed = sum(change.significance == "yes" for _, _, change in self.changes)
         return f"{changed} of {len(self.changes)} resonance peaks changed significantly (95 %)"
 
     def draw(self, ax: Axes, **style: Any) -> None:
@@ -162,52 +161,49 @@ def compare_peaks(
     )
 
 
-def describe_changes(changes: Sequence[PeakChange], shown_in: tuple[str, float]) -> list[str]:
-    """Return a table of the compared peaks with the 95 % interval of each change, and the reasons for missing limits.
+def change_heading(shown_in: tuple[str, float]) -> tuple[str, ...]:
+    """Return the heading of the rows of `change_rows`."""
+    unit = shown_in[0]
+    return (
+        "response", "mode / Hz", f"before {unit}", f"after {unit}", "change / dB", "95 % interval", "shift / Hz",
+        "95 % interval", "equivalent ζ / %", "height differs",
+    )  # fmt: skip
+
+
+def change_rows(changes: Sequence[PeakChange], shown_in: tuple[str, float]) -> list[tuple[str, ...]]:
+    """Return a row for each compared peak: heights, change and shift with their 95 % intervals, equivalent damping.
 
     `shown_in`: unit of the peaks, and the factor from SI to this unit.
     """
-    unit, factor = shown_in
-    rows = [
-        (
-            "response", "mode / Hz", f"before {unit}", f"after {unit}", "change / dB", "95 % interval", "shift / Hz",
-            "95 % interval", "equivalent ζ / %",
-        )
-    ]  # fmt: skip
-    remarks = []
+    rows: list[tuple[str, ...]] = []
     for change in changes:
-        before, after = change.bare, change.damped
-        mode_text = format_decimals(change.mode, 2)
-        cells = (
-            change.response,
-            mode_text,
-            round_to_bound(factor * before.value, factor * before.bound),
-        )
-        after_text = round_to_bound(factor * after.value, factor * after.bound)
-        if after.at_end:
-            rows.append((*cells, "none", "", "", "", "", ""))
-            remarks.append(
-                f"{change.response}, mode at {mode_text} Hz: no peak is left between "
-                f"{format_decimals(after.lowest_frequency, 2)} and {format_decimals(after.highest_frequency, 2)} Hz, "
-                f"where the curve reaches {after_text} {unit}"
-            )
+        before, after = change.height_texts(shown_in[1])
+        cells = change.response, format_decimals(change.mode, 2), before
+        if change.damped.at_end:
+            rows.append((*cells, "none", *[""] * 6))
             continue
-        unbounded = [name for name, peak in (("before", before), ("after", after)) if isinf(peak.bound)]
-        equivalent = "" if unbounded else f"{100 * change.equivalent_damping:.2g}"
-        rows.append(
-            (
-                *cells,
-                after_text,
-                *_format_change(change.decibel, change.decibel_decimals),
-                *_format_change(change.shift, change.shift_decimals),
-                equivalent,
-            )
-        )
-        remarks += [
-            f"{change.response}, mode at {mode_text} Hz: the peak in the column '{name}' may be higher than measured"
-            for name in unbounded
-        ]
-    return [*table_lines(rows, "<>>>>>>>>"), *remarks] if changes else []
+        is_bounded = not isinf(change.bare.bound + change.damped.bound)
+        rows.append((
+            *cells, after, *_format_change(change.decibel, change.decibel_decimals),
+            *_format_change(change.shift, change.shift_decimals),
+            f"{100 * change.equivalent_damping:.2g}" * is_bounded, change.significance,
+        ))  # fmt: skip
+    return rows
+
+
+def describe_changes(changes: Sequence[PeakChange], shown_in: tuple[str, float]) -> list[str]:
+    """Return a table of the compared peaks, and the ranges in which no peak is left; `shown_in`: see `change_rows`."""
+    unit, factor = shown_in
+    remarks = [
+        f"{change.response}, mode at {format_decimals(change.mode, 2)} Hz: no peak is left between "
+        f"{format_decimals(change.damped.lowest_frequency, 2)} and "
+        f"{format_decimals(change.damped.highest_frequency, 2)} Hz, where the curve reaches "
+        f"{change.height_texts(factor)[1]} {unit}"
+        for change in changes
+        if change.damped.at_end
+    ]
+    rows = [change_heading(shown_in), *change_rows(changes, shown_in)]
+    return [*table_lines(rows, "<>>>>>>>>>"), *remarks] if changes else []
 
 
 def _format_change(value: tuple[float, float, float], digits: int) -> tuple[str, str]:

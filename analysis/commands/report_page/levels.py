@@ -10,7 +10,7 @@ from analysis.commands.report_page.measurements import Measurement, SweepResults
 from analysis.commands.report_page.tables import MODE_SHIFT, table
 from analysis.core.modal.mode_warnings import extrapolates_damping
 from analysis.core.recordings.names import sweep_name, without_common_direction
-from analysis.core.tracking.body_motion import LevelPoint, quantity_ranges
+from analysis.core.tracking.body_motion import LevelPoint, level_rows, quantity_ranges
 from rig.core.results import format_decimals, format_limited
 from rig.core.results.uncertainty import expand
 
@@ -68,8 +68,7 @@ def level_table(measurements: Sequence[Measurement]) -> str:
     for label, groups in tests.items():
         for title, group in groups.items():
             rows += [(", ".join(filter(None, (label, title))),)] if len(measurements) > 1 or title else []
-            texts = [[point.quantities.get(key, (0.0, ""))[1] for key in keys] for point in group]
-            rows += [(point.level, *cells, point.note) for point, cells in zip(group, texts, strict=True)]
+            rows += level_rows(group, keys)
     return table(_CAPTION, ["level", *keys, "remark"], rows) if rows else ""
 
 

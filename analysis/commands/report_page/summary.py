@@ -12,7 +12,7 @@ import numpy as np
 from analysis.commands.presentation.damper_findings import detection_limits
 from analysis.commands.report_page.levels import level_headline, level_points
 from analysis.commands.report_page.measurements import Measurement, SweepChange, SweepResults, force_deviation
-from analysis.commands.report_page.tables import change_heights, change_text, includes_sensors
+from analysis.commands.report_page.tables import change_text, includes_sensors
 from analysis.core.damper_motion.dampers import Dampers
 from analysis.core.modal.mode_warnings import MAX_LINEAR_RESIDUAL
 from daq.core.recording.markers import describe_faulty_hits, hits_of
@@ -146,11 +146,10 @@ def _change_text(changes: Sequence[SweepChange]) -> str:
 
 def _change_line(sweep: SweepChange) -> str:
     """Describe the change of one peak, with its heights if both are known."""
-    change = sweep.change
-    _, low, high = change.decibel
-    is_insignificant = isfinite(low) and isfinite(high) and low <= 0.0 <= high
+    change, (unit, factor) = sweep.change, sweep.shown_in
     text = f"{format_decimals(change.mode, 2)} Hz ({change.response}): {change_text(change)}"
-    return f"{text}{', not significant' * is_insignificant}, {change_heights(sweep)}"
+    text += ", not significant" * (change.significance == "no")
+    return f"{text}, {' → '.join(change.height_texts(factor))} {unit}"
 
 
 def _initial_height(sweep: SweepChange) -> float:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from math import isfinite, isinf
+from itertools import groupby
+from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.commands.presentation.comparison import change_heading, change_rows
+from analysis.commands.presentation.decay_findings import DECAY_HEADING, decay_rows
 from analysis.commands.report_page.measurements import Measurement, SweepChange
 from analysis.core.damper_motion.comparison import Peak, PeakChange
 from analysis.core.modal.modes import Modes, mac
@@ -17,10 +20,8 @@ from rig.core.base.escaping import escape_html
 from rig.core.results import (
     format_decimals,
     format_interval,
-    format_limited,
     format_number,
     format_percent,
-    round_to_bound,
 )
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import SENSITIVITY, SYSTEMATIC, expand
@@ -37,10 +38,6 @@ _BREAK = re.compile(
     r"|(?<=\d) (?=→)|(?<=→) (?=\d)|(?<=Δf) "
 )
 _CODE = re.compile("`([^`]+)`")
-# Largest number of decimals of a change in dB.
-_MAX_DECIBEL_DECIMALS = 2
-# Compared heights are rounded to this fraction at the finest.
-_HEIGHT_RESOLUTION = 0.005
 # Modes of two recordings are the same mode if their frequencies differ by less than this fraction; dampers shift the
 # frequencies.
 MODE_SHIFT = 0.15
@@ -118,27 +115,18 @@ def resonances(measurements: Sequence[Measurement], reference: Measurement) -> s
 
 
 def changes_table(changes: Sequence[SweepChange]) -> str:
-    """Return a table of the changes of peaks, and whether each is significant, as HTML."""
+    """Return the table that `analysis compare` prints, with the changes of each pair of sweeps, as HTML."""
     rows: list[tuple[str, ...]] = []
-    for sweep in changes:
-        pair, change = f"{sweep.before} → {sweep.after}", sweep.change
-        if (pair,) not in rows:
-            rows.append((pair,))
-        _, low, high = change.decibel
-        shift, shift_low, shift_high = change.shift
-        exceeds = "yes" if low > 0.0 or high < 0.0 else "no" if isfinite(low) and isfinite(high) else "not bounded"
-        decimals = change.shift_decimals
-        shift_text = f"{shift:+.{decimals}f} ({shift_low:+.{decimals}f} to {shift_high:+.{decimals}f})"
-        location = ", ".join(filter(None, (change.response, f"{format_decimals(change.mode, 2)} Hz", sweep.level)))
-        rows.append((location, change_text(change), change_heights(sweep), shift_text, exceeds))
-    heading = ["response, mode", "peak (95 % interval)", "before → after", "shift / Hz", "height differs"]
-    return table("Changes of the resonance peaks", heading, rows) if rows else ""
+    for (before, after), group in groupby(changes, lambda sweep: (sweep.before, sweep.after)):
+        rows += [(f"{before} → {after}",), *change_rows([sweep.change for sweep in group], changes[0].shown_in)]
+    heading = change_heading(changes[0].shown_in) if changes else ()
+    return table("Changes of the resonance peaks", heading, rows, numbers=len(heading) - 1) if rows else ""
 
 
 def change_text(change: PeakChange) -> str:
     """Write the change of a peak as a reduction or an increase with its interval, dB; a one-sided limit in words."""
     best, low, high = change.decibel
-    decimals = min(change.decibel_decimals, _MAX_DECIBEL_DECIMALS)
+    decimals = change.decibel_decimals
     if not isfinite(low) and not isfinite(high):
         return "not determined"
     if isfinite(low) and isfinite(high):
@@ -152,21 +140,6 @@ def change_text(change: PeakChange) -> str:
     at_most = is_lower == (limit < 0.0)
     unknown = "lower" if at_most else "upper"
     return f"{direction} at {'most' if at_most else 'least'} {abs(limit):.{decimals}f} dB; {unknown} limit unknown"
-
-
-def change_heights(sweep: SweepChange) -> str:
-    """Write the heights of a peak before and after a change, with the digits of the larger uncertainty."""
-    unit, factor = sweep.shown_in
-    peaks = sweep.change.bare, sweep.change.damped
-    bounds = [peak.bound for peak in peaks if isfinite(peak.bound)]
-    bound = factor * max([*bounds, _HEIGHT_RESOLUTION * max(peak.value for peak in peaks)])
-    before, after = (
-        f"at least {round_to_bound(factor * peak.low, bound)}"
-        if isinf(peak.bound)
-        else f"{round_to_bound(factor * peak.value, bound)}{' (extrapolated)' * peak.is_extrapolated}"
-        for peak in peaks
-    )
-    return f"{before} → {after} {unit}"
 
 
 def mac_table(before: Modes, after: Modes) -> str:
@@ -185,32 +158,17 @@ def mac_table(before: Modes, after: Modes) -> str:
 
 
 def decays(measurements: Sequence[Measurement]) -> str:
-    """Return a table of free-decay modes with their damping at the largest and the smallest amplitude, as HTML."""
+    """Return the tables of free decays that `analysis decay` prints as one table, as HTML."""
     rows: list[tuple[str, ...]] = []
     for measurement in measurements:
-        result = measurement.decay
-        if result is None:
-            continue
-        rows.append((f"{measurement.label}, {result.channel}",))
-        for mode in result.modes:
-            damping_texts = ("too short or too noisy", "")
-            if mode.damping.size:
-                percent, expanded = mode.percent
-                first, last = (
-                    f"{format_limited(percent[k], expanded[k])} at {mode.amplitude[k]:.3g} m/s²" for k in (0, -1)
-                )
-                damping_texts = (first, last)
-            frequency = f"{mode.center:.4g}"
-            if np.isfinite(mode.frequency):
-                frequency = format_interval(mode.frequency, float(expand(mode.frequency_error)))
-            rows.append((frequency, *damping_texts))
-    heading = ["natural frequency / Hz", "damping ratio / % at the largest amplitude", "at the smallest"]
+        if measurement.decay is not None:
+            rows += [(f"{measurement.label}, {measurement.decay.channel}",), *decay_rows(measurement.decay)]
     caption = (
         "Free decay of each mode, with 95 % intervals. The frequency is that at the best determined amplitude. "
         "Dampers that ride on their body add their mass and lower it; dampers in flight do not, so that it depends on "
         "the amplitude and differs from the resonance frequency of the response"
     )
-    return table(caption, heading, rows) if rows else ""
+    return table(caption, DECAY_HEADING, rows, numbers=5) if rows else ""
 
 
 def budget(curve: Response, highest: Peak) -> str:

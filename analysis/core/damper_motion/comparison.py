@@ -7,6 +7,7 @@ a height is asymmetric where the points may miss the top of the peak; an end of 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from math import floor, hypot, inf, isfinite, isinf, log10, sqrt
+from typing import Literal
 
 import numpy as np
 
@@ -39,6 +40,8 @@ _HALF_POWER = sqrt(2.0)
 # Represents an unbounded uncertainty, m/N: products with infinity would be undefined, and with the largest float
 # overflow.
 _UNBOUNDED = 1e100
+# Compared heights are rounded to this fraction at the finest.
+_HEIGHT_RESOLUTION = 0.005
 # If the relative interpolation error at a peak exceeds this value, a smaller frequency step is recommended.
 _MAX_INTERPOLATION_ERROR = 0.01
 
@@ -400,10 +403,27 @@ class PeakChange:
 
     @property
     def decibel_decimals(self) -> int:
-        """Number of decimals that resolve the interval of the change in dB with two significant digits."""
+        """Number of decimals, 1 or 2, that resolve the interval of the change in dB."""
         _, low, high = self.decibel
-        half_width = 0.5 * (high - low)
-        return max(1, 1 - floor(log10(half_width))) if isfinite(half_width) and half_width > 0.0 else 1
+        return 2 if 0.0 < 0.5 * (high - low) < 1.0 else 1
+
+    @property
+    def significance(self) -> Literal["yes", "no", "not bounded"]:
+        """Whether the interval of the change in dB excludes zero."""
+        _, low, high = self.decibel
+        return "yes" if low > 0.0 or high < 0.0 else "no" if isfinite(low) and isfinite(high) else "not bounded"
+
+    def height_texts(self, factor: float) -> tuple[str, ...]:
+        """Write the heights times a factor, without and with dampers, with the digits of the larger uncertainty."""
+        peaks = self.bare, self.damped
+        bounds = [peak.bound for peak in peaks if isfinite(peak.bound)]
+        bound = factor * max([*bounds, _HEIGHT_RESOLUTION * max(peak.value for peak in peaks)])
+        return tuple(
+            f"at least {round_to_bound(factor * peak.low, bound)}"
+            if isinf(peak.bound)
+            else f"{round_to_bound(factor * peak.value, bound)}{' (extrapolated)' * peak.is_extrapolated}"
+            for peak in peaks
+        )
 
     @property
     def shift(self) -> tuple[float, float, float]:

@@ -1,6 +1,6 @@
 """Amplitude of one body along a measured response, for results against amplitude."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +29,13 @@ class LevelPoint(NamedTuple):
     # Value and text with its 95 % interval of each quantity; its name ends with its unit: "damping ratio / %".
     quantities: Mapping[str, tuple[float, str]]
     note: str = ""
+
+
+def level_rows(points: Sequence[LevelPoint], names: Collection[str]) -> list[tuple[str, ...]]:
+    """Return a row for each level: level, text of each named quantity, and note."""
+    return [
+        (point.level, *(point.quantities.get(name, (0.0, ""))[1] for name in names), point.note) for point in points
+    ]
 
 
 def quantity_ranges(points: Sequence[LevelPoint]) -> dict[str, str]:

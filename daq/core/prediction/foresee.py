@@ -57,7 +57,7 @@ _LINEAR_WAIT_ERROR = 0.03
 _WAIT_SIGMAS = 2.5
 # Smallest completed fraction from which the duration of a test with feedback is extrapolated.
 _MIN_FRACTION = 0.1
-# The end of an aborting test may differ by this ratio from the end in the rehearsal of its parts.
+# The time of an abort may differ by this ratio from the time that rehearsed parts of the test predict.
 _ABORT_RATIO = 1.5
 # The search for the largest permissible level ends when the largest reading differs from its limit by less than this
 # fraction.

@@ -22,7 +22,7 @@ _MAX_STEPS = 100_000
 
 
 def restitution_at_step(grains: Grains, mass: float, radius: float, step: float) -> float:
-    """Compute the restitution setting of LAMMPS.
+    """Compute the setting of LAMMPS with which grains rebound as specified, although the time step is finite.
 
     `mass`, `radius`: reduced mass [kg] and reduced radius [m] of the contact: equal to mass and radius of the grain at
     a wall, and half as large between two equal grains; `step`: time step, s.

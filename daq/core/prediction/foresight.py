@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from daq.core.measurement.estimate import duration_text
 from daq.core.prediction.linear import LowestSignalToNoise
-from rig.core.results import Result, format_number
+from rig.core.results import Result, format_number, format_percent
 from rig.core.results.text import table_lines
 from rig.core.scene.scene import STANDARD_GRAVITY
 
@@ -124,7 +124,7 @@ class Foresight(Result):
         elif worst.share >= 1.0:
             statement = f"the test overloads {worst}; {_describe_limit(worst)}"
         else:
-            share = f"{_percent(worst.share)} of its {_describe_limit(worst)}"
+            share = f"{format_percent(worst.share)} of its {_describe_limit(worst)}"
             statement = f"the test stays within all limits; nearest to its limit is {worst}, {share}"
         if self.limited_by is None or not np.isfinite(self.largest_level):
             return statement
@@ -163,7 +163,7 @@ class Foresight(Result):
             limit, share = "", ""
             if np.isfinite(entry.limit):
                 limit = f"{entry.limited_by}, {format_quantity(entry.limit, entry.unit)}"
-                share = "over" if entry.share >= 1.0 else _percent(entry.share)
+                share = "over" if entry.share >= 1.0 else format_percent(entry.share)
             signal = str(self.signals[entry.name]) if entry.name in self.signals else ""
             rows.append((entry.name, format_quantity(entry.largest, entry.unit), entry.place, limit, share, signal))
         about, reason = "about " if self.rehearsed else "", ""
@@ -183,15 +183,6 @@ class Foresight(Result):
 
 def _describe_limit(entry: Expectation) -> str:
     return f"limit {format_quantity(entry.limit, entry.unit)} ({entry.limited_by})"
-
-
-def _percent(share: float) -> str:
-    """Format a share with two digits.
-
-    >>> _percent(0.3812), _percent(0.00342), _percent(2.1)
-    ('38 %', '0.34 %', '210 %')
-    """
-    return f"{float(f'{100.0 * share:.2g}'):.10g} %"
 
 
 def _round_down(level: float) -> float:

@@ -137,7 +137,7 @@ class Impulse(KindOfTest):
         return Pulses("hammer", force)
 
     def references(self, valid: Mapping[str, Any]) -> Iterable[Problem]:
-        """Check that the hammer hits an existing body."""
+        """Check that the body of the impacts exists."""
         return body_problems(valid, self.body, ("body",))
 
 

@@ -50,12 +50,12 @@ _ESTIMATES = {
         lambda x, window, rate: 2.0 * x / window.sum(), lambda previous, values, count: np.fmax(previous, values),
     ),
     "density": _Estimate(
-        "power spectral density, mean, Hann", "(UNIT²/Hz)", 2, True,
+        "power spectral density, Hann", "(UNIT²/Hz)", 2, True,
         lambda x, window, rate: 2.0 * x**2 / (rate * np.sum(window**2)),
         lambda previous, values, count: values if count == 1 else previous + (values - previous) / count,
     ),
     "transform": _Estimate(
-        "Fourier transform of pulses, largest", "(UNIT s)", 1, False,
+        "Fourier transform, largest", "(UNIT s)", 1, False,
         lambda x, window, rate: x / rate, lambda previous, values, count: np.fmax(previous, values),
     ),
 }  # fmt: skip
@@ -129,7 +129,7 @@ def spectrum_picture(recording: Recording, start: int, stop: int) -> bytes:
         panel.legend(facecolor=_BACKGROUND, edgecolor="none", labelcolor=_FOREGROUND, fontsize="small", framealpha=0.6)
     panels[-1].set_xlabel("frequency / Hz", color=_FOREGROUND)
     panels[0].set_title(
-        f"{estimate.title}, lines of {frequency[0]:.2g} Hz; dotted: natural frequencies without dampers",
+        f"{estimate.title}, lines of {frequency[0]:.2g} Hz; dotted: modes without dampers",
         color=_FOREGROUND, fontsize="medium", loc="left",
     )  # fmt: skip
     picture = io.BytesIO()

@@ -15,10 +15,11 @@ if TYPE_CHECKING:
 
 # A peak must exceed the minima on both sides by at least this factor, so that it has a half-power width, ...
 _MIN_RATIO = 2.0**0.5
-# ... and by this multiple of the scatter of its line. A flat response with noise then has 0.7 false peaks in 200 lines
-# with 2 averages, and at most 0.2 from 4 averages (simulated: Hann window, coherence 0.1 to 0.9).
-_MIN_SCATTERS = 6.0
-# Number of lines over which the scatter is a median.
+# ... and by this multiple of the scatter of its line. A flat response with noise then has 0.3 false peaks in 200 lines
+# with 2 averages, and at most 0.1 from 4 averages (simulated: Hann window, coherence 0.1 to 0.9).
+_MIN_SCATTERS = 20.0
+# The scatter is this percentile over this number of lines, so that the curvature of a resonance does not enlarge it.
+_SCATTER_PERCENTILE = 25
 _SCATTER_LINES = 25
 # The half-power width must contain at least this number of lines; a smaller width is determined by the resolution.
 _MIN_WIDTH_LINES = 3.0
@@ -85,15 +86,13 @@ def _crossing(magnitude: Array, k: int, step: int) -> float | None:
 
 
 def _scatter(response: ComplexArray) -> Array:
-    """Return the standard deviation of the noise around each line, from second differences of every other line.
-
-    The noise of adjacent lines is correlated, because of the window; that of every other line is almost independent.
-    """
+    """Return the scatter around each line: a low percentile of the second differences of successive lines."""
     scatter, is_known = np.full(response.size, np.inf), np.isfinite(response)
     known = response[is_known]
-    if known.size > 4:
-        second = np.abs(known[4:] - 2.0 * known[2:-2] + known[:-4]) / np.sqrt(6.0)
-        scatter[is_known] = np.pad(scipy.ndimage.median_filter(second, _SCATTER_LINES, mode="nearest"), 2, "edge")
+    if known.size > 2:
+        second = np.abs(np.diff(known, 2)) / np.sqrt(6.0)
+        smooth = scipy.ndimage.percentile_filter(second, _SCATTER_PERCENTILE, _SCATTER_LINES, mode="nearest")
+        scatter[is_known] = np.pad(smooth, 1, "edge")
     return scatter
 
 

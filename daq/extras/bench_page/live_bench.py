@@ -164,9 +164,9 @@ class TestController:
         return 2.0**0.5 if self.level_kind == "amplitude" else 1.0
 
     @property
-    def sentence(self) -> str:
-        """Description of the last test; empty before a test."""
-        return "" if self._test is None else self._test[1].sentence(self._scene.driven_shaker)
+    def details(self) -> str:
+        """Settings of the last test that are not fields of the page, such as the rate of a sweep."""
+        return "" if self._test is None else ", ".join(self._test[1].details)
 
     @property
     def band(self) -> tuple[float, float] | None:

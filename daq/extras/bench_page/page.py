@@ -155,7 +155,7 @@ class Page:
             "target": controller.target if controller.tests else None,
             "force": controller.force,
             "level_kind": controller.level_kind,
-            "sentence": controller.sentence,
+            "details": controller.details,
             "lag": bench.lag,
             "settings": vars(controller.settings),
             "enabled": recordings.enabled,

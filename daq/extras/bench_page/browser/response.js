@@ -50,7 +50,7 @@ const response = {
     }
     const averages = this.head?.averages;
     const empty = state.hits.length ? (state.hits[0][4] ? "no accepted impact" : "after this impact") : state.running ? "after settling" : "start a test";
-    const spacing = averages && this.curves ? `, Δf ${digits(this.curves.frequency[1] - this.curves.frequency[0], 2)} Hz` : "";
+    const spacing = averages && this.curves ? `, Δf ${digits(this.curves.frequency[1] - this.curves.frequency[0], 2)} Hz${state.details ? `, ${state.details}` : ""}` : "";
     return (averages ? (averages > 1 ? `H1, ${averages} averages` : "1 average: no γ²") + spacing : state.frf_reason || empty) + (this.problem ? `; ${this.problem}` : "");
   },
 

@@ -17,7 +17,6 @@ const bar = {
     $("progress").hidden = progress == null;
     $("progress").querySelector("i").style.width = `${100 * (progress ?? 0)}%`;
     $("progress").lastChild.textContent = progress == null ? "" : `${Math.floor(100 * progress)} %${remaining == null ? "" : `, ${Math.ceil(remaining)} s left`}`;
-    setText("sentence", state.sentence);
     setText("force", state.running ? levelText(state) : "");
     setText("lag", state.lag < 0.04 ? "real time" : `${Math.round(1000 * state.lag)} ms late`);
     const overloads = Object.keys(state.overloads).length;

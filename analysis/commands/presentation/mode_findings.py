@@ -144,8 +144,19 @@ def describe_modes(modes: Modes, theory: TheoreticalModes | None = None) -> list
         cells = (format_interval(frequency, float(expand(modes.frequency_error[i]))), ratio, mac_texts[i])
         rows.append((*cells, *(format_interval(value, bound) for value, bound in elements)))
     reference = f", {modes.input}" if modes.input else ""
-    heading = f"{modes.label}{reference}: {count} mode{'s' * (count != 1)}"
-    return [heading, *(f"  {line}" for line in table_lines(rows, ">" * len(rows[0])) if count)]
+    heading = f"{modes.label}{reference}: {count} mode{'s' * (count != 1)}{modes.uncertain_count_text()}"
+    lines = table_lines(rows, ">" * len(rows[0])) if count else []
+    uncertain = [
+        (
+            format_interval(each.frequency, float(expand(each.frequency_error))),
+            each.damping_text().strip("(%) "),
+            each.reason,
+        )
+        for each in modes.uncertain
+    ]
+    if uncertain:
+        lines += table_lines([("uncertain mode / Hz", "damping ratio / %", "reason"), *uncertain], ">><")
+    return [heading, *(f"  {line}" for line in lines)]
 
 
 def nearest_mac(modes: Modes, theory: TheoreticalModes) -> NDArray[np.float64]:

@@ -105,13 +105,15 @@ def damping_table(path: Path, decays: Sequence[Decay]) -> Path:
 def modes_table(path: Path, sweeps: Sequence[Modes]) -> Path:
     """Write a table of natural frequencies, damping ratios and mode shapes.
 
-    Frequencies and damping ratios have the digits of their 95 % intervals, as in all other outputs.
+    Frequencies and damping ratios have the digits of their 95 % intervals, as in all other outputs. Uncertain modes
+    have no number and no shape.
     """
     channels = list(dict.fromkeys(name for modes in sweeps for name in modes.of_bodies().names))
     heading = [
         "scene", "reference", "mode", "frequency_Hz", "frequency_std_Hz", "omega_rad_s", "damping_ratio",
         "damping_ratio_std",
         *(f"shape {name}" for name in channels), *(f"shape {name} std" for name in channels), "phase_collinearity",
+        "uncertain_because",
     ]  # fmt: skip
     rows: list[Row] = []
     for modes in sweeps:
@@ -124,7 +126,15 @@ def modes_table(path: Path, sweeps: Sequence[Modes]) -> Path:
                 modes.label, modes.input, i + 1, *_rounded(frequency, modes.frequency_error[i]),
                 _rounded(omega, omega_error)[0], *_rounded(modes.damping[i], modes.damping_error[i]),
                 *(shape.get(name, np.nan) for name in channels),
-                *(error.get(name, np.nan) for name in channels), modes.collinearity[i],
+                *(error.get(name, np.nan) for name in channels), modes.collinearity[i], "",
+            ))  # fmt: skip
+        unknown_shape = [np.nan] * (2 * len(channels) + 1)
+        for each in modes.uncertain:
+            omega, omega_error = 2 * np.pi * each.frequency, 2 * np.pi * each.frequency_error
+            rows.append((
+                modes.label, modes.input, "", *_rounded(each.frequency, each.frequency_error),
+                _rounded(omega, omega_error)[0], *_rounded(each.damping, each.damping_error),
+                *unknown_shape, each.reason,
             ))  # fmt: skip
     return write_table(path, heading, rows)
 

@@ -333,13 +333,15 @@ def stabilization_charts(measurements: Sequence[Measurement]) -> list[Chart]:
                 zip(frequency[selected], order[selected], strict=True),
             )
         ]
-        marks = [Mark(natural, 0.0, f"{format_decimals(natural, 2)} Hz") for natural in sorted(sweep.modes.frequency)]
+        texts = {float(natural): f"{format_decimals(natural, 2)} Hz" for natural in sweep.modes.frequency}
+        texts |= {each.frequency: f"{format_decimals(each.frequency, 2)} Hz?" for each in sweep.modes.uncertain}
+        marks = [Mark(natural, 0.0, texts[natural]) for natural in sorted(texts)]
         charts.append(
             Chart(
                 f"{sweep.label}: poles of models of increasing order. Dotted lines: the identified modes, each with a "
                 f"column of stable poles. A column that is split into two around its line indicates a nonlinear mode."
-                + " Hollow: stable, but not identified as a mode."
-                * any(curve.draw == "circles" for curve in curves),
+                + " Question marks: uncertain modes." * bool(sweep.modes.uncertain)
+                + " Hollow: stable, but not identified as a mode." * any(curve.draw == "circles" for curve in curves),
                 f"Stabilization diagram of {sweep.label}.",
                 [Panel("model order", "", curves, 130, limits=(0.0, 1.05 * top), ticks=ticks, marks=marks)],
                 logarithmic=needs_logarithmic_axis(band),

@@ -171,7 +171,8 @@ def _resonance_texts(measurement: Measurement) -> list[str]:
                 f"{sweep.modes.frequency_text(k)}, damping ratio {sweep.damping_text(k)}"
                 for k in np.argsort(sweep.modes.frequency).tolist()
             ]
-            heading = f"“{sweep.label}”: {count} resonance{'s' * (count != 1)} (95 % intervals)"
+            uncertain = sweep.modes.uncertain_count_text()
+            heading = f"“{sweep.label}”: {count} resonance{'s' * (count != 1)}{uncertain} (95 % intervals)"
             return ["\n".join(filter(None, [heading, *lines, _highest_peak(sweep)]))]
     return []
 

@@ -104,6 +104,15 @@ def resonances(measurements: Sequence[Measurement], reference: Measurement) -> s
             )
             rows.append((frequency, sweep.damping_text(k), location, height))
         rows += [
+            (
+                format_interval(each.frequency, float(expand(each.frequency_error))),
+                each.damping_text(),
+                f"uncertain: {each.reason}",
+                "",
+            )
+            for each in modes.uncertain
+        ]
+        rows += [
             (f"mode of {format_decimals(frequency, 2)} Hz", "not determined", "", "")
             for frequency in np.concatenate([*known, []]).tolist()
             if not (abs(modes.frequency / frequency - 1.0) < MODE_SHIFT).any()

@@ -1,10 +1,12 @@
-"""Contribution of the choice of lines to the uncertainty of modes, for curves without stated uncertainty.
+"""Confirmation of poles by parts of the lines, and the contribution of the choice of lines to the uncertainty of modes.
 
-Errors of the curves act like additional poles, which depend on the choice of lines. Statistics of the residual do not
-show their effect. The modes are therefore identified again without the lines at either end, and from every second line.
+Errors of curves without stated uncertainty act like additional poles, which depend on the choice of lines. Statistics
+of the residual do not show their effect. The modes are therefore identified again without the lines at either end, and
+from the even and the odd lines alone. A pole that one of these parts lacks may represent an error of the curves, such
+as a spike of a single line.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,14 +18,9 @@ from rig.core.base.errors import RecordingError
 
 # Fraction of the band that a part omits at one of its ends.
 _OMITTED_SHARE = 0.2
-# A mode is not expected in a part if its distance from an end of the part is below this fraction of the part.
+# A mode is not expected in a part of a window if its distance from an end of the part is below this fraction of the
+# part.
 _MARGIN = 0.1
-# Two modes have the same frequency if their distance is at most this multiple of the half-width, or of the spacing of
-# the lines if this is larger.
-_SAME_HALF_WIDTHS = 1.0
-# The half of the lines (every second line) resolves a pole if its half-power width contains at least this number of
-# these lines.
-_MIN_RESOLVING_LINES = 2.0
 # Ratio of the standard uncertainty to the root mean square of four differences. If only one difference is not zero, a
 # ratio of 1 would give an expanded uncertainty equal to this difference; 1.2 adds a margin of 20 %.
 _MEAN_SQUARE_RATIO = 1.2
@@ -31,62 +28,80 @@ _MEAN_SQUARE_RATIO = 1.2
 _MIN_LINES = 16
 
 
+class Part(NamedTuple):
+    """Poles that a part of the lines contains."""
+
+    name: str
+    poles: ComplexArray  # rad/s
+    low: float  # Hz: poles are expected from here
+    high: float  # Hz: to here
+    spacing: float  # Hz, of the lines
+
+
 class BandChoice(NamedTuple):
-    """Variation of poles between parts of a band, each of shape (poles,)."""
+    """Variation of poles between parts of the lines."""
 
-    # Whether both parts without an end, and one of the halves if they resolve the pole, contain it. If both halves were
-    # required, dense lines could reject a pole that every second line, whose halves do not resolve it, confirms.
-    confirmed: NDArray[np.bool_]
-    frequency_error: Array  # standard uncertainty, Hz
-    damping_error: Array  # standard uncertainty
+    missing: tuple[tuple[str, ...], ...]  # names of the parts that lack each pole
+    frequency_error: Array  # standard uncertainty, Hz, shape (poles,)
+    damping_error: Array  # standard uncertainty, shape (poles,)
 
 
-def parts_of_band(frequency: Array) -> Iterator[tuple[NDArray[np.intp], int]]:
-    """Yield the lines of each part of a band, and the spacing of these lines, Hz; `frequency`: ascending, Hz."""
+def end_parts(frequency: Array, identify: Callable[[NDArray[np.intp]], ComplexArray]) -> Iterator[Part]:
+    """Yield the lines of a window without the lowest fifth, and without the highest fifth.
+
+    `frequency`: ascending, Hz; `identify`: returns the poles of some lines, rad/s. Modes next to an end of a part are
+    not expected there.
+    """
     low, high = frequency[0], frequency[-1]
-    for lines, step in (
-        (np.flatnonzero(frequency >= low + _OMITTED_SHARE * (high - low)), 1),
-        (np.flatnonzero(frequency <= high - _OMITTED_SHARE * (high - low)), 1),
-        (np.arange(0, frequency.size, 2), 2),
-        (np.arange(1, frequency.size, 2), 2),
+    omitted, margin = _OMITTED_SHARE * (high - low), _MARGIN * (1.0 - _OMITTED_SHARE) * (high - low)
+    for name, first, last in (
+        ("without the lowest fifth of its window", low + omitted, high),
+        ("without the highest fifth of its window", low, high - omitted),
     ):
-        if _MIN_LINES <= lines.size < frequency.size:
-            yield lines, step
+        lines = np.flatnonzero((frequency >= first) & (frequency <= last))
+        if lines.size >= _MIN_LINES:
+            yield Part(name, _poles(identify, lines), first + margin, last - margin, _spacing(frequency))
 
 
-def band_choice(
-    frequency: Array, poles: ComplexArray, identify: Callable[[NDArray[np.intp]], ComplexArray]
-) -> BandChoice:
-    """Compare the poles of a band with those identified from parts of the band, which `identify` returns.
+def half_parts(frequency: Array, identify: Callable[[NDArray[np.intp]], ComplexArray]) -> Iterator[Part]:
+    """Yield the even lines and the odd lines of a band; arguments as in `end_parts`."""
+    for name, first in (("from the even lines", 0), ("from the odd lines", 1)):
+        lines = np.arange(first, frequency.size, 2)
+        if lines.size >= _MIN_LINES:
+            yield Part(name, _poles(identify, lines), frequency[0], frequency[-1], 2.0 * _spacing(frequency))
+
+
+def _spacing(frequency: Array) -> float:
+    return float(np.median(np.diff(frequency)))
+
+
+def _poles(identify: Callable[[NDArray[np.intp]], ComplexArray], lines: NDArray[np.intp]) -> ComplexArray:
+    try:
+        return identify(lines)
+    except RecordingError:
+        return np.zeros(0, dtype=complex)
+
+
+def band_choice(poles: ComplexArray, parts: Sequence[Part]) -> BandChoice:
+    """Compare poles, rad/s, with the poles of parts of their lines.
 
     The standard uncertainty due to the choice of lines is 1.2 times the root mean square of the differences (type A).
     """
     natural, damping, width = abs(poles) / (2 * np.pi), -poles.real / abs(poles), half_width(poles)
-    spacing = float(np.median(np.diff(frequency)))
-    confirmed = np.ones(poles.size, dtype=bool)
-    missing_in_halves = np.zeros(poles.size, dtype=int)
+    missing: list[list[str]] = [[] for _ in poles]
     differences: list[list[tuple[float, float]]] = [[] for _ in poles]
-    for lines, step in parts_of_band(frequency):
-        try:
-            others = identify(lines)
-        except RecordingError:
-            others = np.zeros(0, dtype=complex)
-        low, high = frequency[lines[0]], frequency[lines[-1]]
-        margin = _MARGIN * (high - low)
-        bandwidth_lines = 2.0 * width / (step * spacing)
-        is_inside = (natural > low + margin) & (natural < high - margin)
-        for k in np.flatnonzero(is_inside & ((step == 1) | (bandwidth_lines > 1.0))).tolist():
+    for part in parts:
+        for k in np.flatnonzero((natural > part.low) & (natural < part.high)).tolist():
             # A pole of the part is assigned to the nearest pole only.
-            own = others[abs(abs(others[:, None]) / (2 * np.pi) - natural).argmin(axis=1) == k]
+            own = part.poles[abs(abs(part.poles[:, None]) / (2 * np.pi) - natural).argmin(axis=1) == k]
             distance = abs(abs(own) / (2 * np.pi) - natural[k])
-            if distance.min(initial=np.inf) < _SAME_HALF_WIDTHS * max(width[k], spacing):
+            # Poles are the same up to a half-width, or up to the spacing of the lines if this is larger.
+            if distance.min(initial=np.inf) < max(width[k], part.spacing):
                 nearest = own[distance.argmin()]
                 other_damping = -nearest.real / abs(nearest)
                 differences[k].append((float(distance.min()), float(abs(other_damping - damping[k]))))
-            elif step == 1:
-                confirmed[k] = False
-            elif bandwidth_lines[k] >= _MIN_RESOLVING_LINES:
-                missing_in_halves[k] += 1
+            else:
+                missing[k].append(part.name)
     mean_squares = [np.mean(np.square(each), axis=0) if each else np.zeros(2) for each in differences]
     frequency_error, damping_error = _MEAN_SQUARE_RATIO * np.sqrt(np.reshape(mean_squares, (-1, 2)).T)
-    return BandChoice(confirmed & (missing_in_halves < 2), frequency_error, damping_error)
+    return BandChoice(tuple(map(tuple, missing)), frequency_error, damping_error)

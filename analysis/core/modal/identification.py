@@ -47,7 +47,8 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     residuals of the best model exceed the uncertainty of the points, as for a structure with nonlinear dampers, the
     points are weighted by the model error. The standard uncertainties are computed from the residuals. Curves without
     stated uncertainty, such as tables of other programs, are treated differently: modes are identified in windows of
-    lines around each peak, and their uncertainties include the choice of lines.
+    lines around each peak, and their uncertainties include the choice of lines. Modes that parts of the lines do not
+    confirm are listed as uncertain.
 
     Parameters
     ----------
@@ -146,6 +147,7 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
         input=curves[0].input,
         places=tuple(curve.output_at for curve in curves),
         bodies=tuple(curve.outputs[0].body for curve in curves),
+        uncertain=tuple(found.uncertain),
     )
     unused = [frf.response for frf in frfs if frf.response not in result.responses]
     notes = mode_warnings(result, curves, count, found, uncertain, unmeasured, unused)

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array, ComplexArray
 
@@ -76,13 +77,15 @@ def poles_by_order(
 def stabilization_diagram(frequency: Array, value: ComplexArray, weight: Array) -> list[ChartPole]:
     """Compute the stabilization diagram of models of order 2 to 24; arguments as in `poles_by_order`."""
     chart: list[ChartPole] = []
-    previous: list[complex] = []
+    previous: ComplexArray = np.zeros(0, dtype=complex)
     spacing = float(np.median(np.diff(frequency)))
     for order, poles in poles_by_order(frequency, value, weight, range(2, 25)):
-        current = sorted((pole for pole in poles if -pole.real < MAX_DAMPING * abs(pole)), key=lambda pole: pole.imag)
-        for pole in current:
-            stable = any(_is_same_pole(pole, earlier, spacing) for earlier in previous)
-            chart.append(ChartPole(order, float(abs(pole) / (2 * np.pi)), float(-pole.real / abs(pole)), stable))
+        moderate = poles[-poles.real < MAX_DAMPING * abs(poles)]
+        current = moderate[np.argsort(moderate.imag)]
+        stable = _are_same_poles(current, previous, spacing).any(axis=1)
+        natural = abs(current)
+        for row in np.column_stack([natural / (2 * np.pi), -current.real / natural, stable]).tolist():
+            chart.append(ChartPole(order, row[0], row[1], bool(row[2])))
         previous = current
     return chart
 
@@ -93,24 +96,28 @@ def merge_charts(frequency: Array, charts: Sequence[list[ChartPole]]) -> tuple[C
     Clusters with the most stable poles are first.
     """
     spacing = float(np.median(np.diff(frequency)))
-    clusters: list[tuple[complex, int]] = []  # last stable pole, otherwise first pole, and number of stable poles
-    for chart_pole in itertools.chain(*charts):
-        pole = chart_pole.pole
-        same = [k for k, (other, _) in enumerate(clusters) if _is_same_pole(pole, other, spacing)]
-        if same:
-            nearest = min(same, key=lambda k: abs(clusters[k][0] - pole))
+    chart_poles = list(itertools.chain(*charts))
+    poles = np.array([each.pole for each in chart_poles], dtype=complex)
+    distances = abs(poles[:, None] - poles)
+    distances[~_are_same_poles(poles, poles, spacing)] = np.inf
+    clusters: list[tuple[int, int]] = []  # last stable pole, otherwise first pole, and number of stable poles
+    for index, (row, chart_pole) in enumerate(zip(distances.tolist(), chart_poles, strict=True)):
+        nearest = min(range(len(clusters)), key=lambda k: row[clusters[k][0]], default=None)
+        if nearest is None or row[clusters[nearest][0]] == np.inf:
+            clusters.append((index, int(chart_pole.stable)))
+        else:
             earlier, n_stable = clusters[nearest]
             # The last pole is the most accurate, because at the highest order other poles represent the noise.
-            clusters[nearest] = (pole if chart_pole.stable else earlier, n_stable + chart_pole.stable)
-        else:
-            clusters.append((pole, int(chart_pole.stable)))
+            clusters[nearest] = (index if chart_pole.stable else earlier, n_stable + chart_pole.stable)
     clusters.sort(key=lambda cluster: -cluster[1])
-    return (
-        np.array([pole for pole, n_stable in clusters if n_stable >= _MIN_STABLE_POLES], dtype=complex),
-        np.array([pole for pole, _ in clusters], dtype=complex),
-    )
+    stable = [index for index, n_stable in clusters if n_stable >= _MIN_STABLE_POLES]
+    return poles[stable], poles[[index for index, _ in clusters]]
 
 
-def _is_same_pole(first: complex, second: complex, spacing: float) -> bool:
-    """Return whether two poles are closer than a quarter of the half-power width, or of the line spacing in Hz."""
-    return abs(first - second) < max(0.5 * max(-first.real, -second.real), 0.5 * np.pi * spacing)
+def _are_same_poles(first: ComplexArray, second: ComplexArray, spacing: float) -> NDArray[np.bool_]:
+    """Return whether two poles are closer than a quarter of the half-power width, or of the line spacing in Hz.
+
+    The result has the shape (first, second).
+    """
+    width = np.maximum(-first.real[:, None], -second.real)
+    return np.asarray(abs(first[:, None] - second) < np.maximum(0.5 * width, 0.5 * np.pi * spacing))

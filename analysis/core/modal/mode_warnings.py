@@ -82,11 +82,16 @@ def mode_warnings(
             f"{_listed(f[narrow])} Hz: the peak is narrower than the resolution of {resolution:.3g} Hz, so only an "
             "upper bound of the damping is known. Use much longer blocks, burst random, multisine or stepped sine."
         )
-    tolerance = np.maximum(expand(modes.frequency_error), 0.5 * resolution)
-    hum = [(k, mains) for k in np.flatnonzero(narrow) if (mains := mains_multiple(f[k], tolerance[k]))]
+    peaks = [*zip(f[narrow], modes.frequency_error[narrow], strict=True)]
+    peaks += [each[:2] for each in modes.uncertain if 2.0 * each.damping * each.frequency < resolution]
+    hum = [
+        f"{natural:.4g} Hz ({mains})"
+        for natural, error in sorted(peaks)
+        if (mains := mains_multiple(natural, max(float(expand(error)), 0.5 * resolution)))
+    ]
     if hum:
         yield (
-            f"{', '.join(f'{f[k]:.4g} Hz ({mains})' for k, mains in hum)}: probably mains hum, not a mode, because the "
+            f"{', '.join(hum)}: probably mains hum, not a mode, because the "
             "peak has no width and its frequency is a multiple of the mains frequency. Record without excitation to "
             "check it; mend cables and grounding."
         )
@@ -145,17 +150,17 @@ def mains_multiple(frequency: float, tolerance: float) -> str:
 
 
 def rejections(found: IdentifiedPoles) -> Iterator[str]:
-    """Yield a sentence about stable poles of undetermined damping or height, and about unconfirmed poles."""
+    """Yield a sentence about stable poles of undetermined damping or height, and about uncertain modes."""
     if found.rejected:
         yield (
             f"Rejected the stable poles at {_listed(np.sort(found.rejected))} Hz: their damping or height is below the "
             "uncertainty of these curves. Damper impacts also cause such peaks, which are not modes."
         )
-    if found.unconfirmed:
+    if found.uncertain:
         yield (
-            f"Rejected the poles at {_listed(np.sort(found.unconfirmed))} Hz: parts of the lines around them do not "
-            "confirm them. Leakage, double impacts and a nonlinear structure cause such poles. Measure with a smaller "
-            "frequency step or more averages to identify modes there."
+            f"Uncertain modes: {', '.join(each.frequency_text() for each in found.uncertain)}. Parts of the lines do "
+            "not confirm them. Leakage, double impacts, spikes of single lines and a nonlinear structure cause such "
+            "poles. Measure with a smaller frequency step or more averages to identify modes there."
         )
 
 

@@ -41,6 +41,31 @@ class BodyShapes(NamedTuple):
     places: tuple[str, ...] = ()  # locations of the sensors: "body 2"
 
 
+class UncertainMode(NamedTuple):
+    """A pole that may be a mode or may represent an error of the curves, with standard uncertainties."""
+
+    frequency: float  # undamped natural frequency, Hz
+    frequency_error: float  # Hz
+    damping: float  # damping ratio
+    damping_error: float
+    reason: str  # why the pole is not counted as a mode
+
+    def frequency_text(self) -> str:
+        """Write the natural frequency with its expanded uncertainty (95 %)."""
+        return _frequency_text(self.frequency, self.frequency_error)
+
+    def damping_text(self) -> str:
+        """Write the damping ratio with its expanded uncertainty (95 %), or an upper limit."""
+        return _damping_text(self.damping, self.damping_error)
+
+    def without_exponential_window(self, time_constant: float) -> UncertainMode:
+        """Remove the damping of an exponential window, see `Modes.without_exponential_window`."""
+        frequency, damping, damping_error = _without_window(
+            np.array(self.frequency), np.array(self.damping), np.array(self.damping_error), time_constant
+        )
+        return self._replace(frequency=float(frequency), damping=float(damping), damping_error=float(damping_error))
+
+
 @dataclass(frozen=True, repr=False)
 class Modes(Result):
     """Identified modes.
@@ -79,6 +104,8 @@ class Modes(Result):
         Location of each channel: name of its body, or ``body 1``; empty if unknown.
     bodies : tuple of int
         Number of the body of each channel, from 1; 0 for another location.
+    uncertain : tuple of UncertainMode
+        Poles that are not counted as modes, each with the reason, in ascending order of frequency.
     """
 
     frequency: Array
@@ -97,28 +124,27 @@ class Modes(Result):
     input: str = ""
     places: tuple[str, ...] = ()
     bodies: tuple[int, ...] = ()
+    uncertain: tuple[UncertainMode, ...] = ()
 
     def summary(self) -> str:
-        """List frequency and damping ratio of each mode, with their 95 % intervals."""
+        """List frequency and damping ratio of each mode, with their 95 % intervals, and count the uncertain modes."""
         modes = range(self.frequency.size)
-        texts = (f"{self.frequency_text(k)}, damping ratio {self.damping_text(k)}" for k in modes)
+        texts = [f"{self.frequency_text(k)}, damping ratio {self.damping_text(k)}" for k in modes]
+        if self.uncertain:
+            texts.append(f"uncertain: {', '.join(each.frequency_text() for each in self.uncertain)}")
         return f"{self.label}: {'; '.join(texts)}"
+
+    def uncertain_count_text(self) -> str:
+        """Return the number of uncertain modes for the end of a heading, such as ``, 2 uncertain``; empty if 0."""
+        return f", {len(self.uncertain)} uncertain" if self.uncertain else ""
 
     def frequency_text(self, mode: int) -> str:
         """Write a natural frequency with its expanded uncertainty (95 %)."""
-        if np.isnan(self.frequency_error[mode]):
-            return f"{self.frequency[mode]:.6g} Hz"
-        return format_quantity(self.frequency[mode], float(expand(self.frequency_error[mode])), "Hz")
+        return _frequency_text(self.frequency[mode], self.frequency_error[mode])
 
     def damping_text(self, mode: int) -> str:
         """Write a damping ratio with its expanded uncertainty (95 %), or an upper limit if it is poorly determined."""
-        ratio, expanded = 100.0 * self.damping[mode], 100.0 * float(expand(self.damping_error[mode]))
-        if np.isnan(expanded):
-            return f"{ratio:.4g} %"
-        if self.damping_error[mode] < MAX_RELATIVE_UNCERTAINTY * self.damping[mode]:
-            return format_quantity(ratio, expanded, "%")
-        # The damping is not determined at all if the interval extends to 100 %.
-        return f"below {format_percent(0.01 * (ratio + expanded))}" if ratio + expanded < 100.0 else "not determined"
+        return _damping_text(self.damping[mode], self.damping_error[mode])
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return frequency, damping ratio, and the shape at each response, with standard uncertainties."""
@@ -162,9 +188,12 @@ class Modes(Result):
             ax.plot(frequency, order, marker, ms=2.6, color=color, label=text, ls="")
         for natural in self.frequency:
             ax.axvline(natural, color="#777777", lw=0.7, ls=":", zorder=0)
+        for number, mode in enumerate(self.uncertain):
+            name = "uncertain mode" if number == 0 else None
+            ax.axvline(mode.frequency, color="#bb5500", lw=0.7, ls="--", zorder=0, label=name)
         ax.set(xlabel="frequency / Hz", ylabel="order")
         # The legend is above the axes because poles can lie anywhere inside.
-        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.0, borderpad=0.0)
+        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.0, borderpad=0.0)
         return ax
 
     @property
@@ -224,9 +253,9 @@ class Modes(Result):
         """
         if not time_constant > 0.0:
             raise SceneError(f"exponential window: got a time constant of {time_constant} s; expected above 0 s")
-        poles = self.poles + 1.0 / time_constant
-        frequency: Array = np.asarray(abs(poles) / (2 * np.pi), dtype=float)
-        damping, damping_error = -poles.real / abs(poles), self.damping_error * self.frequency / frequency
+        frequency, damping, damping_error = _without_window(
+            self.frequency, self.damping, self.damping_error, time_constant
+        )
         if (excessive := np.flatnonzero(damping + expand(damping_error) <= 0.0)).size:
             k = int(excessive[0])
             share = 1.0 / (2 * np.pi * time_constant * self.frequency[k])
@@ -245,12 +274,13 @@ class Modes(Result):
             damping=damping,
             damping_error=damping_error,
             warnings=(*self.warnings, note),
+            uncertain=tuple(each.without_exponential_window(time_constant) for each in self.uncertain),
         )
 
     @property
     def poles(self) -> ComplexArray:
         """Poles of the modes, rad/s, shape (modes,)."""
-        return np.asarray(2 * np.pi * self.frequency * (-self.damping + 1j * np.sqrt(1.0 - self.damping**2)))
+        return _poles(self.frequency, self.damping)
 
     def receptance(self, frequency: Array) -> ComplexArray:
         """Compute the compliance of the modal model, m/N, shape (responses, frequencies); frequencies in Hz."""
@@ -297,6 +327,35 @@ def mac(first: NDArray[np.generic] | Modes, second: NDArray[np.generic] | Modes)
         )
     cross = abs(a.conj().T @ b) ** 2
     return cross / np.outer(np.sum(abs(a) ** 2, axis=0), np.sum(abs(b) ** 2, axis=0))
+
+
+def _frequency_text(frequency: float, error: float) -> str:
+    if np.isnan(error):
+        return f"{frequency:.6g} Hz"
+    return format_quantity(frequency, float(expand(error)), "Hz")
+
+
+def _damping_text(damping: float, error: float) -> str:
+    ratio, expanded = 100.0 * damping, 100.0 * float(expand(error))
+    if np.isnan(expanded):
+        return f"{ratio:.4g} %"
+    if error < MAX_RELATIVE_UNCERTAINTY * damping:
+        return format_quantity(ratio, expanded, "%")
+    # The damping is not determined at all if the interval extends to 100 %.
+    return f"below {format_percent(0.01 * (ratio + expanded))}" if ratio + expanded < 100.0 else "not determined"
+
+
+def _without_window(
+    frequency: Array, damping: Array, damping_error: Array, time_constant: float
+) -> tuple[Array, Array, Array]:
+    """Remove the damping of an exponential window from natural frequencies [Hz] and damping ratios."""
+    poles = _poles(frequency, damping) + 1.0 / time_constant
+    natural = np.asarray(abs(poles) / (2 * np.pi))
+    return natural, np.asarray(-poles.real / abs(poles)), damping_error * frequency / natural
+
+
+def _poles(frequency: Array, damping: Array) -> ComplexArray:
+    return np.asarray(2 * np.pi * frequency * (-damping + 1j * np.sqrt(1.0 - damping**2)))
 
 
 def _shape_matrix(shapes: NDArray[np.generic] | Modes) -> ComplexArray:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -230,7 +231,8 @@ class Projection:
         """
         count = self.start.size
         return np.asarray(
-            -self.scale * np.exp(np.clip(x[:count], -30.0, 30.0)) + 1j * (self.start.imag + self.scale * x[count:])
+            -self.scale * np.exp(np.maximum(np.minimum(x[:count], 30.0), -30.0))
+            + 1j * (self.start.imag + self.scale * x[count:])
         )
 
     def basis(self, x: Array) -> Array:
@@ -254,7 +256,7 @@ class Projection:
                 columns = _weighted(part, mode_terms)
                 parts = [columns[:, :count], self.residual_terms[rows], columns[:, count:], self.target[rows, None]]
                 # The orthogonal factor is not computed, because it is not needed and takes half of the time.
-                triangles.append(np.linalg.qr(np.concatenate(parts, axis=1).swapaxes(1, 2), mode="r"))
+                triangles.append(_triangular_factor(np.concatenate(parts, axis=1).swapaxes(1, 2)))
             factor = np.concatenate(triangles)
             n = count + self.residual_terms.shape[1]
             size = np.linalg.norm(factor[:, :n, :n], axis=1)
@@ -304,7 +306,7 @@ class Projection:
         rows = np.concatenate([factors.residual, -self._by_parameter(x, factors.derivatives)], axis=2)
         # With few lines, there are fewer residuals than parameters.
         triangle = np.zeros((x.size + 1, x.size + 1))
-        factor = np.linalg.qr(rows.reshape(-1, rows.shape[2]), mode="r")
+        factor = _triangular_factor(rows.reshape(-1, rows.shape[2]))
         triangle[: len(factor)] = factor
         triangle[0] *= np.copysign(1.0, triangle[0, 0])
         return triangle[:, 1:]
@@ -327,6 +329,19 @@ class Projection:
         by_decay = self.poles(x).real * (real * first + imag * second)
         by_frequency = self.scale * (real * second - imag * first)
         return np.concatenate([by_decay, by_frequency], axis=2)
+
+
+@lru_cache(maxsize=64)
+def _upper_triangle(rows: int, columns: int) -> Array:
+    return np.triu(np.ones((rows, columns)))
+
+
+def _triangular_factor(matrix: Array) -> Array:
+    """Return the triangular factor R of Q R; `np.linalg.qr` would build the mask of its zeros at each call."""
+    householder = np.linalg.qr(matrix, mode="raw")[0].swapaxes(-1, -2)
+    rows, columns = matrix.shape[-2:]
+    size = min(rows, columns)
+    return np.asarray(householder[..., :size, :] * _upper_triangle(size, columns))
 
 
 def _mode_terms(s: ComplexArray, poles: ComplexArray, powers: Sequence[int]) -> ComplexArray:

@@ -2,22 +2,22 @@
 
 Such curves have errors of unknown size (leakage, double impacts, a nonlinear structure). In a model of the whole band
 these errors change every mode, so the result depends on the limits of the band. A model of the lines around a peak is
-independent of the other lines; residual terms represent the other modes. A pole is physical if it contributes an
-essential part of a curve at its frequency, and if it is also identified from parts of the window's lines (see
-`band_choice`).
+independent of the other lines; residual terms represent the other modes. A pole is a mode if it contributes an
+essential part of a curve at its frequency, and if each of four parts of the lines confirms it (see `band_choice`). The
+other poles are uncertain modes, which are listed with their values and the reason.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from analysis.core.modal.band_choice import band_choice
+from analysis.core.modal.band_choice import Part, band_choice, end_parts, half_parts
 from analysis.core.modal.line_choice import reduce_lines
 from analysis.core.modal.modal_fit import MODEL_ERRORS, FittedModes, fit_modes, remove_unbounded
-from analysis.core.modal.modes import MAX_RELATIVE_UNCERTAINTY
+from analysis.core.modal.modes import MAX_RELATIVE_UNCERTAINTY, UncertainMode
 from analysis.core.modal.order_selection import are_in_band, are_narrower_than_resolution, half_width
 from analysis.core.modal.peak_windows import Window, peak_windows
 from analysis.core.modal.pole_errors import pole_errors, systematic_pole_errors
@@ -40,6 +40,7 @@ _MIN_UNCERTAINTY = 1e-3
 # represents a part of the noise or of an error of the curves. Tuned on measured curves of a milling tool and of a ruler
 # and two simulated sets: modes had ratios up to 0.59, computational poles from 0.7 on.
 _MAX_FREQUENCY_RATIO = 0.6
+_UNDETERMINED = "frequency or damping is uncertain"
 # Maximum number of fitted lines of a window, about 80 per half-width. If a window has more, every second, third, ...
 # line is fitted.
 _MAX_LINES = 1000
@@ -54,23 +55,34 @@ class IdentifiedPoles(NamedTuple):
     damping_error: Array  # standard uncertainties
     model_error: float  # largest model error of the windows; 0 if noise explains the residuals
     rejected: list[float]  # frequencies of poles whose damping or height is not determined, Hz
-    unconfirmed: list[float]  # frequencies of poles that parts of the lines do not confirm, Hz
+    uncertain: list[UncertainMode]  # poles that parts of the lines do not confirm
     value: ComplexArray  # fitted or measured curves, m/N, shape (responses, lines)
+
+
+class _WindowFit(NamedTuple):
+    """Model of the lines of a window, before its poles are confirmed."""
+
+    curves: list[Response]  # all lines of the window
+    fitted: FittedModes
+    accepted: NDArray[np.bool_]  # whether each pole of the model may be a mode of the window
+    rejected: list[float]  # frequencies of poles whose damping or height is not determined, Hz
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Poles that may be modes, rad/s."""
+        return self.fitted.model.poles[self.accepted]
 
 
 def identify_windows(curves: Sequence[Response], value: ComplexArray, count: int | None) -> IdentifiedPoles:
     """Identify the modes of curves at equal frequencies, in ascending order; at most `count`: the highest peaks."""
-    frequency = curves[0].frequency
-    parts = [no_poles(value)]
-    for window in peak_windows(frequency, [curve.value for curve in curves]):
-        step = -(-(window.stop - window.first) // _MAX_LINES)  # rounded up
-        lines = np.arange(window.first, window.stop, step)
-        try:
-            part = _identify_window([curve.at(lines) for curve in curves], window, frequency.size)
-        except RecordingError:
-            # Too few lines of the window have a value.
-            continue
-        parts.append(part)
+    fits = list(_window_fits(curves))
+    candidates = _all_poles(fits)
+
+    def poles_of(lines: NDArray[np.intp]) -> ComplexArray:
+        return _all_poles(_window_fits([curve.at(lines) for curve in curves], candidates))
+
+    halves = list(half_parts(curves[0].frequency, poles_of))
+    parts = [no_poles(value), *(_confirm(fit, halves) for fit in fits)]
     poles = np.concatenate([part.poles for part in parts])
     residue = np.concatenate([part.residue for part in parts], axis=1)
     # Heights of peaks are compared as accelerations, because displacements would favor low frequencies. A peak without
@@ -86,56 +98,92 @@ def identify_windows(curves: Sequence[Response], value: ComplexArray, count: int
         np.concatenate([part.damping_error for part in parts])[chosen],
         max(part.model_error for part in parts),
         [each for part in parts for each in part.rejected],
-        [each for part in parts for each in part.unconfirmed],
+        [each for part in parts for each in part.uncertain],
         value,
     )
 
 
-def _identify_window(curves: Sequence[Response], window: Window, n_lines: int) -> IdentifiedPoles:
-    """Identify the modes of a window; `n_lines`: number of lines of the whole band."""
-    reduced = remove_unbounded(reduce_lines(curves))
-    fitted = fit_modes(reduced)
-    model, weighted = fitted.model, fitted.weighted
-    natural = abs(model.poles) / (2 * np.pi)
-    accepted = are_in_band(weighted, model.poles) & (natural > window.low) & (natural <= window.high)
-    rejected = [each for each in fitted.rejected if window.low < each <= window.high]
-    if not model.poles.size:
-        return no_poles(fitted.measured.value)._replace(rejected=rejected)
+def _all_poles(fits: Iterable[_WindowFit]) -> ComplexArray:
+    return np.concatenate([np.zeros(0, dtype=complex), *(fit.poles for fit in fits)])
+
+
+def _window_fits(curves: Sequence[Response], required: ComplexArray | None = None) -> Iterator[_WindowFit]:
+    """Fit a model to each window, or only to the windows that contain one of some poles, rad/s."""
+    frequency = curves[0].frequency
+    for window in peak_windows(frequency, [curve.value for curve in curves]):
+        low, high = max(window.low, frequency[window.first]), min(window.high, frequency[window.stop - 1])
+        if required is not None:
+            natural = abs(required) / (2 * np.pi)
+            if not ((natural >= low) & (natural <= high)).any():
+                continue
+        step = -(-(window.stop - window.first) // _MAX_LINES)  # rounded up
+        lines = np.arange(window.first, window.stop, step)
+        try:
+            yield _fit_window([curve.at(lines) for curve in curves], window, frequency.size)
+        except RecordingError:
+            # Too few lines of the window have a value.
+            continue
+
+
+def _fit_window(curves: list[Response], window: Window, n_lines: int) -> _WindowFit:
+    """Fit a model to a window; `n_lines`: number of lines of the whole band."""
+    fitted = fit_modes(_fitted_lines(curves))
+    poles, frequency = fitted.model.poles, fitted.weighted.frequency
+    natural, half = abs(poles) / (2 * np.pi), half_width(poles)
+    accepted = are_in_band(fitted.weighted, poles) & (natural > window.low) & (natural <= window.high)
     accepted &= _largest_shares(fitted) >= _MIN_SHARE
     # A pole whose half-power band extends to the lines of other windows represents their modes.
-    low = weighted.frequency[0] if window.first > 0 else 0.0
-    high = weighted.frequency[-1] if window.stop < n_lines else np.inf
-    accepted &= (natural - half_width(model.poles) > low) & (natural + half_width(model.poles) < high)
+    low = frequency[0] if window.first > 0 else 0.0
+    high = frequency[-1] if window.stop < n_lines else np.inf
+    accepted &= (natural - half > low) & (natural + half < high)
+    rejected = [each for each in fitted.rejected if window.low < each <= window.high]
+    return _WindowFit(curves, fitted, accepted, rejected)
 
+
+def _fitted_lines(curves: Sequence[Response]) -> list[Response]:
+    return remove_unbounded(reduce_lines(curves))
+
+
+def _confirm(window: _WindowFit, halves: Sequence[Part]) -> IdentifiedPoles:
+    """Return the poles of a window that the halves of all lines and the parts of the window confirm."""
+    curves, fitted, poles = window.curves, window.fitted, window.fitted.model.poles
+    if not window.accepted.any():
+        return no_poles(fitted.measured.value)._replace(rejected=window.rejected)
     # A part of the lines may need a larger model error than all lines of the window, for example if a mode at the limit
     # is missing.
     assumed_errors = [each for each in MODEL_ERRORS if each >= fitted.assumed_error]
 
     def identify(lines: NDArray[np.intp]) -> ComplexArray:
-        part = remove_unbounded(reduce_lines([curve.at(lines) for curve in curves]))
-        fitted_part = fit_modes(part, None, assumed_errors)
-        return fitted_part.model.poles[are_in_band(fitted_part.weighted, fitted_part.model.poles)]
+        part = fit_modes(_fitted_lines([curve.at(lines) for curve in curves]), None, assumed_errors)
+        return part.model.poles[are_in_band(part.weighted, part.model.poles)]
 
-    if not accepted.any():
-        return no_poles(fitted.measured.value)._replace(rejected=rejected)
-    choice = band_choice(curves[0].frequency, model.poles, identify)
-    systematic = [standard_of_limit(each) for each in systematic_pole_errors(reduced, model.poles)]
+    choice = band_choice(poles, [*end_parts(curves[0].frequency, identify), *halves])
+    systematic = [standard_of_limit(each) for each in systematic_pole_errors(_fitted_lines(curves), poles)]
     of_choice = choice.frequency_error, choice.damping_error
-    smallest = -_MIN_UNCERTAINTY * model.poles.real / np.stack([np.full(model.poles.size, 2 * np.pi), abs(model.poles)])
-    errors = np.linalg.norm([pole_errors(weighted, model), systematic, of_choice, smallest], axis=0)
-    is_determined = (errors[1] < MAX_RELATIVE_UNCERTAINTY * -model.poles.real / abs(model.poles)) & (
-        expand(errors[0]) < _MAX_FREQUENCY_RATIO * half_width(model.poles)
+    smallest = -_MIN_UNCERTAINTY * poles.real / np.stack([np.full(poles.size, 2 * np.pi), abs(poles)])
+    errors = np.linalg.norm([pole_errors(fitted.weighted, fitted.model), systematic, of_choice, smallest], axis=0)
+    natural, damping = abs(poles) / (2 * np.pi), -poles.real / abs(poles)
+    is_determined = (errors[1] < MAX_RELATIVE_UNCERTAINTY * damping) & (
+        expand(errors[0]) < _MAX_FREQUENCY_RATIO * half_width(poles)
     )
-    confirmed = choice.confirmed & (is_determined | are_narrower_than_resolution(weighted, model.poles))
-    kept = accepted & confirmed
+    is_determined |= are_narrower_than_resolution(fitted.weighted, poles)
+    reasons = [
+        f"not identified {' or '.join(missing)}" if missing else "" if determined else _UNDETERMINED
+        for missing, determined in zip(choice.missing, is_determined.tolist(), strict=True)
+    ]
+    confirmed = window.accepted & np.array([not reason for reason in reasons])
+    rows = zip(*(each.tolist() for each in (natural, errors[0], damping, errors[1])), reasons, strict=True)
+    uncertain = [
+        UncertainMode(*row) for row, accepted in zip(rows, window.accepted, strict=True) if accepted and row[-1]
+    ]
     return IdentifiedPoles(
-        model.poles[kept],
-        model.residue[:, kept],
-        errors[0, kept],
-        errors[1, kept],
-        fitted.model_error if kept.any() else 0.0,
-        rejected,
-        natural[accepted & ~confirmed].tolist(),
+        poles[confirmed],
+        fitted.model.residue[:, confirmed],
+        errors[0, confirmed],
+        errors[1, confirmed],
+        fitted.model_error if confirmed.any() else 0.0,
+        window.rejected,
+        uncertain,
         fitted.measured.value,
     )
 
@@ -149,6 +197,8 @@ def no_poles(value: ComplexArray) -> IdentifiedPoles:
 def _largest_shares(fitted: FittedModes) -> Array:
     """Return the largest ratio over the responses of the peak of each mode to the local rms of the curve."""
     poles = fitted.model.poles
+    if not poles.size:
+        return np.zeros(0)
     # A single line may lie in an antiresonance.
     power = scipy.ndimage.uniform_filter1d(abs(fitted.measured.value) ** 2, _SHARE_LINES, axis=1, mode="nearest")
     lines = np.abs(fitted.measured.frequency[:, None] - abs(poles) / (2 * np.pi)).argmin(axis=0)

@@ -223,10 +223,10 @@ def _modes(results: Sequence[Measurement]) -> list[str]:
             ]
             sections += [
                 f"<h3>{escape_html(modes.label)}</h3>",
-                '<p class="test">Each shape is scaled so that its largest element is +1.</p>',
                 f'<div class="shapes">{"".join(drawings)}</div>',
             ]
-    return sections
+    scale = '<p class="test">Each shape is scaled so that its largest element is +1.</p>'
+    return [scale, *sections] if sections else []
 
 
 def _macs(results: Sequence[Measurement], first: Measurement) -> list[str]:

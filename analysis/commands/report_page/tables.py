@@ -237,9 +237,7 @@ def settings(measurement: Measurement) -> str:
         ("recorded by", f"shotrig {rec.metadata.get('run', {}).get('shotrig', '(unknown version)')}"),
         ("seed", str(scene.seed)),
     ]
-    facts_html = "".join(
-        f"<tr><th>{escape_html(key)}</th><td class='text'>{typeset(value)}</td></tr>" for key, value in facts
-    )
+    facts_html = "".join(f"<tr><th>{escape_html(key)}</th><td>{typeset(value)}</td></tr>" for key, value in facts)
     middle = _middle_frequency(measurement)
     channels = [
         (

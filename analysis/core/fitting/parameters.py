@@ -73,15 +73,15 @@ class Parameter:
         return self.quantity in ("restitution", "modal")
 
     def slope(self, value: float) -> float:
-        """Return the relative derivative of the value with respect to its unknown."""
+        """Return the derivative of the parameter's value with respect to its unknown, divided by the value."""
         return 1.0 - value if self.is_ratio_below_one else 1.0
 
     def unknown(self, value: float) -> float:
-        """Return the unknown of a value: its logarithm, or its logit for a ratio below 1."""
+        """Return the unknown of the fit for a value: its logarithm, or its logit for a ratio below 1."""
         return float(np.log(value / (1.0 - value)) if self.is_ratio_below_one else np.log(value))
 
     def value(self, unknown: float) -> float:
-        """Return the value of an unknown, which is its logarithm, or its logit for a ratio below 1."""
+        """Return the parameter's value for an unknown of the fit; inverse of `unknown`."""
         return float(expit(unknown) if self.is_ratio_below_one else np.exp(min(unknown, _MAX_UNKNOWN)))
 
 

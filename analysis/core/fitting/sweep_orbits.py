@@ -1,9 +1,9 @@
 """Steady response of a scene with moving dampers to sinusoidal excitation, from exact periodic orbits.
 
-A *periodic orbit* is a motion with impacts that repeats with the period of the excitation. The *reference* of the
-response is the force or the displacement of the shaker's table; its *level* is its amplitude, in N or m. A fit needs
-the orbit for a given level. The level that an electrodynamic shaker reaches at a *drive* voltage depends on the motion
-of the dampers, so the drive for a level is computed by the secant method.
+A *periodic orbit* is a motion with impacts that repeats after one or several periods of the excitation. The *reference*
+of the response is the force or the displacement of the shaker's table; its *level* is its amplitude, in N or m. A fit
+needs the orbit for a given level. The level that an electrodynamic shaker reaches at a *drive* voltage depends on the
+motion of the dampers, so the drive for a level is computed by the secant method.
 """
 
 from __future__ import annotations

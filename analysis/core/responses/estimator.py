@@ -53,7 +53,7 @@ class Blocks:
         return Blocks(**{name: getattr(self, name) for name in estimator_of(kind).options})
 
     def title(self, kind: str) -> str:
-        """Describe the estimate of a kind of recording in few words: H1 of blocks of 2 s, window hann."""
+        """Describe how responses are estimated from a kind of recording, such as "H1 of blocks of 2 s, window hann"."""
         own, own_estimator = self.for_kind(kind), estimator_of(kind)
         if own == Blocks():
             return own_estimator.title

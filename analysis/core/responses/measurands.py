@@ -139,7 +139,7 @@ def reference_of(rec: Recording, reference: str | Measurand) -> Measurand:
     if reference != "force":
         raise RecordingError(f"reference: got {reference!r}; expected 'force' or 'table'")
     forces = [info for info in rec.channels.values() if info.quantity == "force"]
-    # If there are several shakers, only one of them is driven.
+    # Of several force channels, that of the hammer or of the driven shaker is the reference.
     forces.sort(key=lambda info: info.at not in ("hammer", rec.scene.at_driven("shaker")))
     if forces:
         return force_of(forces[0].name)

@@ -216,7 +216,7 @@ def sweep_spectra(
 
 
 def _dampers_on_floor(rec: Recording, names: Sequence[str], frequency: Array, variances: Array) -> NDArray[np.bool_]:
-    """Return whether all dampers stay on their floors at each frequency, from the variances of the motion channels."""
+    """Return, for each frequency, whether all dampers stay on their floors, from the variances of motion channels."""
     on_floor = np.full(frequency.size, not rec.scene.joints)  # a stop may act at any acceleration
     infos = [rec.channels[name] for name in names]
     for damper in rec.scene.dampers:

@@ -217,7 +217,7 @@ def _mass_summary(frequency: float, level: float, clearance: float) -> list[str]
 
 
 def summary_row(scene: Scene, motion: SteadyBed) -> list[str]:
-    """Return the dimensionless measures of a motion, and its type.
+    """Return a row of the table: compliance, impulses, energy, landings and flight of a motion, and its type.
 
     Impulses are relative to the bed's weight times a period, energy to its weight times 1 mm. Landings are in degrees,
     flight is a share of the period. The compliance is the peak compliance of a body with `DAMPING` and

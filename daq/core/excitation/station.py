@@ -43,8 +43,8 @@ class Station:
     mark: Callable[..., Any]
     report: FractionProgress = lambda fraction, message: None  # reports the progress of the test
     warn: Callable[[str], None] = lambda message: None  # adds a warning that is shown after the test
-    # Delay of the converter's filter, samples, which is removed from the readings: the readings of a window begin this
-    # number of samples before its drive.
+    # Number of samples by which the readings lag behind the drive: the corrected delay of the converter's filter, and
+    # the length of a device's queue. With a window of the drive, the readings of samples that many earlier arrive.
     latency: int = 0
     now: int = 0  # index of the first sample of the next window
 

@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 SteadyT = TypeVar("SteadyT", bound="SteppedTest | PhaseResonance | Continuation")
 StepsT = TypeVar("StepsT", bound="SteppedTest")
 
-# The drive is extrapolated by at most this natural logarithm of its ratio to the last drive.
+# An extrapolated drive is used only if it is closer to the last drive than this (natural logarithm of their ratio);
+# otherwise the last drive is kept.
 _MAX_LOG_CHANGE = 0.2
 # The wait of a dwell has this fixed part, s, measured with the bundled scenes.
 _FIXED_WAIT_S = 1.4

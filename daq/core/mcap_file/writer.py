@@ -43,9 +43,9 @@ _CHUNK_INDEX = struct.Struct("<BQQQQQI")
 _POSITION = struct.Struct("<HQ")
 # Chunk: opcode, length, first and last time, size and checksum of the records, length of the compression's name.
 _CHUNK = struct.Struct("<BQQQQII")
-# After the map: size of all message indexes of the chunk in bytes, length of the compression's name.
+# Chunk index, after its map: total size of the chunk's message indexes in bytes, length of the compression's name.
 _CHUNK_INDEX_END = struct.Struct("<QI")
-# Sizes of the packed and unpacked records, bytes.
+# Sizes of the compressed and of the uncompressed records of a chunk, bytes.
 _SIZE, _SIZES = struct.Struct("<Q"), struct.Struct("<QQ")
 _FOOTER = struct.Struct("<BQQQ")
 

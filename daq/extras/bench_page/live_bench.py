@@ -189,8 +189,8 @@ class TestController:
         scene, shaker = self._scene, self._scene.driven_shaker
         if scene.shakers and (scene.hammer is not None or shaker is None or shaker.carries_structure):
             raise SceneError(
-                "the page computes no compliance for comparison if a shaker stays attached in an impact test, or if "
-                "the structure stands on a table. Remove the shaker."
+                "the page shows no theoretical compliance if a shaker stays attached in an impact test (remove the "
+                "shaker), if several shakers are driven (drive one), or if the structure stands on a table."
             )
         force = np.zeros(scene.structure.bodies)
         force[[body - 1 for body in scene.force_on]] = 1.0

@@ -37,9 +37,10 @@ _MIN_DWELL_SHARE = 0.3
 _SILENCE_RATIO = 0.05
 # Blocks at this distance scatter independently, although neighboring blocks share half of their samples.
 _INDEPENDENT_BLOCKS = 2
-# A channel is settled if it deviates from its mean by at most this multiple of its scatter.
+# A block is steady if no channel deviates from its mean by more than the larger of two limits. One limit is this
+# multiple of the channel's scatter.
 _STEADY_SIGMAS = 3.0
-# A block is settled if it deviates from the mean by at most this fraction of the tolerance.
+# The other limit is this fraction of the tolerance.
 _SETTLED_TOLERANCE_SHARE = 0.1
 # The last half of a segment is tested for steady state; if it is not steady, the last quarter.
 _FINAL_SHARES = (0.5, 0.25)

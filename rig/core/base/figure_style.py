@@ -81,7 +81,7 @@ _STYLE: Any = {
 
 
 def _load_matplotlib() -> Any:
-    """Import matplotlib; figures in files do not need the backend that MPLBACKEND states, which may be unknown."""
+    """Import matplotlib without the backend in MPLBACKEND: it may not be installed, and files do not need it."""
     if "matplotlib" not in sys.modules:
         backend = os.environ.pop("MPLBACKEND", None)
         import matplotlib

@@ -18,7 +18,7 @@ class Change:
     """One change of a scene."""
 
     key: str  # as written, with items numbered from 1
-    steps: KeyPath  # the key as keys and list positions from 0
+    steps: KeyPath  # path of the key: names, and list positions from 0
     value: Any  # new value
     option: str = ""  # command-line option of the change; empty from Python
 

@@ -223,7 +223,7 @@ def _line(event: Any) -> int:
 
 
 def _count_nodes(value: Any, limit: int) -> int:
-    """Count the values in nested content, at most up to `limit`."""
+    """Count the values in nested content; stop as soon as the count exceeds `limit`."""
     count, pending = 0, [value]
     while pending and count <= limit:
         node = pending.pop()

@@ -30,14 +30,16 @@ _ITERATIONS = 3
 # If neighboring lines have common errors, this number of independent lines on either side may contain the step, and is
 # omitted.
 _BLURRED_SIDE = 5
-# At a resonance, the ratio of such a step cannot be fitted. The step is then in a channel with a residual above the
-# first value, if the residuals of the other channels are below the second value, a fraction of this residual.
+# At a resonance, the gain ratio of such a step cannot be fitted. A channel then has a step if its relative residual
+# exceeds this limit, ...
 _MIN_BLURRED_RESIDUAL = 0.03
+# ... and the residuals of the other channels are below this fraction of its residual.
 _MAX_OTHER_RESIDUAL = 0.2
-# Root mean square of the relative residual with equal gains above which a step is sought.
+# A step is sought where the relative residual of a fit with equal gains has an rms above this limit.
 _MIN_RESIDUAL = 0.01
-# With the ratio of the gains, the residual must fall to this fraction, and below this value.
+# A fit with a gain ratio must reduce the rms residual to at most this fraction of the residual with equal gains, ...
 _MAX_REMAINING_FRACTION = 0.2
+# ... and below this limit.
 _MAX_REMAINING = 0.1
 # Smallest reported magnitude of the logarithm of the ratio, for linear and for nonlinear structures: about 10 % and 30
 # %. Curves with moving dampers are not rational: of 32 intact sweeps, three had ratios up to 0.21.

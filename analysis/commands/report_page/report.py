@@ -193,14 +193,14 @@ def _recording(measurement: Measurement, charts: ChartWriter, is_drawn: bool) ->
 
 def _test_description(measurement: Measurement) -> str:
     """Describe the test of a recording: excitation, lines, channels, duration and date."""
-    rec = measurement.rec
+    rec, count = measurement.rec, len(measurement.rec.channels)
     spacing = line_spacing(measurement.sweeps[0].frfs[0]) if measurement.sweeps else ""
     started = int(rec.metadata.get("daq", {}).get("start_ns", 0))
     # The clock of a simulated test begins at zero.
     date = f"; {datetime.fromtimestamp(1e-9 * started, UTC):%Y-%m-%d %H:%M} UTC" if started else ""
     return (
-        f"{test_sentence(rec.scene)}; {spacing and f'{spacing}; '}{len(rec.channels)} channels at {rec.rate:g} Hz, "
-        f"recorded for {rec.duration:.4g} s{date}."
+        f"{test_sentence(rec.scene)}; {spacing and f'{spacing}; '}{count} channel{'s' * (count != 1)} at "
+        f"{rec.rate:g} Hz, recorded for {rec.duration:.4g} s{date}."
     )
 
 

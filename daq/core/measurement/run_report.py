@@ -77,8 +77,9 @@ def summary(path: Path) -> str:
     import daq
 
     with daq.open(path) as rec:
+        channels = f"{len(rec.channels)} channel{'s' * (len(rec.channels) != 1)}"
         lines = [
-            f"{path}: {rec.samples} samples of {len(rec.channels)} channels, {rec.samples / rec.rate:.2f} s "
+            f"{path}: {rec.samples} samples of {channels}, {rec.samples / rec.rate:.2f} s "
             f"at {rec.rate:g} Hz, {path.stat().st_size / 1e6:.1f} MB",
             *_overloads(rec),
             *_clipped_drives(rec),
@@ -91,7 +92,8 @@ def summary(path: Path) -> str:
             frequencies = ""
             if any(unsteady):
                 frequencies = f", at {format_frequencies([fields['frequency'] for fields in tones], unsteady)}"
-            lines.append(f"not settled: {unsettled or 'none'} of {len(measured)} measurements{frequencies}")
+            count = f"not settled: {unsettled}" if unsettled else f"settled: {len(measured)}"
+            lines.append(f"{count} of {len(measured)} measurements{frequencies}")
         deviations = [mark for mark in rec.markers if mark.kind == "level"]
         if deviations:
             seconds = sum(mark.stop - mark.first_sample for mark in deviations) / rec.rate

@@ -61,11 +61,11 @@ class ChosenSignal:
 
 
 def choose_signals(
-    scene: Scene, signals: Sequence[Signal], table: Mapping[str, Column]
+    scene: Scene, signals: Sequence[Signal], table: Mapping[str, Column], requires_force: bool
 ) -> tuple[list[ChosenSignal], list[str]]:
     """Choose the signal of each channel of the scene, by the table or by name; also return notes on omitted signals.
 
-    Raises `SceneError` with all problems at once.
+    Raises `SceneError` with all problems at once, or if the test requires a force channel and none has a signal.
     """
     channels = channels_of(scene)
     names = [channel.name for channel in channels]
@@ -111,10 +111,17 @@ def choose_signals(
             f"no signal has the name of a channel of the scene ({', '.join(missing)}). The files contain\n"
             f"{listed}\nAssign signals in a channel table (`table`) with lines such as {EXAMPLE}"
         )
-    notes = [f"no signal for the channels {', '.join(missing)}: they are not recorded"] if missing else []
     unused = [signal.name for signal in signals if id(signal) not in channels_of_signal]
+    listed = ", ".join(f"{name}{_spelling_hint(name, unused)}" for name in missing)
+    notes = [f"channels without a signal, which are not recorded: {listed}"] if missing else []
     if unused:
         notes.append(f"omitted signals, for which the scene has no channel: {', '.join(unused)[:300]}")
+    if requires_force and not any(choice.channel.measures_force for choice in chosen):
+        raise SceneError(
+            "no channel measures a force, in which the impacts of the scene's test are detected.\n"
+            + "\n".join(f"  {note}" for note in notes)
+            + f"\nAssign the force in a channel table (`table`) with lines such as {EXAMPLE}"
+        )
     return chosen, notes
 
 
@@ -283,4 +290,4 @@ def _normalized(text: str) -> str:
 
 def _spelling_hint(name: str, names: Sequence[str]) -> str:
     hint = suggestion(name, names) if len(names) <= _MAX_COMPARED_NAMES else ""
-    return hint and f". {hint}"
+    return hint and f" ({hint})"

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from daq.core.excitation import procedure_of
+from daq.core.measurement.run import missing_force_reference
 from daq.core.recording.committed_file import locked
 from daq.core.recording.layout import MAX_VOLTS, require_ordered_times
 from daq.core.recording.recorder import Recorder
@@ -147,12 +148,15 @@ def import_files(
         signals = join_repetitions(files_of_signals) if is_joined else list(chain.from_iterable(files_of_signals))
         # This is checked after the files and the scene, because their errors are more helpful.
         resolve_output(target, overwrite, RecordingError)
-        chosen, notes = choose_signals(bench_scene, signals, columns)
+        requires_force = bench_scene.test is not None and _detection(bench_scene) == "hits"
+        chosen, notes = choose_signals(bench_scene, signals, columns, requires_force)
         notes += contradicted_units(chosen)
         if is_joined:
             notes.append(f"{len(paths)} files with the same signals are joined as impacts of one test")
         rate = _common_rate(chosen, bench_scene)
         assigned = _cut_to_times(_with_start_delays(assign(bench_scene, chosen, rate)), rate, from_s, to_s)
+        if warning := missing_force_reference(bench_scene, [assignment.info for assignment in assigned]):
+            notes.append(warning)
         longest = max(assignment.signal.samples for assignment in assigned)
         shorter = [
             f"{assignment.channel.name} ({assignment.signal.samples})"

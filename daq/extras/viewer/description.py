@@ -194,10 +194,10 @@ def _scene(recording: Recording) -> str:
 
 def markdown_page(recording: Recording, motion: RecordedMotion, view: RigView) -> str:
     """Describe a recording for a replay in Markdown: the test, the bench, and the drawing."""
-    scene, rate = recording.scene, recording.rate
+    scene, rate, count = recording.scene, recording.rate, len(recording.channels)
     lines = [
         f"# {escape_markdown(scene.name)}",
-        f"{recording.samples / rate:.3f} s at {rate:g} Hz, {len(recording.channels)} channels",
+        f"{recording.samples / rate:.3f} s at {rate:g} Hz, {count} channel{'s' * (count != 1)}",
         "",
         f"## Drawing: motion exaggerated {view.exaggeration:g} times",
         *[f"- {escape_markdown(source.point)}: {escape_markdown(source.sentence)}" for source in motion.sources],

@@ -190,5 +190,5 @@ class Scene(Settings):
             parts.append(f"{len(self.joints)} joint{'s' * (len(self.joints) > 1)}")
         parts += [f"shaker {shaker.kind}" for shaker in self.shakers]
         parts += [] if self.test is None else [f"test {self.test.kind}"]
-        parts += [] if self.channels is None else [f"{len(self.channels)} channels"]
+        parts += [] if self.channels is None else [f"{len(self.channels)} channel{'s' * (len(self.channels) != 1)}"]
         return f"{self.name}: {', '.join(parts)}"

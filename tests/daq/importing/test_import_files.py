@@ -578,6 +578,25 @@ def test_files_of_one_hit_are_joined(tmp_path):
     assert any("2 files with the same signals are joined as impacts of one test" in note for note in notes)
 
 
+def test_misspelled_force_of_hammer_is_an_error(tmp_path):
+    write_hit(tmp_path / "a.csv", 80.0)
+    text = (tmp_path / "a.csv").read_text()
+    (tmp_path / "a.csv").write_text(text.replace("hit [N]", "hti [N]"))
+    with pytest.raises(SceneError, match=r"no channel measures a force(.|\n)*hit \(Did you mean 'hti'\?\)"):
+        import_recording(tmp_path / "a.csv", hammer_scene(), tmp_path / "r.mcap")
+    assert not (tmp_path / "r.mcap").exists()
+
+
+def test_import_warns_of_missing_force_reference(tmp_path):
+    write_csv(tmp_path / "a.csv", random_samples(3000))
+    text = (tmp_path / "a.csv").read_text()
+    (tmp_path / "a.csv").write_text(text.replace("force", "forse"))
+    recording, notes = import_recording(tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap")
+    recording.close()
+    assert any("force (Did you mean 'forse'?)" in note for note in notes)
+    assert any("no channel measures the force on the structure" in note for note in notes)
+
+
 @pytest.mark.filterwarnings("ignore:.*has no heading")
 def test_force_and_response_may_have_separate_files(tmp_path):
     times = np.arange(2048) / 2048.0

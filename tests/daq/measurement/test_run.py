@@ -399,17 +399,28 @@ def test_ctrl_c_exits_with_130(
     assert f"{output}: " in printed.out and "aborted: interrupted" in printed.out
 
 
-def test_unsettled_steps_are_counted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("longest", "warning", "count"),
+    [
+        ("2 s", "warning: 1 of 1 dwells did not reach steady state", "\nnot settled: 1 of 1"),
+        ("60 s", "", "\nsettled: 1 of 1"),
+    ],
+)
+def test_settled_and_unsettled_steps_are_counted(
+    longest: str,
+    warning: str,
+    count: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     scene = rig.load("bare-structure").replace(
-        test={"kind": "stepped_sine", "frequencies": [13.0], "force": "2.6 N", "settle": {"longest": "2 s"}}
+        test={"kind": "stepped_sine", "frequencies": [13.0], "force": "2.6 N", "settle": {"longest": longest}}
     )
     (tmp_path / "a.yaml").write_text(scene.to_yaml())
     assert run_command(monkeypatch, "record", str(tmp_path / "a.yaml"), "-o", str(tmp_path / "a.mcap")) == 0
     printed = capsys.readouterr()
-    assert "warning: 1 of 1 dwells did not reach steady state" in printed.err
-    assert "not settled: 1 of 1 measurements" in printed.out
+    assert warning in printed.err and f"{count} measurements" in printed.out
 
 
 @pytest.mark.parametrize("block", [1, 3, 50])

@@ -192,34 +192,11 @@ def export(
     overwrite: bool = False,
     progress: CountProgress | None = None,
 ) -> list[str]:
-    """Write a segment of a recording in the format of the file name extension.
+    """Write a segment of a recording in the format of the file name extension; return messages for the user.
 
-    Parameters
-    ----------
-    segment : Slice
-        Channels and samples to write.
-    path : Path
-        Output file: ``.csv``, ``.npz``, ``.mat``, ``.wav``, ``.uff`` or ``.unv``.
-    speed : float
-        Playback speed factor; only for sound (.wav).
-    overwrite : bool
-        Whether an existing file with different content may be replaced.
-    progress : callable, optional
-        Called with (samples read, total).
-
-    Returns
-    -------
-    list of str
-        Messages for the user.
-
-    Raises
-    ------
-    SceneError
-        If the file name extension is unknown, the file exists, or the format cannot contain the segment.
-    RecordingError
-        If samples are lost and the format cannot represent lost samples, or if the recording is damaged.
-    RunError
-        If the file cannot be written, or the free disk space is too small.
+    The arguments are those of `analysis.export`. Raises `SceneError` if the extension is unknown, the file exists, or
+    the format cannot contain the segment. Raises `RecordingError` if the recording is damaged, or the format cannot
+    represent lost samples. Raises `RunError` if the file cannot be written.
     """
     kind = kind_of(path)
     if speed != 1.0 and kind != ".wav":

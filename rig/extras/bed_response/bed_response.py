@@ -113,28 +113,10 @@ def bed_response(
 ) -> BedResponse:
     """Simulate beds of grains at each frequency until their motion is steady, and each bed modeled as one mass.
 
-    The motion is steady when the compliances of two successive blocks of periods agree within 1 %. The result is the
-    mean of these blocks.
-
-    Parameters
-    ----------
-    scene : Scene, str, Path or mapping
-        A scene with a bed of grains that can move; its test specifies the level.
-    frequencies : sequence of float or str
-        Hz, or strings with units.
-    periods : int
-        Drive periods in a block.
-    table : Path, optional
-        CSV file that stores each computed frequency; stored frequencies of the same scene are not recomputed.
-    cluster, progress : optional
-        As for `rig.design`.
-
-    Raises
-    ------
-    SceneError
-        If no damper is a bed of grains that can move, or LAMMPS is not installed.
-    RunError
-        If the table cannot be read or written.
+    The result at each frequency is the mean of the two blocks of periods whose compliances agree within 1 %.
+    `frequencies`: Hz, or strings with units; the other arguments are those of `rig.grains`. Raises `SceneError` if no
+    damper is a bed of grains that can move, or LAMMPS is not installed. Raises `RunError` if the table cannot be read
+    or written.
     """
     scene, periods = scene_of(scene), count(periods, 1, "periods")
     requested = np.asarray(positive_values(frequencies, FREQUENCY, "frequencies"), dtype=np.float64)

@@ -137,14 +137,7 @@ class Cost(Result):
 def cost(scene: Scene, frequency: float | None, periods: int, report: Callable[[str], None] | None = None) -> Cost:
     """Measure error and CPU time of every method for a scene, or of every model of its moving beds of grains.
 
-    Parameters
-    ----------
-    frequency : float or None
-        Excitation frequency, Hz; None: see `rig.studies.cost.motion_study.default_frequency`.
-    periods : int
-        Length of the motion; grains are simulated until their motion is steady.
-    report : callable, optional
-        Called with the name of the next computation.
+    The arguments are those of `rig.cost`, the frequency in Hz. Grains are simulated until their motion is steady.
     """
     report = report or (lambda text: None)
     if spheres_of(scene):

@@ -91,3 +91,12 @@ def test_map_and_cost_are_results() -> None:
     axes = cost.plot()
     assert axes.get_xscale() == "log"
     plt.close(axes.figure)
+
+
+@pytest.mark.parametrize("kind", [{"kind": "swept_sine", "duration": "10 s"}, {"kind": "multisine", "lines": 50}])
+def test_response_of_band_spans_band(kind: dict[str, str]) -> None:
+    scene = rig.load("bare-structure").replace(test={"from": "8 Hz", "to": "20 Hz", "drive": "1 mm", **kind})
+    response = rig.response(scene, points=7)
+    assert response.frequency.tolist() == [8.0, 10.0, 12.0, 14.0, 16.0, 18.0, 20.0]
+    whole = rig.response(scene).frequency
+    assert (whole[0], whole[-1], whole.size) == (8.0, 20.0, 101)

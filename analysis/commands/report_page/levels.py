@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from analysis.commands.report_page.measurements import Measurement, SweepResults
 from analysis.commands.report_page.tables import MODE_SHIFT, table
+from analysis.core.damper_motion.dampers import Dampers
 from analysis.core.modal.mode_warnings import extrapolates_damping
 from analysis.core.recordings.names import sweep_name, without_common_direction
 from analysis.core.tracking.body_motion import LevelPoint, level_rows, quantity_ranges
-from rig.core.results import format_decimals, format_limited
+from rig.core.results import format_decimals, format_limited, format_number
 from rig.core.results.uncertainty import expand
 
 _CAPTION = (
@@ -26,24 +27,28 @@ def level_points(measurement: Measurement) -> dict[str, list[LevelPoint]]:
 
     The keys name the modes; a single mode has the key "".
     """
+    dampers: dict[str, list[Dampers]] = {}
     if measurement.tracked is not None:
-        groups = {"": measurement.tracked.level_points()}
-    else:
-        sweeps = [sweep for sweep in measurement.sweeps if sweep.modes is not None and sweep.modes.frequency.size]
-        if len(sweeps) < 2 or sweeps[0].modes is None:
-            return {}
-        levels = without_common_direction([sweep_name(sweep.label, measurement.label) for sweep in sweeps])
-        # All levels state the response that is highest at the first level.
-        ratios = ["" if highest is None else highest[0].ratio for highest in sweeps[0].peaks]
-        modes = sorted(zip(sweeps[0].modes.frequency.tolist(), ratios, strict=True))
-        groups = {
-            f"mode at {format_decimals(frequency, 2)} Hz" * (len(modes) > 1): [
-                _mode_point(measurement, sweep, level, frequency, ratio)
-                for sweep, level in zip(sweeps, levels, strict=True)
-            ]
-            for frequency, ratio in modes
-        }
-    return {title: [_with_energy(measurement, point) for point in points] for title, points in groups.items()}
+        for result in measurement.dampers:
+            dampers.setdefault(f"{format_number(result.sweep.level)} {measurement.tracked.unit}", []).append(result)
+        points = measurement.tracked.level_points()
+        return {"": [_with_energy(point, dampers.get(point.level, ())) for point in points]}
+    sweeps = [sweep for sweep in measurement.sweeps if sweep.modes is not None and sweep.modes.frequency.size]
+    if len(sweeps) < 2 or sweeps[0].modes is None:
+        return {}
+    for result in measurement.dampers:
+        dampers.setdefault(result.label, []).append(result)
+    levels = without_common_direction([sweep_name(sweep.label, measurement.label) for sweep in sweeps])
+    # All levels state the response that is highest at the first level.
+    ratios = ["" if highest is None else highest[0].ratio for highest in sweeps[0].peaks]
+    modes = sorted(zip(sweeps[0].modes.frequency.tolist(), ratios, strict=True))
+    return {
+        f"mode at {format_decimals(frequency, 2)} Hz" * (len(modes) > 1): [
+            _with_energy(_mode_point(measurement, sweep, level, frequency, ratio), dampers.get(sweep.label, ()))
+            for sweep, level in zip(sweeps, levels, strict=True)
+        ]
+        for frequency, ratio in modes
+    }
 
 
 def level_headline(measurement: Measurement, groups: Mapping[str, Sequence[LevelPoint]]) -> str:
@@ -114,15 +119,14 @@ def _mode_point(measurement: Measurement, sweep: SweepResults, level: str, refer
     return LevelPoint(level, excited_at, quantities, note)
 
 
-def _with_energy(measurement: Measurement, point: LevelPoint) -> LevelPoint:
-    """Add the share of the supplied energy that the dampers dissipate at the excitation frequency of a point."""
-    for result in measurement.dampers:
-        name, energy = f"{sweep_name(result.label, measurement.label)} ", result.energy
-        if name.startswith(f"{point.level} ") and energy is not None and np.isfinite(point.frequency):
-            line = int(np.argmin(abs(result.sweep.lines.frequency - point.frequency)))
-            percent, bound = (
-                100.0 * float(part[line] / energy.supplied[line]) for part in (energy.dampers, energy.bound)
-            )
-            share = {"energy in dampers / %": (percent, format_limited(percent, bound, 100.0))}
-            return point._replace(quantities={**point.quantities, **share})
+def _with_energy(point: LevelPoint, results: Iterable[Dampers]) -> LevelPoint:
+    """Add the share of the supplied energy that the dampers dissipate at the excitation frequency of a point.
+
+    `results`: results of the dampers in the sweeps at the level of the point.
+    """
+    for energy in (result.energy for result in results if result.energy is not None and np.isfinite(point.frequency)):
+        line = int(np.argmin(abs(energy.frequency - point.frequency)))
+        percent, bound = (100.0 * float(part[line] / energy.supplied[line]) for part in (energy.dampers, energy.bound))
+        share = {"energy in dampers / %": (percent, format_limited(percent, bound, 100.0))}
+        return point._replace(quantities={**point.quantities, **share})
     return point

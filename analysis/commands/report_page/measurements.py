@@ -186,7 +186,7 @@ class Measurements:
         has_damper_results = rec.test.kind.steady and rec.scene.dampers
         dampers = None
         if has_damper_results:
-            dampers = self._attempt(path, "Dampers", dampers_in, rec, progress=self.progress)
+            dampers = self._attempt(path, "Dampers", dampers_in, rec, label, self.progress)
         for sweep_dampers in dampers or ():
             self._warn(path, [*sweep_dampers.missing, *sweep_dampers.warnings])
         free_decay = None

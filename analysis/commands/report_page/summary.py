@@ -15,7 +15,7 @@ from analysis.commands.report_page.measurements import Measurement, SweepChange,
 from analysis.commands.report_page.tables import change_text, includes_sensors
 from analysis.core.damper_motion.dampers import Dampers
 from analysis.core.modal.mode_warnings import MAX_LINEAR_RESIDUAL
-from daq.core.recording.markers import describe_faulty_hits, hits_of
+from daq.core.recording.markers import faults_of_hits, hits_of
 from daq.core.recording.recorded_test import deviation_unit, shocks_of
 from rig.core.results import format_decimals, format_frequencies, format_limited, format_percent
 from rig.core.scene.excitation import FORCE_TOLERANCE
@@ -51,8 +51,7 @@ def limitations(measurements: Sequence[Measurement]) -> list[str]:
         )
         if residual > MAX_LINEAR_RESIDUAL:
             faults.append(f"the modes leave a residual of {format_percent(residual)} of the peak height")
-        faulty = describe_faulty_hits(rec.markers).removeprefix("Faulty impacts: ").removesuffix(".")
-        if faulty:
+        if faulty := faults_of_hits(rec.markers):
             count = len(hits_of(rec.markers))
             faults.append(f"of {count} impacts, {faulty}{'; clipped samples are omitted' * bool(rec.overloads)}")
         elif rec.overloads:

@@ -222,13 +222,22 @@ def faulty_hits(markers: Sequence[Marker], channels: Collection[str] | None = No
     return {number: " and ".join(faults[number]) for number in sorted(faults)}
 
 
-def describe_faulty_hits(markers: Sequence[Marker], channels: Collection[str] | None = None) -> str:
-    """Describe the result of `faulty_hits` in one sentence; an empty string without faults."""
+def faults_of_hits(markers: Sequence[Marker], channels: Collection[str] | None = None) -> str:
+    """List the result of `faulty_hits` as text, equal faults together; an empty string without faults.
+
+    >>> faults_of_hits([Marker("hit", 100 * n, 100 * n + 9, {"double": n > 1}) for n in range(4)])
+    'impacts 3, 4 double'
+    """
     faults: dict[str, list[str]] = {}
     for number, text in faulty_hits(markers, channels).items():
         faults.setdefault(text, []).append(str(number))
-    texts = [f"impact{'s' * (len(hits) > 1)} {', '.join(hits)} {text}" for text, hits in faults.items()]
-    return f"Faulty impacts: {'; '.join(texts)}." if texts else ""
+    return "; ".join(f"impact{'s' * (len(hits) > 1)} {', '.join(hits)} {text}" for text, hits in faults.items())
+
+
+def describe_faulty_hits(markers: Sequence[Marker], channels: Collection[str] | None = None) -> str:
+    """Describe the result of `faulty_hits` in one sentence; an empty string without faults."""
+    faults = faults_of_hits(markers, channels)
+    return f"Faulty impacts: {faults}." if faults else ""
 
 
 def gaps_of(markers: Iterable[Marker], channels: Sequence[str]) -> list[Gap]:

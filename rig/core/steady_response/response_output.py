@@ -18,6 +18,8 @@ from rig.core.steady_response.frequency_response import SteadyResponse
 _NEGLIGIBLE_ERROR = 1e-4
 # Maximum number of listed peaks with few frequencies.
 _MAX_LISTED = 8
+# Number of frequencies in a band without a number of tones.
+_POINTS = 101
 _GIVE_BAND = "Give `first` and `last`."
 
 
@@ -26,14 +28,17 @@ def sweep_frequencies(
 ) -> tuple[tuple[float, ...], str]:
     """Return ascending frequencies in Hz and the direction ("up", "down" or "both").
 
-    An argument that is None has the value of the scene's test; without one, `points` is 101 and `direction` is "up".
-    Raises `SceneError` if neither the arguments nor the test specify the frequencies.
+    An argument that is None has the value of the scene's test: its tones, or 101 frequencies in its band. Without a
+    value, `points` is 101 and `direction` is "up". Raises `SceneError` if neither the arguments nor the test specify
+    the frequencies.
     """
     test = scene.test
+    tones = () if test is None else test.tones(_POINTS)
     if any(value is not None for value in (first, last, points)):
-        test_first, test_last, test_points = (None, None, None) if test is None else test.range_of_dwells
+        test_first, test_last = (None, None) if test is None or test.band is None else test.band
         first, last = test_first if first is None else first, test_last if last is None else last
-        points = count(points if points is not None else test_points or 101, 2, "points")
+        default = len(tones) if len(tones) > 1 else _POINTS
+        points = count(default if points is None else points, 2, "points")
         if first is None or last is None:
             missing = "`first`" if first is None else "`last`"
             raise SceneError(f"frequencies: {missing} is missing. {_GIVE_BAND}")
@@ -43,8 +48,8 @@ def sweep_frequencies(
                 "above 0, first the lower value"
             )
         return spaced_frequencies(first, last, points, "linear"), direction or "up"
-    if test is not None and test.dwells:
-        return tuple(sorted(set(test.dwells))), direction or test.sweep_direction
+    if test is not None and tones:
+        return tones, direction or test.sweep_direction
     raise SceneError(f"scene {scene.name!r}: the test has no frequencies. {_GIVE_BAND}")
 
 

@@ -665,3 +665,13 @@ def test_heights_before_and_after_have_equal_digits() -> None:
 
 def test_page_has_no_folder(page: Path, recordings: list[Path]) -> None:
     assert str(recordings[0].parent) not in page.read_text("utf-8")
+
+
+def test_levels_of_equal_scenes_state_dissipated_energy(tmp_path: Path) -> None:
+    band = {"test.from": "46 Hz", "test.to": "53 Hz", "test.points": 12}
+    scene = rig.load("fig8-one-damper", {**band, "test.force": ["50 mN", "2.6 N"], "test.settle.tolerance": "2 %"})
+    path = daq.record(scene, tmp_path / "a.mcap")
+    shutil.copy(path, tmp_path / "b.mcap")
+    page = text_of(write_report([path, tmp_path / "b.mcap"], tmp_path / "a.html").files[0])
+    shares = re.findall(r'<td data-label="energy in dampers.*?">(.*?)</td>', page)
+    assert len(shares) == 4 and all(shares) and shares[:2] == shares[2:]

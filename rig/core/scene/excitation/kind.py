@@ -190,11 +190,6 @@ class KindOfTest(Settings):
         return "up"
 
     @property
-    def range_of_dwells(self) -> tuple[float | None, float | None, int | None]:
-        """Lowest and highest frequency (Hz) and number of evenly spaced dwells; None if the test does not give it."""
-        return None, None, None
-
-    @property
     def steady_state(self) -> Settle:
         """Criterion for the steady state of a tone."""
         return Settle()

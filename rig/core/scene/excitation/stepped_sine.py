@@ -99,11 +99,6 @@ class SteppedTest(KindOfTest):
         return self.direction
 
     @property
-    def range_of_dwells(self) -> tuple[float | None, float | None, int | None]:
-        """First and last frequency (Hz) and number of frequencies."""
-        return self.from_, self.to, self.points
-
-    @property
     def steady_state(self) -> Settle:
         """Criterion for the steady state of a dwell."""
         steady_state: Settle = self.settle

@@ -53,7 +53,11 @@ class Blocks:
         return Blocks(**{name: getattr(self, name) for name in estimator_of(kind).options})
 
     def title(self, kind: str) -> str:
-        """Describe how responses are estimated from a kind of recording, such as "H1 of blocks of 2 s, window hann"."""
+        """Describe how responses are estimated from a kind of recording, in few words.
+
+        >>> Blocks(block=2.0).title("random"), Blocks().title("hits")
+        ('H1 of blocks of 2 s, window hann', 'local rational method')
+        """
         own, own_estimator = self.for_kind(kind), estimator_of(kind)
         if own == Blocks():
             return own_estimator.title

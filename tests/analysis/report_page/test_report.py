@@ -262,6 +262,12 @@ def test_missing_result_is_a_warning(tmp_path: Path) -> None:
     assert any("not available" in warning for warning in result.warnings)
 
 
+def test_foot_of_paper_names_any_file(tmp_path: Path) -> None:
+    path = synthetic.stepped_sine(tmp_path / 'a"<b>.mcap', [20.0, 21.0, 22.0], name="few")
+    page = text_of(write_report([path], tmp_path).files[0])
+    assert '@bottom-left { content: "a\\22 \\3c b\\3e \\2e mcap' in page
+
+
 def test_report_of_shock_shows_its_pulse(tmp_path: Path) -> None:
     path = daq.record(rig.load("shaker-table-shock"), tmp_path / "shock.mcap")
     result = write_report([path], tmp_path)

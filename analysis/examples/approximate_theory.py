@@ -4,8 +4,8 @@ Approximate theory: Types I to III
 
 Inoue, Yokomichi and Hiraki (2011) reduce the structure to one mode and predict three types of periodic motion.
 
-Type I: the damper flies and lands on the floor. Type II: it also hits the ceiling and leaves it at once. Type III: it
-stays at the ceiling for a while. Exact orbits of the full structure show the accuracy of the reduction.
+Type I: the damper flies and lands on the floor. Type II: it also hits the ceiling and leaves it immediately. Type III:
+it stays at the ceiling for a while. Exact orbits of the full structure show the accuracy of the reduction.
 """
 
 # %%

@@ -1,4 +1,4 @@
-"""Compile the machine code of the simulation and of the measuring chain in advance, in two processes."""
+"""Compilation of the machine code of the simulation and of the measuring chain in advance, in two processes."""
 
 from __future__ import annotations
 

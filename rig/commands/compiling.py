@@ -1,4 +1,4 @@
-"""Compile machine code in advance, so that the first result on a machine is not delayed."""
+"""Compilation of machine code in advance, so that the first result on a machine is not delayed."""
 
 from __future__ import annotations
 

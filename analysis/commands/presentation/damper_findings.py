@@ -131,7 +131,7 @@ def detection_limits(bodies: Sequence[list[DamperMotion]]) -> str:
 
 
 def _motion_rows(motions: list[DamperMotion], omitted: Sequence[float]) -> list[tuple[str, str, str]]:
-    """Return the rows of one body: each kind of motion with its frequencies; dampers at rest come last."""
+    """Return the rows of one body: each type of motion with its frequencies; dampers at rest come last."""
     kind_at_frequency = [(motion.frequency, _kind(motion)) for motion in motions] + [(f, "") for f in omitted]
     kinds = dict.fromkeys(kind for _, kind in kind_at_frequency if kind)
     if len(kinds) - (_AT_REST in kinds) > _MAX_KINDS:
@@ -156,7 +156,7 @@ def _restitution(motions: list[DamperMotion]) -> list[str]:
     value = np.array([estimate.value for estimate in estimates])
     weight = np.array([estimate.error**-2.0 for estimate in estimates])
     mean = float(np.sum(weight * value) / weight.sum())
-    # Errors of the sensor and of the fitted velocity jumps are common to all frequencies, so that averaging does not
+    # Errors of the sensor and of the fitted velocity jumps are common to all frequencies, so averaging does not
     # reduce them. The stated uncertainty is at least the observed scatter.
     scatter = float(np.sqrt(np.sum(weight * (value - mean) ** 2) / weight.sum() / max(len(estimates) - 1, 1)))
     expanded = float(expand(max(float(weight.mean() ** -0.5), scatter)))

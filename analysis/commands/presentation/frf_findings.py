@@ -265,7 +265,7 @@ def _by_ratio(curves: Sequence[Response]) -> list[list[Response]]:
 def _jump_marks(curves: Sequence[Response]) -> list[tuple[float, str]]:
     """List the jumps of curves, without duplicates, for stepped and swept tests and for files, whose test is unknown.
 
-    In other tests, the level does not depend on the frequency, so that dampers do not change to another branch at one
+    In other tests, the level does not depend on the frequency, so dampers do not change to another branch at one
     frequency.
     """
     jumping = [curve for curve in curves if estimator_of(curve.test).jumps]

@@ -108,7 +108,7 @@ def _modal_chart(result: Backbone) -> Chart:
 
 
 def _bars(part: CurvePart, x: Array, y: Array, bound: Array) -> Curve:
-    """Return the points of a part with their intervals; unstable points are hollow."""
+    """Return the points of a part of the curve with their intervals; unstable points are hollow."""
     x, y, bound = x[part.selected], y[part.selected], bound[part.selected]
     return Curve(part.name, x, y, y - bound, y + bound, part.style, "dots" if part.is_stable else "circles")
 

@@ -123,7 +123,7 @@ class Measurement:
     profile: ProfileCheck | None = None
     # Followed curves and resonances have points at frequencies that the controller chose, and no sweeps.
     tracked: AmplitudeCurve | Backbone | None = None
-    # Of the control channel and the bodies, for the first shock.
+    # Shock response spectra of the control channel and of the bodies, for the first shock.
     spectra: tuple[ShockSpectrum, ...] = ()
 
 

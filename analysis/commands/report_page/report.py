@@ -1,4 +1,4 @@
-"""Write the report page: summary, results, settings, warnings and the commands that reproduce it."""
+"""The report page: summary, results, settings, warnings and the commands that reproduce it."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
         damping_force = damping @ motion
         supplied.append(np.pi * np.sum(orders * np.imag(force * driven_motion.conj())))
         structure.append(np.sum(dissipation_factor * np.sum(motion.conj() * damping_force, axis=0).real))
-        # Gradients with respect to the amplitudes of the channels, shape (channels, harmonics).
+        # Gradients of supplied and dissipated energy with respect to the channels' amplitudes, (channels, harmonics).
         supplied_gradient = np.pi / 2j * orders * (driven_row.conj() * force - force_row.conj() * driven_motion)
         structure_gradient = dissipation_factor * np.einsum("bck,bk->ck", motion_rows.conj(), damping_force)
         gradients.append(supplied_gradient - structure_gradient)

@@ -308,7 +308,7 @@ class _FloorMotion:
         while sample < last and (falling := np.flatnonzero(self.apparent_gravity[sample:last] < 0.0)).size:
             release, delay = sample + int(falling[0]), 0.0
             if release > sample:
-                # The damper left between two samples, at the interpolated zero of `apparent_gravity`.
+                # The damper left its floor between two samples, at the interpolated zero of `apparent_gravity`.
                 before, after = self.apparent_gravity[release - 1 : release + 1]
                 delay = after / (after - before) / self.rate
             start = self.position[release] - self.speed[release] * delay - 0.5 * self.gravity * delay**2

@@ -2,8 +2,8 @@
 
 A damper moves in a cavity of its body, between floor and ceiling. The types are those of Inoue, Yokomichi and Hiraki
 (2011). Riding: at rest on the floor. Type I: one floor impact per period. Types II and III: one impact on each of floor
-and ceiling per period; the damper leaves the ceiling at once (II), or stays there until the acceleration of the body
-rises to -g (III). Other patterns are described by their numbers of impacts.
+and ceiling per period; the damper leaves the ceiling immediately (II), or stays there until the acceleration of the
+body rises to -g (III). Other patterns are described by their numbers of impacts.
 """
 
 from dataclasses import dataclass, replace
@@ -145,7 +145,7 @@ def _motion_in_window(motion: BodyMotion, numbers: list[int], frequency: float, 
     is_at_ceiling = detected.wall == "ceiling"
     begin, end = motion.start / rate, (motion.start + motion.samples.size) / rate
     pattern_periods = _recurrence_periods(detected, frequency, begin, end) if detected.time.size else 1
-    # Without a pattern, impacts may have been missed, so that free flights cannot be identified.
+    # Without a pattern, impacts may have been missed, so free flights cannot be identified.
     estimate = restitution(motion, dampers[0]) if len(dampers) == 1 and pattern_periods else None
     stays_at_ceiling = None
     if is_at_ceiling.any():

@@ -120,7 +120,7 @@ class Fit(Result):
     variance : float
         Mean square of the residuals in standard deviations: at most about 1 where the stated errors explain them.
     misfit : str
-        Reason why the scene does not fit the recordings, so that no value is determined; "" if it fits.
+        Reason why the scene does not fit the recordings and no value is determined; "" if it fits.
     together : tuple of str
         Sentences on clearances that are not reached, and on values that the recordings determine only in combination.
     warnings : tuple of str
@@ -142,7 +142,7 @@ class Fit(Result):
     def __getitem__(self, key: str) -> Fitted:
         """Return a value by its key, such as ``structure.masses.board`` or ``structure.masses[1]``."""
         by_key = {value.key: value for value in self.parameters}
-        # A mass of a named body has its number as a second key.
+        # The mass of a named body is also found by the number of the body.
         names = enumerate(self.scene.structure.names or (), 1)
         named_key = {f"structure.masses[{number}]": f"structure.masses.{name}" for number, name in names}.get(key, key)
         if named_key not in by_key:

@@ -122,12 +122,12 @@ class Estimator:
     """Estimator of the responses of one kind of recording."""
 
     compute: Callable[[Request], list[Response]]  # returns the response of each sweep, or of the test
-    method: str  # description, for messages
-    title: str  # description in few words, for figures
+    method: str  # description of the estimator, for messages
+    title: str  # short description of the estimator, for figures
     options: frozenset[str] = frozenset()  # fields of `Blocks` that have an effect
     window: str = "none"  # default window of blocks
     jumps: bool = False  # whether the motion may change to another branch at one frequency
-    # Whether the lines are values of local models of a much finer spectrum, so that fewer lines resolve a peak.
+    # Whether the lines are values of local models of a much finer spectrum; fewer lines then resolve a peak.
     resolves_between_lines: bool = False
     # Returns the parts of the test with equal excitation, between which the gain of a channel is compared; None if
     # there are none.

@@ -200,7 +200,7 @@ class _SeveralInputs:
     outputs: ComplexArray  # readings of all response channels, shape (lines, rows, outputs)
 
     def conditioned(self) -> tuple[ComplexArray, ComplexArray]:
-        """Return response and reference without the parts that are coherent with the other inputs."""
+        """Return response and reference without their components that are coherent with the other inputs."""
         q, _ = np.linalg.qr(self.inputs[:, :, 1:])
         both: ComplexArray = np.stack([self.response, self.inputs[:, :, 0]], axis=2)
         both -= q @ (q.conj().swapaxes(1, 2) @ both)
@@ -296,7 +296,7 @@ def square_root(matrices: ComplexArray) -> ComplexArray:
 
 
 class _Averages:
-    """Mean of the spectral matrices of blocks, as a factor of few rows: the blocks or the channels."""
+    """Mean spectral matrix of blocks as a factor S: element (i, j) is the sum of S_i conj(S_j) over the rows of S."""
 
     def __init__(self, n_rows: int, n_channels: int, n_lines: int, purpose: str) -> None:
         # Size of the factor and its copies, or of the matrices from which the factor is computed.
@@ -315,7 +315,7 @@ class _Averages:
         self._count += 1
 
     def factor(self) -> ComplexArray:
-        """Return the factor of the mean, shape (rows, channels, lines)."""
+        """Return the factor S of the mean spectral matrix, shape (rows, channels, lines); rows: blocks or channels."""
         n_rows, n_channels, n_lines = self._rows.shape
         if n_rows == n_channels:
             for first in range(0, n_lines, _FACTORED_LINES):

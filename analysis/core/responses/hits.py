@@ -33,7 +33,7 @@ _NOISE_PARTS = 16
 _MAX_REST_RATIO = 2e-3
 # Motion is detected if the estimate exceeds its noise by this number of standard deviations.
 _DETECTION_SIGMAS = 4.0
-# The largest force within the marker of an impact must be at least this fraction of the force until the next impact.
+# Smallest accepted ratio of the largest force within an impact's marker to the largest force until the next impact.
 _MIN_MARKED_RATIO = 0.5
 # A rebound of the hammer is detected if its force is at least this fraction of the force within the marker.
 _MIN_REBOUND_RATIO = 0.05
@@ -169,11 +169,11 @@ class Hits:
         return isolated
 
     def force_noise(self, rec: Recording, segments: Sequence[tuple[int, int]], frequency: Array) -> ComplexArray:
-        """Compute the relative change of the force due to noise during the impacts, shape (lines, parts).
+        """Compute the relative change of the force due to noise during the impacts, shape (lines, sections).
 
-        Each part is the noise of one of several successive parts of the force window, times an independent normal
-        coefficient of variance 1. The noise of a short window changes slowly from line to line, so the scatter between
-        lines does not show it. Over a peak it changes nevertheless, and therefore shifts a pole.
+        The force window is divided into successive sections. The noise of each section is multiplied by an independent
+        normal coefficient of variance 1. The noise of a short window changes slowly from line to line, so the scatter
+        between lines does not show it. Over a peak it changes nevertheless, and therefore shifts a pole.
         """
         info = rec.channels[self.channel]
         n_after, n_taper = samples_after_hit(info)

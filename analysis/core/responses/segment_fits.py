@@ -163,11 +163,11 @@ class SegmentFits:
 
     @property
     def _max_hits(self) -> int:
-        """Return the maximum number of impacts that are fitted at once; the last channel is the force."""
+        """Return the maximum number of impacts that are fitted together; the last channel is the force."""
         return min(max(_MAX_RESIDUALS // max(len(self.channels) - 1, 1), 1), _MAX_HITS)
 
     def _split_at_hits(self, segments: list[tuple[int, int]], rate: float) -> tuple[list[tuple[int, int]], list[str]]:
-        """Split segments before impacts, so that no segment has more impacts or samples than can be fitted at once.
+        """Split segments before impacts, so that no segment has more impacts or samples than one fit can include.
 
         The vibration that remains from earlier impacts is a transient of the fit.
         """
@@ -200,7 +200,7 @@ class SegmentFits:
         return parts, [note] if is_cut else []
 
     def _groups(self, segments: Sequence[tuple[int, int]]) -> list[list[tuple[int, int]]]:
-        """Join segments with impacts to groups that are fitted at once."""
+        """Join segments with impacts to groups; each group is fitted together."""
         assert self.hits is not None
         groups: list[list[tuple[int, int]]] = []
         n_hits = n_samples = 0

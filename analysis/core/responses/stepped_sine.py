@@ -1,9 +1,9 @@
 """Stepped sine and constant tones: lock-in detection of the tone in every measured window.
 
 A *window* is a measured interval of a tone. A tone, its harmonics, an offset and a slope are fitted to the window by
-least squares. Tones that were driven at once have the same window; each tone is fitted after the other tones are
-subtracted. The window is split into *parts* of whole periods, whose scatter determines the uncertainty. A *sweep* is a
-pass through the frequencies at one *level* (nominal amplitude of the force or drive) in one *direction*, up or down.
+least squares. Simultaneous tones have the same window; each tone is fitted after the other tones are subtracted. The
+window is split into *parts* of whole periods, whose scatter determines the uncertainty. A *sweep* is a pass through the
+frequencies at one *level* (nominal amplitude of the force or drive) in one *direction*, up or down.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -60,7 +60,7 @@ class ToneFit:
     noise: Array
 
     def scatter(self) -> ComplexArray:
-        """Compute the square-root factor of the covariance of the tone's amplitudes, shape (parts, channels)."""
+        """Compute a square-root factor of the covariance of the tone's amplitudes, shape (parts, channels)."""
         count = len(self.parts)
         if count < 2:
             return np.full(self.parts.shape, np.nan, dtype=complex)
@@ -346,7 +346,7 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
     for marker in markers:
         stop = rec.samples if marker.last_sample is None else marker.stop
         windows.append((int(marker.first_sample), min(stop, rec.samples)))
-    # Frequencies of the tones that were driven at once, by their common window.
+    # Frequencies of simultaneous tones, by their common window.
     simultaneous: dict[tuple[int, int], list[float]] = {}
     for marker, window in zip(markers, windows, strict=True):
         simultaneous.setdefault(window, []).append(float(marker.fields["frequency"]))
@@ -413,7 +413,7 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
 
 
 def _ordered(points: list[_Point]) -> list[_Point]:
-    """Return points in the order of the test, or of ascending frequency if tones were driven at once."""
+    """Return points in the order of the test, or of ascending frequency if tones were driven simultaneously."""
     if len({point.window for point in points}) == len(points):
         return points
     return sorted(points, key=lambda point: point.tone.frequency)

@@ -65,7 +65,7 @@ class SweptTone:
     sweep_rate: Array  # Hz/s; shape (lines,)
     label: str
     warnings: tuple[str, ...]
-    # lines at which all dampers stay on their floors, so that the structure is linear; shape (lines,)
+    # lines at which all dampers stay on their floors and the structure is linear; shape (lines,)
     on_floor: NDArray[np.bool_]
     omitted: Array  # frequencies without a line, Hz
     shared: float = 1.0  # number of neighboring lines with a common error

@@ -169,7 +169,7 @@ def srs(
     segment = Slice.of(rec, [info.name], from_s, to_s)
     require_memory(8.0 * _COPIES * (segment.stop - segment.start), "a shock response spectrum of this segment")
     samples, warnings = _finite(rec, segment.read_channel(info.name))
-    # The oscillators are at rest before the segment, so that an offset would be a step.
+    # The oscillators are at rest before the segment, so an offset would be a step.
     samples = samples - np.median(samples)
     responds_to_constant = abs(info.response(0.0)) > 0.5 * abs(info.response(first))
     lower_limit = 0.0 if responds_to_constant and info.derivative in (2, None) else _CORRECTED_RATIO * first
@@ -182,7 +182,7 @@ def srs(
     frequency = octave_frequencies(first, last, per_octave)
     largest, smallest = shock_response(acceleration, rec.rate, frequency, q)
     unit = "m/s²" if info.derivative is not None else info.unit
-    # The response after the motion crosses zero, so that neither spectrum is negative.
+    # The response after the motion crosses zero, so neither spectrum is negative.
     positive, negative = np.maximum(largest, 0.0), np.maximum(-smallest, 0.0)
     return ShockSpectrum(info.name, rec.scene.name, unit, q, frequency, positive, negative, warnings)
 

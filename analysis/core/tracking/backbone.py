@@ -1,6 +1,6 @@
 """Backbone of a resonance: natural frequency and damping ratio against amplitude, from a phase-resonance test.
 
-At phase resonance the force supplies the dissipated power P, so that the damping ratio is D = P / (w0 w^2 a^2) with the
+At phase resonance the force supplies the dissipated power P, so the damping ratio is D = P / (w0 w^2 a^2) with the
 modal amplitude a of mass-normalized modes. P is the power of the tone; the power of the harmonics is zero for a force
 shaker, and neglected for a coil spring. (M. Scheel, S. Peter, R. I. Leine, M. Krack, J. Sound Vib. 435 (2018) 56.)
 

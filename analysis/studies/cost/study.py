@@ -196,7 +196,7 @@ def _test(scene: Scene, frequencies: tuple[float, ...]) -> SteppedSine:
 class _Bench:
     """Records and analyzes variants of a scene; recordings are made in `folder`.
 
-    `linear`: whether the scene has no moving dampers, so that its exact compliance is the reference.
+    `linear`: whether the scene has no moving dampers; its exact compliance is then the reference.
     """
 
     def __init__(self, folder: Path, linear: bool) -> None:

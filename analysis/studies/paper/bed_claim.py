@@ -86,7 +86,7 @@ def bed_claim(parts: Parts, consequences: Sequence[Claim]) -> Claim:
 
 
 def deviation(beds: Columns, name: str) -> NDArray[np.float64]:
-    """Compute the relative deviation of grains from the mass, shape (settings,); NaN for negligible values."""
+    """Compute the relative deviation of a bed of grains from the single mass, shape (settings,); NaN if negligible."""
     return _relative_to_mass(beds[f"grains_{name}"] - beds[f"mass_{name}"], beds[f"mass_{name}"])
 
 

@@ -2,7 +2,7 @@
 
 A bed is the granular material in the cavity of a damper. The bed is simulated as grains by discrete elements, and as
 a single mass without rebound, the model of Inoue, Yokomichi, Hiraki (2011). The bed is in a body a thousand times
-as heavy, so that both simulations have the same motion of the body. The body vibrates at 50 Hz, near the paper's third
+as heavy, so both simulations have the same motion of the body. The body vibrates at 50 Hz, near the paper's third
 resonance, or at its first or second resonance. The parameters are its acceleration (*level*), the clearance and the
 depth. A narrow cavity with few grains and a smooth side represents a section of a wide bed. The dissipated energy
 yields the compliance at resonance of a body ten times as heavy as its bed. The package contains the results; `analysis

@@ -36,7 +36,7 @@ def region_of_c2(parts: Parts) -> Figure:
 
 
 def holds_c2(parts: Parts) -> np.ndarray:
-    """Return the cells in which all parts of claim C2 are true.
+    """Return the cells of the scan in which all statements of claim C2 are true.
 
     The peak ratio is 2.5 to 4. One damper shows Type III. Three dampers show Types I and II, and at the peak only these
     types or rest.

@@ -143,7 +143,7 @@ def _compare_weightings(parts: Parts) -> str:
 
 
 def command(parts: Sequence[str]) -> str:
-    """Return the command that recomputes some parts and rewrites the page and its figures."""
+    """Return the command that recomputes some parts of the reproduction and rewrites the page and its figures."""
     return " ".join([COMMAND, *(f"--fresh {name}" for name in dict.fromkeys(parts))])
 
 

@@ -2,7 +2,7 @@
 
 A resonance curve of a nonlinear structure can turn back in frequency (fold). Between two folds the motion is unstable
 at constant force, and an open-loop test jumps past it. Here feedback holds the displacement amplitude
-(`envelope_control`). In steady state the drive of the feedback is constant, so that the held motion is also a motion at
+(`envelope_control`). In steady state the drive of the feedback is constant, so the held motion is also a motion at
 constant force.
 
 A point of the curve has two unknowns, frequency and displacement amplitude, and one equation: the measured force equals
@@ -76,8 +76,9 @@ _JUMP_RATIO = 2.0
 _MAX_RETURN_DEVIATION = 0.05
 # Lengths of the steps over a gap in the curve, in units of the length of a step.
 _LEAPS = 1.0, 2.0, 4.0
-# Behind a corner, the frequency changes by this fraction of a step, and at most by this number of changes.
+# Behind a corner of the curve, the frequency changes by this fraction of a step at a time.
 _CORNER_RATIO = 0.25
+# Largest number of these changes.
 _MAX_CORNER_STEPS = 12
 # Feedback that changes the drive by more than this fraction (rms) indicates a motion that does not repeat.
 _MAX_INVASIVE = 0.01
@@ -116,7 +117,7 @@ class _CurveTone(EnvelopeTone):
         self._is_flank = True  # until feedback begins
 
     def _add(self, motion: complex, drive: complex, samples: int) -> None:
-        """Do nothing: the mode depends on the amplitude, so that transients do not determine it (see `_learn_gain`)."""
+        """Do nothing: the mode depends on the amplitude, so transients do not determine it (see `_learn_gain`)."""
 
     def _learn_gain(self) -> None:
         """Estimate the input gain b and the pole s of the mode by least squares.

@@ -99,7 +99,7 @@ class _PhaseTone(SteadyTone):
         return False, windows[-1].force if windows else 0j
 
     def measure_phase(self, samples: int) -> Generator[Array, Array, _Window]:
-        """Hold the tone for at least a number of samples, and return the amplitudes."""
+        """Hold the tone for whole periods, at least `samples` samples, and return the amplitudes."""
         return (yield from self.window_of(whole_periods(self.frequency, self.rate, samples / self.rate)))
 
 

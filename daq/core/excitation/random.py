@@ -130,7 +130,7 @@ class RandomProcedure(Procedure["Random"]):
         return np.full(frequency.size, 1.0 / np.sqrt(test.to - test.from_))
 
     def extension(self, test: Random, seconds: float) -> float:
-        """Return the growth of the expected maximum of a Gaussian process from a part to the whole test."""
+        """Return the expected maximum of the whole test over that of its first `seconds`, for Gaussian noise."""
         # The expected maximum grows with sqrt(log(number of zero crossings)).
         crossings_per_s = test.from_ + test.to
         log_whole, log_part = (np.log(max(crossings_per_s * time, 3.0)) for time in (test.duration, seconds))

@@ -195,7 +195,7 @@ class RandomControlProcedure(Procedure["RandomControl"]):
         return 1.0 / test.resolution
 
     def extension(self, test: RandomControl, seconds: float) -> float:
-        """Return the growth of the expected maximum of a Gaussian process from a part to the whole test."""
+        """Return the expected maximum of the whole test over that of its first `seconds`, for Gaussian noise."""
         crossings_per_s = sum(test.band)
         log_whole, log_part = (np.log(max(crossings_per_s * time, 3.0)) for time in (test.duration, seconds))
         return float(max(np.sqrt(log_whole / log_part), 1.0))

@@ -302,7 +302,7 @@ class SineControlProcedure(Procedure["SineControl"]):
         return _PERIOD_CPU_S * (test.from_ + test.to) / 2.0 * test.duration
 
     def part(self, test: SineControl, seconds: float, scene: Scene) -> SineControl:
-        """Return the part of the sweep about the first resonance, at the same rate."""
+        """Return a shorter sweep over the first resonance, at the same sweep rate."""
         low, high = test.band
         inside = [f for f in structural_model(scene).modes.frequency.tolist() if low < f < high]
         fractions = np.linspace(0.0, 1.0, 1001)

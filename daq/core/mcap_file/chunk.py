@@ -1,4 +1,4 @@
-"""Unpacks and parses the chunks of an MCAP file; sizes are bounded, checksums verified.
+"""Chunks of an MCAP file: decompression and parsing, with bounded sizes and verified checksums.
 
 A chunk is a compressed sequence of records: messages, and the schemas and channels that they require.
 """
@@ -31,7 +31,7 @@ MESSAGE_HEAD = struct.Struct("<HIQQ")
 
 
 class Damage(Exception):
-    """Damage of a part of a file; callers that know the file raise it as a `RecordingError`."""
+    """Damage of a file; callers that know the path of the file convert this error to a `RecordingError`."""
 
 
 class StoredMessage(NamedTuple):

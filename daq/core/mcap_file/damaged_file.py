@@ -1,4 +1,4 @@
-"""Reads the intact parts of an MCAP file that is truncated or damaged, record by record, without its summary.
+"""The intact parts of an MCAP file that is truncated or damaged, read record by record, without its summary.
 
 Only records with a checksum are used: chunks, attachments, and the metadata records of shotrig's recordings. If the
 length of a record is damaged, the file is searched for the next consistent record.
@@ -50,15 +50,15 @@ _CHECKED_BYTES = 64
 _ATTACHMENT_HEAD = struct.Struct("<QQI")
 _DATA_SIZE = struct.Struct("<Q")
 _CHECKSUM_BYTES = 4
-# Limit of the total size of verified records that no other record follows: this number of bytes plus this multiple of
-# the file's size.
+# Records that no other record follows are verified up to a total size: a constant in bytes, plus a multiple of the
+# file's size.
 _MAX_UNCONFIRMED_BYTES = 1 << 26
 _MAX_UNCONFIRMED_RATIO = 8
 
 
 @dataclass(frozen=True)
 class Intact:
-    """A part of the file whose checksum is right: the records of a chunk, a metadata record, or an attachment."""
+    """Content of the file with a right checksum: the records of a chunk, a metadata record, or an attachment."""
 
     content: memoryview | Metadata | Attachment
     stored_bytes: int  # size in the file
@@ -101,7 +101,7 @@ class DamagedFile:
             return memoryview(b"")
 
     def parts(self) -> Iterator[Intact | Unreadable]:
-        """Yield the parts of the data section in order, up to its end or the end of the file."""
+        """Yield intact and unreadable parts of the data section in order, up to its end or the end of the file."""
         position = len(MAGIC)
         if self._read(0, position) != MAGIC:
             position = self._next_record(0)

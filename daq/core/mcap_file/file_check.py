@@ -1,4 +1,4 @@
-"""Checks the checksum of every record of an MCAP file (https://mcap.dev/spec), and its agreement with other records.
+"""Check of every record of an MCAP file (https://mcap.dev/spec): its checksum, and its agreement with other records.
 
 MCAP has checksums for chunks, attachments and the summary. Records without a checksum are compared with the data that
 they repeat: message indexes and the times of a chunk with the messages of the chunk, the summary with the file. Two

@@ -1,4 +1,4 @@
-"""Reads an MCAP file that was closed properly; the summary at its end gives the positions of all records.
+"""Reader of an MCAP file that was closed properly; the summary at its end gives the positions of all records.
 
 Chunks, metadata and attachments are read on request. Every length is limited, every checksum verified.
 """

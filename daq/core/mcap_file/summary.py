@@ -1,4 +1,4 @@
-"""Parses the records of an MCAP file outside its chunks, and the summary at its end.
+"""The records of an MCAP file outside its chunks, and the summary at its end.
 
 The summary repeats schemas and channels, and has an index of every chunk, metadata record and attachment.
 """

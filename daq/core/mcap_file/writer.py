@@ -1,4 +1,4 @@
-"""Writes an MCAP file chunk by chunk; the caller chooses the content of each chunk.
+"""Writer of an MCAP file, chunk by chunk; the caller chooses the content of each chunk.
 
 https://mcap.dev/spec describes the records. The writer of the package mcap encodes messages one by one. This is too
 slow for display data, which has about a thousand small messages per second. This writer encodes and indexes messages of

@@ -1,4 +1,4 @@
-"""Runs a test of a scene on any device that plays volts and returns readings, such as NI hardware with nidaqmx.
+"""The test of a scene on any device that plays volts and returns readings, such as NI hardware with nidaqmx.
 
 A device outputs samples from a queue. A new drive therefore takes effect only after the samples that wait in the queue.
 The readings of a window begin earlier than its drive, as with the delay of a converter's filter (`Station.latency`).

@@ -1,4 +1,4 @@
-"""Estimates the duration, samples, disk space and memory of a test, and rejects an impossible test before it runs."""
+"""Duration, samples, disk space and memory of a test, estimated before it runs; an impossible test is rejected."""
 
 import shutil
 from dataclasses import dataclass

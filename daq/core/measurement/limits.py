@@ -1,4 +1,4 @@
-"""Monitors the limits of the channels: marks overloads and alarms, and detects when a test must end.
+"""Monitor of the limits of the channels: it marks overloads and alarms, and detects when a test must end.
 
 A marker is an entry of a recording that names an interval of samples and its kind, such as "overload" or "alarm".
 """

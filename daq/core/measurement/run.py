@@ -1,4 +1,4 @@
-"""Runs the test of a scene on its bench and records it: `daq.record`."""
+"""The test of a scene, run on its bench and recorded: `daq.record`."""
 
 from __future__ import annotations
 

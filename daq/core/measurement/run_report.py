@@ -1,4 +1,4 @@
-"""Shows the progress of a test during `daq record`, and its summary at the end."""
+"""Progress of a test during `daq record`, and its summary at the end."""
 
 from __future__ import annotations
 

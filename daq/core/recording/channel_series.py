@@ -1,4 +1,4 @@
-"""Read the samples of one topic of a recording by sample index.
+"""The samples of one topic of a recording, read by sample index.
 
 A topic contains the samples of a channel, or of a true motion, as blocks in compressed chunks. Only the chunks that are
 needed are decoded.

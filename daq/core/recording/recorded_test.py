@@ -31,8 +31,8 @@ class TestKind(StrEnum):
     __test__ = False  # not a test for pytest
 
     TONES = "tones"
-    """Tones in steady state, one at a time or several at once: sine, stepped sine, and the manually set tone of `daq
-    bench`. Markers `measure`, one for each tone (for several tones at once, over the same samples): frequency (Hz),
+    """Tones in steady state, one at a time or simultaneously: sine, stepped sine, and the manually set tone of `daq
+    bench`. Markers `measure`, one for each tone (for simultaneous tones, over the same samples): frequency (Hz),
     level, drive, settled; with several sweeps also direction."""
     SWEEP = "sweep"
     """One tone whose frequency changes slowly and steadily. Markers `measure`: from and to (Hz), spacing, duration,

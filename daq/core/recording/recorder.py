@@ -1,4 +1,4 @@
-"""Write a recording: an MCAP file that is readable up to its last commit, even after a crash.
+"""Recorder: writes an MCAP file that is readable up to its last commit, even after a crash.
 
 A commit writes a group of samples (about half a second), with its markers, to the disk.
 """

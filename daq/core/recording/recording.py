@@ -1,4 +1,4 @@
-"""Read a recording: its channels in physical units, its markers, and its scene."""
+"""Reader of a recording: its channels in physical units, its markers, and its scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Make a complete recording from the intact parts of an incomplete or damaged file, and list the lost samples.
+"""Recovery of a complete recording from the intact parts of an incomplete or damaged file; lost samples are listed.
 
 An incomplete recording lacks its end, for example because the process was killed. A part of a file is a chunk of
 messages or a single record; it is intact if its checksum is right.

@@ -1,4 +1,4 @@
-"""Describe the rig for general MCAP viewers as a robot (URDF); FrameTransforms in the recording move its parts.
+"""Description of the rig for general MCAP viewers as a robot (URDF); FrameTransforms in the recording move its parts.
 
 The parts have the sizes and positions of `daq.core.drawing.stack`; springs are not drawn. Every displacement and gap is
 multiplied by a factor, the exaggeration, which is chosen before the motion is known.

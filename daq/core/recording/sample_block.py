@@ -1,4 +1,4 @@
-"""Encode and decode a block of samples of one channel as a protobuf message."""
+"""Block of samples of one channel as a protobuf message."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Collect samples that arrive in arrays of any length into groups on a fixed grid of sample indices.
+"""Groups of samples on a fixed grid of sample indices, collected from arrays of any length.
 
 A cell of the grid contains the sample indices from one multiple of the group length to the next. The bytes of a
 recording depend on the grid only, not on the lengths of the arrays.

@@ -1,4 +1,4 @@
-"""Collect the true motion of the rig for a recording, and create the topics of this motion.
+"""The true motion of the rig in a recording, and the topics of this motion.
 
 The truth is the simulated motion itself, which no sensor measures (true quantity values, VIM 2.11).
 """
@@ -66,7 +66,7 @@ class Truth:
         self._n_events = 0
         # The last groups of displacements and gaps, by group number.
         self._recent_groups: dict[int, Group] = {}
-        # Rows of displacements and gaps in the first stream.
+        # Rows of the displacements and the gaps in the stream of real numbers.
         self._position_rows = np.r_[
             :points, len(MOTION_QUANTITIES) * points : len(MOTION_QUANTITIES) * points + dampers
         ]
@@ -134,7 +134,7 @@ class Truth:
         return messages
 
     def positions(self, samples: NDArray[np.int64]) -> Array:
-        """Return displacements of points and gaps of dampers at the next samples, m, shape (parts, samples).
+        """Return displacements of points and gaps of dampers at the next samples, m, shape (points + dampers, samples).
 
         Samples outside the last groups repeat the previous value.
         """

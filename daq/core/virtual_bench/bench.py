@@ -1,6 +1,6 @@
 """The virtual bench of a scene: the simulated rig (plant), and its channels sampled at one or several rates.
 
-A tick is a time step of the bench. The drive has a value at each tick, or at each sample of the converter.
+The drive has a value at each tick (time step of the bench), or at each sample of the converter.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Resamples the motion of the plant from ticks (time steps of the bench) to the instants of another rate."""
+"""Motion of the plant, resampled from ticks (time steps of the bench) to the instants of another rate."""
 
 from dataclasses import replace
 from fractions import Fraction

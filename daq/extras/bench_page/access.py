@@ -1,4 +1,4 @@
-"""Restricts a web page to browsers with a token, and limits the number of connections.
+"""Access to a web page, only for browsers with a token; the number of connections is limited.
 
 The address of the first request contains the token; later requests contain it in a cookie. Browsers send the cookie to
 all ports of a host. Requests of pages from other origins are therefore rejected.

@@ -42,8 +42,9 @@ _MAX_BLOCK_S = 4.0
 # For NI clients, the band of the frequency response ends at the sample rate divided by this number, as usual with
 # anti-aliasing filters.
 _NYQUIST_MARGIN = 2.56
-# The window of an impact lasts at most this time, and the next impact begins at least this time after a window, s.
+# Longest window of an impact, s.
 _MAX_HIT_S = 4.0
+# Shortest pause from the end of a window to the next impact, s.
 _MIN_PAUSE_S = 0.1
 # Lowest frequency of the response to impacts, periods per window. Below it, the low cutoff of the sensors dominates.
 _MIN_PERIODS_PER_WINDOW = 4.0

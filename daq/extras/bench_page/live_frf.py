@@ -1,4 +1,4 @@
-"""Estimate frequency responses during a test: H1 and coherence, averaged over impacts or over Hann-windowed blocks.
+"""Frequency responses during a test: H1 and coherence, averaged over impacts or over Hann-windowed blocks.
 
 Successive blocks overlap by half. A line is estimated from the blocks in which the test excited it; other lines remain
 empty. The estimate is a quick view for the operator. `analysis frf` estimates the response from the recording, with its

@@ -1,4 +1,4 @@
-"""Collects the data that the page shows: time histories, spectra, overloads, drive and motion.
+"""The data that the page shows: time histories, spectra, overloads, drive and motion.
 
 A block contains the samples of one short acquisition. A separate thread processes the blocks. The listener only queues
 the blocks, so that acquisition never waits for the page. If the queue is full, blocks are not shown; recordings have

@@ -1,4 +1,4 @@
-"""Draw the rig for browsers (SVG), and convert its motion to translations of the parts of the drawing."""
+"""Drawing of the rig for browsers (SVG), and the translations of its parts from the motion."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class RigDrawing:
         """
         extremes = Extremes().extended_by(motion, self._shaker_bodies)
         view = RigView(self._scene, extremes, gaps_known=motion.gap is not None)
-        # The exaggeration decreases at once with growing motion, and increases only by more than a factor of 4.
+        # The exaggeration decreases immediately with growing motion, and increases only by more than a factor of 4.
         if view.exaggeration < self._exaggeration or view.exaggeration > 4 * self._exaggeration:
             self._exaggeration = view.exaggeration
             self.svg = self._draw(view)

@@ -1,4 +1,4 @@
-"""Read signals from files of named arrays: numpy's .npz and .npy, MATLAB's .mat.
+"""Signals from files of named arrays: numpy's .npz and .npy, MATLAB's .mat.
 
 An array contains samples, times, or a setting such as the sample rate, according to its size and its name.
 """

@@ -1,4 +1,4 @@
-"""Assign the signals of files to the channels of a scene, and determine the factor from their numbers to volts."""
+"""Assignment of the signals of files to the channels of a scene, and the factor from their numbers to volts."""
 
 import re
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Read the table of an import, a YAML or CSV file: the column of each channel in the files, and its unit."""
+"""The table of an import, a YAML or CSV file: the column of each channel in the files, and its unit."""
 
 import csv
 import math
@@ -41,7 +41,7 @@ _KEYS = [field.name for field in fields(Column)]
 
 
 def read_table(path: Path) -> dict[str, Column]:
-    """Read a YAML or CSV table into a column for each channel name; raise `SceneError` with all problems at once."""
+    """Read a YAML or CSV table into a column for each channel name; raise one `SceneError` with all problems."""
     try:
         text = read_file(path).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:

@@ -1,4 +1,4 @@
-"""Estimate the sample clock of an imported file: its rate, and where rows are missing.
+"""The sample clock of an imported file: its rate, and where rows are missing.
 
 Programs round the sample interval and the times that they write. The rate is the number with the fewest digits that
 agrees with these rounded values.
@@ -129,7 +129,7 @@ def missing_rows(times: Iterable[Array], resolution: float) -> list[MissingRows]
     """Return (row, number of rows missing before it) for each gap in times.
 
     `times` are blocks of times in s, rounded to `resolution` (s). The list is empty if the other times are unevenly
-    spaced, so that the size of a gap is unknown, or if more rows are missing than present.
+    spaced (the size of a gap is then unknown), or if more rows are missing than present.
 
     >>> missing_rows([np.array([0.0, 0.1, 0.2, 0.5, 0.6])], 0.0)
     [(3, 2)]

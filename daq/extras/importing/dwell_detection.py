@@ -1,4 +1,4 @@
-"""Detect the dwells of a sine or stepped-sine test in an imported file, which has no markers."""
+"""Detection of the dwells of a sine or stepped-sine test in an imported file, which has no markers."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace

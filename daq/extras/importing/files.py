@@ -1,4 +1,4 @@
-"""List the signals of a file of another program, with the reader that its suffix selects."""
+"""The signals of a file of another program, listed by the reader that its suffix selects."""
 
 from collections.abc import Callable
 from contextlib import ExitStack

@@ -1,4 +1,4 @@
-"""Read signals from another program's MCAP file: topics whose messages contain numbers.
+"""Signals from another program's MCAP file: topics whose messages contain numbers.
 
 MCAP is a container of messages on topics. Messages in JSON, in protobuf, and ROS 2's arrays of numbers are decoded.
 """

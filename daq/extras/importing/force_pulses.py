@@ -1,4 +1,4 @@
-"""Detect hammer impacts in the force channel of an imported file, which has no markers."""
+"""Detection of hammer impacts in the force channel of an imported file, which has no markers."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""Make a recording from time histories that were measured with other programs."""
+"""Recording made from time histories that were measured with other programs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Read MATLAB files in a child process, because a damaged file can crash scipy's reader.
+"""Reader of MATLAB files in a child process, because a damaged file can crash scipy's reader.
 
 This module is also the program of the child process: it writes the variables of the file to standard output, pickled.
 Its arguments are the file and the allowed memory in bytes.

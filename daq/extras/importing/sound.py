@@ -1,4 +1,4 @@
-"""Read the tracks of a sound file (WAV, RF64, W64, FLAC, AIFF, CAF) with soundfile; samples are read when needed."""
+"""The tracks of a sound file (WAV, RF64, W64, FLAC, AIFF, CAF), read with soundfile; samples are read when needed."""
 
 from contextlib import ExitStack
 from functools import lru_cache

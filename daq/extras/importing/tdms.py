@@ -1,4 +1,4 @@
-"""Read the channels of a TDMS file, the format of LabVIEW and NI's drivers; samples are read when needed."""
+"""The channels of a TDMS file, the format of LabVIEW and NI's drivers; samples are read when needed."""
 
 from __future__ import annotations
 

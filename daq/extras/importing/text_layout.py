@@ -1,4 +1,4 @@
-"""Detect the layout of a text table: encoding, delimiter, decimal mark, and the names and units in its heading.
+"""Layout of a text table: encoding, delimiter, decimal mark, and the names and units in its heading.
 
 LabVIEW's text tables (.lvm) have a heading with names, units, clocks, and the columns that contain times (NI,
 "Specification for the LabVIEW Measurement File (.lvm)", 2022). Each line has a key, and a cell for each channel. The

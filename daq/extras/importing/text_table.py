@@ -1,4 +1,4 @@
-"""Read the columns of a text table, separated by commas, semicolons, tabs or blanks, with or without a heading."""
+"""The columns of a text table, separated by commas, semicolons, tabs or blanks, with or without a heading."""
 
 import re
 from collections.abc import Iterator, Sequence

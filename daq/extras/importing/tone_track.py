@@ -1,4 +1,4 @@
-"""Track the strongest tone of a reference channel block by block: frequency, phase, amplitude, and ratios to it.
+"""Track of the strongest tone of a reference channel, block by block: frequency, phase, amplitude, and ratios to it.
 
 The frequency is interpolated between the lines of a Hann-windowed spectrum.
 """

@@ -1,4 +1,4 @@
-"""Read functions (data sets 58 and 58b) of Universal Files with pyuff: time histories and frequency responses."""
+"""Functions (data sets 58 and 58b) of Universal Files, read with pyuff: time histories and frequency responses."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence

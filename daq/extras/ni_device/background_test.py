@@ -1,7 +1,4 @@
-"""Runs the test of a scene on the bench while no client drives the outputs.
-
-A tick is a time step of the bench.
-"""
+"""The test of a scene, run on the bench while no client drives the outputs."""
 
 import warnings
 from collections.abc import Callable

@@ -10,7 +10,7 @@ Only the clock determines when the next ticks are due. A call that must wait (a 
 * `RealClock`: a thread keeps the bench at wall-clock time, with or without waiting calls. The buffer of a slow
   reader overflows as with hardware.
 * `ManualClock`: time passes when `ManualClock.advance` is called. A call that waits for future samples times out
-  at once, because no other thread can provide them.
+  immediately, because no other thread can provide them.
 """
 
 import logging
@@ -132,8 +132,8 @@ class Clock:
         """Wait until `ready` is true; return whether it became true before the timeout.
 
         The caller holds the lock of the bench. `ticks_needed` returns a lower bound of the ticks until `ready` can be
-        true; the bench advances by at most this number at once. `timeout` is bench time in s: 0 checks once, a negative
-        timeout is infinite.
+        true; one step of the bench is at most this number of ticks. `timeout` is bench time in s: 0 checks once, a
+        negative timeout is infinite.
         """
         return ready()
 

@@ -1,4 +1,4 @@
-"""Connects a chassis to the bench of a scene: creates its modules, its clock and its terminals."""
+"""Connection of a chassis to the bench of a scene: its modules, its clock and its terminals."""
 
 import os
 from collections.abc import Sequence

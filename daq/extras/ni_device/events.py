@@ -103,7 +103,7 @@ class Events:
             listener(None)
 
     def begin(self) -> None:
-        """Reset the numbers of sent events at the start of a run."""
+        """Reset the counts of sent events at the start of a run."""
         self._n_sent = 0  # every-N-samples events
         self._n_signaled = 0  # samples whose signals have been sent
         self._was_done_sent = False

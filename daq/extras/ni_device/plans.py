@@ -1,4 +1,4 @@
-"""Checks the settings of a task and converts them into the plan of an acquisition (inputs) or generation (outputs).
+"""Plan of an acquisition (inputs) or generation (outputs), from the checked settings of a task.
 
 A plan has all settings of a run, including its triggers.
 """
@@ -75,7 +75,7 @@ def check_timing(task: TaskSettings) -> None:
                 f"{', '.join(f'{rate:g}' for rate in sorted(rates))} S/s. Use several tasks, or a rate "
                 "that all modules support."
             )
-        _ = task.samples_per_channel  # This raises an error for fewer than 2 samples.
+        _ = task.samples_per_channel  # The property raises an error for fewer than 2 samples.
         if task.direction == "ai" and task.input_buffer_size < 1:
             raise invalid_value("in_stream.input_buf_size is 0. Give 1 or more samples.")
     for name in ("start_trig_output_term", "ref_trig_output_term", "samp_clk_output_term"):

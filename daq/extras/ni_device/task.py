@@ -1,7 +1,7 @@
 """Tasks of clients, as in NI-DAQmx: settings (channels, timing, triggers, streams), states, reads and writes.
 
 A run lasts from the start of a task to its stop. Only a task with a sample clock has runs; without a sample clock, each
-read or write takes its samples at once (on demand).
+read or write takes its samples immediately (on demand).
 """
 
 from collections.abc import Callable, Iterator, Mapping

@@ -1,7 +1,7 @@
 """The input of a task: its acquisition, its log, and the reads that wait for samples.
 
 The acquisition stores samples in a buffer, the log in a file. The read position is the index of the sample that the
-next read returns first. A tick is a time step of the bench.
+next read returns first.
 """
 
 from __future__ import annotations
@@ -167,7 +167,7 @@ class TaskInput:
             )
 
     def read_on_demand(self, indices: Sequence[int], out: NDArray[Any], timeout: float, raw: bool) -> ReadResult:
-        """Acquire samples at once, at the rate of the bench; see `_collect`."""
+        """Acquire samples immediately, at the rate of the bench; see `_collect`."""
         chassis = self._chassis
         chassis.set_conditioning(self._task, self._settings.channels)
         plan = input_plan(self._settings, chassis.bench, None, None, on_demand=out.shape[1])

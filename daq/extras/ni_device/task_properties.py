@@ -83,7 +83,7 @@ def set_value(task: Task, group: str, name: str, value: Any) -> None:
 
 
 def set_values(task: Task, group: str, **settings: Any) -> None:
-    """Change several settings of a group at once."""
+    """Change several settings of a group."""
     for name, value in settings.items():
         set_value(task, group, name, value)
 

@@ -1,7 +1,6 @@
-"""Connects the bench of a scene to the instrument: output voltages, input conditioning, and the scene's test.
+"""Connection of the bench of a scene to the instrument: output voltages, input conditioning, and the scene's test.
 
-Conditioning is the coupling (AC or DC) of an input and the supply current of its sensor. A tick is a time step of the
-bench.
+Conditioning is the coupling (AC or DC) of an input and the supply current of its sensor.
 """
 
 from __future__ import annotations
@@ -35,15 +34,15 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
 
-# Maximum number of ticks by which the bench advances at once.
+# Maximum number of ticks in one step of the bench.
 _MAX_BLOCK_TICKS = 4096
 
 
 class Terminals:
     """The interface between a bench and its instrument.
 
-    A tick is a time step of the bench, short enough for the fastest module. The motion and the samples therefore do not
-    depend on which tasks run.
+    The tick is short enough for the fastest module. The motion and the samples therefore do not depend on which tasks
+    run.
     """
 
     def __init__(self, scene: Scene) -> None:

@@ -1,4 +1,4 @@
-"""Describes the server to clients in other languages: reflection service and health service."""
+"""Description of the server for clients in other languages: reflection service and health service."""
 
 from collections.abc import Callable
 from typing import Any

@@ -1,4 +1,4 @@
-"""Runs a script for NI's client with the rig as its hardware: `daq run`."""
+"""Script for NI's client, run with the rig as its hardware: `daq run`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Serves a rig to other processes and computers: `daq serve`."""
+"""Server of a rig for other processes and computers: `daq serve`."""
 
 from __future__ import annotations
 

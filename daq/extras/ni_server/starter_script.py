@@ -1,4 +1,4 @@
-"""Writes an example script that reads the inputs of a bench, and reports sensors without excitation current."""
+"""Example script that reads the inputs of a bench; sensors without excitation current are reported."""
 
 import math
 import sys

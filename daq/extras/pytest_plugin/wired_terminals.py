@@ -1,7 +1,7 @@
 """Terminals of a bench without mechanics: each input reads the voltage of a wired output, of a source, or 0 V.
 
 A wire is ideal: an input reads the voltage of the output at the same instant. The inputs have the range, the resolution
-and the coupling of their module, but no noise and no filter. A tick is the time step of the bench.
+and the coupling of their module, but no noise and no filter.
 """
 
 import math
@@ -20,7 +20,7 @@ from daq.extras.ni_device.settings.channels import Channel
 from daq.extras.ni_device.values import Coupling
 from daq.extras.pytest_plugin.description import WiredBench
 
-# Maximum number of ticks by which the bench advances at once.
+# Maximum number of ticks in one step of the bench.
 _MAX_BLOCK_TICKS = 1 << 16
 # Corner frequency of inputs with AC coupling, Hz, as that of an NI 9234.
 _AC_CORNER_HZ = 0.5

@@ -87,7 +87,7 @@ def layout(
         line_grid=False,
         eye_controls=rrb.EyeControls3D(position=position, look_target=target, eye_up=(0, 0, 1)),
     )
-    # The lanes of a state timeline have a fixed height, so that the height of their view must grow with their number.
+    # The lanes of a state timeline have a fixed height, so the height of their view must grow with their number.
     left_column = rrb.Vertical(rig, phase_view, notes, row_shares=[1.5, 0.27 + 0.13 * overloaded_count, 1.0])
     return rrb.Blueprint(
         rrb.Horizontal(left_column, rrb.Vertical(*right_column, row_shares=row_heights), column_shares=[1.0, 1.35]),

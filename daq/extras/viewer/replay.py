@@ -31,7 +31,7 @@ _MAX_FRAMES_PER_S = 1000.0
 _MIN_FRAMES_PER_S = 100.0
 # Modes below this frequency, Hz, such as rigid-body modes, do not determine the time range of the plots.
 _MIN_MODE_HZ = 1.0
-# A column is a few pixels wide, so that the envelopes of noise do not hide each other.
+# A column is a few pixels wide; the envelopes of noise do not hide each other.
 _ENVELOPE_COLUMNS = 300
 # The frame rate is reduced above this number of frames.
 _MAX_FRAMES = 60_000

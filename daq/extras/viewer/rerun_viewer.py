@@ -1,4 +1,4 @@
-"""Start the viewer of rerun-sdk, which draws replays: in a window, in a browser, or without a display for a picture.
+"""The viewer of rerun-sdk, which draws replays: in a window, in a browser, or without a display for a picture.
 
 The viewer receives data and commands on a port of 127.0.0.1. Its parent is a guard, a process that ends the viewer when
 the pipe from this process is closed, even if this process is killed. The guard starts the viewer's binary, not the
@@ -63,8 +63,9 @@ sys.exit(code)
 _MAX_LOAD_S = 300.0
 # Interval between checks of the viewer's state, s.
 _POLL_S = 0.1
-# A picture is complete when it has been unchanged for this time, s, and for this multiple of its drawing time.
+# A picture is complete when it has been unchanged for two times. The first time, s:
 _MIN_UNCHANGED_S = 2.0
+# The second time, as a multiple of the time in which the picture is drawn.
 _MIN_UNCHANGED_DRAWINGS = 5
 # Size of the pictures that are compared for changes, points.
 _COMPARED_POINTS = 800

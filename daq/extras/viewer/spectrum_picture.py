@@ -43,7 +43,7 @@ class _Estimate(NamedTuple):
     combine: Callable[[Array, Array, int], Array]
 
 
-# The values of `TestKind.spectrum`.
+# Estimate of the spectrum for each value of `TestKind.spectrum`.
 _ESTIMATES = {
     "amplitude": _Estimate(
         "amplitude, peak hold, Hann", "UNIT", 1, True,

@@ -1,4 +1,4 @@
-"""Sends the curves of channels and dampers, and the motion of the rig, to a viewer, block by block."""
+"""Stream of the curves of channels and dampers, and of the motion of the rig, to a viewer, block by block."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class CurveSender:
         self._last_contact: list[int] = [-1] * len(dampers)
 
         def curve_style(color: tuple[int, int, int], name: str) -> rr.SeriesLines:
-            # By default, the viewer averages the samples in a pixel, so that a tone of high frequency would vanish.
+            # By default, the viewer averages the samples in a pixel, so a tone of high frequency would vanish.
             return rr.SeriesLines(colors=[color], names=[name], widths=[1.2], aggregation_policy="MinMax")
 
         for name, info in channels.items():

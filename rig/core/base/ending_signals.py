@@ -1,4 +1,4 @@
-"""Handle signals that end a command, such as Ctrl-C: open files are closed, and a file being written is completed."""
+"""Signals that end a command, such as Ctrl-C: open files are closed, and a file being written is completed."""
 
 import signal
 import threading

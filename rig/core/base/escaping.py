@@ -1,4 +1,4 @@
-"""Escape text from files for terminals, pages and figures, so that it is displayed and not executed.
+"""Escaping of text from files for terminals, pages and figures: the text is displayed, not executed.
 
 Names, notes and reasons in a scene or recording are untrusted text.
 """

@@ -195,7 +195,7 @@ class StoredValues(Generic[Piece, Value]):
 
     def _append(self, *rows: Sequence[object]) -> None:
         """Add rows to the table, which another process may have removed."""
-        # The rows are written at once: after an interruption they are complete or missing, unless the disk is full.
+        # One call writes all rows: after an interruption they are complete or missing, unless the disk is full.
         if self._path is not None:
             with self._path.open("a", newline="", encoding="utf-8") as file:
                 file.write(csv_text([*([] if file.tell() else [self.study.columns]), *rows]))

@@ -63,7 +63,7 @@ class Explanation(Result):
 
     @property
     def states(self) -> dict[str, int]:
-        """Number of states in each part."""
+        """Number of states in each part of the signal path."""
         total: dict[str, int] = {}
         for effect in self.effects:
             total[effect.part] = total.get(effect.part, 0) + effect.states
@@ -83,7 +83,7 @@ class Explanation(Result):
         return f"{self.title}: {len(self.effects)} effects, {sum(self.states.values())} states"
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the number of states of each part as bars."""
+        """Draw the number of states in each part of the signal path as bars."""
         ax.barh(list(self.states), list(self.states.values()), **style)
         ax.invert_yaxis()
         ax.set(xlabel="states", title=self.title)

@@ -17,10 +17,11 @@ from rig.core.settings.quantities import FREQUENCY, number, positive_values
 
 # The highest value counts as the peak if its expanded uncertainty is at most this fraction of the value.
 MAX_PEAK_UNCERTAINTY_RATIO = 0.5
-# Where neighboring values differ by more than this fraction, a curve is drawn with this number of points from line to
-# line. With fewer lines in all than the last number, the lines are joined.
-_POINTS_BETWEEN = 16
+# A curve is drawn with interpolated points between neighboring lines whose values differ by more than this fraction.
 _MAX_STEP = 0.1
+# Number of intervals into which the interpolated points divide the distance between two lines.
+_POINTS_BETWEEN = 16
+# Smallest number of lines for interpolation; fewer lines are joined by straight lines.
 _MIN_CONTINUED = 12
 
 

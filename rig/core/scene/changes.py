@@ -61,7 +61,7 @@ class Change:
         return {**mapping, step: self._replace(mapping.get(step), remaining)}
 
     def covers(self, key_path: KeyPath) -> bool:
-        """Return whether a key path lies within the changed part.
+        """Return whether the value at a key path is changed.
 
         >>> Change("dampers.mass", ("dampers", "mass"), "1").covers(("dampers", 1, "mass"))
         True

@@ -147,7 +147,7 @@ def fastest_growth(
     mass: NDArray[np.float64], stiffness: NDArray[np.float64], damping: NDArray[np.float64]
 ) -> tuple[float, float]:
     """Return the largest growth rate of a free motion [1/s] and its frequency [Hz]; both are 0 if no mode grows."""
-    # Damping whose symmetric part has no negative eigenvalues never supplies energy, so that no motion grows.
+    # Damping whose symmetric part has no negative eigenvalues never supplies energy, so no motion grows.
     damping_eigenvalues = np.linalg.eigvalsh((damping + damping.T) / 2.0)
     rounding = 10 * len(damping) * np.finfo(float).eps * np.abs(damping_eigenvalues).max()
     if damping_eigenvalues[0] >= -rounding:

@@ -302,7 +302,7 @@ def _is_text(value: Any) -> bool:
 
 
 def _is_misspelled(item: Any, intended: set[str | None]) -> bool:
-    """Return whether a key or part is missing only because it is misspelled; the misspelled key is reported.
+    """Return whether a key is missing only because it is misspelled; the misspelled key is reported.
 
     `intended` are the keys that are nearest to unknown keys.
     """

@@ -3,7 +3,7 @@
 A damper's *bed* is its particles, modeled as one mass. A bed that *rides* is at rest in its cavity: an added
 mass of its body.
 
-Convention: x(t) = Re(X e^{i w t}), so that a phase lag is negative.
+Convention: x(t) = Re(X e^{i w t}), so a phase lag is negative.
 """
 
 from __future__ import annotations

@@ -30,8 +30,8 @@ MAX_STEADY_CHANGE = 0.01
 _SETTLING_PERIODS = 200
 #: The results of this simulation are averages over this number of periods at the end.
 _AVERAGED_PERIODS = 100
-#: The motion type neglects flights shorter than this fraction of the time, and wall forces below this fraction of the
-#: weight of the bed.
+#: The type of motion neglects flights that take less than this fraction of the time. The same fraction of the weight of
+#: the bed limits the wall forces that are neglected.
 _MIN_SIGNIFICANT_RATIO = 0.01
 
 

@@ -221,7 +221,7 @@ def _contact_laws(spheres: Spheres, ceiling: float, step: float) -> tuple[str, t
 _SETUP_COMMANDS = (
     "units si",
     "atom_style sphere",
-    # The order of the grains does not change, so that index i of an array is always the same grain.
+    # The order of the grains does not change, so index i of an array is always the same grain.
     "atom_modify map array sort 0 0",
     "boundary f f m",
     "newton off",

@@ -108,7 +108,7 @@ def sum_over_ranks(values: Array) -> Array:
 
 
 class Shared:
-    """An object with a part on each rank; calls and attribute accesses are executed on every rank.
+    """An object that is divided among all ranks (processes); calls and attribute accesses are executed on each rank.
 
     `make`: returns the part of a rank. The function must be picklable, as must all arguments of calls; `*arguments`:
     arguments of `make`.

@@ -32,7 +32,7 @@ class Evaluator:
     """Computes trials, or reads them from a table.
 
     `table`: CSV file with a row for each job. Workers compute the jobs that are missing in the table. Each result is
-    added to the table at once. `total`: approximate number of jobs, for `progress`. Raises `RunError` if the table
+    added to the table immediately. `total`: approximate number of jobs, for `progress`. Raises `RunError` if the table
     cannot be written, or if the path is a file of other content that may not be replaced.
     """
 

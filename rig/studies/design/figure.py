@@ -185,7 +185,7 @@ def describe_check(design: Design, scene: Path) -> str:
 
 
 def _accuracy_of_level(scene: Scene) -> str:
-    """Return the first part of a sentence about the force of a test: its accuracy, and harmonics by a coil spring."""
+    """Return the first clause of a sentence about the force of a test: its accuracy, and harmonics by a coil spring."""
     if scene.level_key != "force":
         return ""
     spring = None if scene.driven_shaker is None else scene.driven_shaker.coil_spring

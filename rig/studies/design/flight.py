@@ -56,7 +56,7 @@ def _damped_scene(objective: Objective, trial: Trial) -> Scene:
 
 
 def _height(objective: Objective, trial: Trial) -> float:
-    """Compute the largest height of dampers without ceilings, m; NaN where part of the motion is irregular."""
+    """Compute the largest height of dampers without ceilings, m; NaN if the motion at some frequency is irregular."""
     dampers = trial.choice.without_ceiling().dampers(objective.impact_law)
     highest = 0.0
     for scene in objective.scenes:

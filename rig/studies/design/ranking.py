@@ -1,4 +1,4 @@
-"""Rank candidate designs by the worst peak, then by the mean over all levels."""
+"""Ranking of candidate designs by the worst peak, then by the mean over all levels."""
 
 from __future__ import annotations
 

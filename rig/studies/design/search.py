@@ -99,7 +99,7 @@ def search(objective: Objective, space: SearchSpace, evaluator: Evaluator) -> tu
 
 
 def _finalists(trials: Iterable[Trial], space: SearchSpace) -> list[Choice]:
-    """Return the best choices, the best choice without its lightest damper, and the best of each smaller mass."""
+    """Return the best choices, the best one without its lightest damper, and the best below each smaller mass."""
     trials = list(trials)
     finalists = [trial.choice for trial in rank_trials(trials)[:FINAL_DESIGNS]]
     if len(finalists[0].bodies) > 1:

@@ -32,7 +32,7 @@ class Tolerance:
 
     low: float
     high: float
-    at_limit: tuple[bool, bool]  # whether each end is a limit of the search, so that the interval may be wider
+    at_limit: tuple[bool, bool]  # whether each end is a limit of the search; the interval may then be wider
     chosen: float  # clearance of the chosen design, m
 
     def __str__(self) -> str:

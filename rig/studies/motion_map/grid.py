@@ -20,7 +20,7 @@ RESONANCE_HALF_WIDTH = 0.02
 LEVEL_TO_TAKE_OFF_RATIOS = (0.5, 20.0)
 #: The default range of levels includes these multiples of the level of the scene.
 LEVEL_TO_SCENE_LEVEL_RATIOS = (0.5, 4.0)
-#: The default range of clearances includes these multiples of the displacement of a damper on its floor.
+#: The default range of clearances includes these multiples of the displacement amplitude of a damper on its floor.
 CLEARANCE_TO_DISPLACEMENT_RATIOS = (0.1, 3.0)
 #: The default range of clearances includes these multiples of the clearance in the scene.
 CLEARANCE_TO_SCENE_CLEARANCE_RATIOS = (0.1, 5.0)

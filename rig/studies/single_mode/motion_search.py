@@ -92,7 +92,7 @@ def solutions(kind: MotionType, parameters: MotionParameters) -> Array:
 
 
 def _refine(kind: MotionType, instants: Array, parameters: MotionParameters) -> Array:
-    """Solve the remaining equations from many starts (columns) at once; return the converged instants."""
+    """Solve the remaining equations from many starts (columns) simultaneously; return the converged instants."""
     count = instants.shape[0]
     max_step = PERIOD / _GRID[kind]  # distance of two starts
     for _ in range(15):

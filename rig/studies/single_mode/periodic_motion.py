@@ -1,6 +1,6 @@
 """Periodic motions of one mode with a damper: Types I, II and III as conditions over one period.
 
-All quantities are dimensionless: time is tau = w t, the unit of length is g/w^2, so that free fall is y'' = -1. With
+All quantities are dimensionless: time is tau = w t, the unit of length is g/w^2, so free fall is y'' = -1. With
 r = w/w_i the equations of motion of the modal coordinate q are
 
     flight   q'' + 2 (zeta/r) q' + q/r^2 = a sin(tau) + b cos(tau)            and  y'' = -1
@@ -38,7 +38,7 @@ INSTANTS: dict[MotionType, int] = {"I": 1, "II": 2, "III": 3}
 
 # Period of the drive in tau.
 PERIOD = 2 * np.pi
-# Complex or real, of any common shape: the equations are evaluated on whole batches at once.
+# Complex or real, of any common shape: the equations are evaluated for all elements of the arrays together.
 Array = NDArray[Any]
 
 
@@ -137,7 +137,7 @@ class PeriodicMotion:
         return cosine + decay * sine, sine, -stiffness_per_inertia * sine, cosine - decay * sine
 
     def advance(self, phase: MotionPhase, t: Array) -> ModeState:
-        """Compute the state at time `t` after the start of a phase, in closed form."""
+        """Compute the state at time `t` after the start of a phase of the motion, in closed form."""
         inertia, decay, stiffness_per_inertia = self._oscillator(phase)
         # The steady response is q_c cos(t) + q_s sin(t). As in the paper (A_p and beta), this response is singular at
         # an undamped resonance.

@@ -27,8 +27,8 @@ _MIN_PARTS = 4
 _MIN_SIDE = 2
 # Minimum number of periods of a steady response to one input: without a change, the periods are equal except for noise.
 _MIN_PERIODS = 2
-# Maximum length of a section of a random test: the larger of this number of samples and this number of periods of the
-# lowest frequency.
+# Maximum length of a section of a random test: the larger of two limits, in samples and in periods of the lowest
+# frequency.
 _MAX_SAMPLES = 32768
 _MAX_PERIODS = 100.0
 # Number of sections of a random test.
@@ -65,7 +65,7 @@ class Parts:
 
 
 class _Step(NamedTuple):
-    """Step of the relative gain of an output before a part."""
+    """Step of the relative gain of an output at the start of a part of the test."""
 
     part: int
     before: float
@@ -78,7 +78,7 @@ class _Step(NamedTuple):
 
 
 def sections(rec: Recording, channels: Collection[str], first: int, stop: int, low: float, high: float) -> Parts:
-    """Return sections of a random test without flaws, between two samples; they cover only parts of a long test."""
+    """Return flawless sections of a random test between two samples; the sections of a long test have gaps."""
     spacing = (stop - first) // _SECTIONS
     samples = min(spacing, max(_MAX_SAMPLES, int(_MAX_PERIODS * rec.rate / low)))
     segments = clean_segments(find_flaws(rec, channels, first, stop), first, stop)
@@ -150,8 +150,9 @@ def _spectra(rec: Recording, parts: Parts, names: Sequence[str]) -> tuple[list[i
 
 
 def _relative_gains(inputs: ComplexArray, outputs: ComplexArray) -> tuple[Array, Array]:
-    """Return the gain of each output in each part, relative to all parts, and the smallest step visible in all lines.
+    """Return gains of each output in each part of the test, relative to all parts, and the smallest visible steps.
 
+    A visible step exceeds the scatter of the gain from line to line.
     `inputs`, `outputs`: spectra, shape (parts, channels, lines). The results have the shape (outputs, parts).
     """
     power = (abs(inputs) ** 2).mean(axis=0).max(axis=0)

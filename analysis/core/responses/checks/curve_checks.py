@@ -26,10 +26,11 @@ _MIN_SIGMAS = 5.0
 # its value.
 _MAX_NOISE_RATIO = 0.5
 
-# A delay is estimated from at least this number of points. The largest trial value is this number of periods of a
-# frequency equal to the width of the band. The last constant is the number of trial values.
+# Smallest number of points from which a delay is estimated.
 _MIN_DELAY_LINES = 20
+# Largest trial delay, in periods of a frequency equal to the width of the band.
 _MAX_PERIODS = 1.0
+# Number of trial delays.
 _TRIAL_DELAYS = 801
 # Number of lines whose phases are computed at a time for all trial values.
 _MAX_LINES = 4096

@@ -336,7 +336,7 @@ class _Unknown(NamedTuple):
     """Coefficients of the polynomials at each line."""
 
     numerator: ComplexArray  # shape (lines, order + 1)
-    denominator: ComplexArray  # without the constant term, which is 1; shape (lines, poles)
+    denominator: ComplexArray  # all coefficients but the constant one, which is 1; shape (lines, poles)
     transients: ComplexArray  # shape (lines, segments, terms)
 
     def at(self, lines: NDArray[np.intp]) -> _Unknown:

@@ -21,8 +21,10 @@ _RESPONSE_RATIO = 0.1
 _FIRST_RATIO = 0.1
 # Largest change of a line, or of all lines, in one step.
 _MAX_STEP = 10.0
-# Largest number of steps of the level until a response is detected, and of later steps that shape the drive spectrum.
-_MAX_SEARCHES, _MAX_SHAPINGS = 10, 3
+# Largest number of increases of the level until a response is detected.
+_MAX_SEARCHES = 10
+# Largest number of corrections of the drive spectrum after a response is detected.
+_MAX_SHAPINGS = 3
 # A response is detected above this multiple of the noise.
 _MIN_SIGNAL_TO_NOISE = 4.0
 # Part of the range of the output that the peak of the drive may use.

@@ -66,7 +66,7 @@ function groups() {
   return [...grouped.values()];
 }
 
-// A scale grows at once and shrinks after 2 s, so that the chart does not jump.
+// A scale grows immediately and shrinks after 2 s, so that the chart does not jump.
 function steady(key, [low, high]) {
   const now = performance.now(), shown = shownScales.get(key);
   if (!shown || high > shown.high || low < shown.low || now - shown.time > 2000) shownScales.set(key, { low, high, time: now });

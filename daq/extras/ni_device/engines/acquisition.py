@@ -184,7 +184,7 @@ class Acquisition:
         """
         bench_indices = list(self.plan.bench_indices)
         selected, flags = samples[bench_indices], overload[bench_indices]
-        # A filter delays samples, so that the first samples of the block may be older than the start of the task.
+        # A filter delays samples, so the first samples of the block may be older than the start of the task.
         offset, count = max(0, self.armed_instant - instant), selected.shape[1]
         while offset < count and not self.done:
             if self.first_instant is None:

@@ -1,7 +1,4 @@
-"""A running output task: outputs the samples of its buffer from its start trigger on, at the rate of the task.
-
-A tick is one time step of the simulated bench.
-"""
+"""A running output task: outputs the samples of its buffer from its start trigger on, at the rate of the task."""
 
 import math
 from dataclasses import dataclass
@@ -87,7 +84,7 @@ class Generation:
         return self.first_tick is not None
 
     def start_if_clock_runs(self, clock_start: int | None) -> None:
-        """Start at once if the task that provides the sample clock has already started, at the tick `clock_start`."""
+        """Start immediately if the task with the sample clock has already started, at the tick `clock_start`."""
         if clock_start is not None and clock_start <= self.armed_tick:
             self.first_tick = self.armed_tick
 

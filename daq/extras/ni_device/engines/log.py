@@ -1,4 +1,4 @@
-"""Logs the samples of a task into a recording (.mcap), or into a file of NI's format TDMS.
+"""Log of the samples of a task: a recording (.mcap), or a file of NI's format TDMS.
 
 A marker is an entry of a recording about an interval of samples, for example an overload. A gap is a sequence of
 samples that were lost.

@@ -1,4 +1,4 @@
-"""Finds the handler of a remote call; a call that no device supports returns the error of real hardware."""
+"""Handlers of remote calls; a call that no device supports returns the error of real hardware."""
 
 import re
 from collections.abc import Callable

@@ -52,7 +52,7 @@ class ElectrodynamicShaker(CoilSpringShaker):
         return {**content, **parts}
 
     def check_consistency(self) -> Iterable[Problem]:
-        """Check that the part is known."""
+        """Check that the product `preset` is known."""
         return check_preset(self.preset, "shaker")
 
     @property

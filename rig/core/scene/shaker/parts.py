@@ -57,7 +57,7 @@ class Output(Settings):
     """Resolution, a whole number such as 16, over twice the range; needs `range`."""
 
     def check_consistency(self) -> Iterable[Problem]:
-        """Check that the part is known, and that a resolution has a range."""
+        """Check that the product `preset` is known, and that a resolution has a range."""
         yield from check_preset(self.preset, "output")
         if self.bits is not None and self.range is None and self.preset is None:
             yield Problem(("bits",), "given without range. Add range, the largest voltage, such as 10 V.")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.core.damper_motion.dampers import Dampers
-from analysis.core.damper_motion.energy_balance import CycleEnergy
+from analysis.core.damper_motion.energy_balance import EnergyBalance
 from analysis.core.damper_motion.motion_types import DamperMotion
 from analysis.core.responses.spectral_lines import Lines
 from rig.core.base.escaping import escape_figure
@@ -79,7 +79,7 @@ def _draw_motions(axes: Axes, motions: Sequence[Sequence[DamperMotion]]) -> None
             axes.plot([], [], "s", color=_MOTION_COLORS[kind], ms=7, label=text)
 
 
-def _draw_energies(axes: Axes, energy: CycleEnergy, lines: Lines, true_loss: np.ndarray | None) -> None:
+def _draw_energies(axes: Axes, energy: EnergyBalance, lines: Lines, true_loss: np.ndarray | None) -> None:
     """Draw the energies against frequency; damper energies whose interval includes zero are drawn as upper bounds."""
     order = np.argsort(energy.frequency, kind="stable")
     frequency = energy.frequency[order]
@@ -111,7 +111,7 @@ def _draw_energies(axes: Axes, energy: CycleEnergy, lines: Lines, true_loss: np.
     axes.set_ylabel("energy per period / mJ")
 
 
-def _caption(energy: CycleEnergy | None, lines: Lines) -> list[str]:
+def _caption(energy: EnergyBalance | None, lines: Lines) -> list[str]:
     """Explain error bars and markers in sentences."""
     sentences = []
     if energy is not None:

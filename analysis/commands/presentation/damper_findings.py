@@ -18,7 +18,7 @@ from analysis.commands.presentation.outputs import (
 )
 from analysis.commands.presentation.tables import write_table
 from analysis.core.damper_motion.dampers import Dampers, dampers_in
-from analysis.core.damper_motion.energy_balance import CycleEnergy
+from analysis.core.damper_motion.energy_balance import EnergyBalance
 from analysis.core.damper_motion.motion_types import DamperMotion
 from analysis.core.recordings.names import OpenRecordings, full_test_text, scene_labels, with_recordings
 from rig.core.base.progress import CountProgress
@@ -111,7 +111,7 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], omitted: Sequence[flo
     channel  motion                frequency
     body2    type I                30 Hz
              at rest on the floor  elsewhere
-    Damper impacts with a velocity step below 1.6 mm/s (body2) are not detected.
+    Damper impacts with a velocity jump below 1.6 mm/s (body2) are not detected.
     """
     rows = [("channel", "motion", "frequency")]
     for motions in bodies:
@@ -120,7 +120,7 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], omitted: Sequence[flo
     return [
         *table_lines(rows, "<<<"),
         *([f"Restitution: {'; '.join(restitutions)}."] if restitutions else []),
-        f"Damper impacts with a velocity step below {detection_limits(bodies)} are not detected.",
+        f"Damper impacts with a velocity jump below {detection_limits(bodies)} are not detected.",
     ]
 
 
@@ -171,7 +171,7 @@ def _kind(motion: DamperMotion) -> str:
     return printed_names.get(kind, f"type {kind}")
 
 
-def describe_energy(energy: CycleEnergy, true_loss: np.ndarray | None = None) -> list[str]:
+def describe_energy(energy: EnergyBalance, true_loss: np.ndarray | None = None) -> list[str]:
     """Return a table of the energy per period at the frequencies with the largest supplied energy.
 
     The fourth column is the change of the dampers' share if the structural damping in the scene is 10 % too high. If

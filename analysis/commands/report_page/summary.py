@@ -205,7 +205,7 @@ def _impact_texts(measurement: Measurement) -> list[str]:
         text = f"damper impacts were detected at {has_impacts.sum()} of {frequency.size} measured points ({listed})"
         energy = _largest_share(results[0]) if len(results) == 1 else ""
     limits = detection_limits(motions)
-    return [f"“{measurement.label}”: {text}; impacts with a velocity step below {limits} are not detectable{energy}."]
+    return [f"“{measurement.label}”: {text}; impacts with a velocity jump below {limits} are not detectable{energy}."]
 
 
 def _largest_share(result: Dampers) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.core.damper_motion.energy_balance import CycleEnergy, energy_per_cycle, impact_energy_per_cycle
+from analysis.core.damper_motion.energy_balance import EnergyBalance, energy_per_period, impact_energy_per_period
 from analysis.core.damper_motion.motion_types import DamperMotion, damper_motion
 from analysis.core.recordings.names import relabel
 from analysis.core.responses.measurands import motion_channel_at
@@ -44,7 +44,7 @@ class Dampers(Result):
         Fundamental and harmonic amplitudes of all channels.
     bodies : tuple of list of DamperMotion
         For each body with dampers that are not locked and with a channel, the motion at each frequency.
-    energy : CycleEnergy or None
+    energy : EnergyBalance or None
         Energy balance; None if a required channel is missing.
     true_impact_energy : ndarray, shape (n,), or None
         True energy loss in impacts per period, J, if the truth was recorded.
@@ -57,7 +57,7 @@ class Dampers(Result):
     label: str
     sweep: Sweep
     bodies: tuple[list[DamperMotion], ...]
-    energy: CycleEnergy | None
+    energy: EnergyBalance | None
     true_impact_energy: Array | None = None
     missing: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
@@ -157,7 +157,7 @@ def dampers_in(rec: Recording, label: str | None = None, progress: CountProgress
                 missing.append(str(error))
         energy = None
         try:
-            energy = energy_per_cycle(rec, sweep)
+            energy = energy_per_period(rec, sweep)
         except RecordingError as error:
             warnings.append(f"no energy balance: {error}")
         results.append(
@@ -166,7 +166,7 @@ def dampers_in(rec: Recording, label: str | None = None, progress: CountProgress
                 sweep,
                 tuple(bodies),
                 energy,
-                impact_energy_per_cycle(rec, sweep) if rec.has_truth else None,
+                impact_energy_per_period(rec, sweep) if rec.has_truth else None,
                 tuple(missing),
                 tuple(warnings),
             )

@@ -15,7 +15,7 @@ from rig.core.results.uncertainty import expand
 
 
 @dataclass(frozen=True)
-class CycleEnergy:
+class EnergyBalance:
     """Energy balance of one period of a steady tone."""
 
     frequency: Array  # Hz; shape (n,)
@@ -32,7 +32,7 @@ class CycleEnergy:
         return self.supplied - self.structure
 
 
-def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
+def energy_per_period(rec: Recording, sweep: Sweep) -> EnergyBalance:
     """Estimate the energy that force, structure and dampers exchange per period from the channels.
 
     The supplied work follows from the force and the motion of the driven body, including harmonics. The energy
@@ -87,7 +87,7 @@ def energy_per_cycle(rec: Recording, sweep: Sweep) -> CycleEnergy:
         gradients.append(supplied_gradient - structure_gradient)
         compliance[index] = driven_motion[0] / force[0]
         force_shares.append((force_row * tone.amplitude)[:, 0] / force[0])
-    return CycleEnergy(
+    return EnergyBalance(
         sweep.lines.frequency,
         np.array(supplied),
         np.array(structure),
@@ -132,17 +132,17 @@ def _expanded(
     return expand(np.sqrt(np.nan_to_num(scatter)), limits, np.maximum(lines.scatter.degrees_of_freedom, 1.0))
 
 
-def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
+def impact_energy_per_period(rec: Recording, sweep: Sweep) -> Array:
     """Compute the true energy lost in impacts per period of each tone, J, from the recorded truth.
 
-    An instant impact dissipates (1 - e²) times half the reduced mass of damper and body times the closing speed
+    An instantaneous impact dissipates (1 - e²) times half the reduced mass of damper and body times the closing speed
     squared. For finite-duration contact the loss is the work of the walls (floor and ceiling) in steady state. Over
     whole periods the inertia and weight of a damper do no net work. The work of the walls is therefore the integral of
     -m a v, with the mass m of the damper, the acceleration a of its body, and the velocity v at which the gap opens,
     minus the loss in the dashpot of a mass on a spring.
 
-    The result is NaN for beds of grains, whose impacts are not recorded. The result is also NaN if an instant impact
-    acts on other dampers, in the same body or through a full mass matrix.
+    The result is NaN for beds of grains, whose impacts are not recorded. The result is also NaN if an instantaneous
+    impact acts on other dampers, in the same body or through a full mass matrix.
     """
     from rig.core.system.assembly import assemble
     from rig.core.system.structural_model import structural_model
@@ -171,7 +171,7 @@ def impact_energy_per_cycle(rec: Recording, sweep: Sweep) -> Array:
 def _work_of_walls(rec: Recording, j: int, mass: float, frequency: float, first: int, stop: int) -> float:
     """Return the mean of the integral of -m a v over a period, minus the loss in a dashpot, J.
 
-    See `impact_energy_per_cycle`.
+    See `impact_energy_per_period`.
 
     `j`: index of the damper, from 0; `mass`: kg; `first`, `stop`: samples of the true motion. The integral is computed
     from the spectra of displacement and gap, whose aliasing is negligible. NaN without a whole period.

@@ -54,7 +54,7 @@ class Pulse:
 
     @property
     def restitution(self) -> float:
-        """Ratio of separation to approach speed."""
+        """Ratio of rebound speed to closing speed."""
         return float(-self._speed(np.array([self.duration]))[0])
 
     @cached_property

@@ -1,4 +1,4 @@
-"""Segments of recordings: channels between two times, read in pieces."""
+"""Slices of recordings: ranges of samples of selected channels, read in pieces."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from rig.core.base.errors import RecordingError, SceneError
 
 # Number of samples of each channel that are read at a time.
 PIECE_SAMPLES = 1 << 16
-# Least number of samples of each channel that are read for successive short segments. A measured window of a tone has
-# about as many samples; samples between windows are not needed.
+# Smallest number of samples of each channel that are read at a time for successive short slices. A measured window of a
+# dwell has about as many samples; samples between windows are not needed.
 _READ_AHEAD_SAMPLES = 1 << 12
 
 
 @dataclass(frozen=True)
 class Slice:
-    """Channels and samples of a recording to export."""
+    """A range of samples of selected channels of a recording, for export."""
 
     recording: Recording
     channels: tuple[str, ...]
     start: int  # first sample
     stop: int  # one past the last sample
-    # function that is called with the number of samples read since its last call, summed over the channels
+    # called with the number of samples that were read since the previous call, summed over the channels
     on_read: Callable[[int], None] = field(default=lambda samples: None, compare=False)
 
     @classmethod
@@ -63,7 +63,7 @@ class Slice:
 
     @property
     def infos(self) -> list[ChannelInfo]:
-        """Return the data sheets of the channels."""
+        """Return the descriptions of the channels: sensor, sensitivity, range and response."""
         return [self.recording.channels[name] for name in self.channels]
 
     def pieces(self, names: Sequence[str]) -> Iterator[tuple[int, Array]]:
@@ -80,7 +80,7 @@ class Slice:
         return samples
 
     def reject_gaps(self, file_format: str) -> None:
-        """Reject a segment with lost samples for a format that cannot represent them."""
+        """Reject a slice with lost samples for a file format that cannot represent them."""
         for gap in self.recording.gaps:
             if gap.first_sample < self.stop and gap.last_sample >= self.start and set(gap.channels) & {*self.channels}:
                 first, last = (sample / self.recording.rate for sample in (gap.first_sample, gap.last_sample + 1))
@@ -92,10 +92,10 @@ class Slice:
 
 
 def read_slices(rec: Recording, channels: Sequence[str], bounds: Iterable[tuple[int, int]]) -> Iterator[Array]:
-    """Yield the samples of each segment from start to stop - 1, shape (channels, stop - start).
+    """Yield the samples of each slice, from start to stop - 1, shape (channels, stop - start).
 
-    `bounds`: start and stop of each segment. The starts must not decrease; segments may overlap. Samples that are lost
-    or after the end of the recording are NaN.
+    `bounds`: start and stop of each slice. The starts must not decrease; slices may overlap. Samples that are lost or
+    after the end of the recording are NaN.
     """
     first, buffer = 0, np.empty((len(channels), 0))
     for start, stop in bounds:
@@ -107,14 +107,14 @@ def read_slices(rec: Recording, channels: Sequence[str], bounds: Iterable[tuple[
             buffer[:, : begin - start] = kept
             for row, name in enumerate(channels):
                 buffer[row, begin - start :] = rec.read(name, begin, ahead)
-        segment = np.empty((len(channels), stop - start))
+        samples = np.empty((len(channels), stop - start))
         available = buffer[:, : stop - start]
-        segment[:, : available.shape[1]], segment[:, available.shape[1] :] = available, np.nan
-        yield segment
+        samples[:, : available.shape[1]], samples[:, available.shape[1] :] = available, np.nan
+        yield samples
 
 
 def interpolated(samples: Array, is_valid: NDArray[np.bool_]) -> Array:
-    """Return samples in which invalid ones are interpolated linearly; at least one sample must be valid.
+    """Return samples in which invalid samples are interpolated linearly; at least one sample must be valid.
 
     >>> interpolated(np.array([1.0, np.nan, 3.0]), np.array([True, False, True])).tolist()
     [1.0, 2.0, 3.0]

@@ -69,7 +69,7 @@ def unresolved_force(scene: Scene, system: HybridSystem, channels: Sequence[Chan
         remedy = "Measure the force (at: shaker)"
         if is_controlled_by_ends:
             cell = "that is at the shaker" if has_cell else "at: shaker"
-            remedy = f"Use a stepped sine, which is controlled by a force cell ({cell})"
+            remedy = f"Use a stepped sine, which is controlled by a force sensor ({cell})"
         yield (
             f"coil spring: at {listed} Hz{every}, the spring is so stiff that its force is a small difference of two "
             f"readings; tolerances and noise of the two sensors cause errors of up to {ratio.max():.2g} times the "

@@ -11,7 +11,7 @@ m = m_d m_b / (m_d + m_b), omega^2 = k / m and the damping ratio zeta = c / (2 m
     T = 2 acos(zeta) / (omega sqrt(1 - zeta^2)),     for zeta > 1 with acosh(zeta) and sqrt(zeta^2 - 1),
 
 while the wall is still compressed. At this instant the bed separates. The coefficient of restitution, the ratio of
-separation to approach speed, is exp(-zeta omega T).
+rebound speed to closing speed, is exp(-zeta omega T).
 
 References
 ----------
@@ -70,8 +70,8 @@ def dashpot(stiffness: float, restitution: float, mass: float) -> float:
 def spring_damper(duration: float, restitution: float, mass: float) -> tuple[float, float]:
     """Return stiffness [N/m] and damping [N s/m] of the contact with a duration and a restitution.
 
-    `duration`: from first contact to separation if no other force acts, s; `restitution`: ratio of separation to
-    approach speed; 0 gives the lowest restitution that is possible with `RECOVERY_TIME_S`; `mass`: reduced mass of
+    `duration`: from first contact to separation if no other force acts, s; `restitution`: ratio of rebound speed to
+    closing speed; 0 gives the lowest restitution that is possible with `RECOVERY_TIME_S`; `mass`: reduced mass of
     damper and body, kg.
 
     >>> stiffness, damping = spring_damper(duration=2e-3, restitution=0.3, mass=0.04)

@@ -52,7 +52,7 @@ class Exit(NamedTuple):
     """The end of a mode at one end of a signal's interval.
 
     `to`: candidates for the next mode, which is the first that is consistent with the motion. `event`: kind of event in
-    the log (`rig.core.laws.events`). `restitution`: ratio of separation to approach speed; None: velocities do not
+    the log (`rig.core.laws.events`). `restitution`: ratio of rebound speed to closing speed; None: velocities do not
     jump.
     """
 

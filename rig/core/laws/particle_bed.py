@@ -1,4 +1,4 @@
-"""The bed of a particle damper with instant contact: one mass between floor and ceiling of a cavity.
+"""The bed of a particle damper with instantaneous contact: one mass between floor and ceiling of a cavity.
 
 The bed flies, or rests on a wall until the contact force falls to zero. At an impact the velocities jump; the bed
 rebounds, or stays on the wall if the restitution or the rebound is zero.

@@ -70,7 +70,7 @@ class Grains(Settings):
     poisson_ratio: Annotated[float, Quantity(RATIO, at_least=0.0, below=0.5)] = 0.44
     """Poisson's ratio."""
     restitution: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] = 0.2
-    """Ratio of separation to approach speed of two grains, or of a grain and a wall, head on."""
+    """Ratio of rebound speed to closing speed of two grains, or of a grain and a wall, head on."""
     friction: Annotated[float, Quantity(RATIO, at_least=0.0)] = 0.4
     """Coefficient of friction of grains and walls. The default is assumed; graphited shot has less."""
     side_friction: Annotated[float, Quantity(RATIO, at_least=0.0)] | None = None
@@ -120,7 +120,7 @@ class Damper(Settings):
     is its free distance, infinite without walls. None: the mass moves vertically.
     """
     restitution: Annotated[float, Quantity(RATIO, at_least=0.0, below=1.0)] = 0.0
-    """Ratio of separation to approach speed in an impact, from 0 (perfectly plastic) to below 1."""
+    """Ratio of rebound speed to closing speed in an impact, from 0 (perfectly plastic) to below 1."""
     contact: Contact | None = None
     """Finite-duration contact with floor and ceiling; by default contact is instantaneous."""
     grains: Grains | None = None

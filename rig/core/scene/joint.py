@@ -74,7 +74,7 @@ class Stop(_Joint):
     damping: Annotated[float, Quantity(DASHPOT, at_least=0.0)] = 0.0
     """Contact damping: force per speed of approach [N s/m]; the stop never pulls."""
     restitution: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] | None = None
-    """Instead of damping: ratio of separation to approach speed, if no other force acts on the two bodies."""
+    """Instead of damping: ratio of rebound speed to closing speed, if no other force acts on the two bodies."""
 
     def check_consistency(self) -> Iterable[Problem]:
         """Check the ends, and that the dashpot is given once."""

@@ -149,7 +149,7 @@ class Hammer(Settings):
 class Channel(Settings):
     """One measured signal: the point, its sensor and the integrating amplifier.
 
-    At `shaker` the signal is the force of a shaker on its body, as a force cell between its coil spring (stinger) and
+    At `shaker` the signal is the force of a shaker on its body, as a force sensor between its coil spring (stinger) and
     the body measures it. Without this channel, the force of a coil spring follows from the motion of its two ends,
     the table and the driven body. At `drive` the signal is the output voltage in front of a shaker, as on a teed
     cable. With several shakers, the location contains the shaker's number: `table 2`, `shaker 2`, `drive 2`.

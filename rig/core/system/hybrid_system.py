@@ -95,7 +95,7 @@ class HybridSystem:
     r' = R_x x + R_u u.
 
     `inputs`, `drive_units`, `drive_limit`: names, units and largest values of the inputs. `gravity`: m/s². `mass`: M,
-    without the dampers of instant contact that can move. `force_state`, `force_drive`, `force_constant`: F_x
+    without the dampers of instantaneous contact that can move. `force_state`, `force_drive`, `force_constant`: F_x
     (coordinates, states), F_u (coordinates, inputs) and F_1 (coordinates,). `rate_state`, `rate_drive`: R_x (further
     states, states) and R_u (further states, inputs). `state_energy`, `state_loss`, `state_power`: energy, loss and
     power of the drive of further states r are r^2 state_energy / 2, r^2 state_loss and r state_power u; in SI, the last
@@ -307,8 +307,8 @@ class HybridSystem:
 
     @property
     def reduced_mass(self) -> np.ndarray:
-        """Reduced mass of each damper and its body for finite-duration contact, kg; NaN for instant contact."""
-        # The index -1 of a damper with instant contact gives NaN.
+        """Reduced mass of each damper and its body for finite-duration contact, kg; NaN for instantaneous contact."""
+        # The index -1 of a damper with instantaneous contact gives NaN.
         inverse_mass = np.append(np.diag(np.linalg.inv(self.mass)), np.nan)
         return np.asarray(1.0 / inverse_mass[self.gap_coordinate[: self.dampers]])
 

@@ -21,7 +21,7 @@ def impact_acceleration(
     damping, v sqrt(k m).
 
     `system`: the assembled system of the scene; `row`: coordinate of the sensor location; `closing_speed`, shape
-    (dampers,): approach speed of each damper to a wall, m/s; `resonance`: resonance frequency of the sensor, Hz;
+    (dampers,): closing speed of each damper and a wall, m/s; `resonance`: resonance frequency of the sensor, Hz;
     None without a resonance.
 
     >>> import rig

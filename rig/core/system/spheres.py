@@ -12,7 +12,7 @@ from rig.core.scene.scene import Scene
 from rig.core.system.structural_model import structural_model
 
 #: Default time step, relative to Rayleigh's time of the smallest grain. A step ten times as long is still stable; with
-#: this step, the ratio of rebound to approach speed is within 1 % of the restitution.
+#: this step, the ratio of rebound speed to closing speed is within 1 % of the restitution.
 STEP_RATIO = 0.03
 #: Restitution below which the default time step is proportional to the restitution.
 _REDUCED_STEP_RESTITUTION = 0.2

@@ -31,7 +31,7 @@ FINE_DENSITY = 60
 class ImpactLaw:
     """Restitution and contact of all new dampers."""
 
-    restitution: float = 0.0  # ratio of separation to approach speed
+    restitution: float = 0.0  # ratio of rebound speed to closing speed
     contact: Contact | None = None  # finite-duration contact with floor and ceiling; None: instantaneous impact
     origin: str = "the scene has no dampers"  # origin of these values, for messages
 

@@ -19,7 +19,7 @@ import rig
 from analysis.commands.cli import app
 from analysis.commands.presentation.damper_findings import describe_motions, present_dampers
 from analysis.core.damper_motion import energy_balance
-from analysis.core.damper_motion.energy_balance import energy_per_cycle, impact_energy_per_cycle
+from analysis.core.damper_motion.energy_balance import energy_per_period, impact_energy_per_period
 from analysis.core.damper_motion.free_flight import BodyMotion, restitution
 from analysis.core.damper_motion.motion_types import DamperMotion, damper_motion
 from analysis.core.responses.checks.curve_checks import find_jumps
@@ -32,7 +32,7 @@ from tests.analysis.responses import synthetic
 def test_linear_structure_dissipates_supplied_energy(tmp_path):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", [12.0, 13.04, 30.0, 34.8, 49.7])) as rec:
         [sweep] = sweeps(rec)
-        energy = energy_per_cycle(rec, sweep)
+        energy = energy_per_period(rec, sweep)
     np.testing.assert_allclose(energy.structure, energy.supplied, rtol=1e-6)
     assert np.all(abs(energy.dampers) < 1e-5 * energy.supplied)
 
@@ -53,7 +53,7 @@ def test_energy_of_force_on_listed_bodies_balances(tmp_path, bodies):
     )
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
         [sweep] = sweeps(rec)
-        energy = energy_per_cycle(rec, sweep)
+        energy = energy_per_period(rec, sweep)
     np.testing.assert_allclose(energy.structure, energy.supplied, rtol=0.01)
 
 
@@ -69,7 +69,7 @@ def test_only_driven_shaker_supplies_energy(tmp_path):
     )
     with daq.open(daq.record(scene, tmp_path / "a.mcap")) as rec:
         [sweep] = sweeps(rec)
-        assert np.all(energy_per_cycle(rec, sweep).supplied > 0.0)
+        assert np.all(energy_per_period(rec, sweep).supplied > 0.0)
 
 
 def test_sensor_tolerances_bound_energy_balance(tmp_path, monkeypatch):
@@ -82,8 +82,8 @@ def test_sensor_tolerances_bound_energy_balance(tmp_path, monkeypatch):
         errors = []
         for deviations in np.random.default_rng(1).uniform(-0.01, 0.01, (300, 4)):
             tones = tuple(replace(tone, amplitude=(1.0 + deviations[:, None]) * tone.amplitude) for tone in sweep.tones)
-            errors.append(abs(energy_per_cycle(rec, replace(sweep, tones=tones)).dampers))
-        inside = np.mean(errors <= energy_per_cycle(rec, sweep).bound, axis=0)
+            errors.append(abs(energy_per_period(rec, replace(sweep, tones=tones)).dampers))
+        inside = np.mean(errors <= energy_per_period(rec, sweep).bound, axis=0)
     assert np.all((inside > 0.93) & (inside < 0.99))
 
 
@@ -94,7 +94,7 @@ def test_missing_channel_is_named(tmp_path):
     with daq.open(synthetic.write(tmp_path / "a.mcap", synthetic.scene(), infos, samples, marks)) as rec:
         [sweep] = sweeps(rec)
         with pytest.raises(RecordingError, match="no channel on body 2"):
-            energy_per_cycle(rec, sweep)
+            energy_per_period(rec, sweep)
 
 
 def test_linear_resonance_is_not_a_jump(tmp_path):
@@ -254,8 +254,8 @@ def test_uncertain_impacts_give_no_false_type(tmp_path):
 def test_impact_energy_agrees_with_truth(fig9):
     with daq.open(fig9) as rec:
         [sweep] = sweeps(rec)
-        energy = energy_per_cycle(rec, sweep)
-        true_energy = impact_energy_per_cycle(rec, sweep)
+        energy = energy_per_period(rec, sweep)
+        true_energy = impact_energy_per_period(rec, sweep)
     assert np.all(abs(energy.dampers - true_energy) <= energy.bound) and np.all(energy.bound < 0.1 * energy.supplied)
     assert np.all(true_energy[1:] > 0.6 * energy.supplied[1:])
 
@@ -270,7 +270,7 @@ def test_finite_duration_motion_and_energy_are_true(tmp_path):
     with daq.open(daq.record(scene, tmp_path / "finite.mcap")) as rec:
         [sweep] = sweeps(rec)
         names = [motion.name for motion in damper_motion(rec, sweep, "body2")]
-        energy, true_energy = energy_per_cycle(rec, sweep), impact_energy_per_cycle(rec, sweep)
+        energy, true_energy = energy_per_period(rec, sweep), impact_energy_per_period(rec, sweep)
     assert names[:2] == ["I", "I"] and names[2] in ("riding", "unseen")
     assert rig.frequency_response(scene, [46.0, 48.0]).motion_type.ravel().tolist() == ["I", "I"]
     assert np.all(abs(energy.dampers - true_energy) <= energy.bound)

@@ -200,7 +200,7 @@ def test_unresolved_control_of_sweep_is_named_with_cell() -> None:
     ends = [{"name": name, "at": at, "accelerometer": sensor} for name, at in (("t", "table"), ("b", "body 1"))]
     scene = one_body(SWEEP, shaker=STEEL_ROD, channels=[*ends, {"name": "f", "at": "shaker"}])
     (warning,) = unresolved_force(scene, assemble(scene), Bench(scene).channels)
-    assert "Use a stepped sine, which is controlled by a force cell (that is at the shaker)" in warning
+    assert "Use a stepped sine, which is controlled by a force sensor (that is at the shaker)" in warning
 
 
 def test_sweep_without_both_spring_ends_is_refused() -> None:

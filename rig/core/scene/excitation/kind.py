@@ -78,7 +78,7 @@ class KindOfTest(Settings):
     `recorded_as`: kind of evaluation of the recordings, a value of `daq.core.recording.recorded_test.TestKind`.
     `level_keys`: alternative keys for the level of the test. `level_name`: quantity of the level, as text after its
     unit. `uses_shaker`: whether a shaker is driven. `single_tone`: whether the drive is one tone at a time.
-    `controls_by_cell`: whether the controller uses a force cell at the shaker, if there is one, instead of the motion
+    `controls_by_cell`: whether the controller uses a force sensor at the shaker, if there is one, instead of the motion
     of both ends of the spring.
     """
 

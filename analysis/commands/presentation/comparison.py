@@ -166,7 +166,7 @@ def change_heading(shown_in: tuple[str, float]) -> tuple[str, ...]:
     unit = shown_in[0]
     return (
         "response", "mode / Hz", f"before {unit}", f"after {unit}", "change / dB", "95 % interval", "shift / Hz",
-        "95 % interval", "equivalent ζ / %", "height differs",
+        "95 % interval", "equivalent ζ / %",
     )  # fmt: skip
 
 
@@ -180,13 +180,13 @@ def change_rows(changes: Sequence[PeakChange], shown_in: tuple[str, float]) -> l
         before, after = change.height_texts(shown_in[1])
         cells = change.response, format_decimals(change.mode, 2), before
         if change.damped.at_end:
-            rows.append((*cells, "none", *[""] * 6))
+            rows.append((*cells, "none", *[""] * 5))
             continue
         is_bounded = not isinf(change.bare.bound + change.damped.bound)
         rows.append((
             *cells, after, *_format_change(change.decibel, change.decibel_decimals),
             *_format_change(change.shift, change.shift_decimals),
-            f"{100 * change.equivalent_damping:.2g}" * is_bounded, change.significance,
+            f"{100 * change.equivalent_damping:.2g}" * is_bounded,
         ))  # fmt: skip
     return rows
 
@@ -203,7 +203,7 @@ def describe_changes(changes: Sequence[PeakChange], shown_in: tuple[str, float])
         if change.damped.at_end
     ]
     rows = [change_heading(shown_in), *change_rows(changes, shown_in)]
-    return [*table_lines(rows, "<>>>>>>>>>"), *remarks] if changes else []
+    return [*table_lines(rows, "<>>>>>>>>"), *remarks] if changes else []
 
 
 def _format_change(value: tuple[float, float, float], digits: int) -> tuple[str, str]:

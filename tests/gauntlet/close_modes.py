@@ -94,7 +94,10 @@ def exact_curves(scene: rig.Scene, seed: int, number: int) -> list[Response]:
     frequency = np.arange(scene.test.from_, scene.test.to, spacing)
     values = receptance(scene, frequency)[: random.integer(1, 2)]
     degrees_of_freedom = np.full(frequency.size, 38.0)
-    return [Response.curve(frequency, value, f"a{k}", degrees=degrees_of_freedom) for k, value in enumerate(values, 1)]
+    return [
+        Response.curve(frequency, value, f"a{k}", degrees_of_freedom=degrees_of_freedom)
+        for k, value in enumerate(values, 1)
+    ]
 
 
 def _shapes(random: Draw, bodies: int) -> Array:

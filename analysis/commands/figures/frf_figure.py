@@ -218,7 +218,7 @@ def _draw_curve(
     if points["marker"]:
         line |= {"ls": "" if is_folded else "-", "lw": 0.7}
     factor = frf.shown_in[1]
-    magnitude, random = factor * abs(frf.value), factor * np.nan_to_num(frf.magnitude_bound())
+    magnitude, random = factor * abs(frf.value), factor * np.nan_to_num(frf.expanded_random())
     total = factor * np.nan_to_num(frf.expanded(), posinf=np.inf)
     frequency, value = frf.continued(is_known)
     drawn, center = with_local_models(curve, marks, frequency, np.abs(value))
@@ -372,7 +372,7 @@ def _omitted_ranges(frf: Response) -> list[tuple[float, float]]:
 
 def _has_scatter(frf: Response) -> bool:
     """Return whether a curve has a type A uncertainty: from several averages, or stated in its file."""
-    return bool(np.any((frf.degrees > 0) | (np.isfinite(frf.error) & (frf.error > 0))))
+    return bool(np.any((frf.degrees_of_freedom > 0) | (np.isfinite(frf.error) & (frf.error > 0))))
 
 
 def visible_systematic_errors(frfs: Sequence[Response]) -> list[str]:

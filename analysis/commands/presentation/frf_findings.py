@@ -131,7 +131,7 @@ def describe_frfs(curves: Sequence[Response]) -> list[str]:
             peak_index = frf.peak_line()
             height, bound = factor * float(abs(frf.value[peak_index])), factor * float(frf.expanded()[peak_index])
             force = "" if frf.amplitude is None or frf.reference != "force" else f"{frf.amplitude[peak_index]:.4g}"
-            cause = frf.parts()[peak_index] if bound > 0.0 else ""
+            cause = frf.largest_contributions()[peak_index] if bound > 0.0 else ""
             rows.append(
                 (frf.response, format_interval(height, bound), f"{frf.frequency[peak_index]:.4g}", force, cause)
             )
@@ -283,7 +283,7 @@ def _without_duplicates(curves: Sequence[Response]) -> list[Response]:
 
 def stated_tolerances(rec: Recording, frfs: Sequence[Response]) -> list[str]:
     """Report the sensor tolerances and their source if the tolerances are the largest contribution at most points."""
-    largest_contributions = [name for frf in frfs for name in frf.parts()]
+    largest_contributions = [name for frf in frfs for name in frf.largest_contributions()]
     if 2 * largest_contributions.count(SENSITIVITY) < len(largest_contributions):
         return []
     groups: dict[str, list[str]] = {}

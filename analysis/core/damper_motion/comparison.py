@@ -323,9 +323,11 @@ def _peak_sensitivity(f: np.ndarray, inverse_frf: np.ndarray, frequency: float) 
 def _propagated_bounds(points: Response, sensitivity: np.ndarray) -> np.ndarray:
     """Return the expanded uncertainties of height and frequency of a peak due to its points, shape (2,)."""
     variance = np.diag(points.covariance().of_sums(np.conj(sensitivity).T[:, None]))
-    random_bound = expand(np.sqrt(np.maximum(np.nan_to_num(variance), 0.0)), degrees=points.degrees.min())
+    random_bound = expand(
+        np.sqrt(np.maximum(np.nan_to_num(variance), 0.0)), degrees_of_freedom=points.degrees_of_freedom.min()
+    )
     # Equal relative errors of all points change the height, but not the frequency.
-    in_height, in_frequency = abs(sensitivity) * np.nan_to_num(points.systematic_bound(), posinf=_UNBOUNDED)
+    in_height, in_frequency = abs(sensitivity) * np.nan_to_num(points.expanded_systematic(), posinf=_UNBOUNDED)
     return np.hypot(random_bound, [in_height.sum(), np.linalg.norm(in_frequency)])
 
 

@@ -231,7 +231,7 @@ def _whitening(frfs: Sequence[Response], errors: Covariance) -> ComplexArray:
     inflation, systematic = np.ones(variance.shape), _bounds(frfs, IRREGULAR)
     if errors.reference is None:
         systematic = _bounds(frfs, without=_FITTED_ERRORS)
-        freedom = np.stack([frf.degrees for frf in frfs], axis=1)
+        freedom = np.stack([frf.degrees_of_freedom for frf in frfs], axis=1)
         inflation = np.where(freedom > 4.0, freedom / np.maximum(freedom - 2.0, 1.0), 2.0)
     index = np.arange(len(frfs))
     quadrature_covariance *= inflation[:, :1, None]

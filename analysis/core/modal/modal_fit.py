@@ -82,7 +82,7 @@ def fit_modes(
 
 def are_errors_stated(curves: Sequence[Response]) -> bool:
     """Return whether curves state their uncertainty, as curves from recordings and files of this program do."""
-    return any(curve.degrees.any() or curve.limits for curve in curves)
+    return any(curve.degrees_of_freedom.any() or curve.limits for curve in curves)
 
 
 def equal_weight_chart(measured: Curves) -> list[ChartPole]:
@@ -235,10 +235,10 @@ def _standard_deviations(curves: Sequence[Response]) -> Array:
         finite = np.isfinite(row)
         if not finite.all():
             row[~finite] = scatter(curve.value)[~finite]
-        if not curve.degrees.any():
+        if not curve.degrees_of_freedom.any():
             # The uncertainty stated in a file may be incomplete. It is at least the scatter between the lines.
             row[:] = np.maximum(row, scatter(curve.value))
-        row[:] = np.maximum(row, _local_median(row, curve.degrees))
+        row[:] = np.maximum(row, _local_median(row, curve.degrees_of_freedom))
     # Systematic errors that differ from line to line act like noise. Smooth errors are omitted, because they do not
     # resemble a mode.
     error = np.hypot(error, standard_of_limit(systematic_bound(curves, IRREGULAR)))

@@ -301,7 +301,7 @@ def _average(curves: Sequence[Response]) -> Response:
         return first
     budgets = [curve.uncertainty for curve in curves]
     error = np.linalg.norm([curve.error for curve in curves], axis=0) / count
-    degrees = np.sum([curve.degrees for curve in curves], axis=0)
+    degrees_of_freedom = np.sum([curve.degrees_of_freedom for curve in curves], axis=0)
     limits: dict[str, Array] = {}
     sources: dict[str, dict[str, ComplexArray]] = {}
     for cause in (cause for budget in budgets for cause in budget.contributions if cause.evaluation == "B"):
@@ -316,7 +316,14 @@ def _average(curves: Sequence[Response]) -> Response:
         first,
         value=np.mean([curve.value for curve in curves], axis=0),
         uncertainty=UncertaintyBudget.of(
-            error, degrees, limits, sources, errors=errors, shared=budget.shared, clock=budget.clock, scale=budget.scale
+            error,
+            degrees_of_freedom,
+            limits,
+            sources,
+            errors=errors,
+            shared=budget.shared,
+            clock=budget.clock,
+            scale=budget.scale,
         ),
         coherence=np.mean([curve.coherence for curve in curves], axis=0),
         warnings=tuple(dict.fromkeys(text for curve in curves for text in curve.warnings)),

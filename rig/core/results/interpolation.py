@@ -143,8 +143,14 @@ def _propagate(
         if cause.evaluation == "A":
             # Weights of neighbors with a common error are added.
             total = np.sqrt(budget.shared) * np.linalg.norm(sizes * deviation, axis=1)
-            degrees = None if cause.degrees is None else cause.degrees[window].min(axis=1)
-            return replace(cause, deviation=np.minimum(total, np.sum(sizes * deviation, axis=1)), degrees=degrees)
+            degrees_of_freedom = (
+                None if cause.degrees_of_freedom is None else cause.degrees_of_freedom[window].min(axis=1)
+            )
+            return replace(
+                cause,
+                deviation=np.minimum(total, np.sum(sizes * deviation, axis=1)),
+                degrees_of_freedom=degrees_of_freedom,
+            )
         if any(cause.sources):
             changes = {key: np.sum(weights * change[window], axis=1) for key, change in cause.sources[0].items()}
             total = np.linalg.norm(list(changes.values()), ord=1, axis=0)

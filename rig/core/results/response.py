@@ -83,7 +83,7 @@ class Response(ResponseArithmetic, Sequence["Response"]):
         if bound > 0.0:
             height = format_quantity(magnitude, bound, unit)
             relation = "largest contribution" if np.isfinite(bound) else "unbounded by"
-            contribution = f"; {relation}: {self.parts()[peak]}"
+            contribution = f"; {relation}: {self.largest_contributions()[peak]}"
         amplitude = ""
         if self.amplitude is not None and self.reference == "force":
             amplitude = f" under {self.amplitude[peak]:.4g} N"
@@ -115,7 +115,7 @@ class Response(ResponseArithmetic, Sequence["Response"]):
         uncertainty = format_percent(expanded / magnitude) if np.isfinite(expanded) else "unbounded"
         return [
             f"ignored as too uncertain: {factor * magnitude:.4g} {unit} at {self.frequency[line]:.4g} Hz "
-            f"(uncertainty {uncertainty}, {self.parts()[line]})"
+            f"(uncertainty {uncertainty}, {self.largest_contributions()[line]})"
         ]
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -183,7 +183,7 @@ class Response(ResponseArithmetic, Sequence["Response"]):
             write_curve(
                 file, count, node, force_node, f"{curve.response}: {curve.name}", (curve.label, curve.ratio),
                 curve.motion, curve.resolution, curve.frequency, curve.value, curve.error,
-                curve.systematic_bound() if curve.limits else None,
+                curve.expanded_systematic() if curve.limits else None,
             )  # fmt: skip
         return Path(path)
 

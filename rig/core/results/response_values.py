@@ -57,7 +57,7 @@ class ResponseValues(Result):
         output_at: str = "",
         input_at: str = "",
         error: Array | None = None,
-        degrees: Array | None = None,
+        degrees_of_freedom: Array | None = None,
         limits: Mapping[str, Array] | None = None,
         uncertainty: UncertaintyBudget | None = None,
         **fields: Any,
@@ -74,18 +74,18 @@ class ResponseValues(Result):
             Quantity of the output.
         output_at, input_at : str
             Locations of output and input.
-        error, degrees : ndarray, shape (n,), optional
+        error, degrees_of_freedom : ndarray, shape (n,), optional
             Standard uncertainty of the real and of the imaginary part from the scatter (omitted: 0), and its degrees of
             freedom (omitted: unknown).
         limits : mapping of str to ndarray, optional
             Limits of the systematic errors by name.
         uncertainty : UncertaintyBudget, optional
-            Instead of `error`, `degrees` and `limits`.
+            Instead of `error`, `degrees_of_freedom` and `limits`.
         """
         if uncertainty is None:
             zeros = np.zeros(np.shape(frequency))
             uncertainty = UncertaintyBudget.of(
-                zeros if error is None else error, zeros if degrees is None else degrees, limits
+                zeros if error is None else error, zeros if degrees_of_freedom is None else degrees_of_freedom, limits
             )
         return cls(
             frequency,
@@ -165,10 +165,14 @@ class ResponseValues(Result):
         return np.zeros(self.value.shape) if scatter is None else scatter.deviation
 
     @property
-    def degrees(self) -> Array:
+    def degrees_of_freedom(self) -> Array:
         """Degrees of freedom of `error`; 0 where they are unknown, as in files."""
         scatter = self.uncertainty.scatter
-        return np.zeros(self.value.shape) if scatter is None or scatter.degrees is None else scatter.degrees
+        return (
+            np.zeros(self.value.shape)
+            if scatter is None or scatter.degrees_of_freedom is None
+            else scatter.degrees_of_freedom
+        )
 
     @property
     def limits(self) -> dict[str, Array]:
@@ -187,15 +191,15 @@ class ResponseValues(Result):
         """Return the radius of the circle that contains the true value, from the scatter alone."""
         return np.broadcast_to(self.uncertainty.random_bound(confidence), self.value.shape).copy()
 
-    def systematic_bound(self) -> Array:
+    def expanded_systematic(self) -> Array:
         """Return the expanded uncertainty from the systematic contributions alone."""
-        return np.broadcast_to(self.uncertainty.systematic_bound(), self.value.shape).copy()
+        return np.broadcast_to(self.uncertainty.expanded_systematic(), self.value.shape).copy()
 
-    def magnitude_bound(self, confidence: float = 0.95) -> Array:
+    def expanded_random(self, confidence: float = 0.95) -> Array:
         """Return the expanded uncertainty of the magnitude from the scatter alone."""
-        return self.error * coverage_factor(self.degrees, confidence)
+        return self.error * coverage_factor(self.degrees_of_freedom, confidence)
 
-    def parts(self) -> list[str]:
+    def largest_contributions(self) -> list[str]:
         """Return the name of the largest contribution to the uncertainty at each line of a curve."""
         return self.uncertainty.largest_contributions()
 

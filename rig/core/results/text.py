@@ -1,4 +1,4 @@
-"""Numbers, expanded uncertainties (`bound`) and ranges of frequencies as text."""
+"""Numbers, expanded uncertainties and ranges of frequencies as text."""
 
 from collections.abc import Sequence
 from math import floor, inf, isfinite, log10
@@ -39,8 +39,10 @@ def format_decimals(value: float, decimals: int) -> str:
     return f"{value:#.3g}" if is_small else f"{value:.{decimals}f}"
 
 
-def round_to_bound(value: float, bound: float) -> str:
-    """Write a number with the digits of its expanded uncertainty: two, or two of the number if this is smaller.
+def round_to_bound(value: float, expanded: float) -> str:
+    """Write a number rounded to the second significant digit of its expanded uncertainty.
+
+    If the number is smaller than its uncertainty, it has two digits of its own.
 
     >>> round_to_bound(0.0123456, 0.00021), round_to_bound(1078.4, 134.0), round_to_bound(376.0, 7e4)
     ('0.01235', '1080', '380')
@@ -49,9 +51,10 @@ def round_to_bound(value: float, bound: float) -> str:
     >>> round_to_bound(3.14159e-12, 2e-14)
     '3.142e-12'
     """
-    if not isfinite(bound) or bound <= 0.0:
+    if not isfinite(expanded) or expanded <= 0.0:
         return f"{value:.4g}"
-    decimals = 1 - floor(log10(bound))
+    decimals = 1 - floor(log10(expanded))
+    # More than nine decimals would be mostly zeros; numbers that small are written with a power of ten.
     if decimals > 9 and 0.0 < abs(value) < 1e-6:
         return f"{value:.{max(decimals + floor(log10(abs(value))) + 1, 1)}g}"
     decimals = min(decimals, 9)
@@ -60,20 +63,20 @@ def round_to_bound(value: float, bound: float) -> str:
     return f"{round(value, decimals):.{max(decimals, 0)}f}"
 
 
-def format_interval(value: float, bound: float) -> str:
+def format_interval(value: float, expanded: float) -> str:
     """Write a number with its expanded uncertainty, for a table whose header gives the unit.
 
     >>> format_interval(2.4213, 0.204), format_interval(935.21, float("inf")), format_interval(1.0, 0.0)
     ('2.42 ± 0.20', '935.2 (unbounded)', '1')
     """
-    if bound == 0.0:
-        return round_to_bound(value, bound)
-    return f"{round_to_bound(value, bound)} " + (
-        f"± {round_to_bound(bound, bound)}" if isfinite(bound) else "(unbounded)"
+    if expanded == 0.0:
+        return round_to_bound(value, expanded)
+    return f"{round_to_bound(value, expanded)} " + (
+        f"± {round_to_bound(expanded, expanded)}" if isfinite(expanded) else "(unbounded)"
     )
 
 
-def format_limited(value: float, bound: float, highest: float = inf) -> str:
+def format_limited(value: float, expanded: float, highest: float = inf) -> str:
     """Write a quantity between 0 and a highest value with its interval, or with one limit if the other is out of range.
 
     >>> format_limited(31.2, 18.0, 100.0), format_limited(5.3, 18.0, 100.0), format_limited(86.0, 18.0, 100.0)
@@ -83,25 +86,25 @@ def format_limited(value: float, bound: float, highest: float = inf) -> str:
     """
     if not isfinite(value):
         return ""
-    low, high = value - bound, value + bound
+    low, high = value - expanded, value + expanded
     if low <= 0.0 and high >= highest:
         return "not determined"
-    if low <= 0.0 < bound < inf:
-        return f"below {round_to_bound(high, bound)}"
+    if low <= 0.0 < expanded < inf:
+        return f"below {round_to_bound(high, expanded)}"
     if high >= highest:
-        return f"above {round_to_bound(low, bound)}"
-    return format_interval(value, bound if bound == bound else 0.0)
+        return f"above {round_to_bound(low, expanded)}"
+    return format_interval(value, expanded if expanded == expanded else 0.0)
 
 
-def format_quantity(value: float, bound: float, unit: str) -> str:
+def format_quantity(value: float, expanded: float, unit: str) -> str:
     """Write a number with expanded uncertainty and unit: (2.42 ± 0.20) %, so that both have the unit.
 
     >>> format_quantity(2.4213, 0.204, "%"), format_quantity(935.21, float("inf"), "µm/N")
     ('(2.42 ± 0.20) %', '935.2 µm/N (unbounded)')
     """
-    if not isfinite(bound):
-        return f"{round_to_bound(value, bound)} {unit} (unbounded)"
-    return f"({round_to_bound(value, bound)} ± {round_to_bound(bound, bound)}) {unit}"
+    if not isfinite(expanded):
+        return f"{round_to_bound(value, expanded)} {unit} (unbounded)"
+    return f"({round_to_bound(value, expanded)} ± {round_to_bound(expanded, expanded)}) {unit}"
 
 
 def format_frequencies(frequencies: Sequence[float], chosen: Sequence[bool]) -> str:

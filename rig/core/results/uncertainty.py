@@ -113,7 +113,7 @@ class Contribution:
     name: str
     evaluation: Literal["A", "B"]  # by statistics of the readings, or by other knowledge (GUM 4.2, 4.3)
     deviation: Array
-    degrees: Array | None = None  # degrees of freedom of type A
+    degrees_of_freedom: Array | None = None  # degrees of freedom of type A
     # Only type B, for each element in C order: change of its value if a source (sensor or clock) is at its limit, by
     # the identity of the source; complex, shape (lines,). Other responses may have the same source. Empty: the source
     # is unknown.
@@ -149,7 +149,7 @@ class Contribution:
         return replace(
             self,
             deviation=change(self.deviation),
-            degrees=None if self.degrees is None else change(self.degrees),
+            degrees_of_freedom=None if self.degrees_of_freedom is None else change(self.degrees_of_freedom),
             sources=tuple({key: change(array) for key, array in element.items()} for element in self.sources),
         )
 
@@ -174,7 +174,7 @@ class UncertaintyBudget:
     def of(
         cls,
         error: Array,
-        degrees: Array,
+        degrees_of_freedom: Array,
         limits: Mapping[str, Array] | None = None,
         sources: Mapping[str, Sources] | None = None,
         **fields: Any,
@@ -185,7 +185,7 @@ class UncertaintyBudget:
             Contribution(name, "B", limit, sources=(by_name[name],) if name in by_name else ())
             for name, limit in (limits or {}).items()
         ]
-        return cls((Contribution(SCATTER, "A", error, degrees), *contributions), **fields)
+        return cls((Contribution(SCATTER, "A", error, degrees_of_freedom), *contributions), **fields)
 
     @property
     def limits(self) -> dict[str, Array]:
@@ -208,21 +208,25 @@ class UncertaintyBudget:
         scatter = self.scatter
         if scatter is None:
             return expand(0.0, limits)
-        return expand(scatter.deviation, limits, 0.0 if scatter.degrees is None else scatter.degrees)
+        return expand(
+            scatter.deviation, limits, 0.0 if scatter.degrees_of_freedom is None else scatter.degrees_of_freedom
+        )
 
     def random_bound(self, confidence: float = 0.95) -> Array | float:
         """Return the radius of the circle that contains the errors of type A.
 
         Real and imaginary part have equal, independent errors, so the squared deviation of a complex mean is
-        F-distributed with 2 and `degrees` degrees of freedom.
+        F-distributed with 2 and `degrees_of_freedom` degrees of freedom.
         """
         scatter = self.scatter
         if scatter is None:
             return 0.0
-        degrees = np.zeros(scatter.deviation.shape) if scatter.degrees is None else scatter.degrees
-        return scatter.deviation * circle_factor(confidence, degrees)
+        degrees_of_freedom = (
+            np.zeros(scatter.deviation.shape) if scatter.degrees_of_freedom is None else scatter.degrees_of_freedom
+        )
+        return scatter.deviation * circle_factor(confidence, degrees_of_freedom)
 
-    def systematic_bound(self) -> Array | float:
+    def expanded_systematic(self) -> Array | float:
         """Return the expanded uncertainty of the contributions of type B, plus the tolerances of data sheets."""
         return self._radius(0.0)
 
@@ -302,7 +306,7 @@ class UncertaintyBudget:
             replace(
                 cause,
                 deviation=cause.deviation[selection],
-                degrees=None if cause.degrees is None else cause.degrees[selection],
+                degrees_of_freedom=None if cause.degrees_of_freedom is None else cause.degrees_of_freedom[selection],
                 sources=tuple(cause.sources[k] for k in elements) if cause.sources else (),
             )
             for cause in self.contributions
@@ -354,8 +358,13 @@ def _ratio_of(causes: Sequence[Contribution]) -> Contribution:
         total = np.linalg.norm(list(changes.values()), ord=1, axis=0)
         return replace(first, deviation=total, sources=(changes,))
     total = np.sum(deviations, axis=0) if first.name in TOLERANCES else np.linalg.norm(deviations, axis=0)
-    degrees = [cause.degrees for cause in causes if cause.degrees is not None]
-    return replace(first, deviation=total, degrees=np.min(degrees, axis=0) if degrees else None, sources=())
+    degrees_of_freedom = [cause.degrees_of_freedom for cause in causes if cause.degrees_of_freedom is not None]
+    return replace(
+        first,
+        deviation=total,
+        degrees_of_freedom=np.min(degrees_of_freedom, axis=0) if degrees_of_freedom else None,
+        sources=(),
+    )
 
 
 def stack_budgets(budgets: Sequence[UncertaintyBudget], shape: tuple[int, ...]) -> UncertaintyBudget:
@@ -375,7 +384,9 @@ def stack_budgets(budgets: Sequence[UncertaintyBudget], shape: tuple[int, ...]) 
                 name,
                 evaluation,
                 join([None if cause is None else cause.deviation for cause in by_curve]),
-                join([None if cause is None else cause.degrees for cause in by_curve]) if evaluation == "A" else None,
+                join([None if cause is None else cause.degrees_of_freedom for cause in by_curve])
+                if evaluation == "A"
+                else None,
                 _join_sources(by_curve),
             )
         )
@@ -455,7 +466,7 @@ class BudgetTable:
     __repr__ = __str__
 
 
-def expand(standard: ArrayLike, limits: Sequence[ArrayLike] = (), degrees: ArrayLike = 0.0) -> Array:
+def expand(standard: ArrayLike, limits: Sequence[ArrayLike] = (), degrees_of_freedom: ArrayLike = 0.0) -> Array:
     """Return the expanded uncertainty U of a real quantity, for a coverage of about 95 %.
 
     Parameters
@@ -464,7 +475,7 @@ def expand(standard: ArrayLike, limits: Sequence[ArrayLike] = (), degrees: Array
         Standard uncertainty u of all contributions that have no limit.
     limits : sequence of array_like
         Limits of error a of independent contributions, in the shape of `standard`.
-    degrees : array_like
+    degrees_of_freedom : array_like
         Degrees of freedom of `standard`; 0 where they are unknown.
 
     Examples
@@ -483,7 +494,7 @@ def expand(standard: ArrayLike, limits: Sequence[ArrayLike] = (), degrees: Array
         combined = np.linalg.norm([standard, *standard_of_limit(descending[count:])], axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
             # Welch-Satterthwaite formula (GUM G.4.1).
-            effective = np.nan_to_num(degrees * (combined / standard) ** 4, nan=0.0, posinf=_NORMAL_DEGREES)
+            effective = np.nan_to_num(degrees_of_freedom * (combined / standard) ** 4, nan=0.0, posinf=_NORMAL_DEGREES)
         expanded = np.minimum(expanded, whole + coverage_factor(effective) * combined)
         if count < len(descending):
             whole = whole + descending[count]
@@ -495,18 +506,18 @@ def standard_of_limit(limit: ArrayLike) -> Array:
     return np.asarray(limit, dtype=float) / _ROOT_3
 
 
-def coverage_factor(degrees: ArrayLike, confidence: float = 0.95) -> Array:
+def coverage_factor(degrees_of_freedom: ArrayLike, confidence: float = 0.95) -> Array:
     """Return the coverage factor k of an expanded uncertainty (GUM 6.3.3, G.4); degrees of freedom 0: unknown.
 
     >>> coverage_factor([0.0, 3.0, 30.0, 100.0]).round(2).tolist()
     [2.0, 3.18, 2.04, 2.0]
     """
-    known = known_degrees(np.asarray(degrees, dtype=float))
+    known = known_degrees(np.asarray(degrees_of_freedom, dtype=float))
     factor = scipy.special.stdtrit(known, 0.5 + confidence / 2.0)
     return np.where(known >= _MIN_NORMAL_DEGREES, COVERAGE_FACTOR, factor) if confidence == 0.95 else np.asarray(factor)
 
 
-def circle_factor(confidence: float, degrees: Array) -> Array:
+def circle_factor(confidence: float, degrees_of_freedom: Array) -> Array:
     """Return the coverage factor of a complex mean: radius of the circle over standard uncertainty of a component.
 
     >>> circle_factor(0.95, np.array([0.0, 1.0, 30.0])).round(2).tolist()
@@ -514,7 +525,7 @@ def circle_factor(confidence: float, degrees: Array) -> Array:
     """
     # Fisher's F with two degrees of freedom of the numerator has a quantile in closed form.
     _check_confidence(confidence)
-    known = known_degrees(degrees)
+    known = known_degrees(degrees_of_freedom)
     return np.asarray(np.sqrt(known * np.expm1(-2.0 / known * np.log1p(-confidence))))
 
 
@@ -523,6 +534,6 @@ def _check_confidence(confidence: float) -> None:
         raise SceneError(f"confidence: got {confidence}; expected a fraction between 0 and 1, such as 0.95")
 
 
-def known_degrees(degrees: Array) -> Array:
+def known_degrees(degrees_of_freedom: Array) -> Array:
     """Replace unknown degrees of freedom (0) with a number so large that the distribution is normal (GUM G.3.4)."""
-    return np.where(degrees > 0.0, np.maximum(degrees, 1.0), _NORMAL_DEGREES)
+    return np.where(degrees_of_freedom > 0.0, np.maximum(degrees_of_freedom, 1.0), _NORMAL_DEGREES)

@@ -42,7 +42,7 @@ def measured_curve(frequency: np.ndarray, value: np.ndarray, error: float = 0.0)
     magnitude, ones = abs(value), np.ones(frequency.size)
     deviation = error * magnitude * np.exp(2j * np.pi * np.arange(frequency.size) * 0.38)
     return Response.curve(
-        frequency, value + deviation, "body1", degrees=100.0 * ones, limits={"test": error * magnitude}
+        frequency, value + deviation, "body1", degrees_of_freedom=100.0 * ones, limits={"test": error * magnitude}
     )
 
 

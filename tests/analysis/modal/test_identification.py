@@ -123,7 +123,7 @@ def curves_of(frequency, value, error):
     """Return responses of body 1, 2, ... from values (responses, frequencies) with a standard uncertainty."""
     ones = np.ones(frequency.size)
     return [
-        Response.curve(frequency, row, f"body{number}", error=error, coherence=ones, degrees=38.0 * ones)
+        Response.curve(frequency, row, f"body{number}", error=error, coherence=ones, degrees_of_freedom=38.0 * ones)
         for number, row in enumerate(value, 1)
     ]
 
@@ -225,7 +225,7 @@ def test_leakage_warns_of_increased_damping(ratio, warned):
     value = (1.0 / ((s - pole) * (s - pole.conjugate()))) @ (window / window.sum())
     zeros = np.zeros(frequency.size)
     frf = Response.curve(
-        frequency, value, "body1", error=zeros + 1e-3 * abs(value).max(), degrees=zeros + 38.0,
+        frequency, value, "body1", error=zeros + 1e-3 * abs(value).max(), degrees_of_freedom=zeros + 38.0,
         resolution=resolution,
     )  # fmt: skip
     modes = analysis.identify([frf], count=1)
@@ -361,7 +361,9 @@ def peak_in_gap(lines):
         1.0 / (s**2 + 2.0 * DAMPING_IN_GAP * omega * s + omega**2)
     )
     return [
-        replace(frf, uncertainty=UncertaintyBudget.of(relative_error * abs(frf.value), frf.degrees, shared=15.0))
+        replace(
+            frf, uncertainty=UncertaintyBudget.of(relative_error * abs(frf.value), frf.degrees_of_freedom, shared=15.0)
+        )
         for frf, relative_error in zip(curves_of(frequency, value, 1.0), (1e-3, 1e-2), strict=True)
     ]
 
@@ -413,7 +415,7 @@ def with_sensors(curve: Response, **tolerances: float) -> Response:
     """Return a curve with the tolerances of sensors, by name."""
     limits = {SENSITIVITY: sum(tolerances.values()) * abs(curve.value)}
     sources = {SENSITIVITY: {name: tolerance * curve.value for name, tolerance in tolerances.items()}}
-    return replace(curve, uncertainty=UncertaintyBudget.of(curve.error, curve.degrees, limits, sources))
+    return replace(curve, uncertainty=UncertaintyBudget.of(curve.error, curve.degrees_of_freedom, limits, sources))
 
 
 @pytest.mark.parametrize(("relative_limit", "identified"), [(1.5, False), (0.5, True)])

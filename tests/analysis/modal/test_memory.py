@@ -27,7 +27,7 @@ def many_curves(count):
     value += error * (random.standard_normal(value.shape) + 1j * random.standard_normal(value.shape))
     return stack(
         [
-            Response.curve(frequency, row, f"p{k}", error=error, degrees=np.full(frequency.size, 100.0))
+            Response.curve(frequency, row, f"p{k}", error=error, degrees_of_freedom=np.full(frequency.size, 100.0))
             for k, row in enumerate(value)
         ]
     )

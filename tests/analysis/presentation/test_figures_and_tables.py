@@ -142,7 +142,9 @@ def test_file_that_is_not_a_recording_is_rejected(tmp_path):
 def test_peak_between_points_is_reported(natural, motion, remarks):
     f, ratio = np.arange(15.0, 30.0, 0.5), 0.005
     value = 1e-6 / (1.0 - (f / natural) ** 2 + 2j * ratio * f / natural)
-    curve = Response.curve(f, value, "body1", error=1e-3 * abs(value), degrees=100.0 * np.ones(f.size)).to(motion)
+    curve = Response.curve(f, value, "body1", error=1e-3 * abs(value), degrees_of_freedom=100.0 * np.ones(f.size)).to(
+        motion
+    )
     lines = describe_frfs([curve])[3:]
     assert [line.strip()[: len(text)] for line, text in zip(lines, remarks, strict=True)] == remarks
     if natural == 20.8:
@@ -159,7 +161,7 @@ def test_highest_of_all_resonances_is_reported():
         height * 2j * ratio / (1.0 - (f / fn) ** 2 + 2j * ratio * f / fn)
         for fn, ratio, height in ((30.4, 0.003, 72e-6), (48.0, 0.01, 55e-6))
     )
-    curve = Response.curve(f, value, "board", error=1e-5 * abs(value), degrees=100.0 * np.ones(f.size))
+    curve = Response.curve(f, value, "board", error=1e-5 * abs(value), degrees_of_freedom=100.0 * np.ones(f.size))
     assert abs(curve.frequency[curve.peak_line()] - 48.0) < 0.5
     # Dampers may move between points that are far apart, so that the peak at 30.4 Hz has no value.
     [spacing] = describe_frfs([curve])[3:]
@@ -222,8 +224,8 @@ def draw_curve(limit_m_per_n, omitted=()):
     ones, value = np.ones(11), 1e-6
     curve = Response.curve(
         np.linspace(10.0, 20.0, 11), value * ones.astype(complex), "body3", error=0.01 * value * ones, coherence=ones,
-        degrees=38.0 * ones, limits={"sensors' sensitivity": limit_m_per_n * ones}, omitted=np.array(omitted),
-        label="a scene",
+        degrees_of_freedom=38.0 * ones, limits={"sensors' sensitivity": limit_m_per_n * ones},
+        omitted=np.array(omitted), label="a scene",
     )  # fmt: skip
     figure = frf_figure([curve], "Compliance")
     return figure.axes[0], figure.legends[0].get_title().get_text()
@@ -325,7 +327,7 @@ def test_titles_of_modes_are_separate(count):
     )  # fmt: skip
     ones = np.ones(frequency.size)
     curves = [
-        Response.curve(frequency, value, name, coherence=ones, degrees=4.0 * ones)
+        Response.curve(frequency, value, name, coherence=ones, degrees_of_freedom=4.0 * ones)
         for name, value in zip(names, modes.receptance(frequency), strict=True)
     ]
     figure = modes_figure(curves, modes, "Modes: five bodies")

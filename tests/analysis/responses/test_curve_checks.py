@@ -24,7 +24,7 @@ def measured(response: int = 1, *, grounded: bool = True, noise: float = 1e-3) -
     random, error = np.random.default_rng(response), noise * abs(value)
     value += error * (random.standard_normal(FREQUENCY.size) + 1j * random.standard_normal(FREQUENCY.size))
     return Response.curve(
-        FREQUENCY, value, f"body{response}", error=error, degrees=np.full(FREQUENCY.size, 38.0),
+        FREQUENCY, value, f"body{response}", error=error, degrees_of_freedom=np.full(FREQUENCY.size, 38.0),
         output_at=f"body {response}", input_at="body 1",
     )  # fmt: skip
 
@@ -52,7 +52,7 @@ def test_damped_mode_in_narrow_band_is_no_delay(damping: float, width: float) ->
     frequency = np.linspace(50.0 - width / 2.0, 50.0 + width / 2.0, 81)
     value = 1.0 / (1.0 - (frequency / 50.0) ** 2 + 2j * damping * frequency / 50.0)
     curves = [
-        Response.curve(frequency, sign * value, name, error=1e-3 * abs(value), degrees=np.full(81, 38.0))
+        Response.curve(frequency, sign * value, name, error=1e-3 * abs(value), degrees_of_freedom=np.full(81, 38.0))
         for name, sign in (("body1", 1.0), ("body2", 0.8), ("body3", -1.0))
     ]
     assert not delayed_channels(curves)
@@ -77,7 +77,7 @@ def test_damping_above_resonances_is_no_delay(highest: float) -> None:
 def test_delay_in_narrow_band_without_mode_is_named() -> None:
     frequency = np.linspace(80.0, 120.0, 81)
     value = np.exp(-2j * np.pi * frequency * 5e-3)
-    curve = Response.curve(frequency, value, "body1", error=np.full(81, 1e-3), degrees=np.full(81, 38.0))
+    curve = Response.curve(frequency, value, "body1", error=np.full(81, 1e-3), degrees_of_freedom=np.full(81, 38.0))
     assert "body1 seems to be 5 ms late" in delayed_channels([curve])
 
 
@@ -107,7 +107,12 @@ def test_delay_of_long_curve_needs_little_memory(monkeypatch: pytest.MonkeyPatch
         frequency = np.linspace(20.0, 300.0, lines)
         value = np.exp(-2j * np.pi * 1e-3 * frequency)
         curve = Response.curve(
-            frequency, value, "body1", error=np.full(lines, 1e-4), degrees=np.full(lines, 38.0), reference="force"
+            frequency,
+            value,
+            "body1",
+            error=np.full(lines, 1e-4),
+            degrees_of_freedom=np.full(lines, 38.0),
+            reference="force",
         )
         peak, warning = peak_memory(delayed_channels, [curve])
         assert "1 ms" in warning
@@ -120,5 +125,5 @@ def test_step_within_noise_is_not_a_jump(noise: float, jumps: list[tuple[float, 
     frequency = np.arange(10.0, 14.0)
     value = np.array([170e-6, 167e-6, 28e-6, 28e-6], dtype=complex)
     error = np.array([1e-8, 1e-8, noise * 28e-6, 1e-8])
-    curve = Response.curve(frequency, value, "body1", error=error, degrees=np.full(4, 130.0))
+    curve = Response.curve(frequency, value, "body1", error=error, degrees_of_freedom=np.full(4, 130.0))
     assert find_jumps(curve) == jumps

@@ -239,7 +239,7 @@ def test_errors_and_modes_survive_a_written_file(extension, tmp_path):
     stored = analysis.read_frfs(path)
     for before, after in zip(curves, stored, strict=True):
         np.testing.assert_allclose(after.error, before.error, rtol=1e-8)
-        np.testing.assert_allclose(after.systematic_bound(), bound, rtol=1e-8)
+        np.testing.assert_allclose(after.expanded_systematic(), bound, rtol=1e-8)
         assert after.resolution == before.resolution == 0.0
     modes = analysis.identify(stored)
     assert modes.model_error == 0.0 and not modes.warnings

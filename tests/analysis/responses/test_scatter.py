@@ -32,12 +32,14 @@ def test_variance_is_zero_for_weights_orthogonal_to_scatter(seed):
 
 
 @pytest.mark.parametrize("degrees", [2, 4, 10])
-def test_moderated_uncertainty_covers_95_percent_of_errors(degrees):
+def test_moderated_uncertainty_covers_95_percent_of_errors(degrees_of_freedom):
     lines = 4000
     error = complex_noise(1, lines) / np.sqrt(2.0)
-    single_variance = np.random.default_rng(2).chisquare(degrees, lines) / degrees
+    single_variance = np.random.default_rng(2).chisquare(degrees_of_freedom, lines) / degrees_of_freedom
 
-    variance, moderated_degrees = moderate(single_variance, np.full(lines, float(degrees)), np.full(lines, 3.0), 12)
+    variance, moderated_degrees = moderate(
+        single_variance, np.full(lines, float(degrees_of_freedom)), np.full(lines, 3.0), 12
+    )
 
     # The squared magnitude over the variance has an F distribution.
     normalized = abs(error) / np.sqrt(variance * stats.f.ppf(0.95, 2.0, moderated_degrees))

@@ -103,7 +103,7 @@ def test_block_options_apply_to_several_inputs(random_path):
             np.testing.assert_array_equal(response.value, expected.value)
         (separate,) = analysis.frequency_responses(rec, ["a1"], block=2.0, overlap=0.0)
         (overlapping,) = analysis.frequency_responses(rec, ["a1"], block=2.0)
-    assert np.all(separate.degrees < overlapping.degrees)
+    assert np.all(separate.degrees_of_freedom < overlapping.degrees_of_freedom)
 
 
 @pytest.mark.parametrize("block", [None, 2.0])

@@ -26,5 +26,7 @@ def test_points_in_half_power_width_are_counted() -> None:
 def test_noise_has_no_resonances() -> None:
     random, lines = np.random.default_rng(3), np.arange(20.0, 60.0, 0.1)
     noise = random.normal(size=lines.size) + 1j * random.normal(size=lines.size)
-    curve = Response.curve(lines, noise, "board", error=np.ones(lines.size), degrees=np.full(lines.size, 30.0))
+    curve = Response.curve(
+        lines, noise, "board", error=np.ones(lines.size), degrees_of_freedom=np.full(lines.size, 30.0)
+    )
     assert len(find_resonances(curve)) <= 1

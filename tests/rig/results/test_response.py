@@ -26,7 +26,14 @@ def curve(name: str = "body1", scale: float = 1.0, **fields) -> Response:
         CLOCK: CLOCK_LIMIT * magnitude,
     }
     return Response.curve(
-        LINES, value, name, error=0.001 * magnitude, degrees=np.full(41, 38.0), limits=limits, label="a", **fields
+        LINES,
+        value,
+        name,
+        error=0.001 * magnitude,
+        degrees_of_freedom=np.full(41, 38.0),
+        limits=limits,
+        label="a",
+        **fields,
     )
 
 
@@ -85,7 +92,9 @@ def test_common_sources_cancel_in_ratio() -> None:
         # The error of the reference changes both responses alike; each has a sensor of its own.
         own = {"reference": -0.02 * frf.value, frf.response: 0.01j * frf.value}
         total = 0.03 * abs(frf.value)
-        budgets.append(UncertaintyBudget.of(frf.error, frf.degrees, {SENSITIVITY: total}, {SENSITIVITY: own}))
+        budgets.append(
+            UncertaintyBudget.of(frf.error, frf.degrees_of_freedom, {SENSITIVITY: total}, {SENSITIVITY: own})
+        )
     ratio = replace(first, uncertainty=budgets[0]) / replace(second, uncertainty=budgets[1])
     np.testing.assert_allclose(ratio.limits[SENSITIVITY], 3.0 * 0.02)
     # Two independent limits of error of 1 %, and 0.1 % of scatter in both curves.

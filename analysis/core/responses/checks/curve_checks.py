@@ -150,7 +150,7 @@ def find_jumps(frf: Response) -> list[tuple[float, str]]:
     >>> f = np.linspace(10.0, 20.0, 11)
     >>> value = np.where(f < 14.5, 1.0 + 0.02 * f, 0.5 + 0.02 * f).astype(complex)
     >>> error = np.full(11, 1e-6)
-    >>> find_jumps(Response.curve(f, value, "body3", error=error, degrees=error + 38))
+    >>> find_jumps(Response.curve(f, value, "body3", error=error, degrees_of_freedom=error + 38))
     [(14.5, 'jump down')]
     """
     if frf.frequency.size < 4:

@@ -31,7 +31,7 @@ def test_variance_is_zero_for_weights_orthogonal_to_scatter(seed):
     assert np.sqrt(variance).max() < 1e-9 * abs(rows).max()
 
 
-@pytest.mark.parametrize("degrees", [2, 4, 10])
+@pytest.mark.parametrize("degrees_of_freedom", [2, 4, 10])
 def test_moderated_uncertainty_covers_95_percent_of_errors(degrees_of_freedom):
     lines = 4000
     error = complex_noise(1, lines) / np.sqrt(2.0)

@@ -33,7 +33,7 @@ _ARRAY_ENDINGS = (".mat", ".npz", ".npy")
 ENDINGS = (".uff", ".unv", ".csv", ".txt", ".tsv", ".asc", ".dat", *_ARRAY_ENDINGS)
 # Heading of a column: name of the response, component, and unit of the phase.
 _COLUMN_NAME = re.compile(
-    r"(.*?)[\s_.:,|-]*\b(real|re|imaginary|imag|im|magnitude|mag|amplitude|ampl|amp|abs|phase|arg"
+    r"(.*?)[\s_.:,|-]*\b(real|re|imaginary|imag|im|magnitude|mag|amplitude|ampl|amp|abs|phase|pha|arg"
     r"|realteil|imaginärteil|betrag|coherence|coh|kohärenz)"
     r"[\s_.]*(deg|rad|degrees|°)?",
     re.IGNORECASE,
@@ -315,7 +315,9 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
         frequency = first.read(0, first.samples)
         columns = [(signal.name, signal.unit, signal.read(0, signal.samples)) for signal in others]
     # A column in Hz contains frequencies, whatever its name: analyzers call it X-Axis.
-    if first.unit.lower() != "hz" and (first.unit or not re.match(r"f|hz", first.name, re.IGNORECASE)):
+    if first.unit == "kHz":
+        frequency = 1e3 * frequency
+    elif first.unit.lower() != "hz" and (first.unit or not re.match(r"f|hz", first.name, re.IGNORECASE)):
         raise RecordingError(
             f"{path}: the first column is {first.name!r}; expected frequencies in Hz, such as 'f [Hz]'. {_IMPORT}"
         )
@@ -333,7 +335,7 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
                 f"{path}: column {name!r}; expected a name that ends in real, imag, magnitude or phase. {_IMPORT}"
             )
         component = _COMPONENTS[match[2][0].lower()]
-        components.setdefault(match[1] or "response", {})[component] = (match[3] or column_unit, values)
+        components.setdefault(match[1].strip("|") or "response", {})[component] = (match[3] or column_unit, values)
     curves = []
     for name, pair in components.items():
         _, coherence = pair.pop("coherence", ("", None))

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from daq.extras.importing.analyzer_heading import keyed_heading
-from daq.extras.importing.clock import rate_of_interval
+from daq.extras.importing.clock import TIME_NAMES, rate_of_interval
 from rig.core.base.errors import RecordingError
 from rig.core.base.escaping import unescape_cell
 
@@ -23,16 +23,22 @@ _MAX_HEADING_LINES = 200
 _UNIT_IN_BRACKETS = re.compile(r"(.*?)\s*[\[(]([^\[\]()]*(?:\([^\[\]()]*\)[^\[\]()]*)?)[\])]\s*")
 # A unit after an underscore, as `analysis export` writes it.
 _UNIT_AFTER_UNDERSCORE = re.compile(r"(.+)_(m/s\^2|m/s²|m/s|m|N|V|g|s|ms)")
+# A unit after a slash between blanks (ISO 80000-1): ``f / kHz``.
+_UNIT_AFTER_SLASH = re.compile(r"(.+?) / (\S+(?: re .+)?)")
+# Name of a column of line numbers; the abscissa is the next column.
+_LINE_NUMBER = re.compile(r"(#|no|nr|n|line|index|idx|sample|point|row)\.?( ?(#|no|nr|number)\.?)?", re.IGNORECASE)
 #: Units of time: the first cell of a line of units is one of them, or empty.
 TIME_UNITS = ("s", "ms", "us", "sec", "Seconds")
 # Units of time or of frequency.
-_ABSCISSA_UNITS = ("", *TIME_UNITS, "Hz")
+_ABSCISSA_UNITS = ("", *TIME_UNITS, "Hz", "kHz")
 # Length of the longest unit, characters.
 _MAX_UNIT_LENGTH = 16
 #: Name of a column without a name.
 UNNAMED = "column {}"
 # A complex number, as MATLAB and numpy write it.
 _COMPLEX_CELL = re.compile(r"\(?[-+]?[\d.]+(?:e[-+]?\d+)?[-+][\d.]+(?:e[-+]?\d+)?[ij]\)?", re.IGNORECASE)
+# An exponent of Fortran's double precision.
+_FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[-+]\d+$)")
 # A number with dots between thousands and a decimal comma.
 _GROUPED_NUMBER = re.compile(r"[-+]?\d{1,3}(?:\.\d{3})+,\d*")
 # Decimal digits of the seconds in a time of day.
@@ -98,13 +104,16 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
                 if text_line.strip()
             ]
             column_count, read_cells = len(row), None
-            if column_count > 2 and not row[-1] and rows_above and len(rows_above[-1]) == column_count - 1:
+            if column_count > 2 and not row[-1] and rows_above and not "".join(rows_above[-1][column_count - 1 :]):
                 # Each line ends with a delimiter.
                 column_count, read_cells = column_count - 1, tuple(range(column_count - 1))
+                rows_above = [row_above[:column_count] for row_above in rows_above]
             names, units = _names_and_units(rows_above, column_count)
             if not any(units) and (keyed := keyed_heading(rows_above, column_count)) is not None:
                 names, units = keyed.names, keyed.units
                 read_cells = tuple(range(keyed.first_column, column_count)) if keyed.first_column else read_cells
+            if column_count > 2 and _LINE_NUMBER.fullmatch(names[0]) and _is_abscissa(names[1], units[1]):
+                names, units, read_cells = names[1:], units[1:], (read_cells or tuple(range(column_count)))[1:]
             return Layout(encoding, delimiter, decimal_comma, heading, names, units, read_cells)
     remedy = "Export the data as a table of numbers."
     if any(_COMPLEX_CELL.fullmatch(cell) for line in lines for cell in split_cells(line, ",")):
@@ -124,9 +133,14 @@ def _names_and_units(rows_above: list[list[str]], column_count: int) -> tuple[li
         names, units = rows[0], [_without_brackets(cell) for cell in rows[1]]
     else:
         for position, cell in enumerate(names):
-            if match := _UNIT_IN_BRACKETS.fullmatch(cell) or _UNIT_AFTER_UNDERSCORE.fullmatch(cell):
+            patterns = _UNIT_IN_BRACKETS, _UNIT_AFTER_UNDERSCORE, _UNIT_AFTER_SLASH
+            if match := next(filter(None, (pattern.fullmatch(cell) for pattern in patterns)), None):
                 names[position], units[position] = match[1], match[2].strip()
     return [name or UNNAMED.format(k) for k, name in enumerate(names, 1)], units
+
+
+def _is_abscissa(name: str, unit: str) -> bool:
+    return TIME_NAMES.fullmatch(name) is not None or unit in _ABSCISSA_UNITS[1:]
 
 
 def _without_brackets(cell: str) -> str:
@@ -156,11 +170,14 @@ def parse_number(cell: str, decimal_comma: bool) -> float | None:
 
     >>> parse_number("-1.234,5", decimal_comma=True), parse_number("1.5,2", decimal_comma=True)
     (-1234.5, None)
+    >>> parse_number("0.125D-02", decimal_comma=False)
+    0.00125
     """
     if not cell:
         return float("nan")
     if decimal_comma and _GROUPED_NUMBER.fullmatch(cell):
         cell = cell.replace(".", "")
+    cell = _FORTRAN_EXPONENT.sub("E", cell)
     try:
         return float(cell.replace(",", ".") if decimal_comma else cell)
     except ValueError:
@@ -203,7 +220,7 @@ def significant_digits(cell: str) -> int:
     >>> significant_digits("0.0125"), significant_digits("1.250E-2"), significant_digits("-12")
     (3, 4, 2)
     """
-    mantissa = re.split("[eE]", cell)[0]
+    mantissa = re.split("[eEdD]", cell)[0]
     return len(re.sub(r"\D", "", mantissa).lstrip("0"))
 
 

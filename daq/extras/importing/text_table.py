@@ -43,6 +43,8 @@ from rig.core.base.errors import RecordingError
 from rig.core.numerics.memory import require_memory_with_program
 from rig.core.settings.quantities import TIME, parse
 
+# Name of a further column of times: ``Time 2``, ``Time_B``.
+_FURTHER_TIMES = re.compile(r"(time|zeit|x_value)(stamp)?[\W_]*[\dA-Z]?", re.IGNORECASE)
 # Maximum number of characters in a line; longer lines are not read.
 _MAX_LINE = 1 << 20
 # The rounding error of a sample rate is reported above this fraction of the rate.
@@ -75,9 +77,11 @@ def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
         clock, first_data_column = table.estimate_clock(layout.units[0]), 1
     if not table.rows:
         raise RecordingError(f"{path} contains no line of numbers. Export time histories as columns of numbers.")
+    numbered = list(enumerate(columns))[first_data_column:]
+    if first_data_column:
+        numbered = [(k, (name, unit)) for k, (name, unit) in numbered if not table.repeats_times(k, name)]
     return [
-        table.signal(position, name, unit, first_data_column + position - 1, clock)
-        for position, (name, unit) in enumerate(columns[first_data_column:], 1)
+        table.signal(position, name, unit, column, clock) for position, (column, (name, unit)) in enumerate(numbered, 1)
     ]
 
 
@@ -191,6 +195,18 @@ class _Table:
         if not looks_like_times(first_times, self._parse_line(0, self._examined_lines[-1])[0], self.rows):
             return False
         warn_used_as_times(f"{self._path} has no heading; its first column", first_times[1] - first_times[0])
+        return True
+
+    def repeats_times(self, column: int, name: str) -> bool:
+        """Return whether a column contains the times of the first column; raise an error if it has other times."""
+        if not _FURTHER_TIMES.fullmatch(name):
+            return False
+        values = np.array([self._parse_line(0, line) for line in self._examined_lines])
+        if not np.array_equal(values[:, column], values[:, 0]):
+            raise RecordingError(
+                f"{self._path}: the times of column {name!r} differ from those of the first column. Export signals "
+                "with different times to separate files."
+            )
         return True
 
     def estimate_clock(self, unit: str) -> Clock:

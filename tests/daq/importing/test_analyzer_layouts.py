@@ -56,6 +56,9 @@ def write(path: Path, heading: str, rows: np.ndarray, comma: bool = False) -> Pa
         ('H1(tip,force) - Mark 1\n"[Hz]"\t"[(m/s²)/N]"\t"[Degree]"\n', POLAR, "response"),
         ("X-Axis\tH1,2\tH1,2\nHz\tdB re 1 m/s²/N\tdeg\n", DECIBELS, "H1,2"),
         ("Frequency (Hz)\ttip Magnitude (dB re 1 m/s²/N)\ttip Phase (deg)\n", DECIBELS, "tip"),
+        ("Frequenz [Hz]\t|H1| [dB re 1 m/s²/N]\tPhase [°]\n", DECIBELS, "H1"),
+        ("f / kHz\tBetrag / m/s²/N\tPhase / Grad\n", POLAR * [1e-3, 1.0, 1.0], "response"),
+        ("Line\tFreq[Hz]\tMag[(m/s²)/N]\tPha[deg]\n", np.insert(POLAR, 0, np.arange(1, 200), axis=1), "response"),
     ],
 )
 @pytest.mark.parametrize("comma", [False, True])
@@ -132,3 +135,42 @@ def test_negative_magnitude_suggests_decibels(tmp_path: Path) -> None:
 def test_sound_pressure_is_refused_with_remedy() -> None:
     with pytest.raises(ValueError, match=r"sound pressure \(Pa\) is not a quantity .* Omit this channel"):
         quantity_and_scale("Pa")
+
+
+SIGNALS = ["force", "tip"]
+
+
+@pytest.mark.parametrize(
+    ("heading", "row"),
+    [
+        ("Sample;Time (s);force (N);tip (g)", "{number};{time:.8f};{force:.6f};{tip:.6f}"),
+        ("Time 1 (s);force (N);Time 2 (s);tip (g)", "{time:.8f};{force:.6f};{time:.8f};{tip:.6f}"),
+        ("Time (ms);force (N);tip (g);", "{ms:.5f};{force:.6f};{tip:.6f};"),
+        ("% exported;by Fortran\nTime (s);force (N);tip (g)", "{time:.8f};{force:.6f};{tip:.6E}".replace("E}", "E}")),
+    ],
+)
+def test_columns_without_signals_are_omitted(heading: str, row: str, tmp_path: Path) -> None:
+    rows = [
+        row.format(number=number, time=time, ms=1e3 * time, force=force, tip=tip)
+        for number, (time, force, tip) in enumerate(SAMPLES)
+    ]
+    (tmp_path / "a.csv").write_text("\n".join([heading, *rows]), encoding="utf-8")
+    with ExitStack() as stack:
+        signals = text_signals(tmp_path / "a.csv", stack)
+        assert [signal.name for signal in signals] == SIGNALS
+        assert [signal.rate for signal in signals] == [1024.0, 1024.0]
+        np.testing.assert_allclose(signals[1].read(0, 300), SAMPLES[:, 2], atol=1e-6)
+
+
+def test_columns_of_other_times_are_refused(tmp_path: Path) -> None:
+    rows = [f"{time:.8f};{force:.6f};{2 * time:.8f};{tip:.6f}" for time, force, tip in SAMPLES]
+    (tmp_path / "a.csv").write_text("\n".join(["Time 1 (s);force (N);Time 2 (s);tip (g)", *rows]), encoding="utf-8")
+    with ExitStack() as stack, pytest.raises(RecordingError, match=r"the times of column 'Time 2' differ"):
+        text_signals(tmp_path / "a.csv", stack)
+
+
+def test_exponents_of_fortran_are_read(tmp_path: Path) -> None:
+    text = "".join(f"{f:14.6E}{real:16.8E}{imag:16.8E}\n".replace("E", "D") for f, real, imag in REAL_IMAG)
+    (tmp_path / "a.dat").write_text(text, encoding="utf-8")
+    [curve] = analysis.read_frfs(tmp_path / "a.dat", unit="m/s^2/N")
+    np.testing.assert_allclose(curve.value, ACCELERANCE, rtol=1e-7)

@@ -227,7 +227,7 @@ def test_errors_and_modes_survive_a_written_file(extension, tmp_path):
     measured = value + error * np.exp(0.3j * FREQUENCY[1:])
     ones = np.ones(error.size)
     bound = np.where(FREQUENCY[1:] > 150.0, np.inf, 0.01 * abs(value[0]))
-    fields = {"error": error, "degrees": 30.0 * ones, "limits": {SENSITIVITY: bound}, "coherence": ones}
+    fields = {"error": error, "degrees_of_freedom": 30.0 * ones, "limits": {SENSITIVITY: bound}, "coherence": ones}
     curves = [
         Response.curve(FREQUENCY[1:], row, f"body{k}", label="own", **fields) for k, row in enumerate(measured, 1)
     ]

@@ -87,4 +87,4 @@ def _detection_lines(recording: Recording, scene: Scene) -> Iterator[str]:
         )
         unsettled_count = sum(not dwell.fields["settled"] for dwell in dwells)
         if unsettled_count:
-            yield f"{unsettled_count} of these dwells did not reach steady state; marked as not settled"
+            yield f"{unsettled_count} of these dwells did not reach steady state, and are marked"

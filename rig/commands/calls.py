@@ -121,7 +121,7 @@ def map(
     kept: str | Path | None = None,
     progress: CountProgress | None = None,
 ) -> MotionMap:
-    """Map motion types and settling time over frequency (horizontal) and level or clearance (vertical).
+    """Map types of motion and settling time over frequency (horizontal) and level or clearance (vertical).
 
     Parameters
     ----------

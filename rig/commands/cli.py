@@ -252,7 +252,7 @@ def map_(
     overwrite: Overwrite = False,
     **options: Any,
 ) -> None:
-    """Map motion types and settling time over level and frequency.
+    """Map types of motion and settling time over level and frequency.
 
     To continue an interrupted run, give the same command again.
     """

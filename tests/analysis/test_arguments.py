@@ -153,7 +153,7 @@ def test_shapes_of_bodies_average_their_sensors(hit_responses: Response) -> None
 
 
 def test_average_of_sensors_is_weighted_by_variance() -> None:
-    # Two sensors on body 2 with standard errors of 0.01 and 0.1.
+    # Two sensors on body 2 with standard uncertainties of 0.01 and 0.1.
     zeros = np.zeros(2)
     modes = Modes(
         frequency=np.array([10.0]), frequency_error=zeros[:1], damping=zeros[:1], damping_error=zeros[:1],

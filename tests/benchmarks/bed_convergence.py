@@ -53,7 +53,7 @@ def resonant_scene(force: float, clearance: float, layers: int, packing: int, mo
 
 
 def main() -> None:
-    """Print means over packings, their standard errors, and the deviation of each variant from the reference."""
+    """Print means over packings, their standard uncertainties, and the deviation of each variant from the reference."""
     names = ("compliance", "floor impulse", "energy")
     for (frequency, force, clearance, layers), (stiffness, step) in product(SETTINGS, VARIANTS):
         values = []

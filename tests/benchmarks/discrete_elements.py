@@ -250,7 +250,7 @@ def compare_programs(setting: Setting, block: int) -> tuple[Array, Array]:
 
 
 def main() -> None:
-    """Print means over packings with their standard errors, and the differences of the two programs."""
+    """Print means over packings with their standard uncertainties, and the differences of the two programs."""
     for level, clearance, layers, block in SETTINGS:
         results = np.array(
             [compare_programs(Setting(level, clearance, layers, packing), block) for packing in PACKINGS]

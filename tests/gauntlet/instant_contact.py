@@ -1,6 +1,6 @@
 """Random scenes of dampers in flight with instant contact, with and without ceiling.
 
-The checks of impacts, restitution, motion types and decays use them.
+The checks of impacts, restitution, types of motion and decays use them.
 """
 
 import numpy as np

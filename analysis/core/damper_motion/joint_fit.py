@@ -147,7 +147,7 @@ def estimate_errors(
 
 
 def jump_error(model: ImpactModel, distance: int | None, noise: Deviations) -> float:
-    """Return the standard error of a jump of 1 m/s, `distance` samples after an equal jump (None: single jump), m/s."""
+    """Return the standard uncertainty of a jump `distance` samples after an equal jump (None: a single jump), m/s."""
     rows = _equal_jumps(model, distance)
     fit = _least_squares(rows, rows[0], _ridge(len(rows), len(rows) // 4, noise))
     # The last four unknowns are jump, step, kink and time of the last jump.

@@ -113,7 +113,7 @@ class Backbone(Result):
                 name: (float(value[k]), format_limited(float(value[k]), float(bound[k])))
                 for name, (value, bound) in columns.items()
             }
-            note = "" if self.settled[k] else "not settled"
+            note = "" if self.settled[k] else "steady state not reached"
             points.append(LevelPoint(f"{format_number(level)} {self.unit}", float(self.frequency[k]), quantities, note))
         return points
 

@@ -91,7 +91,7 @@ def deviation(beds: Columns, name: str) -> NDArray[np.float64]:
 
 
 def deviation_error(beds: Columns, name: str) -> NDArray[np.float64]:
-    """Compute the standard error of `deviation` over seeds, shape (settings,)."""
+    """Compute the standard uncertainty of `deviation` over seeds, shape (settings,)."""
     return _relative_to_mass(beds[f"error_{name}"], beds[f"mass_{name}"])
 
 
@@ -127,7 +127,7 @@ def _describe_settings(beds: Columns) -> str:
     repeated, max_seeds = int((beds["seeds"] > 1).sum()), int(beds["seeds"].max())
     packings = ""
     if repeated:
-        packings = f" At {repeated} operating points, up to {max_seeds} random packings give the standard errors."
+        packings = f" At {repeated} operating points, up to {max_seeds} packings give the standard uncertainties."
     grain_counts = [BEDS[layers][0] for layers in np.unique(beds["layers"]).tolist()]
     level, depth, clearance = (
         f"{values.min():.3g} to {values.max():.3g}"
@@ -193,11 +193,11 @@ def _describe_deviation(beds: Columns, name: str, label: str) -> str:
     has_error = np.isfinite(error)
     significant = int((np.abs(deviations[has_error]) - 2.0 * error[has_error] > MAX_DEVIATION).sum())
     scatter = (
-        f"The standard error is {100 * np.median(error[has_error]):.1f} % (median). Of the {int(has_error.sum())} "
-        f"operating points with several packings, {significant} deviate by more than {100 * MAX_DEVIATION:g} % plus "
-        "two standard errors."
+        f"The standard uncertainty is {100 * np.median(error[has_error]):.1f} % (median). Of the "
+        f"{int(has_error.sum())} operating points with several packings, {significant} deviate by more than "
+        f"{100 * MAX_DEVIATION:g} % plus two standard uncertainties."
         if has_error.any()
-        else "Each operating point has one packing, so that the standard error is unknown."
+        else "Each operating point has one packing, so that the standard uncertainty is unknown."
     )
     return (
         f"{label}, grains relative to the single-mass model: median {100 * np.median(deviations):+.1f} %, from "

@@ -175,7 +175,8 @@ def table(path: Path | None = None) -> Arrays:
 
     Returns columns of shape (settings,): ``frequency``, ``level``, ``clearance``, ``layers``, ``seeds`` (number of
     seeds) and ``depth``; ``grains_type`` and ``mass_type``; and for each NAME of `MEASURES` ``mass_NAME``,
-    ``grains_NAME`` (mean over the seeds) and ``error_NAME`` (standard error of this mean, infinite for a single seed).
+    ``grains_NAME`` (mean over the seeds) and ``error_NAME`` (standard uncertainty of this mean, infinite for a single
+    seed).
     """
     groups: dict[tuple[float, float, float, int], list[Row]] = {}
     for row in TABLE.read(path):

@@ -54,7 +54,7 @@ def has_type_iii(scan: Columns) -> np.ndarray:
 
 
 def design(parts: Parts) -> Figure:
-    """Draw the design chart: peak compliance and motion type at the peak, over clearance and force."""
+    """Draw the design chart: peak compliance and type of motion at the peak, over clearance and force."""
     with new_figure(6.8) as figure:
         rows = figure.subplots(2, 1)
         for axes, name, title in (
@@ -73,7 +73,7 @@ def design(parts: Parts) -> Figure:
 
 
 def abbreviate_types(types: np.ndarray) -> np.ndarray:
-    """Abbreviate motion types for a cell; types except riding and I to III become "other"."""
+    """Abbreviate types of motion for a cell; types except riding and I to III become "other"."""
 
     def abbreviate(text: str) -> str:
         kinds = text.split("/")

@@ -1,6 +1,6 @@
 """Claim C4 of Inoue, Yokomichi, Hiraki (2011), about Fig 9.
 
-The claim concerns the motion types, and the agreement of the approximate method, the exact orbits and the recording.
+The claim concerns the types of motion, and the agreement of the approximate method, the exact orbits and the recording.
 """
 
 import numpy as np
@@ -137,7 +137,7 @@ def _without_type_iii(over_damping: Columns) -> str:
 
 
 def _frequency_range(data: Columns, selected: np.ndarray, kind: str) -> str:
-    """Return the frequency range of a motion type, as text."""
+    """Return the frequency range of a type of motion, as text."""
     frequency = data["frequency"][selected & (data["type"] == kind)]
     return f"{frequency.min():.2f} to {frequency.max():.2f} Hz" if frequency.size else "no frequency"
 

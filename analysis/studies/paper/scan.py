@@ -28,12 +28,12 @@ def with_dampers(scene: Scene, clearance: float, mass_ratio: float) -> OrbitProb
 
 
 def scan(scene: Scene, forces: Array, clearances: Array, frequencies: Array, mass_ratio: float) -> Arrays:
-    """Compute peak compliance and motion type around a resonance, over force (rows) and clearance (columns).
+    """Compute peak compliance and type of motion around a resonance, over force (rows) and clearance (columns).
 
     Returns `force`, `clearance`, and in shape (forces, clearances): `peak`, largest |X| / F_1 of `REPORTED_BODY` [m/N];
-    `peak_frequency` [Hz]; `type_at_peak`, the motion type there; `types`, all motion types of the dampers, joined by
-    spaces; `orbit_share`, share of the frequencies with an exact stable orbit; `exact`, whether the motion at the peak
-    is an exact orbit.
+    `peak_frequency` [Hz]; `type_at_peak`, the type of motion there; `types`, all types of motion of the dampers, joined
+    by spaces; `orbit_share`, share of the frequencies with an exact stable orbit; `exact`, whether the motion at the
+    peak is an exact orbit.
     """
     shape = (len(forces), len(clearances))
     peak, peak_frequency, orbit_share = np.zeros(shape), np.zeros(shape), np.zeros(shape)

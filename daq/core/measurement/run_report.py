@@ -86,14 +86,13 @@ def summary(path: Path) -> str:
         ]
         measured = [mark for mark in rec.markers if mark.kind == "measure" and "settled" in mark.fields]
         if measured:
-            unsettled = sum(not mark.fields["settled"] for mark in measured)
             tones = [mark.fields for mark in measured if "frequency" in mark.fields]
-            unsteady = [not fields["settled"] for fields in tones]
+            transient = [not fields["settled"] for fields in tones]
             frequencies = ""
-            if any(unsteady):
-                frequencies = f", at {format_frequencies([fields['frequency'] for fields in tones], unsteady)}"
-            count = f"not settled: {unsettled}" if unsettled else f"settled: {len(measured)}"
-            lines.append(f"{count} of {len(measured)} measurements{frequencies}")
+            if any(transient):
+                frequencies = f", not at {format_frequencies([fields['frequency'] for fields in tones], transient)}"
+            steady = sum(bool(mark.fields["settled"]) for mark in measured)
+            lines.append(f"steady state reached: {steady} of {len(measured)} measurements{frequencies}")
         deviations = [mark for mark in rec.markers if mark.kind == "level"]
         if deviations:
             seconds = sum(mark.stop - mark.first_sample for mark in deviations) / rec.rate

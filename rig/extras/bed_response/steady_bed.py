@@ -205,7 +205,7 @@ def _relative_change(previous: ComplexArray | None, current: ComplexArray) -> fl
 
 
 def _mean(first: SteadyBed, second: SteadyBed) -> SteadyBed:
-    """Average two blocks; landing phase, motion type, spread and number of periods are taken from the second block."""
+    """Average two blocks; landing phase, type of motion, spread and number of periods are those of the second."""
     mean = {field.name: getattr(second, field.name) for field in fields(SteadyBed)}
     for name in ("compliance", "floor_impulse", "ceiling_impulse", "energy", "flight"):
         mean[name] = 0.5 * (getattr(first, name) + getattr(second, name))

@@ -1,4 +1,4 @@
-"""Map of motion type and settling time over two parameters: `rig map`.
+"""Map of type of motion and settling time over two parameters: `rig map`.
 
 Start with `motion_map`; `grid` selects the points.
 """

@@ -1,4 +1,4 @@
-"""Map of motion type and settling time over level or clearance, and frequency."""
+"""Map of type of motion and settling time over level or clearance, and frequency."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Motion types in order of complexity; a point of the map has the most complex type of its dampers.
+#: Types of motion in order of complexity; a point of the map has the most complex type of its dampers.
 KINDS = ("riding", "I", "II", "III", "other, every period", "longer period", "irregular")
-#: The motion type is determined when the motion deviates from the steady state by at most this fraction.
+#: The type of motion is determined when the motion deviates from the steady state by at most this fraction.
 STEADY_TOLERANCE = 1e-6
 #: The wait ends after this multiple of the time in which the slowest mode decays to the tolerance. A motion that has
 #: not repeated by then counts as irregular.
@@ -68,7 +68,7 @@ class MotionMap(Result):
     frequency : ndarray, shape (frequencies,)
         Hz, ascending; each motion is continued from the previous frequency of its row.
     kind : ndarray of int, shape (rows, frequencies)
-        Index in `KINDS` of the most complex motion type of the dampers and joints.
+        Index in `KINDS` of the most complex type of motion of the dampers and joints.
     motion : ndarray of str, shape (rows, frequencies)
         Motion type of each damper, in order, then of each joint, joined by "/".
     impacts : ndarray, shape (rows, frequencies)
@@ -98,7 +98,7 @@ class MotionMap(Result):
     take_off: Array
 
     def summary(self) -> str:
-        """Summarize the map, and the share of each motion type."""
+        """Summarize the map, and the share of each type of motion."""
         shares = [(kind, (self.kind == index).mean()) for index, kind in enumerate(KINDS)]
         return (
             f"{self.scene.name}: {self.over} {self.value[0]:.3g} to {self.value[-1]:.3g} {self.unit}, "
@@ -107,7 +107,7 @@ class MotionMap(Result):
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return all points of the grid: location, motion type, impacts, repetition and computed periods."""
+        """Return all points of the grid: location, type of motion, impacts, repetition and computed periods."""
         motions = np.array([each.split("/") for each in self.motion.ravel()]).T
         names = [f"damper{k}" for k in range(1, len(motions) - len(self.scene.joints) + 1)]
         names += [f"joint{k}" for k in range(1, len(self.scene.joints) + 1)]
@@ -126,7 +126,7 @@ class MotionMap(Result):
         return self.to_dataframe().set_index("frequency_Hz", append=True).to_xarray()
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the motion type over level or clearance, and frequency."""
+        """Draw the type of motion over level or clearance, and frequency."""
         from matplotlib.colors import ListedColormap
 
         mesh_style: dict[str, Any] = {
@@ -283,7 +283,7 @@ class _Row(NamedTuple):
 class _Point(NamedTuple):
     """A point of the map: properties of a steady-state motion."""
 
-    types: list[str]  # motion type of each damper, then of each joint
+    types: list[str]  # type of motion of each damper, then of each joint
     impacts: float
     repetition: int
     periods: int
@@ -316,7 +316,7 @@ STUDY: Study[_Row, list[_Point]] = Study(
 
 
 def _kind_index(motion: str) -> int:
-    """Return the position in `KINDS` of the motion type of a damper or joint.
+    """Return the position in `KINDS` of the type of motion of a damper or joint.
 
     >>> [KINDS[_kind_index(name)] for name in ("riding", "III", "3 per 1", "2 slips per 1", "3 per 2")]
     ['riding', 'III', 'other, every period', 'other, every period', 'longer period']
@@ -329,13 +329,13 @@ def _kind_index(motion: str) -> int:
 
 
 def summarize_map(map_: MotionMap) -> str:
-    """Summarize the share of each motion type in the map, and the computing time."""
+    """Summarize the share of each type of motion in the map, and the computing time."""
     rows, points = map_.kind.shape
     lines = [
         f"{map_.scene.name}: {rows} x {points} steady-state motions, {map_.over} {map_.value[0]:.3g} to "
         f"{map_.value[-1]:.3g} {map_.unit}, {map_.frequency[0]:.4g} to {map_.frequency[-1]:.4g} Hz",
         "",
-        f"{'motion type':20}{'share':>7}{'impacts a period':>18}{'CPU us a period':>17}{'CPU ms a motion':>17}",
+        f"{'type of motion':20}{'share':>7}{'impacts a period':>18}{'CPU us a period':>17}{'CPU ms a motion':>17}",
     ]
     for index, kind in enumerate(KINDS):
         is_kind = map_.kind == index
@@ -389,7 +389,7 @@ def _draw(map_: MotionMap) -> Figure:
         set_log_scale(bar.ax.yaxis)
         map_.draw_axes(right)
         right.set_ylabel("")
-        left.set_title(f"Most complex motion type of the {nouns}")
+        left.set_title(f"Most complex type of motion of the {nouns}")
         right.set_title(f"Settling within {STEADY_TOLERANCE:.0e} after a frequency step".replace("1e-06", "10⁻⁶"))
         present = sorted(set(map_.kind.ravel()))
         handles: list[Patch | Line2D] = [Patch(color=MOTIONS[k], label=LEGEND[k]) for k in present]

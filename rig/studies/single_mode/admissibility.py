@@ -28,7 +28,7 @@ MAX_ROUNDING_ERROR = 1e-9
 
 @dataclass(frozen=True)
 class Batch:
-    """Solutions of one motion type, evaluated together in arrays."""
+    """Solutions of one type of motion, evaluated together in arrays."""
 
     kind: MotionType  # 'I', 'II' or 'III'
     unknowns: Array  # shape (4 + instants, solutions)

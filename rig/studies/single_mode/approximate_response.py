@@ -93,7 +93,7 @@ class Approximation(Result):
     failures: tuple[str, ...]
 
     def summary(self) -> str:
-        """Summarize the mode, and the frequency ranges of its motion types."""
+        """Summarize the mode, and the frequency ranges of its types of motion."""
         ranges = ", ".join(
             f"{b.motion_type} {b.frequency[b.valid].min():.4g} to {b.frequency[b.valid].max():.4g} Hz"
             for b in self.branches

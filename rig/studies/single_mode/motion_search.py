@@ -41,7 +41,7 @@ def ordering_margins(kind: MotionType, instants: Array) -> Array:
 def eliminate(kind: MotionType, instants: Array, parameters: MotionParameters) -> tuple[Array, Array]:
     """Solve the first four conditions for given instants, and evaluate the remaining conditions.
 
-    `kind`: motion type, 'I', 'II' or 'III'; `instants`, shape (instants, batch); complex values are allowed, for
+    `kind`: type of motion, 'I', 'II' or 'III'; `instants`, shape (instants, batch); complex values are allowed, for
     complex-step derivatives. Returns the unknowns, shape (4 + instants, batch), and the residuals of the remaining
     conditions, shape (instants, batch): contact force per mass at the ceiling (Type III), gap at the ceiling impact
     minus the clearance (II and III), and logarithm of the ratio of required to applied force.
@@ -64,7 +64,7 @@ def eliminate(kind: MotionType, instants: Array, parameters: MotionParameters) -
 def solutions(kind: MotionType, parameters: MotionParameters) -> Array:
     """Compute all solutions of one type at one frequency, including inadmissible motions.
 
-    `kind`: motion type, 'I', 'II' or 'III'. Returns shape (solutions, 4 + instants), unknowns as in
+    `kind`: type of motion, 'I', 'II' or 'III'. Returns shape (solutions, 4 + instants), unknowns as in
     `rig.studies.single_mode.periodic_motion`, to the accuracy of the elimination.
     """
     count, points = INSTANTS[kind], _GRID[kind]

@@ -76,7 +76,7 @@ class MotionPhase:
 class PeriodicMotion:
     """The motion defined by a set of unknowns, whether or not it satisfies the conditions.
 
-    `kind`: motion type, 'I', 'II' or 'III'; `unknowns`, shape (4 + instants, ...): q_0, q'_0, a, b and the instants,
+    `kind`: type of motion, 'I', 'II' or 'III'; `unknowns`, shape (4 + instants, ...): q_0, q'_0, a, b and the instants,
     which broadcast against each other; `parameters`, which broadcast against unknowns[0].
     """
 
@@ -223,7 +223,7 @@ def jacobian(kind: MotionType, unknowns: Array, parameters: MotionParameters, pa
     The complex-step derivative Im f(x + i h)/h has no cancellation, so it is exact to rounding error for a very small
     h.
 
-    `kind`: motion type, 'I', 'II' or 'III'; `unknowns`, shape (n,): q_0, q'_0, a, b and the instants; `parameter`:
+    `kind`: type of motion, 'I', 'II' or 'III'; `unknowns`, shape (n,): q_0, q'_0, a, b and the instants; `parameter`:
     field of `parameters`. Returns the conditions, shape (n,), and their derivatives, shape (n, n + 1), with one column
     for each unknown and the last for the parameter.
     """

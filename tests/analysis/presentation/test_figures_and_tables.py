@@ -217,7 +217,7 @@ def test_undetermined_phase_has_a_note(coherence, notes):
 
 
 def draw_curve(limit_m_per_n, omitted=()):
-    """Draw a curve of 1 µm/N from 10 to 20 Hz with a standard error of 1 %; return the axes and the caption.
+    """Draw a curve of 1 µm/N from 10 to 20 Hz with a standard uncertainty of 1 %; return the axes and the caption.
 
     `limit_m_per_n`: limit of a systematic error; `omitted`: frequencies without a value, Hz.
     """

@@ -67,7 +67,7 @@ def test_excessive_force_cuts_drive() -> None:
 
 
 def test_tolerance_of_level_includes_standard_error() -> None:
-    # The tolerance is twice the relative standard error, but at most 2 %.
+    # The tolerance is twice the relative standard uncertainty, but at most 2 %.
     control = AmplitudeControl(100.0)
     assert not control.is_at_level(101.0)
     assert control.is_at_level(101.0, standard_error=0.006)

@@ -402,8 +402,8 @@ def test_ctrl_c_exits_with_130(
 @pytest.mark.parametrize(
     ("longest", "warning", "count"),
     [
-        ("2 s", "warning: 1 of 1 dwells did not reach steady state", "\nnot settled: 1 of 1"),
-        ("60 s", "", "\nsettled: 1 of 1"),
+        ("2 s", "warning: 1 of 1 dwells did not reach steady state", "\nsteady state reached: 0 of 1"),
+        ("60 s", "", "\nsteady state reached: 1 of 1"),
     ],
 )
 def test_settled_and_unsettled_steps_are_counted(

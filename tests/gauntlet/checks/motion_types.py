@@ -1,4 +1,4 @@
-"""Check of motion types: types of damper motion estimated from the channels, compared with the recorded truth.
+"""Check of types of motion: types of damper motion estimated from the channels, compared with the recorded truth.
 
 Type I: one impact on the floor in each period. Type II: also one impact on the ceiling. Type III: like II, but the
 damper stays at the ceiling for a time. Riding: the damper stays at rest on the floor.

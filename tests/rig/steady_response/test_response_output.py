@@ -1,4 +1,4 @@
-"""Printed text of a steady response: a row for each peak, motion types as ranges, all frequencies on request."""
+"""Printed text of a steady response: a row for each peak, types of motion as ranges, all frequencies on request."""
 
 from dataclasses import replace
 

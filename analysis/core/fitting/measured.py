@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from analysis.core.responses.driven_forces import driven_forces
 from analysis.core.responses.errors.systematic import IRREGULAR, REFERENCE_NOISE, tolerance
 from analysis.core.responses.estimator import annotate
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import (
     default_reference,
-    driven_forces,
     reference_of,
     required_channels,
     response_channels,

@@ -7,14 +7,12 @@ from analysis.core.recordings.names import takes_path
 from analysis.core.responses.checks.channel_changes import change_warnings
 from analysis.core.responses.checks.dead_channels import dead_channel_warnings
 from analysis.core.responses.checks.tone_steps import sweep_warnings
+from analysis.core.responses.driven_forces import relative_forces, strong_forces, weak_force_warnings
 from analysis.core.responses.estimator import Blocks, Request, estimator_of
 from analysis.core.responses.measurands import (
     default_reference,
-    force_levels,
     required_channels,
     select_channels,
-    strong_forces,
-    weak_force_warnings,
 )
 from daq.core.recording.markers import describe_faulty_hits
 from daq.core.recording.recorded_test import TestKind
@@ -83,8 +81,8 @@ def frequency_responses(
     if (level is not None or direction is not None) and not kind.steady and kind is not TestKind.NONE:
         raise SceneError(f"{rec.path}: no sweeps of steady tones to choose from. Leave out level and direction.")
     reference = reference or default_reference(rec)
-    levels = force_levels(rec) if reference == "force" else []
-    forces = strong_forces(levels)
+    relative = relative_forces(rec) if reference == "force" else []
+    forces = strong_forces(relative)
     inputs = forces if len(forces) > 1 else ()
     used = [*names, *(point.name for point in inputs)] if inputs else required_channels(rec, names, reference)
     request = Request(
@@ -101,7 +99,7 @@ def frequency_responses(
         direction,
     )
     computed = own_estimator.compute(request)
-    warnings = weak_force_warnings(levels)
+    warnings = weak_force_warnings(relative)
     warnings += dead_channel_warnings(rec, used, names)
     if faulty := describe_faulty_hits(rec.markers, used):
         warnings.append(faulty)

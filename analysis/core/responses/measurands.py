@@ -1,6 +1,6 @@
 """Selection of channels, and mechanical quantities computed from them: motion of a point, force on the structure.
 
-A *response* is the numerator of a frequency response, a *reference* is its denominator.
+A frequency response is the ratio of an *output* to a *reference*.
 """
 
 from collections.abc import Iterable, Sequence
@@ -14,9 +14,6 @@ from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.errors import RecordingError, SceneError, suggestion
 from rig.core.results.points import body_number
 from rig.core.results.response import MOTIONS, Point
-
-# A shaker counts as driven if its force, relative to the largest force, exceeds this level, dB.
-_MIN_FORCE_LEVEL_DB = -40.0
 
 
 def find_channel(rec: Recording, name: str) -> ChannelInfo:
@@ -210,47 +207,3 @@ def _places(rec: Recording) -> str:
     """List the channels of a recording with their quantities and locations, for messages."""
     channels = [f"{name}: {info.quantity} at {info.at}" for name, info in rec.channels.items()]
     return f"it has {', '.join(channels) or 'no channels'}"
-
-
-def driven_forces(rec: Recording) -> tuple[Point, ...]:
-    """Return the force channels of the shakers that were driven simultaneously; empty if there are fewer than two."""
-    return strong_forces(force_levels(rec))
-
-
-def strong_forces(levels: Sequence[tuple[Point, float]]) -> tuple[Point, ...]:
-    """Return the forces that are strong enough to be inputs; `levels`: from `force_levels`."""
-    return tuple(force for force, level in levels if level > _MIN_FORCE_LEVEL_DB)
-
-
-def weak_force_warnings(levels: Sequence[tuple[Point, float]]) -> list[str]:
-    """Return a warning for each force that is too weak to be an input; `levels`: from `force_levels`."""
-    used = ", ".join(force.name for force in strong_forces(levels))
-    return [
-        f"{force.name} at {force.place} is {'zero' if np.isinf(level) else f'{-level:.0f} dB below the largest'}. "
-        f"It is neglected as an input, so that the responses are those to {used} alone. Check its amplifier and sensor."
-        for force, level in levels
-        if level <= _MIN_FORCE_LEVEL_DB
-    ]
-
-
-def force_levels(rec: Recording) -> list[tuple[Point, float]]:
-    """Return the force channel of each of several shakers, and its level relative to the largest force, dB."""
-    marker = next((marker for marker in rec.markers if "shakers" in marker.fields and marker.kind == "measure"), None)
-    if marker is None:
-        return []
-    forces: list[Point] = []
-    for number in marker.fields["shakers"]:
-        at = f"shaker {number}"
-        name = next((info.name for info in rec.channels.values() if info.at == at), None)
-        if name is None:
-            raise RecordingError(
-                f"{rec.path}: no channel measures the force of shaker {number}. Add "
-                f"{{name: force{number}, at: {at}}} to the scene's channels."
-            )
-        bodies = (rec.scene.structure.label(body) for body in rec.scene.shakers[number - 1].bodies)
-        forces.append(Point(name, "force", " and ".join(bodies)))
-    stop = min(marker.stop, rec.samples)
-    power = [float(np.nanvar(rec.read(point.name, marker.first_sample, stop))) for point in forces]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        levels = 10.0 * np.log10(np.array(power) / max(power))
-    return list(zip(forces, np.nan_to_num(levels, nan=-np.inf, neginf=-np.inf).tolist(), strict=True))

@@ -23,6 +23,8 @@ _SCATTER_PERCENTILE = 25
 _SCATTER_LINES = 25
 # The half-power width must contain at least this number of lines; a smaller width is determined by the resolution.
 _MIN_WIDTH_LINES = 3.0
+# A peak with a smaller coherence has no damping: the sweep is too fast for it, or it is noise.
+_MIN_COHERENCE = 0.7
 # Peaks of several channels belong to one resonance if their frequencies differ by less than this fraction.
 _SAME_PEAK = 0.03
 
@@ -39,7 +41,8 @@ def largest_peaks(curves: LiveCurves, count: int) -> list[tuple[str, float, floa
         for frequency, value, damping in live_peaks(curves.frequency, response):
             k = np.searchsorted(curves.frequency, frequency)
             if np.isfinite(coherence[k]):
-                found.append((name, frequency, value, None if relation[k] else damping, RELATIONS[relation[k]]))
+                damping = None if relation[k] or coherence[k] < _MIN_COHERENCE else damping
+                found.append((name, frequency, value, damping, RELATIONS[relation[k]]))
     largest: list[tuple[str, float, float, float | None, str]] = []
     for peak in sorted(found, key=lambda peak: -peak[2]):
         if all(abs(peak[1] / other[1] - 1.0) > _SAME_PEAK for other in largest):

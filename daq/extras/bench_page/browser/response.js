@@ -132,7 +132,7 @@ const response = {
     peaks.forEach(([, , , damping, relation], k) => {
       const row = $("peaks").rows[k + 1];
       row.classList.toggle("bound", relation !== "");
-      if (damping == null) row.lastChild.title = relation ? "No damping: the peak is clipped." : "No damping: the half-power width has fewer than 3 lines, or one side of the peak is not measured.";
+      if (damping == null) row.lastChild.title = relation ? "No damping: the peak is clipped." : "No damping: the half-power width has fewer than 3 lines, one side of the peak is not measured, or its coherence is below 0.7.";
     });
   },
 };

@@ -24,7 +24,7 @@ from daq.extras.importing.channel_table import Column, columns_of
 from daq.extras.importing.dwell_detection import DwellDetector
 from daq.extras.importing.files import signals_of
 from daq.extras.importing.force_pulses import ForcePulses
-from daq.extras.importing.joined_files import are_repetitions, join_repetitions
+from daq.extras.importing.joined_files import GAP, are_repetitions, join_repetitions
 from daq.extras.importing.overloads import Overloads
 from daq.extras.importing.signal import Signal
 from rig.core.base.arrays import Array
@@ -35,6 +35,7 @@ from rig.core.base.progress import FractionProgress
 from rig.core.numerics.runs import merge_spans, runs_of
 from rig.core.scene.loading import SceneLike, load
 from rig.core.scene.scene import Scene
+from rig.core.system.structural_model import structural_model
 
 # Number of samples of each channel that are in memory at a time.
 _BLOCK_SAMPLES = 1 << 16
@@ -47,6 +48,8 @@ _LOWEST_RATIO = 1e-4
 _HIGHEST_RATIO = 0.4
 # Largest plausible readings of a vibration test, SI units.
 _MAX_PLAUSIBLE = {"acceleration": 1e6, "velocity": 1e4, "displacement": 1e2, "force": 1e7, "voltage": 1e4}
+# Largest plausible sample rate of a vibration test, Hz.
+_MAX_PLAUSIBLE_RATE = 1e6
 # Number of lost segments of a channel above which segments less than `_LOST_PAUSE_S` apart are merged.
 _MAX_LOST_SEGMENTS = 1000
 # Two lost segments are merged up to this pause between them, s.
@@ -152,12 +155,16 @@ def import_files(
         chosen, notes = choose_signals(bench_scene, signals, columns, requires_force)
         notes += contradicted_units(chosen)
         if is_joined:
-            notes.append(f"{len(paths)} files with the same signals are joined as impacts of one test")
+            notes.append(
+                f"{len(paths)} files with the same signals are joined as impacts of one test, separated by {GAP} lost "
+                "samples"
+            )
         rate = _common_rate(chosen, bench_scene)
         assigned = _cut_to_times(_with_start_delays(assign(bench_scene, chosen, rate)), rate, from_s, to_s)
         if warning := missing_force_reference(bench_scene, [assignment.info for assignment in assigned]):
             notes.append(warning)
         longest = max(assignment.signal.samples for assignment in assigned)
+        notes += _implausible_times(bench_scene, rate, longest)
         shorter = [
             f"{assignment.channel.name} ({assignment.signal.samples})"
             for assignment in assigned
@@ -272,6 +279,7 @@ def _cut_to_times(
             samples=max(min(stop, signal.samples) - start, 0),
             read=lambda first, last: signal.read(start + first, start + last),
             start_s=signal.start_s + start / rate,
+            separators=tuple((max(a - start, 0), max(b - start, 0)) for a, b in signal.separators if a < stop),
         )
 
     return [replace(assignment, signal=cut_signal(assignment.signal)) for assignment in assigned]
@@ -291,6 +299,18 @@ def _scene_as_measured(scene: Scene, assigned: Sequence[AssignedSignal], rate: f
         converter=converter,
         recording=scene.recording.replace(truth=False, samples=samples),
     )
+
+
+def _implausible_times(scene: Scene, rate: float, samples: int) -> Iterator[str]:
+    """Yield a warning if the unit of the times is probably wrong; `rate` in Hz."""
+    natural_hz = structural_model(scene).modes.frequency
+    lowest_hz = min(natural_hz[natural_hz > 0.0], default=np.nan)
+    if rate > _MAX_PLAUSIBLE_RATE or rate < 2.0 * lowest_hz or samples / rate * lowest_hz < 1.0:
+        yield (
+            f"{samples / rate:.3g} s at {rate:.6g} Hz is implausible for a structure with the lowest natural frequency "
+            f"{lowest_hz:.3g} Hz. Check the unit of the times, such as s instead of ms, or give rate: in the channel "
+            "table."
+        )
 
 
 def _detection(scene: Scene) -> str:
@@ -371,9 +391,10 @@ class _RecordingWriter:
             lost = merge_spans(lost_ranges)
             for first, stop in lost:
                 recorder.mark("lost", first, stop - 1, channels=[name], reason=f"not in {signal.file}")
-            count = sum(stop - first for first, stop in lost if first < signal.samples)
+            separating = sum(min(stop, signal.samples) - first for first, stop in signal.separators)
+            count = sum(stop - first for first, stop in lost if first < signal.samples) - separating
             if count:
-                yield f"{where}: no number in {count} of {signal.samples} samples; marked as lost"
+                yield f"{where}: no number in {count} of {signal.samples - separating} samples; marked as lost"
             yield from _implausible_readings(where, assignment, overloads)
             clipped = merge_spans(overloads.clipped_intervals(), round(_OVERLOAD_PAUSE_S * self._rate))
             for first, stop in clipped:

@@ -50,6 +50,7 @@ def _join(signals: Sequence[Signal]) -> Signal:
                 values[begin - start : end - start] = signal.read(begin - position, end - position)
         return values
 
+    ends = starts + sizes
     full_scales = {signal.full_scale for signal in signals}
     return replace(
         first,
@@ -57,4 +58,5 @@ def _join(signals: Sequence[Signal]) -> Signal:
         samples=int(starts[-1] + sizes[-1]),
         read=read,
         full_scale=first.full_scale if len(full_scales) == 1 else None,
+        separators=tuple(zip(ends[:-1].tolist(), starts[1:].tolist(), strict=True)),
     )

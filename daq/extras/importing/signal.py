@@ -31,6 +31,7 @@ class Signal:
     start_s: float = 0.0  # Time of the first sample from the time zero of the file, s
     start_ns: int = 0  # Time zero of the file, ns since 1970; 0 if the file has no date
     full_scale: float | None = None  # Largest value that the file can represent, in its unit; None if not known
+    separators: tuple[tuple[int, int], ...] = ()  # Ranges [start, stop) between joined files, which lack samples
 
     @classmethod
     def from_array(

@@ -488,6 +488,18 @@ def test_unstated_unit_of_times_is_named(unit, factor, tmp_path):
         assert recording.rate == RATE
 
 
+@pytest.mark.parametrize(("heading", "factor"), [("time [ms]", 1.0), ("time [s]", 1e3), ("time [s]", 1.0)])
+def test_implausible_unit_of_times_is_reported(heading, factor, tmp_path):
+    times = factor * np.arange(4000) / RATE
+    names = (f"{name} [{unit}]" for name, unit in zip(NAMES, UNITS, strict=True))
+    table = np.vstack([times, random_samples(4000)]).T
+    np.savetxt(tmp_path / "a.csv", table, "%.12g", ",", header=",".join([heading, *names]), comments="")
+    recording, notes = import_recording(tmp_path / "a.csv", make_scene().replace(test=None), tmp_path / "r.mcap")
+    recording.close()
+    is_right = heading == "time [s]" and factor == 1.0
+    assert any("Check the unit of the times" in note for note in notes) is not is_right
+
+
 def test_import_command_lists_signals_without_overwriting(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_csv(tmp_path / "a.csv", random_samples(3000))
@@ -576,6 +588,7 @@ def test_files_of_one_hit_are_joined(tmp_path):
         assert [round(hit.fields["peak"]) for hit in hits] == [80, 100]
         assert {marker.first_sample for marker in recording.markers if marker.kind == "lost"} == {2048}
     assert any("2 files with the same signals are joined as impacts of one test" in note for note in notes)
+    assert not any("no number" in note for note in notes)
 
 
 def test_misspelled_force_of_hammer_is_an_error(tmp_path):

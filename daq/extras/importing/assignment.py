@@ -113,7 +113,7 @@ def choose_signals(
         )
     unused = [signal.name for signal in signals if id(signal) not in channels_of_signal]
     listed = ", ".join(f"{name}{_spelling_hint(name, unused)}" for name in missing)
-    notes = [f"channels without a signal, which are not recorded: {listed}"] if missing else []
+    notes = [f"no signal for the channels {listed}: they are not recorded"] if missing else []
     if unused:
         notes.append(f"omitted signals, for which the scene has no channel: {', '.join(unused)[:300]}")
     if requires_force and not any(choice.channel.measures_force for choice in chosen):

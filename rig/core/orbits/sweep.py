@@ -36,7 +36,7 @@ from rig.core.results import Result
 from rig.core.results.ratio_names import frf_display, per_force
 from rig.core.scene.loading import SceneLike, scene_of
 from rig.core.steady_response.frequency_response import as_response, draw_frf, frf_columns
-from rig.core.steady_response.motion_type import combined_type
+from rig.core.steady_response.motion_type import combined_type, describe_motion
 from rig.core.steady_response.steady_state import INSTANTS_PER_PERIOD, sample_periods
 
 if TYPE_CHECKING:
@@ -89,6 +89,8 @@ class OrbitResponse(Result):
         Display names of the bodies: their names, or body 1, body 2, ...
     elements : int
         Number of dampers that move, plus number of joints.
+    joints : int
+        Number of joints, the last rows of `damper_motion`.
     reference : {"force", "table"}
         Force on the structure, or displacement of the table.
     """
@@ -101,6 +103,7 @@ class OrbitResponse(Result):
     reasons: tuple[str, ...]
     labels: tuple[str, ...]
     elements: int
+    joints: int = 0
     reference: str = "force"
 
     @property
@@ -166,7 +169,7 @@ class OrbitResponse(Result):
             f"{self.value.size} steady-state motions, "
             f"{self.parameter} {self.value.min():.4g} to {self.value.max():.4g} {unit}, "
             f"highest {factor * abs(self.frf[body, k]):.4g} {frf_unit} at {self.value[k]:.4g} {unit} "
-            f"({self.labels[body]}), motion {', '.join(dict.fromkeys(map(str, self.motion_type)))}"
+            f"({self.labels[body]}), motion {describe_motion(self.damper_motion, self.joints)}"
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -262,6 +265,7 @@ def sweep(
         reasons=tuple(p.reason for p in points),
         labels=problem.scene.structure.labels,
         elements=len(problem.system.elements),
+        joints=len(problem.system.elements) - problem.system.dampers,
         reference=problem.reference.name,
     )
 

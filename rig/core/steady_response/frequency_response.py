@@ -24,7 +24,7 @@ from rig.core.scene.loading import SceneLike, scene_of
 from rig.core.scene.scene import Scene
 from rig.core.settings.quantities import FREQUENCY, positive_values
 from rig.core.simulation.energy import fourier_integral
-from rig.core.steady_response.motion_type import combined_type, motion_types
+from rig.core.steady_response.motion_type import combined_type, describe_motion, motion_types
 from rig.core.steady_response.steady_state import INSTANTS_PER_PERIOD, SteadyState, integrate_cycle, settle
 from rig.core.system.assembly import assemble
 from rig.core.system.open_loop_drive import level_of, tone_drive
@@ -61,7 +61,8 @@ class SteadyResponse(Result):
         Amplitude of the reference's first harmonic, N or m.
     motion_type : ndarray of str, shape (frequencies,)
         "linear" (no damper can hit a wall), "riding" (at rest on its wall), "I", "II", "III" (see
-        `motion_types`), "k per n" (k impacts in n periods), "irregular"; types of several dampers are joined by "/".
+        `motion_types`), "k per n" (k impacts in n periods), "irregular"; types of several dampers and joints are
+        sorted and joined by "/"; `damper_motion` has those of each.
     damper_motion : ndarray of str, shape (dampers and joints, frequencies)
         Motion type of each moving damper, then of each joint.
     impacts : ndarray, shape (dampers and joints, frequencies)
@@ -126,7 +127,7 @@ class SteadyResponse(Result):
         return (
             f"{self.frequency.size} frequencies, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, highest "
             f"{factor * abs(self.frf[body, k]):.4g} {unit} at {self.frequency[k]:.4g} Hz ({self.labels[body]}), "
-            f"motion {', '.join(dict.fromkeys(map(str, self.motion_type)))}"
+            f"motion {describe_motion(self.damper_motion, self.joints)}"
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:

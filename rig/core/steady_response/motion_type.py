@@ -67,6 +67,31 @@ def _stays_at_upper_wall(
     return bool(stay > MIN_STAY_RATIO * system.duration_and_restitution(damper, CEILING)[0])
 
 
+def element_labels(elements: int, joints: int) -> list[str]:
+    """Return the labels of all dampers and joints; `joints`: number of joints, the last elements.
+
+    >>> element_labels(3, 1)
+    ['damper 1', 'damper 2', 'joint 1']
+    """
+    dampers = elements - joints
+    return [*(f"damper {k}" for k in range(1, dampers + 1)), *(f"joint {k}" for k in range(1, joints + 1))]
+
+
+def describe_motion(motion: NDArray[np.str_], joints: int) -> str:
+    """Describe the motion types of all elements, shape (elements, points); elements that are always linear are omitted.
+
+    >>> describe_motion(np.array([["I", "riding"], ["linear", "1 per 1"], ["linear", "linear"]]), 2)
+    'damper 1: I, riding; joint 1: linear, 1 per 1'
+    >>> describe_motion(np.array([["I", "riding"]]), 0)
+    'I, riding'
+    """
+    texts = [", ".join(dict.fromkeys(types)) for types in motion.tolist()]
+    if len(texts) > 1:
+        labeled = zip(element_labels(len(texts), joints), texts, strict=True)
+        return "; ".join(f"{label}: {text}" for label, text in labeled if text != "linear") or "linear"
+    return texts[0] if texts else "linear"
+
+
 def combined_type(types: list[str]) -> str:
     """Combine the motion types of all dampers; "linear" without dampers that can hit a wall.
 

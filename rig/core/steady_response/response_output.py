@@ -1,6 +1,7 @@
 """Output of a steady response as a text table or CSV, and the frequencies at which it is computed."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +14,12 @@ from rig.core.scene.excitation import spaced_frequencies
 from rig.core.scene.scene import Scene
 from rig.core.settings.quantities import count
 from rig.core.steady_response.frequency_response import SteadyResponse
+from rig.core.steady_response.motion_type import describe_motion, element_labels
 
 # The uncertainty of an interpolated peak is printed if it exceeds this fraction of the peak.
 _NEGLIGIBLE_ERROR = 1e-4
+# Two sweeps have the same motion if their responses differ by less than this fraction.
+_SAME_MOTION = 1e-2
 # Maximum number of listed peaks with few frequencies.
 _MAX_LISTED = 8
 # Number of frequencies in a band without a number of tones.
@@ -65,6 +69,7 @@ def csv_rows(response: SteadyResponse) -> tuple[list[str], list[list[str]]]:
     elements = [*(f"damper{k}" for k in range(1, dampers + 1)), *(f"joint{k}" for k in range(1, response.joints + 1))]
     header += [f"{element}_impacts_per_period" for element in elements]
     header += ["repetition_periods", "converged", "residual", "direction"]
+    header += [f"{element}_motion" for element in elements]
     table, sweep_directions = [], directions(response.frequency)
     for k, frequency in enumerate(response.frequency):
         row = [repr(float(frequency))]
@@ -75,7 +80,7 @@ def csv_rows(response: SteadyResponse) -> tuple[list[str], list[list[str]]]:
         row += [repr(float(response.reference_amplitude[k])), str(response.motion_type[k])]
         row += [repr(float(impacts)) for impacts in response.impacts[:, k]]
         row += [str(response.repetition[k]), str(bool(response.converged[k])).lower()]
-        row += [repr(float(response.residual[k])), sweep_directions[k]]
+        row += [repr(float(response.residual[k])), sweep_directions[k], *response.damper_motion[:, k].tolist()]
         table.append(row)
     return header, table
 
@@ -103,31 +108,33 @@ def write_csv(response: SteadyResponse, path: Path) -> None:
 def format_response(response: SteadyResponse, every_frequency: bool = False) -> str:
     """Return a response as text: range, motion of the dampers, peaks of each body; on request every frequency."""
     lines = [response.summary()]
-    kinds = list(dict.fromkeys(map(str, response.motion_type)))
-    if len(kinds) > 1:
-        for kind in kinds:
-            ranges = format_frequencies(response.frequency.tolist(), (response.motion_type == kind).tolist())
-            lines.append(f"  motion {kind}: {ranges}")
+    elements = len(response.damper_motion)
+    labels = [f"{label}," for label in element_labels(elements, response.joints)] if elements > 1 else ["motion"]
+    for label, motion in zip(labels, response.damper_motion, strict=False):
+        kinds = list(dict.fromkeys(motion.tolist()))
+        for kind in kinds if len(kinds) > 1 else []:
+            ranges = format_frequencies(response.frequency.tolist(), (motion == kind).tolist())
+            lines.append(f"  {label} {kind}: {ranges}")
     if not response.converged.all():
         ranges = format_frequencies(response.frequency.tolist(), (~response.converged).tolist())
         lines.append(
             f"  no steady state: {ranges}. Irregular motion never settles; for other motion types, pass a larger "
             "`longest` to rig.frequency_response (Python)."
         )
-    motion = _motion_labels(response)
-    lines += ["", *_peak_table(response, motion)]
+    motion_labels = _motion_labels(response)
+    lines += ["", *_peak_table(response, motion_labels)]
     if every_frequency:
-        lines += ["", *_frequency_table(response, motion)]
+        lines += ["", *_frequency_table(response, motion_labels)]
     return "\n".join(lines)
 
 
 def _motion_labels(response: SteadyResponse) -> list[str]:
-    """Return the motion type at each frequency, with the direction of the sweep if it goes both up and down."""
+    """Return the motion at each frequency, with the direction of the sweep if it goes both up and down."""
     sweep_directions = directions(response.frequency)
     is_up_and_down = len(set(sweep_directions)) > 1
     return [
-        f"{kind}, {direction}" if is_up_and_down else str(kind)
-        for kind, direction in zip(response.motion_type, sweep_directions, strict=True)
+        describe_motion(response.damper_motion[:, [k]], response.joints) + (f", {direction}" if is_up_and_down else "")
+        for k, direction in enumerate(sweep_directions)
     ]
 
 
@@ -137,6 +144,7 @@ def _peak_table(response: SteadyResponse, motion: list[str]) -> list[str]:
 
     unit, factor = frf_display(response.reference)[1:]
     rows, coarse = [("body", "frequency / Hz", f"peak / ({unit})", "motion")], []
+    jumps: list[_Jump] = []
     sweep_directions = np.array(directions(response.frequency))
     for curve in response.response.curves():
         for direction in dict.fromkeys(sweep_directions):
@@ -152,7 +160,11 @@ def _peak_table(response: SteadyResponse, motion: list[str]) -> list[str]:
                     height = f"{factor * abs(curve.value[k]):.4g}"
                     is_coarse = peak.lines < MIN_LINES or not peak.is_interpolated
                     row = format_decimals(curve.frequency[k], 4), f"at least {height}" if is_coarse else height
-                    coarse += [peak] * is_coarse
+                    jump = _jump_at(response, curve.value, *points[peak.line - 1 : peak.line + 2])
+                    if is_coarse and jump is not None:
+                        jumps.append(jump)
+                    elif is_coarse:
+                        coarse.append(peak)
                 rows.append((curve.response, *row, motion[k]))
         if rows[-1][0] != curve.response:
             k = int(np.argmax(abs(curve.value)))
@@ -174,6 +186,50 @@ def _peak_table(response: SteadyResponse, motion: list[str]) -> list[str]:
             f"{', '.join(f'{frequency:.4g}' for frequency in frequencies[:_MAX_LISTED])} Hz: the true "
             f"peaks may be higher. {advice} (`points`)."
         )
+    return [*lines, *_jump_notes(jumps)]
+
+
+class _Jump(NamedTuple):
+    """A jump of the response between two frequencies, Hz; confirmed if the sweeps up and down differ at the peak."""
+
+    low: float
+    high: float
+    is_confirmed: bool
+
+
+def _jump_at(response: SteadyResponse, value: NDArray[np.complex128], before: int, k: int, after: int) -> _Jump | None:
+    """Return a possible jump next to a peak of `value`: between `k` and the lower of its neighbors `before`, `after`.
+
+    There the response falls below half power and the motion changes. None if the sweeps up and down agree at the peak.
+    """
+    frequency, below = response.frequency, min(before, after, key=lambda j: float(abs(value[j])))
+    other_sweep = value[(frequency == frequency[k]) & (np.arange(frequency.size) != k)]
+    is_confirmed = bool((abs(other_sweep - value[k]) > _SAME_MOTION * abs(value[k])).any())
+    has_changed = bool((response.impacts[:, below] != response.impacts[:, k]).any())
+    if abs(value[below]) > abs(value[k]) / np.sqrt(2.0) or not has_changed or (other_sweep.size and not is_confirmed):
+        return None
+    low, high = sorted((float(frequency[k]), float(frequency[below])))
+    return _Jump(low, high, is_confirmed)
+
+
+def _jump_notes(jumps: list[_Jump]) -> list[str]:
+    """Return a sentence on the confirmed jumps, and a sentence on the others."""
+    notes = (
+        (True, "the response jumps", "the sweeps up and down differ there. `rig.follow_orbits` computes the branches."),
+        (
+            False,
+            "the response falls and the motion changes",
+            "it may jump there. Compare the sweeps up and down (`direction`): if they agree, compute more frequencies "
+            "there (`points`).",
+        ),
+    )
+    lines = []
+    for is_confirmed, event, advice in notes:
+        intervals = dict.fromkeys(
+            f"{low:.5g} and {high:.5g} Hz" for low, high, of in sorted(jumps) if of is is_confirmed
+        )
+        if intervals:
+            lines.append(f"{event} between {' and between '.join([*intervals][:_MAX_LISTED])}: {advice}")
     return lines
 
 

@@ -54,10 +54,42 @@ def test_linear_peak_between_frequencies_is_computed(response: SteadyResponse) -
     count = {name: np.resize(getattr(response, name), frequency.size) for name in names}
     linear = replace(
         response, **count, frequency=frequency, frf=1e-6 * row[np.newaxis], bodies=("base",),
-        motion_type=np.full(frequency.size, "linear"),
+        motion_type=np.full(frequency.size, "linear"), damper_motion=np.full((1, frequency.size), "linear"),
     )  # fmt: skip
     [line] = [line.split() for line in format_response(linear).splitlines() if line.startswith("base")]
     assert float(line[1]) == pytest.approx(natural, abs=0.005) and float(line[2]) == pytest.approx(100.0, rel=1e-3)
+
+
+def test_motions_of_several_elements_are_labeled(response: SteadyResponse) -> None:
+    motion = np.vstack([response.damper_motion, np.where(response.frequency == 17.0, "1 per 1", "linear")])
+    several = replace(response, damper_motion=motion, impacts=np.zeros((2, 10)), joints=1)
+    text = format_response(several)
+    assert "motion damper 1: riding, I, irregular; joint 1: linear, 1 per 1" in text
+    assert "\n  joint 1, 1 per 1: 17 Hz" in text and "damper 1: I; joint 1: 1 per 1" in text
+
+
+@pytest.mark.parametrize(
+    ("down_at_17", "note"),
+    [(None, "it may jump there"), (2.0, "the response jumps between 17 and 18 Hz"), (5.0, "fewer than 3 frequencies")],
+)
+def test_jump_differs_from_unresolved_peak(response: SteadyResponse, down_at_17: float | None, note: str) -> None:
+    frequency = np.arange(10.0, 20.0)
+    value = 1e-6 * np.array([[1.0, 1, 1, 2, 3, 4, 4.5, 5, 0.5, 0.4]], dtype=np.complex128)
+    impacts = np.where(frequency < 18.0, 1.0, 0.0)[np.newaxis]
+    jumping = replace(response, frf=value, impacts=impacts, bodies=("base",))
+    if down_at_17 is not None:
+        down = value.copy()
+        down[0, 7] = 1e-6 * down_at_17
+        names = ("peak", "reference_amplitude", "motion_type", "damper_motion", "converged", "repetition", "residual")
+        twice = {name: np.concatenate([getattr(jumping, name)] * 2, axis=-1) for name in names}
+        jumping = replace(
+            jumping,
+            **twice,
+            frequency=np.concatenate([frequency, frequency[::-1]]),
+            frf=np.concatenate([value, down[:, ::-1]], axis=1),
+            impacts=np.concatenate([impacts, impacts[:, ::-1]], axis=1),
+        )
+    assert note in format_response(jumping)
 
 
 def test_motion_types_are_given_as_ranges(response: SteadyResponse) -> None:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
     from daq.core.signal_chain.channel import ChannelInfo
 
-# Lower limit of the frequency range that is searched for modes.
+# Lower limit of the frequency range that is searched for modes, Hz.
 LOWEST_MODE_HZ = 2.0
 # Upper limit of this range. The limit is raised if the scene's structure has higher modes.
 HIGHEST_MODE_HZ = 200.0

@@ -62,7 +62,7 @@ LAYERS_OF_MODES = (4, 6)
 SHAKEN_MASS_RATIO = 1e-3
 #: Damping ratio of the body whose compliance is reported.
 DAMPING = 0.005
-#: Ratio of the mass of the bed to the mass of this body.
+#: Ratio of the mass of the bed to the mass of the body whose compliance is reported.
 DAMPED_MASS_RATIO = 0.1
 #: Periods in a block without a ceiling; the last two of three blocks are averaged.
 BLOCK_PERIODS = 6

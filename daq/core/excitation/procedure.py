@@ -27,7 +27,7 @@ _BLOCK_S = 0.5
 class FormValues:
     """Values of the controls on the bench page."""
 
-    kind: str  # title of a form
+    kind: str  # kind of test: the title of its form
     level: float  # amplitude of a sine or sweep, rms of a random test, or peak of an impact, N
     frequency: float  # frequency of a sine, Hz
     low: float  # lower limit of a sweep or random test, Hz

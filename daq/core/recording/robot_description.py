@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     BoxGeometry = tuple[tuple[float, float, float], tuple[float, float, float]]
 
-# Name of the fixed part.
+# Name of the fixed link of the robot, which does not move.
 WORLD = "world"
 # Largest exaggeration: displacements near a resonance are millimeters, and a millimeter is drawn as two centimeters.
 EXAGGERATION = 20.0

@@ -142,7 +142,7 @@ def import_files(
         raise RecordingError(f"{duplicate}: the same content as {first}. Give each file once.")
     with ExitStack() as stack:
         files_of_signals = [signals_of(file, stack) for file in paths]
-        # A table that states files assigns force and response from separate files of one impact.
+        # If the table states files, force and response of one impact are in separate files, which are not repetitions.
         is_joined = (
             _detection(bench_scene) == "hits"
             and are_repetitions(files_of_signals)

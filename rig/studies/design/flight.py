@@ -28,12 +28,12 @@ _EFFECTIVE_G = 3.0
 class Flight:
     """Take-off and flight height of the dampers of a design.
 
-    `height`: largest height above the floor without a ceiling, over the band and the levels of the objective, m; NaN
-    where part of the motion is irregular, or where the dampers reach their ceiling.
+    `height`: largest height above the floor without a ceiling, over the band and the levels of the objective, m; NaN if
+    the motion at some frequency is irregular, or if the dampers reach their ceiling.
     """
 
     take_off: float  # lowest level at which a damper takes off in the band, N or drive
-    body: int  # body body of this damper, from 1
+    body: int  # body of this damper, from 1
     height: float
 
     def acceleration_g(self, level: float) -> float:

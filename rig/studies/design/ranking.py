@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.studies.design.choice import Trial
 
-#: Peaks that differ by at most this count as equal, dB, because frequency grids and averages do not resolve smaller
+#: Largest difference of peaks that are ranked as equal, dB. Frequency grids and averages do not resolve smaller
 #: differences.
 EQUAL_DB = 0.05
 #: `EQUAL_DB` as a ratio of peaks.

@@ -175,7 +175,7 @@ class Lines:
 
 
 def _noise_of_changes(changes: ComplexArray) -> Array:
-    """Estimate the noise power in the changes between parts, summed over the changes; shape (channels, lines).
+    """Estimate the noise power in the changes between parts of a test, summed over the changes; (channels, lines).
 
     `changes`, shape (changes, channels, lines). Noise differs from line to line, while transients are smooth. The
     median over lines excludes transients of single modes.
@@ -198,12 +198,12 @@ def _sum_of_neighbors(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def residual_transient(successive: ComplexArray) -> Array:
-    """Estimate the maximum error of the mean of successive parts due to a decaying transient, shape (channels, lines).
+    """Estimate the maximum error of a mean amplitude due to a decaying transient, shape (channels, lines).
 
-    `successive`: amplitudes of successive parts, shape (parts, channels, lines). From part to part, a transient is
-    multiplied by a constant complex factor r. With the initial value c it shifts the mean of P parts by ``c (1 - r^P) /
-    (P (1 - r))``. The change from part k to the next is ``c r^k (r - 1)``, from which r and c are estimated. Many parts
-    are first averaged to a few, because noise would otherwise hide r.
+    `successive`: amplitudes of successive parts of the test, shape (parts, channels, lines). From part to part, a
+    transient is multiplied by a constant complex factor r. With the initial value c it shifts the mean of P parts by
+    ``c (1 - r^P) / (P (1 - r))``. The change from part k to the next is ``c r^k (r - 1)``, from which r and c are
+    estimated. Many parts are first averaged to a few, because noise would otherwise hide r.
 
     >>> amplitudes = 1.0 + 0.1 * 0.8 ** np.arange(5.0)[:, None, None] + 0j
     >>> float(round(residual_transient(amplitudes)[0, 0] / (abs(amplitudes.mean()) - 1.0), 6))

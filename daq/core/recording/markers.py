@@ -257,7 +257,7 @@ def gaps_of(markers: Iterable[Marker], channels: Sequence[str]) -> list[Gap]:
 
 
 def unmarked_ranges(missing: Iterable[tuple[int, int]], gaps: Sequence[Gap]) -> Iterator[tuple[int, int]]:
-    """Yield the parts of missing ranges [first, stop) that the gaps reported before these parts do not cover.
+    """Yield missing ranges [first, stop), each from the end of the gaps that are already marked at its start.
 
     `missing` and `gaps` are in ascending order. A gap that starts inside a range is not subtracted from this range.
 

@@ -71,7 +71,7 @@ class Replay:
 
     @cached_property
     def _largest_motion(self) -> tuple[Extremes, int]:
-        """Largest motion of each part, and the sample index of the overall largest motion; reads the whole segment."""
+        """Largest motion of bodies, dampers and tables, and the sample index of the overall largest motion."""
         shaker_bodies = [shaker.first_body for _, shaker in self.recording.scene.tables]
         extremes, largest_sample, largest_size = Extremes(), self.start, 0.0
         for sample_numbers, motion in self.motion.segments(self.start, self.stop, self.step):

@@ -168,7 +168,7 @@ def reference_noise_bound(value: ComplexArray, coherence: Array) -> Array:
 def shared_noise_bound(
     noise: Array, change_per_reading: ComplexArray, reference_weights: ComplexArray, reference_power: Array
 ) -> Array:
-    """Compute the maximum error of H1 due to noise of the reference's channels that may also be part of the response.
+    """Compute the maximum error of H1 due to noise of channels that contribute to both response and reference.
 
     Noise of power N in a channel with the weights u in the response and l in the reference adds ``u l* N`` to their
     cross-spectrum and ``|l|^2 N`` to the reference's power: H1 has the error ``(u - H1 l) l* N`` over the noise-free

@@ -200,8 +200,11 @@ def _describe(error: BaseException) -> tuple[int, str]:
         if type(error).__name__ == "NoArgsIsHelpError":
             return 2, error.format_message()
         context = getattr(error, "ctx", None)
-        usage = "" if context is None else f"{context.get_usage()}\n"
-        return 2, f"{usage}error: {error.format_message()}"
+        usage, message = "" if context is None else f"{context.get_usage()}\n", error.format_message()
+        if re.fullmatch(r"No such command '[^']*'\.", message) and context is not None:
+            # No command has a similar name.
+            message += f" The commands are {', '.join(sorted(context.command.commands))}."
+        return 2, f"{usage}error: {message}"
     # Extension modules may report an interrupt during loading as an unrelated failure.
     if received_signals:
         return _INTERRUPTED_CODE, "interrupted"

@@ -163,6 +163,15 @@ def test_empty_option_is_rejected(command, capsys, monkeypatch, words):
     assert "expected a value that is not empty" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("name", "hint"), [("list", "The commands are act, other."), ("othr", "Did you mean 'other'?")]
+)
+def test_unknown_command_lists_the_commands(command, capsys, monkeypatch, name, hint):
+    monkeypatch.setattr(sys, "argv", ["rig", name])
+    assert command(lambda: None) == 2
+    assert f"error: No such command '{name}'. {hint}" in capsys.readouterr().err
+
+
 def test_control_characters_are_escaped_in_a_terminal(command, capsys):
     assert command(lambda: print("red\x1b[31m\udcff \u202e")) == 0
     assert capsys.readouterr().out == "red\\x1b[31m\\udcff \\u202e\n"

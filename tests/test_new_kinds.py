@@ -55,7 +55,9 @@ def coil(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 def test_new_kind_is_checked(results: dict[str, Any]) -> None:
-    assert "test.frequencies[2]: 2000 Hz" in results["message"]
+    too_high, too_close = results["messages"]
+    assert "test.frequencies[2]: 2000 Hz" in too_high
+    assert "test.frequencies: tones that differ by 0.3 Hz do not settle within 60 s" in too_close
 
 
 def test_new_kind_is_explained(results: dict[str, Any]) -> None:
@@ -71,7 +73,7 @@ def test_new_kind_is_recorded_and_analyzed(results: dict[str, Any]) -> None:
 
 
 def test_new_kind_is_simulated_and_foreseen(results: dict[str, Any]) -> None:
-    assert results["simulated"] > 0.0
+    assert results["simulated"] > 0.0 and results["steady"] == [20.0, 33.3]
     assert "the test takes 8" in results["foresight"]
 
 

@@ -1,10 +1,12 @@
 """Two tones at once: the settings of a kind of test that exists only in the test suite."""
 
+from collections.abc import Iterable
 from typing import ClassVar, Literal
 
 import numpy as np
 
-from rig.core.scene.excitation.kind import Drive, DrivenShaker, Duration, Frequency, KindOfTest, Pulses, Start
+from rig.core.scene.excitation.kind import Drive, DrivenShaker, Duration, Frequency, KindOfTest, Pulses, Settle, Start
+from rig.core.settings.problems import Problem
 
 
 class TwoTones(KindOfTest):
@@ -21,6 +23,13 @@ class TwoTones(KindOfTest):
     shaker: DrivenShaker = None
     duration: Duration = 2.0
     """Duration of the test [s]."""
+
+    settle: Settle = Settle()
+    """Criterion for the steady state."""
+
+    def check_consistency(self) -> Iterable[Problem]:
+        """Check the distance of the tones."""
+        yield from self.settle.check_spacing(("frequencies",), self.frequencies)
 
     def tones(self, points: int) -> tuple[float, ...]:
         """Return both frequencies, Hz."""

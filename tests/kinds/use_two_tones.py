@@ -30,15 +30,18 @@ def main(recording: str) -> None:
     scene = rig.load(SCENE)
     exact = rig.frequency_response(scene.replace(test={"kind": "sine", "frequency": 20.0, "drive": 1e-4}), [20.0, 33.3])
     daq.record(scene, recording)
-    try:
-        rig.load(SCENE, {"test.frequencies": ["20 Hz", "2 kHz"]})
-    except rig.SceneError as error:
-        message = str(error)
+    messages = []
+    for frequencies in (["20 Hz", "2 kHz"], ["20 Hz", "20.3 Hz"]):
+        try:
+            rig.load(SCENE, {"test.frequencies": frequencies})
+        except rig.SceneError as error:
+            messages.append(str(error))
     with daq.open(recording) as rec:
         response = analysis.frfs(rec)
     results = {
-        "message": message,
+        "messages": messages,
         "explanation": str(rig.explain(scene)),
+        "steady": rig.response(scene).frequency.tolist(),
         "simulated": float(abs(rig.simulate(scene, 1.0, rate=2000.0).displacement).max()),
         "foresight": str(daq.foresee(scene)),
         "info": str(daq.info(recording)),

@@ -11,13 +11,12 @@ from __future__ import annotations
 import math
 from collections.abc import Generator, Mapping, Sequence
 from functools import lru_cache, reduce
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from daq.core.excitation.controlled import Controlled
-from daq.core.excitation.lock_in import MIN_PERIODS, min_samples, whole_periods
+from daq.core.excitation.lock_in import min_samples, whole_periods
 from daq.core.excitation.station import Excitation, Station
 from daq.core.excitation.tones.settling import MIN_OBSERVATIONS, Settling
 from rig.core.base.arrays import Array, ComplexArray
@@ -32,9 +31,6 @@ TRANSITION_S = 0.4
 _MAX_TRANSITION_S = 3.0
 # An amplitude is estimated from a window of at least this duration, s.
 WINDOW_S = 0.1
-# Within the longest wait, several tones need this number of windows for two drives: for each, a transition and the
-# observations that predict its steady force.
-_MIN_WINDOWS = 2 * (MIN_OBSERVATIONS + 2)
 # Above this multiple of the force level, the drive is reduced before the steady state, to protect the rig.
 _MAX_FORCE_RATIO = 3.0
 # Largest sudden change of the drive with a negligible transient, as ln(new / old).
@@ -120,13 +116,8 @@ def _window(frequencies: Sequence[float], rate: float, shortest_s: float) -> int
 
 def check_spacing(frequencies: Sequence[float], max_wait_s: float) -> None:
     """Raise `SceneError` if simultaneous tones in Hz are too close to settle within a time in s."""
-    spacing = min((upper - lower for lower, upper in pairwise(sorted(frequencies))), default=np.inf)
-    required = MIN_PERIODS * _MIN_WINDOWS / max_wait_s
-    if spacing < required:
-        raise SceneError(
-            f"test: tones that differ by {spacing:.2g} Hz do not settle within {max_wait_s:g} s. Space the tones by at "
-            f"least {required:.2g} Hz, or increase `test.settle.longest`."
-        )
+    for problem in Settle(longest=max_wait_s).check_spacing((), frequencies):
+        raise SceneError(f"test: {problem.message}")
 
 
 def listed(steps: Sequence[str]) -> str:

@@ -4,7 +4,9 @@ The class of a kind defines the properties of this kind. Other modules use the p
 kind.
 """
 
+import math
 from collections.abc import Callable, Iterable, Mapping
+from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 from pydantic import Field
@@ -43,6 +45,9 @@ Spacing = Literal["linear", "log"]
 MAX_STEPS = 100_000
 #: Relative tolerance within which a controller accepts a force.
 FORCE_TOLERANCE = 0.005
+# Simultaneous tones settle in at least this number of their beats: 12 windows of two beats, because each of two drives
+# needs a transition and five observations until its steady force is predicted.
+_SETTLING_BEATS = 24.0
 
 
 class Chirp(NamedTuple):
@@ -70,6 +75,17 @@ class Settle(Settings):
     """Largest relative change of any channel's first harmonic between successive time windows."""
     longest: Duration = 60.0
     """Longest time to wait for the steady state [s]."""
+
+    def check_spacing(self, key_path: KeyPath, frequencies: Iterable[float]) -> Iterable[Problem]:
+        """Check that simultaneous tones in Hz are far enough apart to settle; `key_path`: key of the tones."""
+        spacing = min((upper - lower for lower, upper in pairwise(sorted(frequencies))), default=math.inf)
+        required = _SETTLING_BEATS / self.longest
+        if spacing < required:
+            yield Problem(
+                key_path,
+                f"tones that differ by {spacing:.2g} Hz do not settle within {self.longest:g} s. Space the tones by at "
+                f"least {required:.2g} Hz, or increase `test.settle.longest`.",
+            )
 
 
 class KindOfTest(Settings):

@@ -17,7 +17,7 @@ from analysis.core.decays.modal_decay import ModalDecay, band_width, modal_decay
 from analysis.core.decays.sensor_correction import correct_motion
 from analysis.core.recordings.channel_delay import arrival
 from analysis.core.recordings.names import takes_path
-from analysis.core.recordings.slices import hits, interpolated
+from analysis.core.recordings.slices import impact_ranges, interpolated
 from analysis.core.responses.errors.systematic import clock_deviation
 from analysis.core.responses.measurands import motion_channel, response_channels
 from daq.core.recording.markers import faulty_hits
@@ -312,17 +312,17 @@ def _energy_after_end(acceleration: Array) -> float:
 
 def _decay_limits(rec: Recording, info: ChannelInfo, hit: int) -> tuple[int, int, int, int]:
     """Return sample indices: start of reading, start and end of the decay, end of reading; ends are exclusive."""
-    hit_limits = hits(rec)
-    if not 1 <= hit <= len(hit_limits):
-        raise SceneError(f"{rec.path}: no impact {hit}. Choose one of impacts 1 to {len(hit_limits)}.")
-    first, last = hit_limits[hit - 1]
+    ranges = impact_ranges(rec)
+    if not 1 <= hit <= len(ranges):
+        raise SceneError(f"{rec.path}: no impact {hit}. Choose one of impacts 1 to {len(ranges)}.")
+    first, last = ranges[hit - 1]
     # The converter's filter delays the samples. To correct the delay, samples after the end of the decay are read, too.
     # After the correction, the filter's response to the next impact begins before the impact; the decay ends before it.
-    read_stop = arrival(info, hit_limits[hit][0], hit_limits[hit][0])[0] if hit < len(hit_limits) else rec.samples
+    read_stop = arrival(info, ranges[hit][0], ranges[hit][0])[0] if hit < len(ranges) else rec.samples
     max_response_delay = arrival(info, 0, 0)[1]
     decay_start, decay_stop = last + 1, read_stop - max_response_delay
     # Include samples before the impact, so that the band-pass starts with the structure at rest.
-    read_start = max(first - int(0.5 * rec.rate), hit_limits[hit - 2][1] + 1 if hit > 1 else 0, 0)
+    read_start = max(first - int(0.5 * rec.rate), ranges[hit - 2][1] + 1 if hit > 1 else 0, 0)
     if decay_stop - decay_start < _MIN_SAMPLES:
         raise RecordingError(
             f"{rec.path}: only {max(decay_stop - decay_start, 0)} samples follow impact {hit}; expected {_MIN_SAMPLES} "

@@ -122,11 +122,11 @@ def interpolated(samples: Array, is_valid: NDArray[np.bool_]) -> Array:
     return np.interp(np.arange(samples.size), np.flatnonzero(is_valid), samples[is_valid])
 
 
-def hits(rec: Recording) -> list[tuple[int, int]]:
+def impact_ranges(rec: Recording) -> list[tuple[int, int]]:
     """Return the first and last sample of every impact; a free decay counts as one impact at sample 0."""
-    hit_limits = [(hit.first_sample, hit.end) for hit in hits_of(rec.markers)]
-    if hit_limits:
-        return hit_limits
+    ranges = [(impact.first_sample, impact.end) for impact in hits_of(rec.markers)]
+    if ranges:
+        return ranges
     if not rec.test.drives:
         return [(0, 0)]
     raise RecordingError(

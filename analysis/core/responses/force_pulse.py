@@ -26,7 +26,7 @@ def isolate_pulse(info: ChannelInfo, force: Array, first: int, last: int) -> Arr
     the spectrum of the result times `high_pass_response`.
     """
     slow_poles = slow_and_fast(info)[0]
-    n_after, n_taper = samples_after_hit(info)
+    n_after, n_taper = samples_after_impact(info)
     taper_start = min(last + 1 + n_after, force.size)
     stop = min(taper_start + n_taper, force.size)
     pulse = np.zeros(force.size, dtype=complex)
@@ -39,7 +39,7 @@ def isolate_pulse(info: ChannelInfo, force: Array, first: int, last: int) -> Arr
     return np.ascontiguousarray(pulse.real)
 
 
-def samples_after_hit(info: ChannelInfo) -> tuple[int, int]:
+def samples_after_impact(info: ChannelInfo) -> tuple[int, int]:
     """Return the number of samples after an impact in which the force window is 1, and the number of its taper."""
     fast_poles = slow_and_fast(info)[1]
     ringing_s = _RINGING_TIME_CONSTANTS / min((abs(pole.real) for pole in fast_poles), default=np.inf)

@@ -11,7 +11,8 @@ from analysis.core.responses.checks.channel_changes import Parts
 from analysis.core.responses.checks.clean_segments import describe_flaws, remedy
 from analysis.core.responses.estimator import Blocks, Estimator, Request
 from analysis.core.responses.estimators import AveragedSpectra, block_spectra, noise_bandwidth_bins, sampled_window
-from analysis.core.responses.hits import Hits
+from analysis.core.responses.hammer_impacts import HammerImpacts
+from analysis.core.responses.impact_errors import rounding_gain_error
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH
 from analysis.core.responses.segment_fits import SegmentFits, warn_of_dampers
 from daq.core.recording.recording import Recording
@@ -28,11 +29,11 @@ _MAX_END_RATIO = 0.02
 
 def segment_fits(rec: Recording, channels: Sequence[str]) -> SegmentFits:
     """Return the local fits to all impacts; the response to an impact may overlap the next impact."""
-    hits = Hits.of(rec)
+    impacts = HammerImpacts.of(rec)
     # Lowest frequency that is estimated: four periods between successive impacts.
-    low = 4.0 * rec.rate / hits.interval
+    low = 4.0 * rec.rate / impacts.interval
     return SegmentFits(
-        tuple(channels), 0, rec.samples, low, hits.highest_frequency(rec), hits.unmarked, hits,
+        tuple(channels), 0, rec.samples, low, impacts.highest_frequency(rec), impacts.unmarked, impacts,
         label=rec.scene.name, warnings=warn_of_dampers(rec),
     )  # fmt: skip
 
@@ -44,9 +45,9 @@ def averaged_spectra(
 
     `block`: length of a block in s; if omitted, the shortest time from an impact to the next impact, or to the end.
     """
-    hits = Hits.of(rec)
-    begins = [begin for begin, _ in hits.arrivals]
-    block_samples = hits.interval if block is None else round(block * rec.rate)
+    impacts = HammerImpacts.of(rec)
+    begins = [begin for begin, _ in impacts.arrivals]
+    block_samples = impacts.interval if block is None else round(block * rec.rate)
     pretrigger = min(block_samples // _BLOCK_PER_PRETRIGGER, begins[0])
     starts = [begin - pretrigger for begin in begins if begin - pretrigger + block_samples <= rec.samples]
     if block_samples < 16 or not starts:
@@ -55,7 +56,7 @@ def averaged_spectra(
             f"{(rec.samples - begins[0]) / rec.rate:.4g} s (from the first impact to the end of the recording)"
         )
     weights = sampled_window(window, block_samples)
-    averaged = block_spectra(rec, channels, starts, block_samples, weights, 0.0, hits.highest_frequency(rec))
+    averaged = block_spectra(rec, channels, starts, block_samples, weights, 0.0, impacts.highest_frequency(rec))
     reasons = describe_flaws(rec, averaged.flaws) or "the recording ends"
     if not averaged.used:
         raise RecordingError(
@@ -82,8 +83,8 @@ def averaged_spectra(
         averaged.spectra,
         resolution=noise_bandwidth_bins(weights) * rec.rate / block_samples if has_leakage else 0.0,
         warnings=tuple(notes),
-        rounding_gain_error=hits.rounding_gain_error(
-            rec, channels, segments, _readings(rec, channels, segments), lines, FIT_HALF_WIDTH
+        rounding_gain_error=rounding_gain_error(
+            impacts, rec, channels, segments, _readings(rec, channels, segments), lines, FIT_HALF_WIDTH
         ),
         leakage_free=segment_fits(rec, channels) if has_leakage else None,
     )
@@ -109,11 +110,11 @@ def _compute(request: Request) -> list[Response]:
 
 def _parts(request: Request) -> list[Parts]:
     """Return the responses to the impacts."""
-    hits = Hits.of(request.rec)
-    begins = np.array([begin for begin, _ in hits.arrivals])
-    pretrigger = int(min(hits.interval // _BLOCK_PER_PRETRIGGER, begins[0]))
-    low, high = 4.0 * request.rec.rate / hits.interval, hits.highest_frequency(request.rec)
-    return [Parts(begins - pretrigger, hits.interval, low, high)]
+    impacts = HammerImpacts.of(request.rec)
+    begins = np.array([begin for begin, _ in impacts.arrivals])
+    pretrigger = int(min(impacts.interval // _BLOCK_PER_PRETRIGGER, begins[0]))
+    low, high = 4.0 * request.rec.rate / impacts.interval, impacts.highest_frequency(request.rec)
+    return [Parts(begins - pretrigger, impacts.interval, low, high)]
 
 
 ESTIMATOR = Estimator(

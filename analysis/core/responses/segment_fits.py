@@ -18,7 +18,8 @@ from scipy import fft
 from analysis.core.responses.checks.clean_segments import Flaw, clean_segments, describe_flaws, find_flaws, remedy
 from analysis.core.responses.errors.systematic import noise_gain_error, power_in_counts
 from analysis.core.responses.force_pulse import high_pass_response
-from analysis.core.responses.hits import PRE_HIT_S, Hits
+from analysis.core.responses.hammer_impacts import PRE_IMPACT_S, HammerImpacts
+from analysis.core.responses.impact_errors import force_noise, rounding_gain_error
 from analysis.core.responses.local_models.jitter import jitter_factor
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH, LocalSpectra
 from analysis.core.responses.local_models.low_spectra import low_spectra
@@ -62,7 +63,7 @@ class SegmentFits:
     low: float  # lower edge of the band in which responses are estimated, Hz
     high: float  # upper edge of the band, Hz
     other_flaws: Sequence[Flaw] = ()  # flaws other than overloads and lost samples
-    hits: Hits | None = None  # impacts of a hammer; None for other tests
+    impacts: HammerImpacts | None = None  # impacts of a hammer; None for other tests
     # period of bursts and duration of each burst in samples; None for tests without bursts
     bursts: tuple[int, int] | None = None
     label: str = ""  # for legends
@@ -82,7 +83,7 @@ class SegmentFits:
         numerator, denominator = motion_of(rec, response, motion), reference_of(rec, reference)
         segments, notes = self.usable_segments(rec, [name for each in (denominator, *others) for name in each.channels])
         warnings = (*self.warnings, *notes)
-        if self.hits is None:
+        if self.impacts is None:
             spectra = self.spectra(rec, self.channels, segments)
             return spectra.frf(rec, numerator, denominator, reference, motion, self.label, warnings, others=others)
         # Whether the rig was at rest before the impacts is determined from the channels of each response.
@@ -90,9 +91,9 @@ class SegmentFits:
         longest = max(stop - start for start, stop in segments)
         curves: list[Response] = []
         for group in self._groups(segments):
-            prior_motion = [self.hits.prior_motion(rec, names, *bounds) for bounds in group]
+            prior_motion = [self.impacts.prior_motion(rec, names, *bounds) for bounds in group]
             spectra = self._spectra(rec, names, group, prior_motion, longest)
-            noise = self.hits.force_noise(rec, group, spectra.frequency[spectra.lines])
+            noise = force_noise(self.impacts, rec, group, spectra.frequency[spectra.lines])
             frf = spectra.frf(rec, numerator, denominator, reference, motion, self.label, warnings, noise)
             frf = _with_motion_before(frf, prior_motion)
             # The arrays of the errors are large, so only those of the first group are stored; they represent all
@@ -108,7 +109,7 @@ class SegmentFits:
         all_flaws = find_flaws(rec, self.channels, self.first, self.stop)
         all_flaws = sorted([*all_flaws, *self.other_flaws], key=lambda flaw: flaw.first)
         segments, notes = self._sufficient_segments(rec, clean_segments(all_flaws, self.first, self.stop))
-        if self.hits is not None:
+        if self.impacts is not None:
             segments, split_notes = self._split_at_hits(segments, rec.rate)
             notes += split_notes
         if all_flaws:
@@ -137,8 +138,8 @@ class SegmentFits:
         self, rec: Recording, clean: Sequence[tuple[int, int]]
     ) -> tuple[list[tuple[int, int]], list[str]]:
         """Select segments of sufficient length; for a hammer, only segments with an impact."""
-        if self.hits is not None:
-            clean = [segment for segment in clean if self.hits.inside(*segment)]
+        if self.impacts is not None:
+            clean = [segment for segment in clean if self.impacts.inside(*segment)]
         if self.bursts is not None:
             # The samples between bursts contain no information, because the force of an undriven coil spring follows
             # from the response. A segment that begins late in a burst contains mainly the response to earlier force.
@@ -150,7 +151,7 @@ class SegmentFits:
                 > max(4 * FIT_HALF_WIDTH, _MIN_BURST_RATIO * on_samples)
             ]
         # The frequency range of a fit must be smaller than the band. Impacts are at least 0.2 s apart.
-        min_length_s = 2 * FIT_HALF_WIDTH / (self.high - self.low) if self.hits is None else 0.2
+        min_length_s = 2 * FIT_HALF_WIDTH / (self.high - self.low) if self.impacts is None else 0.2
         longest = max((stop - start for start, stop in clean), default=0)
         selected = [
             (start, stop)
@@ -162,7 +163,7 @@ class SegmentFits:
         return selected, []
 
     @property
-    def _max_hits(self) -> int:
+    def _max_impacts(self) -> int:
         """Return the maximum number of impacts that are fitted together; the last channel is the force."""
         return min(max(_MAX_RESIDUALS // max(len(self.channels) - 1, 1), 1), _MAX_HITS)
 
@@ -171,27 +172,27 @@ class SegmentFits:
 
         The vibration that remains from earlier impacts is a transient of the fit.
         """
-        assert self.hits is not None
-        hits = self.hits
-        count = sum(len(hits.inside(*segment)) for segment in segments)
-        if count <= self._max_hits and sum(stop - start for start, stop in segments) <= _MAX_SAMPLES:
+        assert self.impacts is not None
+        impacts = self.impacts
+        count = sum(len(impacts.inside(*segment)) for segment in segments)
+        if count <= self._max_impacts and sum(stop - start for start, stop in segments) <= _MAX_SAMPLES:
             return segments, []
         # The groups have nearly equal numbers of impacts, because their responses have equal weight.
-        max_hits = -(-count // -(-count // self._max_hits))  # both rounded up
-        n_before = min(int(PRE_HIT_S * rate), hits.interval // 2)
+        max_impacts = -(-count // -(-count // self._max_impacts))  # both rounded up
+        n_before = min(int(PRE_IMPACT_S * rate), impacts.interval // 2)
         parts, is_cut = [], False
         for start, stop in segments:
-            begins = [begin for begin, _ in hits.inside(start, stop)]
-            edges, n_hits = [start], 0
+            begins = [begin for begin, _ in impacts.inside(start, stop)]
+            edges, n_impacts = [start], 0
             for begin, end in pairwise([*(begin - n_before for begin in begins), stop]):
-                if n_hits and (n_hits == max_hits or end - edges[-1] > _MAX_SAMPLES):
+                if n_impacts and (n_impacts == max_impacts or end - edges[-1] > _MAX_SAMPLES):
                     edges.append(begin)
-                    n_hits = 0
-                n_hits += 1
+                    n_impacts = 0
+                n_impacts += 1
             for first, last in pairwise([*edges, stop]):
                 # Only a segment with a single impact can be longer.
                 if last - first > _MAX_SAMPLES:
-                    is_cut, first = True, max(first, hits.inside(first, last)[0][0] - _MAX_SAMPLES // 4)
+                    is_cut, first = True, max(first, impacts.inside(first, last)[0][0] - _MAX_SAMPLES // 4)
                 parts.append((first, min(last, first + _MAX_SAMPLES)))
         note = (
             f"Of the response to an impact, at most {_MAX_SAMPLES / rate:.4g} s are used, because more needs a "
@@ -201,15 +202,15 @@ class SegmentFits:
 
     def _groups(self, segments: Sequence[tuple[int, int]]) -> list[list[tuple[int, int]]]:
         """Join segments with impacts to groups; each group is fitted together."""
-        assert self.hits is not None
+        assert self.impacts is not None
         groups: list[list[tuple[int, int]]] = []
-        n_hits = n_samples = 0
+        n_impacts = n_samples = 0
         for start, stop in segments:
-            count = len(self.hits.inside(start, stop))
-            n_hits, n_samples = n_hits + count, n_samples + stop - start
-            if not groups or n_hits > self._max_hits or n_samples > _MAX_SAMPLES:
+            count = len(self.impacts.inside(start, stop))
+            n_impacts, n_samples = n_impacts + count, n_samples + stop - start
+            if not groups or n_impacts > self._max_impacts or n_samples > _MAX_SAMPLES:
                 groups.append([])
-                n_hits, n_samples = count, stop - start
+                n_impacts, n_samples = count, stop - start
             groups[-1].append((start, stop))
         return groups
 
@@ -223,11 +224,11 @@ class SegmentFits:
     ) -> LocalSpectra:
         """Compute the spectra of segments, each padded with zeros to the length of the longest of the test."""
         # The transform is periodic: zeros separate the end of a segment from the response to its impact.
-        leading_zeros = 0 if self.hits is None else min(self.hits.interval, longest)
+        leading_zeros = 0 if self.impacts is None else min(self.impacts.interval, longest)
         # The length does not depend on motion before the impacts, so that all responses have the same lines.
         size = fft.next_fast_len(longest + leading_zeros, real=True)
         # The spectrum of periodic impacts is a comb: it has no excitation between its lines.
-        lines_per_comb_line = 1.0 if self.hits is None else max(1.0, size / leading_zeros)
+        lines_per_comb_line = 1.0 if self.impacts is None else max(1.0, size / leading_zeros)
         lines, half_width = self._lines(rec, size), int(np.ceil(FIT_HALF_WIDTH * lines_per_comb_line))
         # Bins that the fits use.
         first = max(int(lines[0]) - half_width, 0)
@@ -237,32 +238,32 @@ class SegmentFits:
         # Whether each segment is the response to its impacts alone, without motion before them.
         at_rest = [False] * len(segments)
         jitter = np.zeros((0, len(names)))
-        if self.hits is None:
+        if self.impacts is None:
             pairs = [low_spectra(rec, names, *bounds, size, fitted_bins.stop) for bounds in segments]
             channel_spectra = [spectra for spectra, _ in pairs]
             power = np.average([square for _, square in pairs], axis=0, weights=lengths)
             gain_error = np.repeat(noise_gain_error(power_in_counts(rec, names, power))[:, None], lines.size, axis=1)
         else:
             at_rest = [
-                self.hits.is_response_to_hits_alone(motion, *bounds, size)
+                self.impacts.is_response_to_impacts_alone(motion, *bounds, size)
                 for bounds, motion in zip(segments, prior_motion, strict=True)
             ]
             blocks = []
             for (start, stop), is_at_rest in zip(segments, at_rest, strict=True):
                 block = np.stack([rec.read(name, start, stop) for name in names])
-                blocks.append(self.hits.isolate(rec, names, block, start, is_at_rest))
+                blocks.append(self.impacts.isolate(rec, names, block, start, is_at_rest))
             lengths = [block.shape[1] for block in blocks]
             padded = [np.pad(block, ((0, 0), (size - block.shape[1], 0))) for block in blocks]
             channel_spectra = [fft.rfft(block, axis=1) for block in padded]
             # The force includes the whole tail of its high-pass filters, which the recording may truncate.
-            info = rec.channels[self.hits.channel]
+            info = rec.channels[self.impacts.channel]
             high_pass = high_pass_response(info, fft.rfftfreq(size, 1.0 / rec.rate))
             for spectra in channel_spectra:
-                spectra[names.index(self.hits.channel)] *= high_pass
-            inside = [hit for bounds in segments for hit in self.hits.inside(*bounds)]
+                spectra[names.index(self.impacts.channel)] *= high_pass
+            inside = [impact for bounds in segments for impact in self.impacts.inside(*bounds)]
             jitter = jitter_factor(rec, names, inside, size, half_width)
-            gain_error = self.hits.rounding_gain_error(
-                rec, names, segments, zip(blocks, channel_spectra, strict=True), lines, half_width
+            gain_error = rounding_gain_error(
+                self.impacts, rec, names, segments, zip(blocks, channel_spectra, strict=True), lines, half_width
             )
         start_phases = np.exp(np.outer((size - np.array(lengths)) / size, -2j * np.pi * bins))
         end_phases = np.where(np.array(at_rest)[:, None], 0.0, start_phases)

@@ -12,7 +12,7 @@ import rig
 from analysis.commands.cli import app
 from analysis.core.decays.modal_decay import band_width, modal_decay, spectral_peaks
 from analysis.core.decays.sensor_correction import correct_motion
-from analysis.core.recordings.slices import hits
+from analysis.core.recordings.slices import impact_ranges
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.errors import RecordingError, SceneError
 from tests.analysis.responses import synthetic
@@ -172,7 +172,7 @@ def test_three_dampers_have_true_damping(tmp_path):
         decay = analysis.decay(rec, "body2")
         ideal_sensor = ChannelInfo("true", "body 2", "displacement", 1.0, rec.rate)
         true_acceleration = correct_motion(ideal_sensor, rec.truth("displacement")[1], "acceleration", 2.0, 800.0)
-        [(_, last)] = hits(rec)
+        [(_, last)] = impact_ranges(rec)
     frequencies = np.array([mode.center for mode in decay.modes])
     np.testing.assert_allclose(frequencies, [12.4, 34.7, 49.0], rtol=0.05)
     for index, mode in enumerate(decay.modes):
@@ -253,7 +253,7 @@ def test_decay_ends_before_delayed_next_hit(tmp_path):
             decay = analysis.decay(rec, "body2")
             ideal_sensor = ChannelInfo("true", "body 2", "displacement", 1.0, rec.rate)
             true_acceleration = correct_motion(ideal_sensor, rec.truth("displacement")[1], "acceleration", 2.0, 800.0)
-            begin = hits(rec)[0][1] + 1
+            begin = impact_ranges(rec)[0][1] + 1
         # The next hit is after 2 s; the delay of the filter and one period are discarded.
         assert 1.8 < decay.time[-1] < 2.0
         difference = abs(decay.acceleration - true_acceleration[begin : begin + decay.time.size])[decay.time > 0.05]

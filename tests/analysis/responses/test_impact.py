@@ -1,4 +1,4 @@
-"""Frequency responses from hammer hits: truth within the uncertainty, overloads, drifts, delays and missed hits."""
+"""Frequency responses from hammer impacts: truth within the uncertainty, overloads, drift, delays, unmarked impacts."""
 
 import warnings
 
@@ -8,8 +8,9 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.core.responses.force_pulse import samples_after_hit
-from analysis.core.responses.hits import Hits
+from analysis.core.responses.force_pulse import samples_after_impact
+from analysis.core.responses.hammer_impacts import HammerImpacts
+from analysis.core.responses.impact_errors import force_noise
 from analysis.core.responses.local_models import local_spectra
 from daq.core.recording.markers import Marker
 from daq.core.signal_chain.channel import ChannelInfo
@@ -73,10 +74,10 @@ def test_uncertainty_of_single_hit_contains_truth(tmp_path):
 def test_force_noise_of_hits_is_its_relative_variance(tmp_path):
     noise, frequency = 0.3, np.array([5.0, 20.0, 40.0])
     with daq.open(synthetic.impulses(tmp_path / "a.mcap", hits=2, interval=1.0, noise=noise)) as rec:
-        hits = Hits.of(rec)
-        change = hits.force_noise(rec, [(0, rec.samples)], frequency)
-        n_after, n_taper = samples_after_hit(rec.channels[hits.channel])
-    samples = np.mean([end - begin + 1 for begin, end in hits.arrivals]) + n_after + n_taper / 2
+        impacts = HammerImpacts.of(rec)
+        change = force_noise(impacts, rec, [(0, rec.samples)], frequency)
+        n_after, n_taper = samples_after_impact(rec.channels[impacts.channel])
+    samples = np.mean([end - begin + 1 for begin, end in impacts.arrivals]) + n_after + n_taper / 2
     pulse = 50.0 * np.sin(np.pi * np.arange(16) / 16)
     spectrum = np.exp(-2j * np.pi * frequency[:, None] * np.arange(16) / synthetic.RATE) @ pulse
     # White noise is divided equally between the two quadrature components.
@@ -86,11 +87,13 @@ def test_force_noise_of_hits_is_its_relative_variance(tmp_path):
 
 def test_force_noise_changes_over_the_window_bandwidth(tmp_path):
     with daq.open(synthetic.impulses(tmp_path / "a.mcap", hits=2, interval=1.0, noise=0.3)) as rec:
-        hits = Hits.of(rec)
-        [(begin, end), _] = hits.arrivals
-        n_after, n_taper = samples_after_hit(rec.channels[hits.channel])
+        impacts = HammerImpacts.of(rec)
+        [(begin, end), _] = impacts.arrivals
+        n_after, n_taper = samples_after_impact(rec.channels[impacts.channel])
         bandwidth = rec.rate / (end + 1 - begin + n_after + n_taper // 2)
-        change = hits.force_noise(rec, [(0, rec.samples)], np.array([10.0, 10.0 + 0.3 * bandwidth, 10.0 + bandwidth]))
+        change = force_noise(
+            impacts, rec, [(0, rec.samples)], np.array([10.0, 10.0 + 0.3 * bandwidth, 10.0 + bandwidth])
+        )
     covariance = abs(change @ change.conj().T)
     correlation = covariance[0] / np.sqrt(covariance[0, 0] * np.diag(covariance))
     # White noise in a rectangular window.

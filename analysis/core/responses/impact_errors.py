@@ -1,0 +1,141 @@
+"""Errors of the force and the gains in impact tests due to noise and rounding of the readings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+from scipy import fft
+
+from analysis.core.responses.errors.systematic import quantization_steps, reproducible_rounding
+from analysis.core.responses.force_pulse import samples_after_impact
+from analysis.core.responses.hammer_impacts import PRE_IMPACT_S, HammerImpacts
+from analysis.core.responses.local_models.local_rational import ORDER
+from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH
+from daq.core.recording.recording import Recording
+from rig.core.base.arrays import Array, ComplexArray
+
+# Number of parts of the force window with independent noise.
+_NOISE_PARTS = 16
+# Coarser converters, as which the readings are rounded again: step in counts, and mean square of the change that this
+# causes, relative to the mean square of the original rounding error (1/12).
+_COARSER_CONVERTERS = ((2.0, 6.0), (3.0, 8.0))
+# Signals below this number of counts are rounded again only if they contain noise, which acts as dither.
+_MIN_COUNTS = 6.0
+# If noise dithers the signal, at most this fraction of the rounding error repeats from impact to impact (the value for
+# noise of half a count).
+_MAX_REPRODUCIBLE = 0.007
+
+
+def force_noise(
+    impacts: HammerImpacts, rec: Recording, segments: Sequence[tuple[int, int]], frequency: Array
+) -> ComplexArray:
+    """Compute the relative change of the force due to noise during the impacts, shape (lines, sections).
+
+    The force window is divided into successive sections. The noise of each section is multiplied by an independent
+    normal coefficient of variance 1. The noise of a short window changes slowly from line to line, so the scatter
+    between lines does not show it. Over a peak it changes nevertheless, and therefore shifts a pole.
+    """
+    info = rec.channels[impacts.channel]
+    n_after, n_taper = samples_after_impact(info)
+    # The taper counts as half of its length, because it reduces the noise power to about a half.
+    n_window = n_after + n_taper // 2 + 1
+    longest = max((end + n_window - begin for span in segments for begin, end in impacts.inside(*span)), default=0)
+    power, noise, total = np.zeros(frequency.size), [], np.zeros(frequency.size, dtype=complex)
+    phases = np.exp(-2j * np.pi / rec.rate * frequency[:, None] * np.arange(longest))
+    # Rounding adds 1/12 count² even if it is not visible before the impact.
+    rounding_variance = 0.0 if info.volts_per_count is None else info.unit_per_count**2 / 12.0
+    for start, stop in segments:
+        for begin, end in impacts.inside(start, stop):
+            before = rec.read(impacts.channel, max(start, begin - int(PRE_IMPACT_S * rec.rate)), begin)
+            pulse = rec.read(impacts.channel, begin, end + 1)
+            spectrum = phases[:, : pulse.size] @ (pulse - before.mean() if before.size else pulse)
+            power, total = power + abs(spectrum) ** 2, total + spectrum
+            if before.size > 2:
+                # Differences between samples are insensitive to the tail of an earlier impact.
+                variance = max(float(np.mean(np.diff(before) ** 2)) / 2.0, rounding_variance)
+                noise.append((end + n_window - begin) * variance)
+    n_parts = min(longest, _NOISE_PARTS)
+    if not noise or not n_parts:
+        return np.zeros((frequency.size, 1), dtype=complex)
+    size = np.sqrt(float(np.mean(noise)) / n_parts / np.maximum(power, 1e-300))
+    centers = (np.arange(n_parts) + 0.5) * longest / n_parts - 0.5
+    shifts = np.exp(-2j * np.pi / rec.rate * frequency[:, None] * centers)
+    return np.asarray((size * np.exp(-1j * np.angle(total)))[:, None] * shifts)
+
+
+def rounding_gain_error(
+    impacts: HammerImpacts,
+    rec: Recording,
+    names: Sequence[str],
+    segments: Sequence[tuple[int, int]],
+    readings: Iterable[tuple[Array, ComplexArray]],
+    lines: NDArray[np.int64],
+    half_width: int,
+) -> Array:
+    """Compute the maximum relative change of each channel's gain due to rounding, shape (channels, lines).
+
+    Equal impacts give equal counts, so averaging does not reduce the rounding error. Rounding errors shortly after
+    an impact resemble a response, and are not visible in the scatter. The error is estimated from the change of the
+    readings when they are rounded again, to every second and every third count (coarser converters). Noise of s
+    counts reduces the error by ``exp(-2 pi^2 s^2)`` (as in `noise_gain_error`). The result is infinite for readings
+    of too few counts to be rounded again.
+
+    `readings`: readings and their spectra for each of `segments`; `lines`: bins of the result;
+    `half_width`: bins on either side of a line that a local fit uses.
+    """
+    steps = quantization_steps(rec, names)[:, None]
+    step = np.where(steps > 0.0, steps, 1.0)
+    # Power spectra of the errors, summed over impacts. Each error ends `n_after_impact` samples after its impact, so
+    # that a short transform determines the autocorrelation.
+    errors, noise, max_counts = [np.zeros((1, 1)) for _ in _COARSER_CONVERTERS], [], np.zeros(steps.shape)
+    power = np.zeros((1, 1))
+    for (block, spectra), (start, stop) in zip(readings, segments, strict=True):
+        power = power + abs(spectra) ** 2
+        n_samples = 2 * (spectra.shape[1] - 1)
+        # The polynomials of a local fit represent errors within this number of samples after an impact as a
+        # response.
+        n_after_impact = int(n_samples * (ORDER + 1) / half_width)
+        n_transform = fft.next_fast_len(2 * n_after_impact, real=True)
+        for begin, _ in impacts.inside(start, stop):
+            first = begin - (stop - block.shape[1])
+            counts = np.rint(block[:, first : first + n_after_impact] / step)
+            max_counts = np.maximum(max_counts, abs(counts).max(axis=1, keepdims=True))
+            for k, (coarse_step, ratio) in enumerate(_COARSER_CONVERTERS):
+                added_rounding = coarse_step * np.rint(counts / coarse_step) - counts
+                errors[k] = errors[k] + abs(fft.rfft(added_rounding, n_transform, axis=1)) ** 2 / ratio
+            before = [rec.read(name, max(start, begin - int(PRE_IMPACT_S * rec.rate)), begin) for name in names]
+            if before[0].size > 2:
+                noise.append(np.mean(np.diff(before, axis=1) ** 2, axis=1, keepdims=True) / 2.0)
+    reproducible = reproducible_rounding(np.mean(noise, axis=0) / step**2 if noise else np.zeros(steps.shape))
+    # The spectrum of several impacts is a comb. The power is averaged over one spacing of the comb's teeth. A wider
+    # average would mix the power in peaks and in valleys of the response.
+    n_bins = 2 * -(-half_width // FIT_HALF_WIDTH) + 1  # rounded up
+    mean_power = scipy.ndimage.uniform_filter1d(power, n_bins, axis=1, mode="nearest")
+    mean_errors = np.max(
+        [
+            scipy.ndimage.uniform_filter1d(
+                _longer_transform(error, n_transform, n_samples), half_width, axis=1, mode="nearest"
+            )
+            for error in errors
+        ],
+        axis=0,
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # The squared magnitude of a complex normal error is below three times its mean with a probability of 95 %.
+        gain_error = (step * np.sqrt(3.0 * mean_errors / mean_power))[:, lines]
+    gain_error = np.where((max_counts < _MIN_COUNTS) & (reproducible > _MAX_REPRODUCIBLE), np.inf, gain_error)
+    gain_error = np.nan_to_num(gain_error, nan=np.inf, posinf=np.inf)
+    return np.asarray(np.where(steps > 0.0, reproducible * gain_error, 0.0))
+
+
+def _longer_transform(power: Array, size: int, new_size: int) -> Array:
+    """Compute the power spectrum at the bins of a transform of `new_size` samples, of signals of at most `size` / 2."""
+    correlation = fft.irfft(power, size, axis=1)
+    n_lags = (size + 1) // 2
+    padded = np.zeros((len(power), new_size))
+    padded[:, :n_lags] = correlation[:, :n_lags]
+    padded[:, new_size - n_lags + 1 :] = correlation[:, size - n_lags + 1 :]
+    return np.maximum(fft.rfft(padded, axis=1).real, 0.0)

@@ -89,7 +89,9 @@ def present_continuation(
 
 def fold_lines(result: AmplitudeCurve, exact: Sequence[ExactBranch]) -> list[str]:
     """Return a table of the folds with the nearest folds of the exact orbits, and the smallest resolved distance."""
-    rows: list[tuple[str, ...]] = [("level", "fold / Hz", f"{result.body} / mm", "exact / Hz" if exact else "")]
+    rows: list[tuple[str, ...]] = [
+        ("level", "fold / Hz", f"amplitude of {result.body} / mm", "exact / Hz" if exact else "")
+    ]
     for fold in result.folds:
         values = [value for each in exact if each.level == fold.level for value in each.branch.folds.tolist()]
         nearest = f"{min(values, key=lambda value: abs(value - fold.frequency)):.5g}" if values else ""

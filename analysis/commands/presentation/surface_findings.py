@@ -47,6 +47,7 @@ def present_surface(
 
 def draw_responses(result: ForceSurface, forces: Sequence[float], axes: Axes) -> None:
     """Draw the responses at force amplitudes in N, and the points at which the amplitude was held."""
+    # Gray points show where the force was measured; between them it is interpolated.
     axes.plot(result.frequency, 1e3 * result.amplitude, "o", ms=2.5, color="#b0b0b0", zorder=1)
     for force, style in level_styles(forces).items():
         draw_response(result, force, axes, style.color, style.marker)
@@ -76,5 +77,5 @@ def fold_lines(result: ForceSurface, forces: Sequence[float]) -> list[str]:
         for force in forces
         for frequency, amplitude in result.folds(force)
     ]
-    heading = ("force", "fold / Hz", f"{result.body} / mm")
+    heading = ("force", "fold / Hz", f"amplitude of {result.body} / mm")
     return [f"  {line}" for line in table_lines([heading, *rows], ">>>")] if rows else []

@@ -279,8 +279,8 @@ class _OrbitSolver:
             return 0.0
         family, *solved = solution
         orbit = family.make_orbit(point, *solved)
-        hits = (orbit.events["damper"] == damper + 1) & (orbit.events["kind"] == "ceiling")
-        return np.inf if hits.any() else float(orbit.columns()[f"gap {damper + 1}_m"].max())
+        ceiling_impacts = (orbit.events["damper"] == damper + 1) & (orbit.events["kind"] == "ceiling")
+        return np.inf if ceiling_impacts.any() else float(orbit.columns()[f"gap {damper + 1}_m"].max())
 
     def continue_orbit(self, orbit: StoredOrbit, frequency: Array, level: Array) -> OrbitResponse | None:
         """Continue an orbit from the first frequency and level to the second, at constant force in the coil spring."""

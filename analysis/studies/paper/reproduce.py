@@ -43,7 +43,7 @@ FIGURES: dict[str, Callable[[paper_figures.Parts], Figure]] = {
 def reproduce(
     folder: Path, print_line: Callable[[str], None], fresh: Sequence[str] = (), cluster: str | None = None
 ) -> list[Path]:
-    """Compute the parts without stored results, draw all figures, and write the page with the verdicts.
+    """Compute the parts that have no stored results, draw all figures, and write the page with the verdicts.
 
     `folder`: folder for recordings, data, figures and pages. Results of an earlier run with the same inputs are
     reused; `print_line`: called with one line of text at a time; `fresh`: names of parts to recompute; `cluster`: as

@@ -51,7 +51,7 @@ class DwellDetector:
         self._tracker.add(volts)
 
     def mark(self, recorder: Recorder, reference: AssignedSignal) -> list[str]:
-        """Mark the settled part of each dwell; return a warning if no dwell is detected."""
+        """Mark the steady part of each dwell; return a warning if no dwell is detected."""
         tolerance = self._test.steady_state.tolerance
         tones = _refine_frequencies(dwells(self._tracker.tracks(), tolerance), reference.volts, self._rate)
         if not tones:
@@ -71,7 +71,7 @@ class DwellDetector:
                     frequency=tone.frequency * self._rate,
                     level=level,
                     direction=direction,
-                    settled=tone.settled,
+                    settled=tone.steady,
                 )
         return []
 

@@ -41,7 +41,7 @@ _INDEPENDENT_BLOCKS = 2
 # multiple of the channel's scatter.
 _STEADY_SIGMAS = 3.0
 # The other limit is this fraction of the tolerance.
-_SETTLED_TOLERANCE_SHARE = 0.1
+_STEADY_TOLERANCE_SHARE = 0.1
 # The last half of a segment is tested for steady state; if it is not steady, the last quarter.
 _FINAL_SHARES = (0.5, 0.25)
 # Two dwells have the same frequency if their frequencies differ by less than this fraction.
@@ -50,57 +50,55 @@ _SAME_FREQUENCY = 2e-4
 
 @dataclass(frozen=True)
 class Dwell:
-    """The settled samples [first, stop) of a dwell."""
+    """The steady samples [first, stop) of a dwell."""
 
     first: int
     stop: int
     frequency: float  # frequency, periods per sample
     amplitude: float  # amplitude of the reference, in its unit
-    settled: bool  # whether all channels are steady
+    steady: bool  # whether all channels are in steady state
 
 
 def dwells(tracks: Sequence[Track], tolerance: float) -> list[Dwell]:
     """Return the dwells in order of time; an empty list for other kinds of signals.
 
     The phase of a sweep is linear for a short time only, and its frequency drifts within a segment. The phase of noise
-    is rarely linear. `tolerance` is the largest relative change of a settled amplitude.
+    is rarely linear. `tolerance` is the largest relative change of a steady amplitude.
     """
-    intervals = [
-        interval for track in tracks for interval in _tone_intervals(track) if not interval.is_amplitude_changing
-    ]
-    # If intervals overlap, only the longest is used.
-    intervals.sort(key=lambda interval: interval.stop_sample - interval.first_sample, reverse=True)
-    disjoint: list[_ToneInterval] = []
-    for interval in intervals:
+    segments = [segment for track in tracks for segment in _segments(track) if not segment.is_amplitude_changing]
+    # If segments overlap, only the longest is used.
+    segments.sort(key=lambda segment: segment.stop_sample - segment.first_sample, reverse=True)
+    disjoint: list[_Segment] = []
+    for segment in segments:
         overlaps = (
-            kept.first_sample < interval.stop_sample and interval.first_sample < kept.stop_sample for kept in disjoint
+            kept.first_sample < segment.stop_sample and segment.first_sample < kept.stop_sample for kept in disjoint
         )
         if not any(overlaps):
-            disjoint.append(interval)
-    disjoint.sort(key=lambda interval: interval.first_sample)
+            disjoint.append(segment)
+    disjoint.sort(key=lambda segment: segment.first_sample)
     # The levels of the shortest blocks are used: they average over the fewest samples and therefore resolve all tones.
     if not disjoint or _dwell_share(disjoint, tracks[-1]) < _MIN_DWELL_SHARE:
         return []
     # In a sweep the frequency drifts within a segment as much as from one segment to the next.
-    middle_frequency, start_frequency, end_frequency = np.array([interval.frequencies() for interval in disjoint]).T
+    middle_frequency, start_frequency, end_frequency = np.array([segment.frequencies() for segment in disjoint]).T
     spacing = abs(np.diff(middle_frequency))
     spacing[spacing < _SAME_FREQUENCY * middle_frequency[1:]] = np.inf
     smaller_spacing = np.minimum(np.append(spacing, np.inf), np.insert(spacing, 0, np.inf))
     if np.median(abs(end_frequency - start_frequency) / smaller_spacing) > _MAX_DRIFT:
         return []
-    # Between successive dwells at one frequency a controller changed the level. Only the last settled dwell is
+    # Between successive dwells at one frequency a controller changed the level. Only the last steady dwell is
     # returned.
     tones: list[Dwell] = []
-    for tone in (_measure_tone(interval, tolerance) for interval in disjoint):
+    for tone in (_measure_dwell(segment, tolerance) for segment in disjoint):
         if not tones or abs(tone.frequency / tones[-1].frequency - 1.0) >= _SAME_FREQUENCY:
             tones.append(tone)
-        elif tone.settled or not tones[-1].settled:
+        elif tone.steady or not tones[-1].steady:
             tones[-1] = tone
     return tones
 
 
 @dataclass(frozen=True)
-class _ToneInterval:
+class _Segment:
     """Successive blocks of a track whose phase is linear in time."""
 
     track: Track
@@ -154,7 +152,7 @@ def _unwrapped(track: Track, begin: int, end: int) -> Array:
     return np.concatenate([phase[:1], phase[0] + np.cumsum(advance)])
 
 
-def _tone_intervals(track: Track) -> Iterator[_ToneInterval]:
+def _segments(track: Track) -> Iterator[_Segment]:
     """Cut a track into segments of linear phase."""
     if track.number.size < _MIN_BLOCKS:
         return
@@ -184,7 +182,7 @@ def _tone_intervals(track: Track) -> Iterator[_ToneInterval]:
                     extension //= 2
             first, last = _constant_range(phase[start:stop])
             if last - first >= _MIN_BLOCKS:
-                yield _ToneInterval(track, begin + start + first, begin + start + last)
+                yield _Segment(track, begin + start + first, begin + start + last)
             start = stop
 
 
@@ -213,17 +211,17 @@ def _constant_range(phase: Array) -> tuple[int, int]:
     return (int(first_half[-1]) + 1 if first_half.size else 0), (int(second_half[0]) if second_half.size else size)
 
 
-def _dwell_share(intervals: Sequence[_ToneInterval], track: Track) -> float:
+def _dwell_share(segments: Sequence[_Segment], track: Track) -> float:
     """Return the share of the time with a signal that the dwells take."""
-    silence = _SILENCE_RATIO * float(np.median([interval.amplitude for interval in intervals]))
-    return sum(interval.stop_sample - interval.first_sample for interval in intervals) / (
+    silence = _SILENCE_RATIO * float(np.median([segment.amplitude for segment in segments]))
+    return sum(segment.stop_sample - segment.first_sample for segment in segments) / (
         track.hop * max(int(np.sum(track.levels > silence)), 1)
     )
 
 
-def _measure_tone(interval: _ToneInterval, tolerance: float) -> Dwell:
-    """Return the tone of an interval without the transient at its beginning."""
-    track, blocks = interval.track, slice(interval.first_block, interval.stop_block)
+def _measure_dwell(segment: _Segment, tolerance: float) -> Dwell:
+    """Return the dwell in a segment, without the transient at the beginning of the segment."""
+    track, blocks = segment.track, slice(segment.first_block, segment.stop_block)
     amplitude = track.amplitude[blocks]
     channels = np.vstack([track.ratio[:, blocks], (amplitude / np.median(amplitude))[None]])
     channels = channels[np.isfinite(channels).all(axis=1)]
@@ -231,10 +229,10 @@ def _measure_tone(interval: _ToneInterval, tolerance: float) -> Dwell:
     for share in _FINAL_SHARES:
         if not is_steady and amplitude.size * share >= _MIN_BLOCKS:
             is_steady, first_steady = _steady_range(channels, round(amplitude.size * (1.0 - share)), tolerance)
-    frequency = float(np.polyfit(np.arange(amplitude.size - first_steady), interval.phase[first_steady:], 1)[0])
+    frequency = float(np.polyfit(np.arange(amplitude.size - first_steady), segment.phase[first_steady:], 1)[0])
     return Dwell(
-        interval.middle(interval.first_block + first_steady),
-        interval.stop_sample,
+        segment.middle(segment.first_block + first_steady),
+        segment.stop_sample,
         frequency / (2.0 * np.pi * track.hop),
         float(np.median(amplitude[first_steady:])),
         is_steady,
@@ -250,7 +248,7 @@ def _steady_range(channels: ComplexArray, late_block: int, tolerance: float) -> 
     late = channels[:, late_block:]
     mean = late.mean(axis=1, keepdims=True)
     allowed, scatter = tolerance * abs(mean[:, 0]), np.sqrt(np.mean(abs(late - mean) ** 2, axis=1))
-    within = abs(channels - mean) <= np.maximum(_SETTLED_TOLERANCE_SHARE * allowed, _STEADY_SIGMAS * scatter)[:, None]
+    within = abs(channels - mean) <= np.maximum(_STEADY_TOLERANCE_SHARE * allowed, _STEADY_SIGMAS * scatter)[:, None]
     first_steady = int(np.max(np.flatnonzero(~within[:, :late_block].all(axis=0)), initial=-1)) + 1
     half = late.shape[1] // 2
     drift = abs(late[:, :half].mean(axis=1) - late[:, half:].mean(axis=1))

@@ -226,7 +226,7 @@ def _common_rate(chosen: Sequence[ChosenSignal], scene: Scene) -> float:
             else f"If the files are right, set converter.rate of the scene to {rate:.10g} Hz"
         )
         raise SceneError(
-            f"the files state {rate:.10g} Hz, but the scene's converter {converter.sample_rate:.10g} Hz. {remedy}; "
+            f"the files state {rate:.10g} Hz, but the scene's converter has {converter.sample_rate:.10g} Hz. {remedy}; "
             "otherwise, give rate: in the channel table."
         )
     return rate

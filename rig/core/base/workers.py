@@ -101,7 +101,8 @@ class Workers:
             place = "" if self._cluster is None else f"`cluster` {self._cluster}: "
             raise RunError(
                 f"{place}a worker that computed a part of the study ended unexpectedly, possibly because memory ran "
-                "out. Close other programs, or make the study smaller; the same command continues a study with a table."
+                "out. Close other programs, or make the study smaller, and repeat the command: a study with a table "
+                "continues where it stopped."
             ) from None
 
     def _start(self, cleanup: ExitStack) -> Executor | None:

@@ -21,7 +21,7 @@ _MAX_IMBALANCE = 1.05
 
 
 def new_bed(spheres: Spheres, positions: Array, ceiling: float, gravity: float, step: float) -> Bed:
-    """Create a `Bed` on all ranks; warns if there are more ranks than cores of this machine."""
+    """Create a `Bed` on all ranks; warn if there are more ranks than cores of this machine."""
     arguments = (spheres, positions, ceiling, gravity, step)
     if rank_count() == 1:
         return Bed(*arguments)

@@ -102,7 +102,7 @@ def _is_drifting(readings: Array) -> bool:
 
 
 def _with_hits(test: Impulse, repeats: int, interval: float) -> Impulse:
-    """Return the test with another number of impacts and interval between them, s; double impacts beyond this number are dropped.
+    """Return the test with another number of impacts and interval, s; double impacts beyond this number are dropped.
 
     If impacts are missing, all remaining impacts have the highest peak.
     """
@@ -129,7 +129,7 @@ class ImpulseProcedure(Procedure["Impulse"]):
         return BASELINE_S + max((settling_time(info) for info in channels), default=0.0)
 
     def part(self, test: Impulse, seconds: float, scene: Scene) -> Impulse:
-        """Return the test with as many impacts as fit into `seconds`, at least one; the omitted impacts would be equal."""
+        """Return the test with as many impacts as fit into `seconds`, at least one; all impacts are equal."""
         delay = 0.0 if test.double_hit is None else test.double_hit.after
         interval = test.interval if test.interval < seconds else max(seconds, 2.0 * (test.width + delay))
         return _with_hits(test, max(1, int(seconds / test.interval)), interval)

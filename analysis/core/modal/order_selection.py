@@ -97,6 +97,8 @@ def select_model(
             break
         all_candidates = np.concatenate([candidates, _poles_at_residual(curves, current), outside])
         larger = _with_best_added_pole(curves, current, all_candidates)
+        if larger is None and not current.poles.size:
+            larger = _best_pair(curves, current, all_candidates)
         if larger is None:
             break
         current = larger
@@ -139,6 +141,18 @@ def _with_best_added_pole(curves: Curves, current: ModalModel, candidates: Compl
         if is_significant(curves, current, larger) and not computational_poles(curves, larger).size:
             return larger
     return None
+
+
+def _best_pair(curves: Curves, empty: ModalModel, candidates: ComplexArray) -> ModalModel | None:
+    """Return a model with two poles that are significant together; None if there is none or if noise explains all.
+
+    Next to the flank of another mode, a single pole reduces the misfit too little to be significant.
+    """
+    if empty.misfit <= _MAX_NOISE_RATIO * curves.degrees_of_freedom(0):
+        return None
+    single = fit(curves, candidates[[np.argmin(misfits_with(curves, empty.poles, candidates))]])
+    pair = _with_best_added_pole(curves, single, np.concatenate([candidates, _poles_at_residual(curves, single)]))
+    return pair if pair is not None and is_significant(curves, empty, pair) else None
 
 
 def is_significant(curves: Curves, smaller: ModalModel, larger: ModalModel) -> bool:

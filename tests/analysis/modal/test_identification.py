@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 import analysis
 import daq
+from analysis.core.modal.modal_fit import fit_modes
 from analysis.core.modal.order_selection import computational_poles
 from analysis.core.modal.pole_errors import LEAKAGE_FACTOR, pole_errors
 from analysis.core.modal.pole_residue import Curves, fit
@@ -19,6 +20,7 @@ from rig.core.results.response import Response
 from rig.core.results.uncertainty import SENSITIVITY, UncertaintyBudget
 from rig.core.system.structural_model import natural_modes, structure_matrices
 from tests.analysis.responses import synthetic
+from tests.gauntlet.band_stability import draw_curves
 
 # Natural frequencies of the synthetic structure with the shaker's spring, rad/s.
 OMEGA_WITH_SPRING = np.array([86.776, 228.231, 318.003])
@@ -457,3 +459,10 @@ def test_rejected_poles_are_named_without_modes() -> None:
     noise = random.standard_normal(frequency.size) + 1j * random.standard_normal(frequency.size)
     with pytest.raises(RecordingError, match=r"Uncertain modes: \(189\.80 ± 0\.53\) Hz"):
         analysis.identify([Response.curve(frequency, value + 0.4 * abs(value) * noise, "a")])
+
+
+def test_mode_next_to_flank_of_another_is_identified() -> None:
+    # The peak of another mode is 1 Hz below these lines: without its pole, the mode reduces the misfit too little.
+    curves = [curve.to("displacement").band(466.6, 613.9) for curve in draw_curves(21, 38).curves]
+    natural = abs(fit_modes(curves).model.poles) / (2 * np.pi)
+    assert abs(natural - 539.85).min() < 0.5

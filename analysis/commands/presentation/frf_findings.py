@@ -177,7 +177,19 @@ def _peaks_between_points(frf: Response) -> list[str]:
             f"band"
         )
     coarse = [r for r, _, _ in peaks if r.lines < MIN_LINES or np.isfinite(r.needed_spacing) or r in uncertain]
-    return remarks + ([_spacing_remark(frf, coarse)] if coarse else [])
+    remarks += [
+        f"the response jumps near {jump:.4g} Hz, next to its peak: compare sweeps up and down (test.direction: both)"
+        for resonance in coarse
+        for jump in _jumps_next_to(frf, resonance)
+    ]
+    unresolved = [resonance for resonance in coarse if not _jumps_next_to(frf, resonance)]
+    return remarks + ([_spacing_remark(frf, unresolved)] if unresolved else [])
+
+
+def _jumps_next_to(frf: Response, resonance: Resonance) -> list[float]:
+    """Return the frequencies of the jumps between the highest point of a resonance and its neighbors, Hz."""
+    points = frf.frequency[max(resonance.line - 1, 0) : resonance.line + 2]
+    return [jump for jump, _ in _jump_marks([frf]) if points.min() < jump < points.max()]
 
 
 def _spacing_remark(frf: Response, coarse: Sequence[Resonance]) -> str:

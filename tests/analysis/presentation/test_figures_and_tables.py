@@ -168,6 +168,16 @@ def test_highest_of_all_resonances_is_reported():
     assert "30.4 and 48 Hz has fewer than 3 points" in spacing and "Measure every 0.05 Hz there" in spacing
 
 
+def test_jump_next_to_peak_needs_no_further_points():
+    # A sweep up with a fold between 22 and 22.25 Hz.
+    f = np.arange(20.0, 24.1, 0.25)
+    before = [11.92, 12.95, 14.25, 15.66, 17.59, 19.77, 22.32, 25.16, 27.9]
+    value = np.array([*before, 2.979, 2.859, 2.752, 2.658, 2.573, 2.498, 2.431, 2.371], dtype=complex)
+    curve = Response.curve(f, value, "tray", error=1e-3 * abs(value), degrees_of_freedom=100.0 * np.ones(f.size))
+    [remark] = describe_frfs([curve])[3:]
+    assert "the response jumps near 22.12 Hz" in remark and "half-power width" not in remark
+
+
 def test_highest_point_next_to_omitted_frequencies_is_reported():
     f = np.array([15.0, 16.0, 17.0, 18.0, 25.0, 26.0])
     curve = Response.curve(f, 1e-6 / (1.0 - (f / 20.0) ** 2 + 0.01j), "body1", omitted=np.arange(19.0, 25.0))

@@ -165,7 +165,7 @@ def _covariance_factors(curves: Curves, model: ModalModel) -> tuple[Array, Array
     # correlation.
     length = max(correlation_length(model.residual), curves.shared)
     n_lags = int(np.clip(round(_CORRELATION_LENGTHS * length), 1, max(score.shape[1] // 4, 1)))
-    # The covariance of moving sums is the covariance with Bartlett weights.
+    # The covariance of moving sums equals the sum of the lagged covariances with Bartlett weights.
     sums = np.stack([np.convolve(row, np.ones(n_lags)) for row in score]) / np.sqrt(n_lags)
     independent = root * np.sqrt(variance * length)
     # The pseudoinverse omits undetermined parameters, such as the width of a pole far narrower than the line spacing.

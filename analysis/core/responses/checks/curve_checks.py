@@ -34,15 +34,17 @@ _MAX_PERIODS = 1.0
 _TRIAL_DELAYS = 801
 # Number of lines whose phases are computed at a time for all trial values.
 _MAX_LINES = 4096
-# The misalignment of doubled phases is 0 if all phases are 0 or 180 degrees. A delay is estimated if the misalignment
-# after its correction is at most the first value. It is significant if the correction reduces the misalignment by the
-# second value, a factor; misalignments below the third value are set to the third value.
+# The misalignment of doubled phases is 0 if all phases are 0 or 180 degrees. A delay is estimated only if its
+# correction leaves at most this misalignment.
 _MAX_MISALIGNMENT = 0.25
+# The delay is significant if its correction reduces the misalignment by more than this factor.
 _MIN_IMPROVEMENT = 4.0
+# A smaller remaining misalignment counts as this misalignment.
 _MIN_MISALIGNMENT = 0.03
-# A damped mode may cause phases within this range, degrees, in proportion to frequency near its resonance. A delay with
-# such small phases must leave a misalignment below the third value, in a band whose limits have at least this ratio.
+# Near its resonance, a damped mode may cause phases in proportion to frequency within this range, degrees. A delay with
+# phases in this range is significant only if its correction leaves at most `_MIN_MISALIGNMENT`, ...
 _MAX_MODE_PHASE = 190.0
+# ... in a band whose limits have at least this ratio.
 _MIN_BAND_RATIO = 1.3
 # A line is evaluated if its receptance exceeds this fraction of the largest. Where it is smaller, as far above the
 # resonances, damping forces determine the phase, which may rise or fall over a wide band.

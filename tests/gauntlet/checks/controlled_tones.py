@@ -25,7 +25,9 @@ _MISLEADING_ERROR = 0.05
 # Largest relative error of the exact force: the branches are interpolated.
 _EXACT_ERROR = 1e-4
 # The exact force is computed up to this relative deviation of the amplitude, and extrapolated.
-_MAX_PROBED = 0.02
+_MAX_PROBED = 0.06
+# Numbers of searches for orbits: where many motions repeat, some are found only by the second number.
+_SEARCHES = 2, 4
 # Orbits are followed over the drive, relative to that of the point, and over the frequency.
 _DRIVES, _FREQUENCIES = (0.75, 1.33), (0.97, 1.03)
 
@@ -67,7 +69,9 @@ class _Crossing(NamedTuple):
     force: float  # amplitude of its first harmonic, N
 
 
-def _orbits(case: Case, drive: float, frequency: float, over_drive: bool) -> rig.OrbitCurve | None:
+def _orbits(
+    case: Case, drive: float, frequency: float, over_drive: bool, searches: int = _SEARCHES[0]
+) -> rig.OrbitCurve | None:
     """Follow the orbits about a drive and a frequency, over the drive or the frequency; None if it fails."""
     shaker, rate = case.scene.driven_shaker, case.scene.converter.rate
     # The output joins its samples by straight lines.
@@ -77,7 +81,9 @@ def _orbits(case: Case, drive: float, frequency: float, over_drive: bool) -> rig
     ratios, parameter, value = (_DRIVES, key, drive) if over_drive else (_FREQUENCIES, "frequency", frequency)
     options = {"frequency": frequency} if over_drive else {}
     try:
-        return rig.follow_orbits(theory, parameter, tuple(ratio * value for ratio in ratios), searches=2, **options)
+        return rig.follow_orbits(
+            theory, parameter, tuple(ratio * value for ratio in ratios), searches=searches, **options
+        )
     except ShotrigError:
         return None
 
@@ -145,28 +151,39 @@ def _surface_points(case: Case) -> Iterator[_Point | None]:
 def _curve_points(case: Case) -> Iterator[_Point | None]:
     """Yield the force of each settled point, and that of the orbit with its frequency and amplitude."""
     [location] = case.scene.controlled_terms
-    body, shaker = int(location.removeprefix("body ")) - 1, case.scene.driven_shaker
     for response, line, fields in _measured(case):
         k = [output.at for output in response.outputs].index(location)
-        force, drive = float(response.amplitude[line]), float(fields["drive"])
-        value, frequency = abs(response.value[line, k, 0]), float(response.frequency[line])
-        curve = _orbits(case, drive, frequency, over_drive=True)
-        relative = float(response.expanded()[line, k, 0] / value)
-        # Within the interval of the amplitude the exact force changes, by more where the response is nonlinear.
-        probed = min(relative, _MAX_PROBED)
-        amplitudes = [value * force * (1.0 + error) for error in (-probed, 0.0, probed)]
-        found = [[] if curve is None else _at_amplitude(curve, body, amplitude) for amplitude in amplitudes]
-        if not all(found):
-            yield None
-            continue
-        exact = [min(some, key=lambda each: abs(each.value - drive)).force for some in found]
-        bound = float(np.ptp(exact)) / 2.0 * relative / probed
-        if shaker is None or not shaker.drive_is_force:
-            # The error of the response can also be that of the force.
-            bound = max(bound, relative * force)
-        # Feedback changes the force during the measurement.
-        bound += (_EXACT_ERROR + float(fields["invasive"])) * force
-        yield force, bound, (max(exact) + min(exact)) / 2.0, force
+        point = None
+        for searches in _SEARCHES:
+            point = _curve_point(case, response, line, k, fields, searches) or point
+            if point is not None and abs(point[0] - point[2]) <= point[1]:
+                break
+        yield point
+
+
+def _curve_point(
+    case: Case, response: Response, line: int, k: int, fields: Mapping[str, Any], searches: int
+) -> _Point | None:
+    """Return the force of a settled point, and that of the orbit with its frequency and amplitude; `k`: output."""
+    body, shaker = int(response.outputs[k].at.removeprefix("body ")) - 1, case.scene.driven_shaker
+    force, drive = float(response.amplitude[line]), float(fields["drive"])
+    value, frequency = abs(response.value[line, k, 0]), float(response.frequency[line])
+    curve = _orbits(case, drive, frequency, over_drive=True, searches=searches)
+    relative = float(response.expanded()[line, k, 0] / value)
+    # Within the interval of the amplitude the exact force changes, by more where the response is nonlinear.
+    probed = min(relative, _MAX_PROBED)
+    amplitudes = [value * force * (1.0 + error) for error in (-probed, 0.0, probed)]
+    found = [[] if curve is None else _at_amplitude(curve, body, amplitude) for amplitude in amplitudes]
+    if not all(found):
+        return None
+    exact = [min(some, key=lambda each: abs(each.value - drive)).force for some in found]
+    bound = float(np.ptp(exact)) / 2.0 * relative / probed
+    if shaker is None or not shaker.drive_is_force:
+        # The error of the response can also be that of the force.
+        bound = max(bound, relative * force)
+    # Feedback changes the force during the measurement.
+    bound += (_EXACT_ERROR + float(fields["invasive"])) * force
+    return force, bound, (max(exact) + min(exact)) / 2.0, force
 
 
 def _phase_points(case: Case) -> Iterator[_Point | None]:

@@ -39,9 +39,9 @@ def _draw(result: ProfileCheck, figure: Figure, axes: Axes) -> None:
 
 def channel_lines(check: ProfileCheck) -> list[str]:
     """Return a table of the channels, and a line for each notched band."""
-    rows = [("channel", "rms of readings", "kurtosis")]
+    rows = [("channel", "rms / (m/s²)" if check.is_density else "rms of readings", "kurtosis")]
     rows += [
         (level.channel, f"{level.rms:.4g}", f"{level.kurtosis:.2f}") for level in (*check.channels, *check.limited)
     ]
     notches = [f"  {name} limits the drive from {low:.4g} to {high:.4g} Hz" for name, low, high in check.notches()]
-    return [*(f"  {line}" for line in table_lines(rows, "<>>")), *notches]
+    return [*(f"  {line}" for line in table_lines(rows, "<>>")), *notches, *(f"  {text}" for text in check.warnings)]

@@ -16,6 +16,7 @@ from scipy import signal, stats
 
 from analysis.core.recordings.names import takes_path
 from analysis.core.recordings.slices import interpolated, read_slices
+from daq.core.excitation.profiles.random_control_check import line_warnings
 from daq.core.excitation.profiles.sweep_control import estimate_amplitudes, observation_samples
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
@@ -50,7 +51,7 @@ class Level:
     low: Array
     high: Array
     bound: Array  # profile or limit; NaN where there is none
-    rms: float  # root mean square of the readings, in the unit of the channel
+    rms: float  # root mean square in the band of the profile, m/s²; of a sine, that of the readings
     kurtosis: float
 
 
@@ -74,6 +75,8 @@ class ProfileCheck(Result):
         Control channels, and channels with limits.
     tolerance, abort : float
         Tolerance and abort line relative to the profile, dB.
+    warnings : tuple of str
+        Warnings about lines that do not resolve the response, and about limits that end early.
     """
 
     label: str
@@ -85,6 +88,7 @@ class ProfileCheck(Result):
     limited: tuple[Level, ...]
     tolerance: float
     abort: float
+    warnings: tuple[str, ...] = ()
 
     @property
     def is_density(self) -> bool:
@@ -148,7 +152,9 @@ class ProfileCheck(Result):
             excess = self.excess(level)
             if (excess > 0.0).any():
                 highest = int(np.nanargmax(excess))
-                place = f"at {self.frequency[highest]:.4g} Hz"
+                limited = np.flatnonzero(np.isfinite(level.bound))
+                is_end = highest in limited[[0, -1]] and limited.size < level.bound.size
+                place = f"at {self.frequency[highest]:.4g} Hz{', where the limit ends' * is_end}"
                 texts.append(f"{level.channel} up to {excess[highest]:.1f} dB above its limit, {place}")
         return texts
 
@@ -166,7 +172,7 @@ class ProfileCheck(Result):
         if self.within < 1.0:
             parts.append(f"{100.0 * (1.0 - self.within):.1f} % outside for another reason")
         if self.is_density:
-            rms = [float(np.sqrt(np.trapezoid(values, self.frequency))) for values in (self.control, self.profile)]
+            rms = [_rms(values, self.frequency) for values in (self.control, self.profile)]
             parts.append(f"rms {rms[0]:.3g} m/s² (profile {rms[1]:.3g} m/s²)")
         parts.append(f"highest {self.deviation[worst]:+.1f} dB at {self.frequency[worst]:.4g} Hz")
         return f"{self.label}: {'; '.join(parts)}"
@@ -229,17 +235,23 @@ def profile(rec: Recording) -> ProfileCheck:
     if not measured:
         raise RecordingError(f"{rec.path}: the test did not reach its full level. `daq info` gives the reason.")
     start, stop = measured[-1].first_sample, measured[-1].end + 1
-    measure = _amplitudes if prescription.resolution is None else _densities
+    measure, warnings = _amplitudes, tuple[str, ...]()
+    if prescription.resolution is not None:
+        measure, warnings = _densities, tuple(line_warnings(prescription, rec.scene, rec.channels.values()))
     frequency, rows = measure(rec, prescription, start, stop)
     bound = prescription.profile.at(frequency)
     channels = [_level(rec, name, bound, rows[name], start, stop) for name in prescription.control.channels]
     limited = [_level(rec, each.channel, each.at(frequency), rows[each.channel], start, stop)
                for each in prescription.limits]  # fmt: skip
-    control = prescription.control.combined(np.array([level.values for level in channels]))
     unit = "m/s²" if prescription.resolution is None else "(m/s²)²/Hz"
+    if prescription.resolution is not None:
+        channels, limited = (
+            [replace(level, rms=_rms(level.values, frequency)) for level in levels] for levels in (channels, limited)
+        )
+    control = prescription.control.combined(np.array([level.values for level in channels]))
     return ProfileCheck(
         rec.scene.name, unit, frequency, control, bound, tuple(channels), tuple(limited),
-        prescription.tolerance, prescription.abort,
+        prescription.tolerance, prescription.abort, warnings,
     )  # fmt: skip
 
 
@@ -297,6 +309,11 @@ def _amplitudes(
         amplitude = row * np.sqrt(_power_factor(rec.channels[name], middle))
         rows[name] = amplitude[order], none, none
     return middle[order], rows
+
+
+def _rms(density: Array, frequency: Array) -> float:
+    """Return the root mean square of a density over a band."""
+    return float(np.sqrt(np.trapezoid(density, frequency)))
 
 
 def _names(prescription: Prescription) -> Iterable[str]:

@@ -5,7 +5,7 @@ The terms are those of IEC 60068-2-64. Limits of other channels reduce the drive
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +13,7 @@ from scipy.special import erfc
 
 from daq.core.excitation.procedure import Form, Procedure
 from daq.core.excitation.profiles.identification import EXPECTED_PERIODS, identify
+from daq.core.excitation.profiles.random_control_check import line_warnings
 from daq.core.excitation.profiles.spectrum_control import SCATTER_DB, AveragedSpectra, NoiseSource, updated
 from daq.core.excitation.profiles.spectrum_shaping import lines_between
 from daq.core.excitation.station import Excitation, GivenUp, Station
@@ -20,6 +21,7 @@ from rig.core.base.arrays import Array
 from rig.core.scene.excitation.profile import limits_drive
 
 if TYPE_CHECKING:
+    from daq.core.signal_chain.channel import ChannelInfo
     from rig.core.scene.excitation import RandomControl
     from rig.core.scene.scene import Scene
 
@@ -122,6 +124,8 @@ class SpectrumControl:
 
 def excite(station: Station, test: RandomControl) -> Excitation:
     """Run the levels of the ramp (marked `ramp`), and the full level (marked `measure` and `tolerance`)."""
+    for message in line_warnings(test.prescription, station.scene, station.channels):
+        station.warn(message)
     control = SpectrumControl(station, test)
     yield from control.identify()
     averages = min(_FIRST_AVERAGES, test.averages)
@@ -184,6 +188,12 @@ class RandomControlProcedure(Procedure["RandomControl"]):
     def excite(self, station: Station, test: RandomControl) -> Excitation:
         """Yield the drive of the test block by block, and mark the measured intervals."""
         return excite(station, test)
+
+    def check(self, test: RandomControl, scene: Scene, channels: Sequence[ChannelInfo]) -> Iterable[str]:
+        """Name lines that are too coarse, limits that end early, and what precedes the full level."""
+        yield from line_warnings(test.prescription, scene, channels)
+        levels = ", ".join(f"{level:g}" for level in test.ramp)
+        yield f"{test.duration:g} s at full level, after the identification and levels of {levels} dB"
 
     def waits(self, test: RandomControl, scene: Scene) -> float:
         """Return the expected time of the identification, and of the averages beyond the times of the levels, s."""

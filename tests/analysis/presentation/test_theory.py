@@ -90,7 +90,7 @@ def test_theory_needs_location_of_force(tmp_path):
 
 def test_theory_needs_no_named_channels(tmp_path):
     # The channel that the limit names is not among the ideal channels of the theory.
-    path = daq.record(rig.load("shaker-table-random", {"test.duration": "2 s"}), tmp_path / "run.mcap")
+    path = daq.record(rig.load("shaker-table-random", {"test.duration": "20 s"}), tmp_path / "run.mcap")
     [frf] = analysis.frf(path, "shelf", reference="table")
     with daq.open(path) as rec:
         theory = linear_theory(rec, frf)

@@ -1,5 +1,7 @@
 """Comparison of controlled motion with its profile, on constructed densities."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from analysis.core.signals.profile_check import Level, ProfileCheck
@@ -28,3 +30,11 @@ def test_low_control_without_limit_is_outside():
     control[3] = 0.1
     result = check(control, np.full(10, 0.1))
     assert result.within == 0.9 and not result.is_reduced.any()
+
+
+def test_excess_at_end_of_limit_is_named():
+    unit, limit = np.ones(10), np.full(10, np.nan)
+    limit[:6], unit[5] = 2.0, 20.0
+    result = check(np.ones(10), unit)
+    result = replace(result, limited=(replace(result.limited[0], bound=limit),))
+    assert result.excesses() == ["unit up to 10.0 dB above its limit, at 15 Hz, where the limit ends"]

@@ -1,0 +1,60 @@
+"""Check of a random test with profile control before the test: lines that are too coarse, and limits that end early."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import ceil, pi
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rig.core.system.assembly import assemble
+from rig.core.system.open_loop_drive import riding_response
+
+if TYPE_CHECKING:
+    from daq.core.signal_chain.channel import ChannelInfo
+    from rig.core.scene.excitation.profile import Prescription
+    from rig.core.scene.scene import Scene
+
+# Largest change of the drive density from line to line, dB: the largest slope at a resonance, 20 / ln(10) dB over half
+# of its half-power width, if the width contains two lines.
+_MAX_STEP_DB = 8.69 / 2.0
+# Number of frequencies per line.
+_OVERSAMPLING = 8
+# Largest reduction of the drive density by a limit at its end, dB.
+_MAX_END_DB = 3.0
+
+
+def line_warnings(prescription: Prescription, scene: Scene, channels: Iterable[ChannelInfo]) -> Iterable[str]:
+    """Yield warnings from the linear response of the scene, with all dampers on their floors.
+
+    `prescription`: densities with a resolution in Hz; `channels`: channels of the bench.
+    """
+    assert prescription.resolution is not None
+    low, high = prescription.profile.frequencies[0], prescription.profile.frequencies[-1]
+    count = round((high - low) / prescription.resolution)
+    frequency, system = np.linspace(low, high, _OVERSAMPLING * count + 1), assemble(scene)
+    places = {info.name: info.at for info in channels}
+    names = (*prescription.control.channels, *(limit.channel for limit in prescription.limits))
+    states = riding_response(system, scene.at_driven("shaker"), 2.0 * pi * frequency)
+    amplitudes = abs(states[[system.points.index(places[name]) for name in names]]) * (2.0 * pi * frequency) ** 2
+    required = prescription.decibels(prescription.required(amplitudes**2, frequency))
+    # Where another channel begins to determine the drive, its density may change at once.
+    determining, drive = required.argmin(axis=0), required.min(axis=0)
+    steps = _OVERSAMPLING * np.where(np.diff(determining) == 0, abs(np.diff(drive)), 0.0)
+    worst = int(np.argmax(steps))
+    if steps[worst] > _MAX_STEP_DB:
+        yield (
+            f"near {frequency[worst]:.4g} Hz the drive density changes by {steps[worst]:.1f} dB from line to line: the "
+            "lines do not resolve the response, and channels deviate between them. Give test.lines of "
+            f"{ceil(count * steps[worst] / _MAX_STEP_DB)} or more."
+        )
+    for limit, row in zip(prescription.limits, required[1:], strict=True):
+        inside = np.flatnonzero(np.isfinite(row))
+        for end in (int(inside[0]), int(inside[-1])) if inside.size else ():
+            reduction = float(required[0, end] - row[end])
+            if 0 < end < frequency.size - 1 and reduction > _MAX_END_DB:
+                yield (
+                    f"the limit of {limit.channel} ends at {frequency[end]:.4g} Hz, where it reduces the drive density "
+                    f"by {reduction:.1f} dB: the channel exceeds it beyond. Extend the limit beyond the resonance."
+                )

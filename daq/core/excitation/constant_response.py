@@ -106,6 +106,7 @@ class HeldMotion(EnvelopeTone):
 def excite(station: Station, test: ConstantResponse) -> Excitation:
     """Run the test; raise `GivenUp` if no dwell reached its level."""
     tone = HeldMotion(station, test)
+    yield from tone.measure_noise()
     settled = yield from stepped_sine.excite(station, test, tone)
     messages = []
     if tone.limited:

@@ -40,7 +40,6 @@ from daq.core.excitation.tones.envelope_control import (
 from daq.core.excitation.tones.steady_tone import TRANSITION_S, AmplitudeControl
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.text import format_decimals
-from rig.core.scene.excitation import FORCE_TOLERANCE
 
 if TYPE_CHECKING:
     from rig.core.scene.excitation import Continuation
@@ -499,6 +498,7 @@ def _next_position(visited: Sequence[tuple[float, float]], slope: float, length:
 def excite(station: Station, test: Continuation) -> Excitation:
     """Follow the curve of each level; raise `GivenUp` if none reached a fold or the end of the band."""
     tone, failures, useless = _CurveTone(station, test), list[str](), 0
+    yield from tone.measure_noise()
     for level in test.levels:
         curve = _Curve(station, test, tone, level)
         try:
@@ -509,8 +509,8 @@ def excite(station: Station, test: Continuation) -> Excitation:
         if curve.irregular:
             irregular = ", ".join(dict.fromkeys(f"{frequency:.5g}" for frequency in curve.irregular))
             station.warn(
-                f"level {level:g}: the motion does not repeat at {irregular} Hz, or noise exceeds "
-                f"{FORCE_TOLERANCE:.1%} of it. These points are omitted. Give another level."
+                f"level {level:g}: the motion does not repeat at {irregular} Hz. These points are omitted. "
+                "Give another level."
             )
         if curve.gaps:
             ends = ", ".join(f"{start:.5g} to {end:.5g}" for start, end in curve.gaps)

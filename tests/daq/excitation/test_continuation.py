@@ -214,6 +214,17 @@ def test_irregular_start_gives_up() -> None:
         run(scene)
 
 
+def test_noise_is_no_irregular_motion() -> None:
+    # At 49 Hz, the noise of a window is 0.8 % of the motion.
+    channels = [
+        {"name": "a1", "at": "body 1", "accelerometer": {"sensitivity": "100 mV/g", "noise": "1 mg/sqrt(Hz)"}},
+        {"name": "force", "at": "shaker", "hammer": {"sensitivity": "100 mV/N"}},
+    ]
+    scene = scene_with(force=0.5, **{"from": "49 Hz", "to": "51.5 Hz"}).replace(dampers=[], channels=channels)
+    points = [fields for *_, fields in run(scene).marks_of("measure")]
+    assert points[-1]["frequency"] > 51.4 and all(fields["settled"] for fields in points)
+
+
 @pytest.mark.parametrize(
     ("change", "message"), [({"at": "body 7"}, "body 7 does not exist"), ({"to": "53 Hz"}, "which is also from")]
 )

@@ -52,7 +52,11 @@ AVERAGED_WINDOWS = 12
 _MAX_SCATTER = 0.01
 # A motion that repeats after at most this number of windows is periodic, with a multiple of the period of the tone.
 _MAX_REPEATED_WINDOWS = 4
-# The motion has left its target if it deviates by more than this multiple of the level's tolerance.
+# Number of windows at rest from which the noise is estimated.
+_NOISE_WINDOWS = 12
+# Variance of the envelopes by noise in a measurement, relative to that at rest, which a few windows determine roughly.
+_NOISE_MARGIN = 2.0
+# The motion has left its target if it deviates by more than this multiple of the tolerance.
 _LEFT_RATIO = 2.0
 
 
@@ -112,12 +116,7 @@ class Held(NamedTuple):
     drive: complex  # mean envelope
     invasive: float  # root mean square of the changes of the drive by the control, relative to the drive
     growth: float  # rate at which the motion left its target with a constant drive, 1/s; 0 if it stayed
-    irregularity: float  # see `irregularity`
-
-    @property
-    def repeats(self) -> bool:
-        """Whether the motion is periodic."""
-        return self.irregularity < FORCE_TOLERANCE
+    repeats: bool  # whether the motion is periodic, as far as noise permits
 
 
 class EnvelopeTone(SteadyTone):
@@ -131,6 +130,7 @@ class EnvelopeTone(SteadyTone):
         self.forget_mode()
         self.direction = 1.0 + 0j  # phase of the drive relative to that of the envelopes, as e^{i phase}
         self.motion = 0j  # last envelope of the controlled motion, m
+        self.noise = 0.0  # standard deviation of the envelope in a window by noise, m
         self.scatter = 0.0  # relative standard deviation of the last drives
         self._observed = 0.0, 0j, 0j  # frequency and envelopes of motion and drive in the last observation of the mode
 
@@ -168,6 +168,13 @@ class EnvelopeTone(SteadyTone):
         amplitudes = yield from super().observe(samples)
         self._add(amplitudes[0, 0] * self.direction, self.envelope, samples)
         return amplitudes
+
+    def measure_noise(self) -> Generator[Array, Array, None]:
+        """Estimate the noise of the envelope at rest, at the present frequency."""
+        envelopes = []
+        for _ in range(_NOISE_WINDOWS):
+            envelopes.append((yield from super().observe(self.window))[0, 0])
+        self.noise = float(np.std(envelopes))
 
     def steer(self, drive: complex) -> Generator[Array, Array, ComplexArray]:
         """Change the envelope of the drive to `drive` in one control window; return the envelopes of all quantities."""
@@ -268,8 +275,9 @@ class EnvelopeTone(SteadyTone):
         motion, drive = complex(np.mean(motions)), complex(np.mean(drives))
         invasive = float(np.sqrt(np.mean(abs(np.array(drives) - drive) ** 2))) / max(abs(drive), 1e-300)
         envelopes = np.array(motions)
-        growth = _growth(envelopes, target, window / self.rate)
-        return Held(motion, drive, invasive, growth, irregularity(envelopes))
+        tolerance = float(np.hypot(FORCE_TOLERANCE, _NOISE_MARGIN**0.5 * self.noise / max(abs(motion), 1e-300)))
+        growth = _growth(envelopes, target, window / self.rate, tolerance)
+        return Held(motion, drive, invasive, growth, irregularity(envelopes) < tolerance)
 
     def mark_measured(self, first: int, held: Held, settled: bool, **fields: Any) -> None:
         """Mark the measurement from a given sample to the present sample."""
@@ -280,10 +288,13 @@ class EnvelopeTone(SteadyTone):
         )  # fmt: skip
 
 
-def _growth(motions: ComplexArray, target: float, window: float) -> float:
-    """Return the rate at which a motion leaves its target amplitude, 1/s; 0 if the motion stays. `window`: s."""
+def _growth(motions: ComplexArray, target: float, window: float, tolerance: float) -> float:
+    """Return the rate at which a motion leaves its target amplitude, 1/s; 0 if the motion stays.
+
+    `window`: s; `tolerance`: relative tolerance of the amplitude.
+    """
     deviation = abs(abs(motions) / target - 1.0)
-    if deviation[-1] < _LEFT_RATIO * FORCE_TOLERANCE or deviation.size < 3:
+    if deviation[-1] < _LEFT_RATIO * tolerance or deviation.size < 3:
         return 0.0
     latest = np.maximum(deviation, 1e-9)
     middle = latest.size // 2

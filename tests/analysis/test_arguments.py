@@ -117,7 +117,7 @@ def test_recorded_scene_has_body_names(hit: Path) -> None:
         (lambda: rig.Plant(BRACKET, "5 V"), "is not a unit of sample rate"),
         (lambda: daq.Recorder("a.mcap", 7, [ChannelInfo("a", "body 1", "force", 1.0, 9.0)], 9.0), "scene: got 7"),
         (lambda: daq.Recorder("a.mcap", BRACKET, [], 9.0), "a.mcap: no channels"),
-        (lambda: rig.simulate(BRACKET, None), "duration: got None"),
+        (lambda: rig.simulate(BRACKET, None), "`duration`: got None"),
         (lambda: rig.simulate(BRACKET, object()), "is not a number; expected a time such as 4 ms"),
         (lambda: rig.periodic_orbit("fig9", None), "frequency: got nan"),
         (lambda: rig.follow_orbits("fig9", "frequency", 60), "bounds: got 60"),

@@ -24,8 +24,6 @@ MAX_SHAPE_BOUND = 0.5
 _FADED = 0.35
 # Error bars are cut at this length, because longer bars are wider than the panel.
 _WIDEST_BAR = 3.0
-# A mode is marked as tentative if its pole is stable in less than this fraction of the model orders.
-_MIN_STABLE = 0.5
 # Number of mode shapes side by side; with more, their titles would overlap.
 _MAX_COLUMNS = 5
 
@@ -103,9 +101,8 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
             axes.annotate("+", (0.82, 0.08), (0.82, 0.08), ha="right", color="#555555", **positive)
             names = ["ground", *map(escape_figure, bodies.names)] if column == 0 else [""] * (heights.size + 1)
             axes.set_yticks(np.append(0, heights), names)
-            remark = _tentative_text(modes, i)
             axes.set_title(
-                f"{modes.frequency_text(i)}\nζ = {modes.damping_text(i)}{remark}", y=1.0, fontsize=9,
+                f"{modes.frequency_text(i)}\nζ = {modes.damping_text(i)}", y=1.0, fontsize=9,
                 fontweight="normal",
             )  # fmt: skip
         add_legend_below(
@@ -113,13 +110,3 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
             "Shapes: the largest element is 1.",
         )  # fmt: skip
         return figure
-
-
-def _tentative_text(modes: Modes, index: int) -> str:
-    """Return a line for a mode whose pole is stable in few of the model orders; empty for others."""
-    orders = {pole.order for pole in modes.chart}
-    width = max(2.0 * modes.damping[index], 0.005) * modes.frequency[index]
-    stable = {
-        pole.order for pole in modes.chart if pole.stable and abs(pole.frequency - modes.frequency[index]) < width
-    }
-    return f"\ntentative: {len(stable)} of {len(orders)} orders" if len(stable) < _MIN_STABLE * len(orders) else ""

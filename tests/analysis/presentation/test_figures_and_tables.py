@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 import analysis
@@ -21,10 +22,11 @@ from analysis.commands.figures.modes_figure import modes_figure
 from analysis.commands.presentation.decay_findings import present_decay
 from analysis.commands.presentation.fit_findings import present_fit
 from analysis.commands.presentation.frf_findings import _draw_figures, describe_frfs, present_frf
-from analysis.commands.presentation.mode_findings import theory_warnings
+from analysis.commands.presentation.mode_findings import describe_modes, theory_warnings
+from analysis.commands.presentation.tables import modes_table
 from analysis.commands.presentation.theory import theoretical_modes
 from analysis.core.modal.lscf import ChartPole
-from analysis.core.modal.modes import Modes
+from analysis.core.modal.modes import Modes, UncertainMode
 from analysis.core.recordings.names import belongs_to, excitation_text, reference_label
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import BODIES, REFERENCE, faded, recording_styles
@@ -348,6 +350,24 @@ def test_titles_of_modes_are_separate(count):
     assert not any(first.overlaps(second) for first, second in combinations(titles, 2))
     assert max(title.x1 for title in titles) < figure.bbox.x1
     assert figure.legends[0].get_window_extent().y1 <= min(axes.get_window_extent().y0 for axes in figure.axes)
+
+
+def test_uncertain_modes_are_in_text_table_and_diagram(folder, tmp_path):
+    with daq.open(folder / "hit.mcap") as rec:
+        [curves] = analysis.frequency_responses(rec)
+    uncertain = UncertainMode(40.0, 0.1, 0.01, 0.001, "not identified from the even lines")
+    modes = replace(analysis.identify(list(curves)), uncertain=(uncertain,))
+
+    heading, *_, line = describe_modes(modes)
+    [*_, row] = csv.DictReader(modes_table(tmp_path / "a.csv", [modes]).read_text("utf-8").splitlines())
+    [*_, mark] = modes.plot_stabilization(Figure().subplots()).lines
+
+    assert "uncertain: (40.00 ± 0.20) Hz" in modes.summary() and heading.endswith(", 1 uncertain")
+    assert line.split(maxsplit=6) == ["40.00", "±", "0.20", "1.00", "±", "0.20", uncertain.reason]
+    assert (row["mode"], row["frequency_Hz"], row["uncertain_because"]) == ("", "40", uncertain.reason)
+    assert mark.get_label() == "uncertain mode" and mark.get_xdata()[0] == 40.0
+    corrected = modes.without_exponential_window(10.0).uncertain[0]
+    assert corrected.damping == pytest.approx(0.01 - 1.0 / (10.0 * 2 * np.pi * 40.0), rel=1e-3)
 
 
 def test_title_has_range_of_differing_modes(folder):

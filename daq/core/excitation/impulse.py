@@ -129,7 +129,7 @@ class ImpulseProcedure(Procedure["Impulse"]):
         return BASELINE_S + max((settling_time(info) for info in channels), default=0.0)
 
     def part(self, test: Impulse, seconds: float, scene: Scene) -> Impulse:
-        """Return the test with as many impacts as fit into `seconds`, at least one; all impacts are equal."""
+        """Return the test with the impacts that fit into `seconds`; if some are omitted, all have the highest peak."""
         delay = 0.0 if test.double_hit is None else test.double_hit.after
         interval = test.interval if test.interval < seconds else max(seconds, 2.0 * (test.width + delay))
         return _with_hits(test, max(1, int(seconds / test.interval)), interval)

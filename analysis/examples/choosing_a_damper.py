@@ -28,10 +28,10 @@ def highest_peak(clearance_mm: float) -> float:
 
 
 # %%
-# The best clearance has the lowest peak.
+# The best of these clearances has the lowest peak.
 peaks = np.array([highest_peak(float(clearance)) for clearance in clearances])
 best = clearances[np.argmin(peaks)]
-print(f"clearance with the lowest peak: {best} mm ({peaks.min():.0f} µm/N)")
+print(f"lowest peak of these clearances: at {best} mm ({peaks.min():.0f} µm/N)")
 axes = plt.subplots(layout="constrained")[1]
 axes.plot(clearances, peaks, "o-", label="one damper in body 2")
 axes.plot(best, peaks.min(), "o", markersize=13, fillstyle="none", label=f"optimum: {best} mm")

@@ -61,6 +61,8 @@ PEAK_SYMBOLS = {
     "diamonds": "Diamonds: extrapolated peaks, more than 3 dB above the points on either side.",
     "arrows": "Arrows: the peak may be higher.",
 }
+# Width of the label of a peak, relative to the axes.
+_LABEL_WIDTH = 0.06
 # The axis includes this multiple of a marked value.
 _MARK_SPACE = 2.0
 _MARKERS = {"circles": "o", "diamonds": "D"}
@@ -112,7 +114,6 @@ def frf_figure(
         for measured, curve_style, marked in zip(frfs, styles, marked_peaks, strict=True):
             _draw_curve(measured, curve_style, top, marked, magnitude_axes, phase_axes, coherence_axes)
             heights += _draw_marks(marked, measured.shown_in[1], curve_style.color, magnitude_axes)
-        _label_peaks([mark for marked in marked_peaks for mark in marked], frfs[0].shown_in[1], magnitude_axes)
         for frequency, text in marks:
             magnitude_axes.axvline(frequency, color="#777777", lw=0.8, ls=":")
             magnitude_axes.annotate(
@@ -131,6 +132,7 @@ def frf_figure(
         )
         for axes, last in ((magnitude_axes, False), (phase_axes, False), (coherence_axes, True)):
             frequency_axis(axes, low, high, last)
+        _label_peaks([mark for marked in marked_peaks for mark in marked], frfs[0].shown_in[1], magnitude_axes)
         name = escape_figure(frfs[0].name)
         magnitude_axes.set_ylabel(f"|{name}| / ({unit})" if "/" in unit else name)
         add_title(magnitude_axes, title)
@@ -178,6 +180,8 @@ def _caption(frfs: Sequence[Response], symbols: set[str]) -> list[str]:
         sentences.append(f"Light band: also limits of error (type B): {', '.join(causes)}.")
     if not all(is_determined(frf).all() for frf in frfs):
         sentences.append("Pale, with a strip at the axis: undetermined (noise, or bound above 100 %); phase not shown.")
+    if any((is_determined(frf.sorted()) & ~is_smooth(frf.sorted())).any() for frf in frfs):
+        sentences.append("No phase where it scatters from line to line.")
     if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
         sentences.append("Crosses: steady state not reached.")
     if any(np.isfinite(frf.value).sum() < frf.frequency.size or frf.resolution == 0.0 for frf in frfs):
@@ -330,15 +334,18 @@ def _draw_marks(marks: Iterable[PeakMark], factor: float, color: str, axes: Axes
 
 
 def _label_peaks(marks: Iterable[PeakMark], factor: float, axes: Axes) -> None:
-    """Write the frequency above the highest of the marked peaks near it."""
+    """Write the frequency above the highest of the marked peaks around it."""
+    from matplotlib.patheffects import withStroke
+
     labeled: list[float] = []
     for symbol, frequency, height, _ in sorted(marks, key=lambda mark: -mark.height):
-        if symbol != "arrows" and all(abs(frequency / other - 1.0) > _PEAK_RANGE for other in labeled):
-            labeled.append(frequency)
+        position = axes.transAxes.inverted().transform(axes.transData.transform((frequency, factor * height)))[0]
+        if symbol != "arrows" and all(abs(position - other) > _LABEL_WIDTH for other in labeled):
+            labeled.append(position)
             axes.annotate(
                 f"{frequency:.4g} Hz", (frequency, factor * height), xytext=(0, 5), textcoords="offset points",
                 ha="center", fontsize=7.5, color="#555555", zorder=5,
-                bbox={"fc": "white", "ec": "none", "alpha": 0.7, "pad": 0.5},
+                path_effects=[withStroke(linewidth=2.0, foreground="white")],
             )  # fmt: skip
 
 
@@ -392,8 +399,11 @@ def _visible_edges(frf: Response) -> Array:
     visible = is_determined(frf) & np.isfinite(magnitude) & (magnitude > 0)
     if not visible.any():
         return np.empty(0)
+    # A pale peak between determined lines is visible, too.
+    inside = magnitude[np.flatnonzero(visible)[0] : np.flatnonzero(visible)[-1]]
     magnitude, total = magnitude[visible], total[visible]
-    edges = np.concatenate([np.minimum(magnitude + total, 10.0 * magnitude.max()), magnitude - total])
+    upper = np.append(magnitude + total, np.nanmax(inside, initial=0.0))
+    edges = np.concatenate([np.minimum(upper, 10.0 * magnitude.max()), magnitude - total])
     return np.asarray(edges[edges > 0.1 * magnitude.min()])
 
 

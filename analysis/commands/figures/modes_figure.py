@@ -105,8 +105,9 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
                 f"{modes.frequency_text(i)}\nζ = {modes.damping_text(i)}", y=1.0, fontsize=9,
                 fontweight="normal",
             )  # fmt: skip
+        data = "Points" if is_sparse else "Broad and pale"
         add_legend_below(
-            figure, f"{'Points' if is_sparse else 'Broad and pale'}: measured. Lines: modal model. ±: 95 % intervals.",
-            "Shapes: the largest element is 1.",
+            figure, f"{data}: measured. Lines: modal model. ±: 95 % intervals of scatter and stated errors.",
+            "Shapes: the largest element is +1.",
         )  # fmt: skip
         return figure

@@ -67,7 +67,7 @@ class Mark(NamedTuple):
     x: float
     y: float
     label: str
-    color: str = ""  # default: that of text; on a narrow screen, only these labels are drawn
+    color: str = ""  # default: that of text; a narrow screen shows only labels of the first curve
 
 
 @dataclass(frozen=True)

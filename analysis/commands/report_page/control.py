@@ -28,6 +28,8 @@ from rig.core.scene.excitation.profile import from_decibels
 
 # The duration of a pulse is the time above this fraction of its peak.
 _VISIBLE_PART = 0.2
+# The chart of a profile ends at this fraction of the lowest value of the profile.
+_SHOWN_BELOW = 1e-2
 # The chart first shows this multiple of the duration of the pulse.
 _PULSE_VIEW = 3.0
 
@@ -37,12 +39,13 @@ def _profile_chart(check: ProfileCheck) -> Chart:
     control, *limited = place_styles([level.place for level in (check.channels[0], *check.limited)])
     frequency = check.frequency
     curves = [
-        Curve("profile", frequency, check.profile, *check.band, CurveStyle(REFERENCE)),
         Curve("control", frequency, check.control, style=control._replace(dashes=())),
+        Curve("profile", frequency, check.profile, *check.band, CurveStyle(REFERENCE, (6, 3))),
     ]
     for level, style in zip(check.limited, limited, strict=True):
         curves.append(Curve(level.channel, frequency, level.values, level.low, level.high, style._replace(dashes=())))
         curves.append(Curve(f"limit of {level.channel}", frequency, level.bound, style=style._replace(dashes=(6, 3))))
+    highest = max(float(np.nanmax(np.asarray(curve.y))) for curve in curves)
     return Chart(
         f"Control channel with profile and tolerance of {check.tolerance:g} dB; limited channels with limits.",
         "Control and limited channels against the profile.",
@@ -53,6 +56,7 @@ def _profile_chart(check: ProfileCheck) -> Chart:
                 curves,
                 height=280,
                 logarithmic=True,
+                limits=(_SHOWN_BELOW * float(np.nanmin(check.profile)), 2.0 * highest),
             )
         ],
         logarithmic=True,

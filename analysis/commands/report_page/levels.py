@@ -15,8 +15,9 @@ from analysis.core.tracking.body_motion import LevelPoint, level_rows, quantity_
 from rig.core.results import format_decimals, format_limited, format_number
 from rig.core.results.uncertainty import expand
 
-_CAPTION = (
-    "Results at each level, with 95 % intervals. Natural frequency and damping ratio are those of the mode; the "
+_CAPTION = "Results at each level, with 95 % intervals"
+_MODE_CAPTION = (
+    "Natural frequency and damping ratio are those of the mode; the "
     "excitation frequency is that of the highest measured point, to which amplitude and energy belong. The two "
     "differ where other modes contribute to the motion, and by up to the distance of the measured frequencies."
 )
@@ -74,7 +75,8 @@ def level_table(measurements: Sequence[Measurement]) -> str:
         for title, group in groups.items():
             rows += [(", ".join(filter(None, (label, title))),)] if len(measurements) > 1 or title else []
             rows += level_rows(group, keys)
-    return table(_CAPTION, ["level", *keys, "remark"], rows) if rows else ""
+    caption = ". ".join([_CAPTION, _MODE_CAPTION] if "natural frequency / Hz" in keys else [_CAPTION])
+    return table(caption, ["level", *keys, "remark"], rows) if rows else ""
 
 
 def _mode_point(measurement: Measurement, sweep: SweepResults, level: str, reference: float, ratio: str) -> LevelPoint:

@@ -118,7 +118,7 @@ def _mode_marks(
     frfs: Sequence[Response],
     styles: Sequence[CurveStyle] | None,
 ) -> list[Mark]:
-    """Label each mode of the sweeps in a chart; labels of other sweeps than the baseline have the color of their curve.
+    """Label each mode of the sweeps in a chart; the labels of several sweeps have the colors of their curves.
 
     The height is that of the mode's highest peak in the chart.
     """
@@ -131,7 +131,7 @@ def _mode_marks(
             ]
             if drawn:
                 height, curve = max(drawn)
-                color = styles[curve].color if styles and sweep is not baseline else ""
+                color = styles[curve].color if styles else ""
                 marks.append(Mark(frequency, height, f"{format_decimals(frequency, 2)} Hz", color))
     return sorted(marks)
 

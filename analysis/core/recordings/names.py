@@ -175,7 +175,8 @@ def excitation_text(rec: Recording) -> str:
 
 def acquisition_text(rec: Recording, frf: Response | None = None, estimate: str = "") -> str:
     """Describe number of averages or points, line spacing, estimate and sample rate: 3 impacts of 4 ms, Δf 0.33 Hz."""
-    details = () if rec.scene.test is None else rec.scene.test.details
+    test = rec.scene.test
+    details = () if test is None else (*test.details, test.duration_text)
     spacing = "" if frf is None else line_spacing(frf)
     return ", ".join(filter(None, [*details, spacing, estimate, f"sampled at {rec.rate:g} Hz"]))
 

@@ -135,14 +135,16 @@ class AmplitudeCurve(Result):
             if folds:
                 note = f"fold{'s' * (len(folds) > 1)} at {', '.join(folds)}"
             elif self.settled[chosen].any():
-                note = f"no fold wider than {self.resolution(level):.2g} Hz"
+                note = f"no fold; one narrower than {self.resolution(level):.2g} Hz can be missed"
             else:
                 note = "no steady state"
-            # The curve continues beyond its first and last point.
-            note += "; highest point at an end of the curve" * (highest in chosen[[0, -1]])
+            largest = format_limited(*peak)
+            if highest in chosen[[0, -1]]:
+                # The curve continues beyond its first and last point.
+                largest = f"at least {peak[0] - peak[1]:.3g}"
             quantities = {
                 "excitation frequency / Hz": (frequency, f"{frequency:.4g}"),
-                f"largest amplitude of {self.body} / mm": (peak[0], format_limited(*peak)),
+                f"largest amplitude of {self.body} / mm": (peak[0], largest),
             }
             points.append(LevelPoint(f"{format_number(level)} {self.unit}", frequency, quantities, note))
         return points

@@ -55,7 +55,7 @@ _ESTIMATES = {
         lambda previous, values, count: values if count == 1 else previous + (values - previous) / count,
     ),
     "transform": _Estimate(
-        "Fourier transform, largest", "(UNIT s)", 1, False,
+        "Fourier transform, largest of all impacts", "(UNIT s)", 1, False,
         lambda x, window, rate: x / rate, lambda previous, values, count: np.fmax(previous, values),
     ),
 }  # fmt: skip

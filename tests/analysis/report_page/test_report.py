@@ -430,8 +430,8 @@ def test_force_outside_its_tolerance_is_stated(recordings: list[Path]) -> None:
         ),
         (
             "shaker-table-sine",
-            "sine sweep, 5 to 60 Hz, 0.981 to 2.94 m/s², 0.896 oct/min, unit limited to 14.7 m/s² from 5 to 60 Hz, "
-            "240 s",
+            "sine sweep, 5 to 60 Hz, 0.981 to 2.94 m/s², upward at 0.896 oct/min, unit limited to 14.7 m/s² from "
+            "5 to 60 Hz, 240 s",
         ),
     ],
 )

@@ -361,7 +361,7 @@ def test_live_force_of_sweep_is_its_level(bench):
         pass_time(bench, 0.5)
     force = bench.controller.level_per_rms * bench.monitor.frf.curves().force
     assert np.nanmin(force) > 4.8 and np.nanmax(force) < 5.2
-    assert bench.controller.details == "4.83 oct/min"
+    assert bench.controller.details == "upward at 4.83 oct/min"
 
 
 @pytest.mark.parametrize("bench", ["sweep"], indirect=True)

@@ -174,7 +174,7 @@
     context.textAlign = "center";
     let marks = panel.marks.map(([x, y, label, color]) => [...position(x, y), label, color]).filter(([px]) => px >= left && px <= left + width);
     const space = (label) => context.measureText(label).width + 8 * ratio;
-    if (marks.reduce((sum, [, , label]) => sum + space(label), 0) > width) marks = marks.filter(([, , , color]) => !color);
+    if (marks.reduce((sum, [, , label]) => sum + space(label), 0) > width) marks = marks.filter(([, , , color]) => !color || color === panel.curves[0].color);
     const places = spread(marks.map(([px, , label]) => [px, space(label)]), left, left + width);
     marks.forEach(([px, py, label, color], k) => {
       context.fillStyle = context.strokeStyle = color ? shade(color) : theme("text");

@@ -50,7 +50,7 @@ const response = {
     }
     const averages = this.head?.averages;
     const empty = state.hits.length ? (state.hits[0][4] ? "no accepted impact" : "after this impact") : state.running ? "after settling" : "start a test";
-    const spacing = averages && this.curves ? `, Δf ${digits(this.curves.frequency[1] - this.curves.frequency[0], 2)} Hz${state.details ? `, ${state.details}` : ""}` : "";
+    const spacing = averages && this.curves ? `, Δf ${digits(this.curves.frequency[1] - this.curves.frequency[0], 2)} Hz${state.details && averages > 1 ? `, ${state.details}` : ""}` : "";
     return (averages ? (averages > 1 ? `H1, ${averages} averages` : "1 average: no γ²") + spacing : state.frf_reason || empty) + (this.problem ? `; ${this.problem}` : "");
   },
 
@@ -156,8 +156,9 @@ function determined(phase, coherence) {
   });
   // A few lines among noise have a smooth phase by chance.
   const inside = smooth.map((_, k) => around(smooth, k).every(Boolean));
-  // A single average has no coherence.
-  return Array.from(coherence, (value, k) => !(value < COHERENT) && around(inside, k).some(Boolean));
+  // A single average has no coherence; among averages, a line without coherence is uncertain.
+  const isSingle = coherence.every(isNaN);
+  return Array.from(coherence, (value, k) => (isSingle || value >= COHERENT) && around(inside, k).some(Boolean));
 }
 
 // The phase from -270° to 90°, as in the report: a receptance out of phase stays at -180° whatever the noise.

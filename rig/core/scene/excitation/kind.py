@@ -136,12 +136,18 @@ class KindOfTest(Settings):
         """Further settings of the test, in few words."""
         return ()
 
+    @property
+    def duration_text(self) -> str:
+        """Duration of the measurement; empty if the test has no such setting."""
+        duration = getattr(self, "duration", None)
+        return "" if duration is None else f"{duration:.4g} s"
+
     def sentence(self, shaker: Shaker | None) -> str:
         """Describe the test in words; `shaker`: the driven shaker."""
-        band, duration = self.band, getattr(self, "duration", None)
+        band = self.band
         parts = (
             self.title, "" if band is None else range_text(band, "Hz"), self.level_text(shaker), *self.details,
-            "" if duration is None else f"{duration:.4g} s",
+            self.duration_text,
         )  # fmt: skip
         return ", ".join(filter(None, parts))
 

@@ -42,10 +42,11 @@ class FrequencySweep:
 
     @property
     def rate_text(self) -> str:
-        """Rate of the sweep, in the unit in which it is constant."""
+        """Direction and rate of the sweep, in the unit in which the rate is constant."""
+        rate = f"{60.0 * abs(np.log2(self.to / self.from_)) / self.duration:.3g} oct/min"
         if self.spacing == "linear":
-            return f"{abs(self.to - self.from_) / self.duration:.3g} Hz/s"
-        return f"{60.0 * abs(np.log2(self.to / self.from_)) / self.duration:.3g} oct/min"
+            rate = f"{abs(self.to - self.from_) / self.duration:.3g} Hz/s"
+        return f"{self.sweep_direction}ward at {rate}"
 
     def frequency_at(self, fraction: Any) -> Any:
         """Return the frequency, Hz, at a fraction, 0 to 1, of the sweep: a number, or an array of fractions."""

@@ -19,26 +19,22 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections import deque
 from collections.abc import Generator, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from daq.core.excitation.constant_response import AT_LIMIT_RATIO
-from daq.core.excitation.controlled import displacement, measured_force
+from daq.core.excitation.controlled import measured_force
 from daq.core.excitation.procedure import Form, FormValues
 from daq.core.excitation.station import Excitation, GivenUp, Station
 from daq.core.excitation.stepped_sine import SteadyTonesProcedure, expected_wait
+from daq.core.excitation.tones.curve_tone import CurveTone, Point
 from daq.core.excitation.tones.envelope_control import (
     AVERAGED_WINDOWS,
     MAX_GROWTH_TIMES_DEAD_TIME,
     MAX_POLE_TIMES_DEAD_TIME,
-    EnvelopeTone,
 )
-from daq.core.excitation.tones.steady_tone import TRANSITION_S, AmplitudeControl
-from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.arrays import Array
 from rig.core.results.text import format_decimals
 
 if TYPE_CHECKING:
@@ -49,11 +45,9 @@ if TYPE_CHECKING:
 # Feedback starts where the product of |l| and dead time is below this fraction of its stability limit, and stops above
 # the limit.
 _BEGIN_RATIO = 0.8
-# The input gain is estimated from this number of points measured without feedback.
-_FLANK_POINTS = 3
 # Largest relative deviation of the force from the level.
 _TOLERANCE = 0.002
-# Largest number of holds to correct a point with feedback, and of drives to correct a point without feedback.
+# Largest number of holds to correct a point.
 _MAX_CORRECTIONS = 8
 # Smallest assumed slope of ln(force) along the normal; it limits the distance to the next hold.
 _MIN_SLOPE = 0.05
@@ -67,8 +61,6 @@ _SHORTEST_TURN = 0.125
 # The frequency changes in a step by at most this fraction of the band, and by half of the fraction before the mode is
 # known.
 _MAX_BAND_RATIO = 0.05
-# A change of the frequency (in Hz) of less than this number divided by the dead time (in s) is made within one window.
-_SMALL_TURN = 0.05
 # Without feedback, a response that changes by more than this factor has jumped to another branch.
 _JUMP_RATIO = 2.0
 # A motion that has not jumped returns to the last point with a deviation of ln(amplitude) below this value.
@@ -83,116 +75,14 @@ _MAX_CORNER_STEPS = 12
 _MAX_INVASIVE = 0.01
 
 
-class Point(NamedTuple):
-    """A settled point of a curve."""
-
-    frequency: float  # frequency of the tone, Hz
-    motion: float  # displacement amplitude, m
-    level: float  # amplitude of the force or drive
-    pole: complex  # pole of the mode relative to the tone, 1/s; 0 before it is known
-
-
 class Lost(Exception):
     """The controller lost the curve, for the stated reason."""
-
-
-class _CurveTone(EnvelopeTone):
-    """A tone that settles at points of a curve."""
-
-    # Shorter windows permit control of unstable motions that grow faster.
-    periods = 2.0
-
-    def __init__(self, station: Station, test: Continuation) -> None:
-        super().__init__(station, test.from_, displacement(station, test.at))
-        self._test = test
-        self._force = None if test.level_key == "drive" or station.force_is_drive else measured_force(station)
-        self._forces = deque[float](maxlen=AVERAGED_WINDOWS)
-        self.forget_mode()
-
-    def forget_mode(self) -> None:
-        """Discard the model of the mode."""
-        super().forget_mode()
-        self._flank = deque[tuple[float, complex]](maxlen=_FLANK_POINTS)  # angular frequency and ratio X / U of points
-        self._is_flank = True  # until feedback begins
-
-    def _add(self, motion: complex, drive: complex, samples: int) -> None:
-        """Do nothing: the mode depends on the amplitude, so transients do not determine it (see `_learn_gain`)."""
-
-    def _learn_gain(self) -> None:
-        """Estimate the input gain b and the pole s of the mode by least squares.
-
-        At points measured without feedback, displacement X and drive U obey (i w - s) X = b U. Beyond the flank, where
-        feedback has begun, impacts change the ratio of X and U more than the frequency does.
-        """
-        if not self._is_flank:
-            return
-        self._flank.append((2.0 * math.pi * self.frequency, self.motion / self.envelope))
-        if len(self._flank) >= 2:
-            omega, response = np.array(self._flank).T
-            # i w = s + b U / X, weighted by X / U
-            columns = np.stack([response, np.ones_like(response)], axis=1)
-            self._pole, self._gain = map(complex, np.linalg.lstsq(columns, 1j * omega.real * response)[0])
-
-    def start(self, level: float) -> float:
-        """Forget the mode of the last level; return the amplitude of the first drive."""
-        self.forget_mode()
-        self.frequency = self._test.from_
-        return level if self._force is None else level * self.station.cautious_drive
-
-    def amplitudes(self, readings: Array, phases: Sequence[float]) -> ComplexArray:
-        """Return the complex amplitudes (tones, quantities) in a window, and store the amplitude of the force."""
-        if self._force is not None:
-            self._forces.append(float(abs(self._force.amplitudes(readings, [self.frequency], phases)[0])))
-        return super().amplitudes(readings, phases)
-
-    def point(self) -> Point:
-        """Return the present point, which has settled."""
-        level = self.amplitude if self._force is None else float(np.mean(self._forces))
-        return Point(self.frequency, abs(self.motion), level, -self._gain * self.envelope / self.motion)
-
-    def drive_to(self, frequency: float, drive: float, level: float) -> Generator[Array, Array, Point | None]:
-        """Settle at a frequency in Hz and the level, without feedback; return the point, None if it did not settle."""
-        self.control, control = None, AmplitudeControl(level, self.station.drive_limit)
-        settle = self._test.settle
-        for _ in range(_MAX_CORRECTIONS):
-            settled = yield from self.settle({frequency: drive}, settle.tolerance, settle.longest)
-            # The force is averaged without the transients before the steady state.
-            self._forces.clear()
-            windows = 1 if self._force is None else AVERAGED_WINDOWS
-            self.motion = (yield from self.observe(windows * self.window))[0, 0] * self.direction
-            if not settled or not self.motion:
-                return None
-            point = self.point()
-            if self._force is None or control.is_at_level(point.level):
-                self._learn_gain()
-                return self.point()
-            drive = control.next_drive(self.amplitude, point.level)
-        return None
-
-    def hold_at(self, frequency: float, motion: float) -> Generator[Array, Array, Point | None]:
-        """Settle at a frequency in Hz and an amplitude in m by feedback; return the point, None if it did not settle.
-
-        A small change of frequency needs a short transition, in which an unstable motion hardly grows.
-        """
-        if not self._gain:
-            # A lost motion has shown that the model of the mode is wrong.
-            return None
-        settle, self._is_flank = self._test.settle, False
-        transition_s = 0.0 if abs(frequency - self.frequency) * self.dead_time < _SMALL_TURN else TRANSITION_S
-        settled = yield from self.settle_envelope(
-            frequency, self.amplitude, motion, settle.tolerance, settle.longest, transition_s
-        )
-        return self.point() if settled else None
-
-    def is_holdable(self, point: Point, ratio: float) -> bool:
-        """Return whether |l| times the dead time at a point is below a fraction of its stability limit."""
-        return 0.0 < abs(point.pole) * self.dead_time <= ratio * MAX_POLE_TIMES_DEAD_TIME
 
 
 class _Curve:
     """The curve of a level: its points so far, and the steps from point to point."""
 
-    def __init__(self, station: Station, test: Continuation, tone: _CurveTone, level: float) -> None:
+    def __init__(self, station: Station, test: Continuation, tone: CurveTone, level: float) -> None:
         self._station, self._test, self._tone, self._level = station, test, tone, level
         self._forward = math.copysign(1.0, test.to - test.from_)
         self._band = abs(test.to - test.from_)
@@ -497,7 +387,8 @@ def _next_position(visited: Sequence[tuple[float, float]], slope: float, length:
 
 def excite(station: Station, test: Continuation) -> Excitation:
     """Follow the curve of each level; raise `GivenUp` if none reached a fold or the end of the band."""
-    tone, failures, useless = _CurveTone(station, test), list[str](), 0
+    force = None if test.level_key == "drive" or station.force_is_drive else measured_force(station)
+    tone, failures, useless = CurveTone(station, test, force), list[str](), 0
     yield from tone.measure_noise()
     for level in test.levels:
         curve = _Curve(station, test, tone, level)

@@ -46,6 +46,9 @@ _MAX_REMAINING = 0.1
 # show at the same instant.
 _MIN_CHANGE = 0.1
 _MAX_COMMON = 0.25
+# A channel is searched in a block if its readings span more than this number of counts of the converter. A smaller
+# tone, as at an antiresonance, appears suddenly when it exceeds half a count.
+_MIN_COUNTS = 8.0
 # The tone is hidden by noise if the relative residual of a channel remains above this fraction.
 _MAX_FRACTION_OF_STEP = 0.7
 
@@ -99,6 +102,8 @@ def find_tone_steps(rec: Recording, intervals: Sequence[ToneInterval], channels:
     """Yield steps that occur in one channel only; at least two channels are needed to distinguish steps from motion."""
     if len(channels) < 2:
         return
+    infos = [rec.channels[name] for name in channels]
+    min_ranges = [0.0 if info.volts_per_count is None else _MIN_COUNTS * info.unit_per_count for info in infos]
     for interval in intervals:
         offset = 0
         while True:
@@ -113,6 +118,7 @@ def find_tone_steps(rec: Recording, intervals: Sequence[ToneInterval], channels:
                 yield from (
                     ToneStep(channels[row], first + position, log_ratio, frequency * rec.rate)
                     for row, (position, log_ratio) in _steps_of_block(block, phase).items()
+                    if np.ptp(block[row]) > min_ranges[row]
                 )
             # The searched parts of successive blocks overlap.
             offset += int((1.0 - 3.0 * _MARGIN) * samples)

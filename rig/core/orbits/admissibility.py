@@ -22,7 +22,7 @@ MIN_FLIGHT_RAD = 0.02
 ORDER, NOT_RELEASED, MISSES_WALL = 0, 1, 2
 FLIGHT_VANISHES, HITS_FLOOR, HITS_CEILING, LEAVES_WALL, STAYS_AT_WALL, SEPARATED_BY_IMPACT = 3, 4, 5, 6, 7, 8
 SLIPS, STOPS, STICKS = 9, 10, 11
-N_BORDER_KINDS = 12  # number of these kinds
+N_BORDER_KINDS = 12  # number of the kinds of borders
 
 
 @cached_njit
@@ -218,7 +218,7 @@ def _sliding_event_margin(
 ) -> None:  # fmt: skip
     """Write the margin of an event of a sliding mass: the rate at which its signal reaches the limit.
 
-    After an impact without rebound or a reversal, the motion away must begin at once.
+    After an impact without rebound or a reversal, the motion away must begin immediately.
     """
     kind, j, omega = sequence.kind[event], sequence.damper[event], equations.omega
     acceleration_unit = length_unit * omega**2

@@ -9,7 +9,7 @@ SEPARATION, FLOOR, CEILING, FLOOR_BOUNCE, CEILING_BOUNCE, INDUCED_SEPARATION = 0
 # the force, without a jump of velocities.
 TOUCH_FLOOR, TOUCH_CEILING, PRESS_FLOOR, PRESS_CEILING, RELEASE = 6, 7, 8, 9, 10
 # A mass that slides with friction: the force that holds it reaches its lower or its upper limit (slip), its speed falls
-# to zero, after which it sticks (stop) or moves back at once (reverse). It also hits walls.
+# to zero, after which it sticks (stop) or moves back immediately (reverse). It also hits walls.
 SLIP_LOW, SLIP_HIGH, STOP, REVERSE = 11, 12, 13, 14
 # Wall state in a segment between events: in flight, or riding (at rest on a wall). If the gap is a coordinate: without
 # contact force instead of in flight, and pressed on a wall in finite-duration contact. The remainder of a division of

@@ -109,7 +109,7 @@ class Plan:
             "{} hits the floor early",
             "{} hits the ceiling early",
             "{} leaves its wall early",
-            "{} stays at the wall that it should leave at once",
+            "{} stays at the wall that it should leave immediately",
             "{} separates from its wall by the impact of another damper",
             "{} slips early",
             "{} stops early",
@@ -273,7 +273,7 @@ def _mode_after(law: Law, mode: int, kind: int) -> int:
         end = int(kind in (kinds.CEILING, kinds.CEILING_BOUNCE))
         is_bounce = kind in (kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE)
         name = targets(signals, "gap", end)[0 if is_bounce else -1]
-        if is_bounce and law.modes[name].force is None:  # an impact without rebound, and a separation at once
+        if is_bounce and law.modes[name].force is None:  # an impact without rebound, and an immediate separation
             name = targets(law.modes[name].signals, "hold")[0]
     elif kind in (kinds.STOP, kinds.REVERSE):
         name = targets(signals, "speed")[0]

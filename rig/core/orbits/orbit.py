@@ -172,7 +172,7 @@ class Orbit(Result):
 
     @cached_property
     def border(self) -> str:
-        """Name of the border at the distance `margin`."""
+        """Name of the nearest border, whose distance is `margin`; empty if no border is near."""
         return self.plan.borders[self.border_index] if self.margin < 1 else ""
 
     @cached_property

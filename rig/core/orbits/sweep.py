@@ -1,8 +1,8 @@
 """Steady-state motion over a parameter such as frequency or force, computed as exact stable orbits (periodic motions).
 
-At each value the orbit is predicted from the previous orbits and corrected by Newton's iteration. Every orbit is
-checked for admissibility and stability. If a check fails, the motion is simulated as in a slow sweep until it settles
-to another orbit. An irregular motion is averaged.
+At each value of the parameter the orbit is predicted from the previous orbits and corrected by Newton's iteration.
+Every orbit is checked for admissibility and stability. If a check fails, the motion is simulated as in a slow sweep
+until it settles to another orbit. An irregular motion is averaged.
 
 A *setting* is an operating point: the values of all parameters. A *plan* is the sequence of contact events in a cycle.
 """
@@ -126,7 +126,7 @@ class OrbitResponse(Result):
 
     @cached_property
     def motion_type(self) -> NDArray[np.str_]:
-        """Type of motion at each value as in `rig.frequency_response`, shape (values,)."""
+        """Type of motion at each value of the parameter, named as in `rig.frequency_response`; shape (values,)."""
         return np.array([combined_type(types) for types in self.damper_motion.T.tolist()])
 
     @cached_property
@@ -221,7 +221,7 @@ def orbit_response(
     Returns
     -------
     OrbitResponse
-        Motion at each value.
+        Motion at each value of the parameter.
 
     Raises
     ------
@@ -309,7 +309,7 @@ def _hermite(nodes: Array, values: Array, slopes: Array, x: float) -> Array:
 
 
 class _Continuation:
-    """Continuation of the steady-state motion from value to value."""
+    """Continuation of the steady-state motion from one value of the parameter to the next."""
 
     def __init__(self, problem: OrbitProblem, base: OperatingPoint, parameter: str) -> None:
         self.problem, self.parameter = problem, parameter
@@ -321,14 +321,14 @@ class _Continuation:
         self.snapshot: tuple[Array, ...] | None = None
 
     def point(self, value: float) -> _Point:
-        """Compute the steady-state motion at a value, starting from the motion at the previous value."""
+        """Compute the steady-state motion at a value of the parameter, from the motion at the previous value."""
         orbit = self._continue_orbit(value) if self.recent_points else None
         if orbit is not None:
             return _orbit_point(orbit)
         return self._settle(value)
 
     def _continue_orbit(self, value: float) -> Orbit | None:
-        """Continue the orbit to a value; return None if it ends or loses its stability before this value."""
+        """Continue the orbit to a value of the parameter; return None if it ends or loses its stability before."""
         if value == self.recent_points[-1].value:
             return self.recent_points[-1].orbit
         target = value
@@ -348,7 +348,7 @@ class _Continuation:
         return None
 
     def _step(self, value: float) -> _BranchPoint | None:
-        """Predict the orbit at a value and correct it.
+        """Predict the orbit at a value of the parameter, and correct the prediction.
 
         Returns None if Newton's iteration diverges or reaches another orbit.
         """
@@ -371,7 +371,7 @@ class _Continuation:
         return _BranchPoint(value, x, slope, orbit)
 
     def _predict(self, value: float) -> Array:
-        """Predict the unknowns at a value with the Hermite polynomial through the last points."""
+        """Predict the unknowns at a value of the parameter with the Hermite polynomial through the last points."""
         nodes = np.array([point.value for point in self.recent_points])
         unknowns = np.array([point.unknowns for point in self.recent_points])
         return _hermite(nodes, unknowns, np.array([point.slope for point in self.recent_points]), value)

@@ -1,8 +1,8 @@
 """Control of the phase between a displacement and a force by the frequency of the tone: a phase-locked loop.
 
 At constant force the phase obeys e' = -d sin e - (w - w0(|X|)) with the decay rate d: a plant of first order at every
-amplitude, also where the resonance curve overhangs. With a coil spring, the phase follows the frequency at once; the
-loop then has no proportional part. (S. Peter, R. I. Leine, Mech. Syst. Signal Process. 96 (2017) 139; tuning by the
+amplitude, also where the resonance curve overhangs. With a coil spring, the phase follows the frequency immediately;
+the loop then has no proportional part. (S. Peter, R. I. Leine, Mech. Syst. Signal Process. 96 (2017) 139; tuning by the
 SIMC rules for a plant of first order with dead time: S. Skogestad, J. Process Control 13 (2003) 291.)
 """
 
@@ -12,10 +12,11 @@ import numpy as np
 
 from daq.core.excitation.tones.phase_plant import LoopSettings
 
-# The loop is slowed down if the scatter of the deviation does not decay by this ratio from one group of this number of
-# windows to the next: a coil spring or another mode adds dynamics to the force.
+# Number of windows in each of two successive groups whose phase deviations are compared.
 _COMPARED_ERRORS = 25
 _BEFORE, _LATEST = slice(_COMPARED_ERRORS), slice(_COMPARED_ERRORS, None)
+# The loop is slowed down if the scatter in the later group is above this fraction of the scatter in the earlier group:
+# a coil spring or another mode adds dynamics to the force.
 _MIN_DECAY = 0.7
 _MAX_SLOWNESS = 16.0
 # The frequency changes by at most this fraction from window to window.

@@ -247,7 +247,7 @@ class Settling:
         return max(abs(cmath.phase(self._law.factor)), 1e-9)  # never 0, because it is a divisor
 
     def standard_error(self) -> float:
-        """Relative standard error of `predicted_final`, from the scatter of the observations.
+        """Relative standard uncertainty of `predicted_final`, from the scatter of the observations.
 
         0 with fewer than `_NOISE_OBSERVATIONS` observations.
         """

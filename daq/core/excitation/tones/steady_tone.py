@@ -1,6 +1,6 @@
 """Sine sources, with amplitude estimates of the channels in the steady state, and control of the force amplitudes.
 
-`SteadyTones` are tones driven at once, `SteadyTone` is one tone.
+`SteadyTones` are simultaneous tones, `SteadyTone` is one tone.
 
 A *transition* is a smooth change to another frequency and amplitude. The *level* is the required amplitude of the
 force. If the force is not controlled, the level is the amplitude of the drive. Each of several tones has the level.
@@ -126,7 +126,7 @@ def listed(steps: Sequence[str]) -> str:
 
 
 class SteadyTones:
-    """Tones that drive a shaker at once, and the complex amplitudes of the response at the frequency of each tone.
+    """Tones that drive a shaker simultaneously, and the response's complex amplitude at the frequency of each tone.
 
     The amplitudes are the spring force in N, if it is controlled, and the displacements in m at the motion channels.
     """
@@ -346,7 +346,7 @@ _MAX_LOG_STEP = math.log(3.0)
 _FLAT_STEP_FACTOR = 0.5
 # If the force is still too large after the drive was reduced to this fraction, the drive is not the cause.
 _MIN_REDUCTION_RATIO = 1e-4
-# A force below this fraction of the level is replaced by this value, so that its logarithm is finite.
+# A smaller force is replaced by this fraction of the level, so that its logarithm is finite.
 _MIN_FORCE_RATIO = 1e-9
 
 
@@ -374,7 +374,7 @@ class AmplitudeControl:
     def restart(self) -> None:
         """Discard all observations: the frequency has changed."""
         self._previous: tuple[float, float] | None = None  # log(drive), log(level / force)
-        # The bracket, in log(drive).
+        # Natural logarithms of the drives below and above the required drive, as far as they are known.
         self._low, self._high = -math.inf, math.inf
         self._largest_reduced_drive = 0.0
 

@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from daq.core.measurement.impact_remedy import instantaneous_impact_remedy
 from daq.core.recording.recorded_test import own_analyses, shocks_of
 from rig.core.base.console import progress
 from rig.core.base.errors import ShotrigError
@@ -190,15 +191,8 @@ def _instantaneous_impact_note(rec: Recording, overloaded: Iterable[str]) -> str
         scene = rec.scene
     except ShotrigError:
         return ""
-    has_instant_impacts = [
-        damper.impacts and damper.contact is None and damper.grains is None for damper in scene.dampers
-    ]
     sensors = {each.name: each.accelerometer for each in scene.channels or () if each.name in set(overloaded)}
-    if not any(has_instant_impacts) or all(
-        each is None or complete_from_preset(each).saturation is None for each in sensors.values()
-    ):
+    remedy = instantaneous_impact_remedy(scene)
+    if all(each is None or complete_from_preset(each).saturation is None for each in sensors.values()):
         return ""
-    return (
-        ". A damper impact of zero duration overloads most real sensors. "
-        f"Set dampers[{has_instant_impacts.index(True) + 1}].contact: {{duration: 2 ms}}, which is typical of shot."
-    )
+    return f". {remedy}" if remedy else ""

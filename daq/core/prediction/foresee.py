@@ -17,6 +17,7 @@ from daq.core.excitation.controlled import controlled
 from daq.core.excitation.impulse import settling_time
 from daq.core.excitation.station import Station
 from daq.core.measurement.estimate import estimate
+from daq.core.measurement.impact_remedy import instantaneous_impact_remedy
 from daq.core.prediction.chain_limits import reading_limit, without_limits
 from daq.core.prediction.flights import flight_lines, flying_tones, onset_level, outside_band
 from daq.core.prediction.force_difference import unresolved_force
@@ -37,6 +38,7 @@ from daq.core.prediction.rehearsal_plan import (
 from daq.core.signal_chain.channel import ChannelInfo
 from daq.core.virtual_bench.bench import Bench
 from rig.core.scene.loading import load
+from rig.core.scene.measurement_chain import Channel
 from rig.core.scene.presets import complete_from_preset
 from rig.core.scene.scene import Scene
 from rig.core.scene.shaker import DRIVE_PER_VOLT
@@ -115,6 +117,7 @@ def foresee(scene: Scene | str | Path, cpu_seconds: float = 0.0) -> Foresight:
     (True, 'm/s^2')
     """
     loaded = scene if isinstance(scene, Scene) else load(scene)
+    impact_remedy = instantaneous_impact_remedy(loaded)
     if any(damper.grains is not None for damper in loaded.dampers):
         loaded = loaded.replace(dampers=tuple(damper.replace(grains=None) for damper in loaded.dampers))
     test_of(loaded)
@@ -125,7 +128,7 @@ def foresee(scene: Scene | str | Path, cpu_seconds: float = 0.0) -> Foresight:
     unlimited_test = rehearsed_test
     if any(part.aborted or any(part.overloaded) for part in rehearsed_test.parts):
         unlimited_test = rehearse_test(without_limits(loaded), bench.channels, None, cpu_seconds)
-    return _Assessment(loaded, bench, rehearsed_test, unlimited_test).foresight()
+    return _Assessment(loaded, bench, rehearsed_test, unlimited_test).foresight(impact_remedy)
 
 
 @dataclass(frozen=True)
@@ -207,8 +210,8 @@ class _Assessment:
         self.system = assemble(scene)
         self.key, self.level, self.level_unit = highest_level(scene)
 
-    def foresight(self) -> Foresight:
-        """Return the prediction."""
+    def foresight(self, impact_remedy: str) -> Foresight:
+        """Return the prediction; `impact_remedy`: what to set if impacts of zero duration overload a sensor."""
         expectations = (*self._channels(), *self._sensors(), *self._outputs(), *self._loads())
         dampers_fly = any(any(part.impact_times) for part in self.unlimited_test.parts)
         by_ratio_to_limit = sorted(expectations, key=lambda row: row.driven_share)
@@ -240,6 +243,7 @@ class _Assessment:
             hidden=(
                 *self._below_resolution(expectations),
                 *self._below_noise(signals),
+                *((impact_remedy,) if impact_remedy and self._impacts_overload() else ()),
                 *unresolved_force(self.scene, self.system, self.bench.channels),
             ),
             flights=flight_lines(self.scene, self.system, self.level, self.unlimited_test.parts),
@@ -294,24 +298,32 @@ class _Assessment:
                     f"Raise {self.key or 'the level of the test'}, or use a sensor with a higher sensitivity."
                 )
 
-    def _sensors(self) -> Iterable[Expectation]:
-        """Yield the largest acceleration, of the motion or of an impact, at each accelerometer with a limit."""
+    def _limited_sensors(self) -> Iterable[tuple[Channel, float, float]]:
+        """Yield each channel of an accelerometer with a limit, this limit, and the largest damper impact, m/s^2."""
         closing_speeds = np.max([part.closing_speed for part in self.unlimited_test.parts], axis=0)
-        speeds = closing_speeds[self.system.damper_number - 1]
-        names = [info.name for info in self.bench.channels]
+        speeds = closing_speeds[self.system.damper_number - 1].tolist()
         for channel in self.scene.channels or ():
             sensor = None if channel.accelerometer is None else complete_from_preset(channel.accelerometer)
-            if sensor is None or sensor.saturation is None:
-                continue
+            if sensor is not None and sensor.saturation is not None:
+                row = self.system.points.index(channel.at)
+                yield channel, sensor.saturation, impact_acceleration(self.system, row, speeds, sensor.resonance)
+
+    def _impacts_overload(self) -> bool:
+        """Return whether an impact of a damper exceeds the limit of an accelerometer."""
+        return any(peak > saturation for _, saturation, peak in self._limited_sensors())
+
+    def _sensors(self) -> Iterable[Expectation]:
+        """Yield the largest acceleration, of the motion or of an impact, at each accelerometer with a limit."""
+        names = [info.name for info in self.bench.channels]
+        for channel, saturation, landing_peak in self._limited_sensors():
             row = self.system.points.index(channel.at)
             motion_peak, frequency, time = self.unlimited_test.largest("accelerations", row)
-            landing_peak = impact_acceleration(self.system, row, speeds.tolist(), sensor.resonance)
             is_overload_marked = any(part.overloaded[names.index(channel.name)] for part in self.rehearsed_test.parts)
             largest = max(motion_peak, landing_peak)
             # An overload marker does not distinguish an overload of the sensor from an overload of the input.
-            is_overloaded = is_overload_marked and largest > sensor.saturation
-            name, limit = f"{channel.name} sensor", sensor.saturation
-            yield Expectation(name, "m/s^2", largest, frequency, time, limit, "sensor", is_overloaded)
+            is_overloaded = is_overload_marked and largest > saturation
+            name = f"{channel.name} sensor"
+            yield Expectation(name, "m/s^2", largest, frequency, time, saturation, "sensor", is_overloaded)
 
     def _outputs(self) -> Iterable[Expectation]:
         """Yield the voltage of the output that drives the shaker, and the voltage or current of its power amplifier."""

@@ -122,7 +122,9 @@ class Foresight(Result):
         elif worst is None or worst.share == 0.0:
             statement = "the test stays within all limits: nothing in the scene has a limit"
         elif worst.share >= 1.0:
-            statement = f"the test overloads {worst}; {_describe_limit(worst)}"
+            others = [entry.name for entry in self.expectations if entry.share >= 1.0 and entry is not worst]
+            also = f"; also over their limits: {', '.join(others)}" if others else ""
+            statement = f"the test overloads {worst}; {_describe_limit(worst)}{also}"
         else:
             share = f"{format_percent(worst.share)} of its {_describe_limit(worst)}"
             statement = f"the test stays within all limits; nearest to its limit is {worst}, {share}"

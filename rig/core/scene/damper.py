@@ -166,6 +166,11 @@ class Damper(Settings):
         return self.moves and (self.has_walls or self.friction is not None)
 
     @property
+    def impacts_instantaneously(self) -> bool:
+        """Return whether an impact changes velocities in zero time, so that the acceleration is infinite."""
+        return self.impacts and self.contact is None and self.grains is None
+
+    @property
     def walls_text(self) -> str:
         """Return the distances of the walls from a mass on its spring, such as "1 mm below and 2 mm above"."""
         distances = {"below": self.below, "above": self.clearance}

@@ -453,6 +453,7 @@ channels:
 """)
     daq.record(scene, tmp_path / "r.mcap")
     assert ("zero duration" in summary(tmp_path / "r.mcap")) is is_reported
+    assert ("zero duration" in str(daq.foresee(scene))) is is_reported
 
 
 @pytest.mark.parametrize(("drive", "limit"), [("2.5 V", "amplifier.limit"), ("2.5 V", "output.range"), ("1 V", "")])

@@ -126,6 +126,14 @@ def test_overloaded_input_has_true_maximum() -> None:
     assert clipped.recorded == pytest.approx(maximum / 2, rel=1e-6)
 
 
+def test_every_exceeded_limit_is_named() -> None:
+    sensor = {"sensitivity": "100 mV/g", "saturation": "0.2 g"}
+    scene = one_body(TONE, channels=accelerometer(accelerometer=sensor), converter={"rate": 1024, "range": "10 mV"})
+    exceeded = [entry.name for entry in daq.foresee(scene).expectations if entry.share >= 1.0]
+    assert exceeded == ["a1", "a1 sensor"]
+    assert "also over their limits: a1" in daq.foresee(scene).summary()
+
+
 def test_sensor_limit_is_compared_with_acceleration() -> None:
     scene = one_body(TONE)
     maximum = daq.foresee(scene.replace(channels=accelerometer()))["a1"].largest

@@ -149,17 +149,24 @@ class LockIn:
             np.stack(matrices) for matrices in zip(*map(self._gram, distinct_lengths.tolist()), strict=True)
         )
         normal_matrix = (window_to_part.mT @ grams[index] @ window_to_part).sum(axis=0)
-        solution = np.linalg.solve(normal_matrix, (window_to_part.mT @ parts.projections).sum(axis=0))
+
+        def solve(projections: Array) -> tuple[Array, Array]:
+            """Solve the common fit; return its coefficients, and their values for the terms of each part."""
+            solution = np.linalg.solve(normal_matrix, (window_to_part.mT @ projections).sum(axis=0))
+            # The terms of a part are offset, slope, and harmonics with their phase at the first sample of the part.
+            return solution, window_to_part @ solution
+
+        # A drift that is not linear, such as the settling of a sensor's bias, would resemble a tone in each part.
+        _, with_drift = solve(parts.projections)
+        drift, curvature = _drift(parts, self._residual(parts, grams[index], with_drift)[:, 0])
+        squares_of_slope = np.stack([self._square_of_slope(length) for length in distinct_lengths.tolist()])[index]
+        parts = parts._replace(projections=parts.projections - squares_of_slope[:, :, None] * curvature[:, None])
+        solution, common = solve(parts.projections - grams[index][:, :, :2] @ drift)
+        common[:, :2] += drift
         amplitude = (solution[2::2] + 1j * solution[3::2]).T
-        # Coefficients of the common fit, converted to the functions that are fitted to each part: offset, slope, and
-        # harmonics with their phase at the first sample of the part.
-        common = window_to_part @ solution
         # Offset and slope of a single part are nearly collinear with its tone, which would increase the scatter. Only
         # the harmonics of each part are therefore fitted, to the residual of the common fit.
-        residual = (parts.projections - grams[index] @ common)[:, 2:]
-        samples, moved = self._edges(parts, common)
-        residual -= self._tones(samples[:-1] - firsts)[:, :, None] * moved[:-1, None]
-        residual += self._tones(samples[1:] - firsts)[:, :, None] * moved[1:, None]
+        residual = self._residual(parts, grams[index], common)[:, 1:]
         # Parts of equal length have the same inverse.
         local = np.linalg.inv(grams[:, 2:, 2:])[index] @ residual
         cycles = np.outer(self.frequency * firsts / self.rate, np.arange(1, self.harmonics + 1))
@@ -179,6 +186,16 @@ class LockIn:
             least_variance = deviations.var(axis=0, ddof=1).min(axis=0)
             noise_power = np.minimum(least_variance * parts.lengths.mean() / 4.0, residual_power)
         return ToneFit(self.frequency, amplitude, amplitudes, np.sqrt(residual_power), np.sqrt(noise_power))
+
+    def _residual(self, parts: _Parts, grams: Array, fits: Array) -> Array:
+        """Return the scalar products of constant and harmonics with the residual of `fits` in each part."""
+        residual = np.delete(parts.projections - grams @ fits, 1, axis=1)
+        samples, moved = self._edges(parts, fits)
+        for sign, edges in ((-1.0, slice(None, -1)), (1.0, slice(1, None))):
+            tones = self._tones(samples[edges] - parts.firsts)
+            terms = np.column_stack([np.ones(len(tones)), tones])
+            residual += sign * terms[:, :, None] * moved[edges, None]
+        return residual
 
     def _edges(self, parts: _Parts, fits: Array) -> tuple[NDArray[np.int64], Array]:
         """Return the sample at each edge of the parts, and the residual that is moved there from one part to the next.
@@ -216,6 +233,16 @@ class LockIn:
             )
             self._grams[length] = gram, np.linalg.cholesky(gram)
         return self._grams[length]
+
+    def _square_of_slope(self, length: int) -> Array:
+        """Return the scalar products of the terms in a part of `length` samples with the square of the slope term."""
+        square = np.linspace(-1.0, 1.0, length) ** 2
+        return np.asarray(
+            sum(
+                rotation @ (basis @ square[start : start + basis.shape[1]])
+                for start, rotation, basis in self._pieces(length)
+            )
+        )
 
     def _pieces(self, length: int) -> Iterator[tuple[int, Array, Array]]:
         """Yield for each piece of a part: first sample, matrix from its terms to those of the part, its terms.
@@ -261,6 +288,21 @@ class LockIn:
         # Coefficients rotate in the opposite direction of the terms.
         matrices[:, 2:, 2:] = matrices[:, 2:, 2:].mT.copy()
         return matrices
+
+
+def _drift(parts: _Parts, sums: Array) -> tuple[Array, Array]:
+    """Estimate the drift in each part, from the sums of the residual of each part.
+
+    Returns coefficients of constant and slope, shape (parts, 2, channels), and of the square of the slope.
+    """
+    if len(sums) < 3:
+        return np.zeros((len(sums), 2, sums.shape[1])), np.zeros(sums.shape)
+    mean, half_lengths = sums / parts.lengths[:, None], (parts.lengths - 1)[:, None] / 2
+    centers = parts.firsts + half_lengths[:, 0]
+    slope = np.gradient(mean, centers, axis=0, edge_order=2)
+    curvature = np.gradient(slope, centers, axis=0) * half_lengths**2 / 2
+    # The mean of the square of the slope term, which ranges from -1 to 1, is 1/3.
+    return np.stack([mean - curvature / 3, slope * half_lengths], axis=1), curvature
 
 
 def parts_of_whole_periods(

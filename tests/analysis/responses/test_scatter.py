@@ -127,6 +127,19 @@ def test_harmonics_change_all_parts_of_a_window_equally():
     assert np.ptp(np.angle(fundamentals)) < 5e-5
 
 
+@pytest.mark.parametrize("time_constant", [1.0, 4.0])
+def test_settling_bias_does_not_change_tone(time_constant):
+    frequency, rate = 10.24, 5120.0
+    time = np.arange(10_000) / rate
+    bias = 5.0 * np.exp(-time / time_constant)
+    lock_in = LockIn(frequency, rate, 3)
+    lock_in.add((2.0 * np.cos(2 * np.pi * frequency * time) + bias)[None], [500] * 20)
+
+    tone = lock_in.tone()
+    assert tone.amplitude[0, 0] == pytest.approx(2.0, abs=2e-4)
+    assert abs(tone.parts - 2.0).max() < 3e-3
+
+
 def test_noise_excludes_harmonics_that_repeat():
     frequency, rate, deviation = 12.8, 5120.0, 0.01
     parts = parts_of_whole_periods(0, 8000, frequency, rate)

@@ -268,10 +268,12 @@ class _Assessment:
                 first, *later = self.unlimited_test.parts
                 later_peaks = (float(part.readings.magnitude[row]) for part in later)
                 driven = max(later_peaks, default=float(first.driven_readings.magnitude[row])) or largest
+            steady = max(float(part.measured_readings[row]) for part in self.unlimited_test.parts)
             recorded = min(self.rehearsed_test.largest("readings", row)[0], np.inf if info.range is None else limit)
             yield Expectation(
-                info.name, info.unit, largest, frequency, time, limit, limiting_part, largest > limit, recorded, driven
-            )
+                info.name, info.unit, largest, frequency, time, limit, limiting_part, largest > limit, recorded, driven,
+                steady,
+            )  # fmt: skip
 
     def _below_resolution(self, expectations: Iterable[Expectation]) -> Iterable[str]:
         """Yield a warning for each channel whose signal is below the resolution of the converter."""

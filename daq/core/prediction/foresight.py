@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 # The range of the duration is printed if the ratio of its ends exceeds this value.
 _MIN_RANGE_RATIO = 1.1
 
+# A maximum is transient if the largest value in steady state is below this fraction of it.
+_MAX_STEADY_RATIO = 0.8
+
 
 @dataclass(frozen=True)
 class Expectation:
@@ -35,6 +38,7 @@ class Expectation:
     overloaded: bool = False  # whether the limit is exceeded in the test
     recorded: float = np.nan  # largest reading in the recording; only for channels
     driven: float | None = None  # largest value after the power-on transient; None: equal to `largest`
+    steady: float = 0.0  # largest value in the measurements of tones; 0 without such measurements
 
     @property
     def driven_share(self) -> float:
@@ -53,7 +57,9 @@ class Expectation:
     def place(self) -> str:
         """Frequency or time of the maximum, as text."""
         if self.frequency is not None:
-            return f"{self.frequency:.4g} Hz"
+            is_transient = 0.0 < self.steady < _MAX_STEADY_RATIO * self.largest
+            steady = f", transient ({format_quantity(self.steady, self.unit)} in steady state)" if is_transient else ""
+            return f"{self.frequency:.4g} Hz{steady}"
         cause = "" if self.driven is None else ", bias settling"
         return "" if self.time is None else f"{self.time:.2f} s{cause}"
 

@@ -93,6 +93,9 @@ class Rehearsal(BenchLoop):
         self._powered_on = np.round(powered_on_s * self.rate)
         # Extremes of the readings after the power-on transient; of all readings if there is no such transient.
         self.driven_readings = Extremes(len(bench.channels)) if self._powered_on.any() else self.readings
+        # Largest readings in the measurements of tones, and those of each block since the last mark.
+        self.measured_readings = np.zeros(len(bench.channels))
+        self._block_maxima: list[tuple[int, Array]] = []
         self.overloaded = [False] * len(bench.channels)
         # Drive of each input of the rig, before the limits of output and amplifier.
         self.drives = Extremes(len(bench.inputs))
@@ -155,6 +158,7 @@ class Rehearsal(BenchLoop):
             return
         motion = block.motion
         self.readings.add(block.first, readings)
+        self._block_maxima.append((block.first, np.abs(readings).max(axis=1, initial=0.0)))
         if self.driven_readings is not self.readings:
             is_driven = block.first >= self._powered_on
             self.driven_readings.add(block.first, np.where(is_driven[:, None], readings, 0.0))
@@ -189,6 +193,10 @@ class Rehearsal(BenchLoop):
             settled = bool(fields.get("settled", True))
             self.steps.append(Step(first, stop, float(fields["frequency"]), settled))
             self._excluded_dwells -= kind == "measure" and self._excluded_dwells > 0
+            if kind == "measure":
+                measured = [maxima for block_first, maxima in self._block_maxima if block_first >= first]
+                self.measured_readings = np.max([self.measured_readings, *measured], axis=0)
+            self._block_maxima.clear()
         elif kind == "measure":
             self.measured = first, stop
 

@@ -55,6 +55,27 @@ def short_rehearsals(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rehearsal_plan, "_CPU_BUDGET_S", rehearsal_plan._CPU_BUDGET_S / 4)
 
 
+def test_transient_maximum_states_its_steady_value() -> None:
+    # After each change of the drive, the force exceeds its steady value until the motion has built up.
+    scene = rig.loads(
+        """
+        structure: {masses: [2 kg], springs: [80 kN/m], damping: {dashpots: [8 N s/m]}}
+        shaker: {kind: electrodynamic, preset: LDS V203, body: 1, spring: 200 kN/m}
+        test: {kind: phase_resonance, frequency: 31 Hz, from: 28 Hz, to: 36 Hz, at: body 1, force: [1 N, 5 N]}
+        channels:
+          - {name: m, at: body 1, accelerometer: {sensitivity: 100 mV/g}}
+          - {name: force, at: shaker, hammer: {preset: PCB 208C02}}
+        converter: {rate: 2048 Hz, bits: 24, range: 5 V}
+        """
+    )
+    foresight = daq.foresee(scene)
+
+    force = foresight["force"]
+    assert force.largest > 1.3 * force.steady and force.steady == pytest.approx(5.0, rel=0.01)
+    assert force.place == "31.83 Hz, transient (5 N in steady state)"
+    assert foresight["m"].place == "31.83 Hz"
+
+
 @pytest.mark.thorough
 @pytest.mark.usefixtures("short_rehearsals")
 def test_long_stepped_test_has_steady_maximum() -> None:

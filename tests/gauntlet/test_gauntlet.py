@@ -52,14 +52,14 @@ def test_results_of_random_scene_are_correct(kind: str) -> None:
 
 @pytest.mark.thorough
 def test_folds_between_corners_are_measured() -> None:
-    results = run_trial(SEED, 7, FOLDS)
+    results = run_trial(SEED, 1, FOLDS)
     assert {result.outcome for result in results} == {"correct"}
-    assert any(result.note.startswith("2 folds") for result in results)
+    assert any(result.note.startswith("3 folds") for result in results)
 
 
 @pytest.mark.thorough
 def test_unmeasured_fold_has_a_named_reason() -> None:
-    # Feedback does not hold the motion behind the first fold of this scene.
-    results = run_trial(SEED, 1, FOLDS)
-    assert {result.outcome for result in results if result.check == "folds"} == {"warned"}
-    assert {result.outcome for result in results if result.check != "folds"} == {"correct"}
+    # The motion at the first point of this scene is not periodic.
+    results = run_trial(SEED, 10, FOLDS)
+    assert all(result.outcome in ("correct", "refused", "warned") for result in results)
+    assert [result.outcome for result in results if "the motion does not repeat" in result.note] == ["warned"]

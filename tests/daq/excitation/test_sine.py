@@ -95,7 +95,7 @@ def test_unsettled_point_is_marked() -> None:
     }  # fmt: skip
     bench_run = run(scene_with(test))
     assert bench_run.marks_of("measure")[0][2]["settled"] is False
-    assert "1 of 1 steps" in bench_run.warnings[0] and "(13.04 Hz up at 2.6 N)" in bench_run.warnings[0]
+    assert "1 of 1 dwells" in bench_run.warnings[0] and "(13.04 Hz up at 2.6 N)" in bench_run.warnings[0]
 
 
 def test_amplifier_limit_is_reported() -> None:

@@ -152,7 +152,7 @@ def test_example_shows_its_result(name, capfd):
         "impulse_capture": "first sample above 10 N: index 256",
         "log_to_recording": "table: 2560 samples in m, equal to the samples read",
         "live_control": "5.0 s: 0.4942 m/s^2",
-        "controlled_test": "51.50 Hz: 0.2 mm at 3.68",
+        "controlled_test": "51.50 Hz: 0.2 mm at 3.67",
     }
     assert expected_line[name] in stdout
     assert "NOT" not in stdout

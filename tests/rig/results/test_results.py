@@ -101,7 +101,7 @@ def test_too_short_duration_is_reported() -> None:
 
 
 @pytest.mark.parametrize(
-    ("duration", "message"), [("2 kg", "duration: 'kg' is not a unit of time"), ("soon", "number")]
+    ("duration", "message"), [("2 kg", "`duration`: 'kg' is not a unit of time"), ("soon", "number")]
 )
 def test_invalid_quantity_of_an_argument_is_named(duration, message) -> None:
     with pytest.raises(SceneError, match=message):

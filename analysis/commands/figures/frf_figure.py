@@ -35,7 +35,7 @@ _MAX_ERROR_RATIO = 0.5
 _MAX_ROUGHNESS = 0.35
 # The phase is not drawn where a quarter of the steps between neighboring points exceed this angle, rad.
 _MAX_PHASE_STEP = 0.3
-# Upper ends of the phase axis, degrees, the preferred first: compliances are between 0° and -180°.
+# Upper ends of the phase axis, degrees, the preferred first: compliances of a driven body are from 0° to -180°.
 _PHASE_TOPS = (90.0, 180.0, 0.0)
 # A line is undetermined if less than this fraction of the lines around it is determined.
 _MIN_DETERMINED = 0.75
@@ -466,14 +466,16 @@ def phase_degrees(value: ComplexArray, top: float = 90.0) -> Array:
 
 
 def phase_top(frfs: Sequence[Response]) -> float:
-    """Return the upper end of the phase axis, in degrees, at which the curves wrap least: scatter around ±180° does.
+    """Return the upper end of the phase axis, in degrees: the first at which each curve wraps at most once.
 
+    Scatter around ±180° wraps several times. If it does at each upper end, the curves wrap least at the returned one.
     Curves that fold back are not counted, because their points are not joined.
     """
     ordered = [frf.sorted() for frf in frfs if not folds_back(frf.frequency)]
     values = [frf.value[is_determined(frf) & is_smooth(frf)] for frf in ordered]
 
     def wraps(top: float) -> int:
-        return sum(int(np.count_nonzero(abs(np.diff(phase_degrees(each, top))) > 180.0)) for each in values)
+        counts = [int(np.count_nonzero(abs(np.diff(phase_degrees(each, top))) > 180.0)) for each in values]
+        return sum(counts) if max(counts, default=0) > 1 else 0
 
     return min(_PHASE_TOPS, key=wraps)

@@ -31,7 +31,9 @@ def _draw(result: Backbone, figure: Figure, axes: Axes) -> None:
     result.draw(axes)
     sensor = "Amplitude bars contain the limit of error of the sensor, which is common to all points."
     axes.margins(x=0.08)
-    add_caption(figure, "Numbers: level of each point. Lines only join the points. Bars: 95 % intervals.", sensor)
+    add_caption(
+        figure, "Numbers: level of each point. Dotted lines only join the points. Bars: 95 % intervals.", sensor
+    )
 
 
 def level_lines(result: Backbone) -> list[str]:

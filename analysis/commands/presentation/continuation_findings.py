@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
     from daq.core.recording.recording import Recording
     from rig.core.base.arrays import Array
+    from rig.core.base.palette import CurveStyle
+
+_EXACT_COLOR = "#777777"
 
 
 class ExactBranch(NamedTuple):
@@ -51,6 +54,26 @@ def exact_branches(rec: Recording, result: AmplitudeCurve) -> list[ExactBranch]:
     return branches
 
 
+def _label_levels(exact: Sequence[ExactBranch], styles: Mapping[float, CurveStyle], unit: str, axes: Axes) -> None:
+    """Write each level, in the color of its points, above the highest exact orbit."""
+    from matplotlib.patheffects import withStroke
+
+    for level, style in styles.items():
+        orbits = [
+            (height, frequency)
+            for each in exact
+            if each.level == level
+            for height, frequency in zip(each.amplitude.tolist(), each.branch.value.tolist(), strict=True)
+        ]
+        if orbits:
+            height, frequency = max(orbits)
+            axes.annotate(
+                f"{format_number(level)} {unit}", (frequency, 1e3 * height), (0, 5), textcoords="offset points",
+                ha="center", fontsize=8, color=style.color, zorder=5,
+                path_effects=[withStroke(linewidth=2.0, foreground="white")],
+            )  # fmt: skip
+
+
 @with_recordings
 def present_continuation(
     recordings: OpenRecordings, paths: Sequence[Path], output: Path | None = None, theory: bool = False
@@ -67,16 +90,17 @@ def present_continuation(
         return result
 
     def draw(result: AmplitudeCurve, figure: Figure, axes: Axes) -> None:
-        result.draw(axes)
-        colors = level_styles(result.level)
-        for level, branch, amplitude in exact:
-            line: dict[str, Any] = {"color": colors[level].color, "lw": 1.2, "zorder": 1}
+        # Exact curves show the order of the points.
+        (result.draw_points if exact else result.draw)(axes)
+        line: dict[str, Any] = {"color": _EXACT_COLOR, "lw": 1.0}
+        for _, branch, amplitude in exact:
             for dashes, selected in (("-", branch.stable), ((0, (3, 2)), ~branch.stable)):
                 # One more point at either end joins the stable and the unstable part.
                 joined = selected | np.roll(selected, 1) | np.roll(selected, -1)
-                axes.plot(branch.value, np.where(joined, 1e3 * amplitude, np.nan), ls=dashes, **line)
+                axes.plot(branch.value, np.where(joined, 1e3 * amplitude, np.nan), ls=dashes, zorder=1, **line)
         for dashes, name in (("-", "exact, stable"), ((0, (3, 2)), "exact, unstable")) if exact else ():
-            axes.plot([], [], ls=dashes, color="#555555", lw=1.2, label=name)
+            axes.plot([], [], ls=dashes, label=name, **line)
+        _label_levels(exact, level_styles(result.level), result.unit, axes)
         omissions = [f"{text}." for text in result.omissions()]
         add_legend_below(figure, "Points: measured, with 95 % intervals.", *omissions)
 

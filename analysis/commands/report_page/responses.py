@@ -306,16 +306,24 @@ def force_charts(measurements: Sequence[Measurement], reference: str) -> list[Ch
 
 
 def stabilization_charts(measurements: Sequence[Measurement]) -> list[Chart]:
-    """Return the stabilization diagram of each recording's first sweep, on the frequency axis of its responses."""
+    """Return the stabilization diagram of each recording's first sweep, all on one frequency axis."""
+    identified = [
+        (sweep, sweep.modes)
+        for measurement in measurements
+        for sweep in measurement.sweeps[:1]
+        if sweep.modes is not None and sweep.modes.chart
+    ]
+    if not identified:
+        return []
+    band = np.concatenate([sweep.frfs[0].frequency for sweep, _ in identified])
+    view = _first_view(band, np.concatenate([modes.frequency for _, modes in identified]))
     charts = []
-    for sweep in (sweep for measurement in measurements for sweep in measurement.sweeps[:1]):
-        if sweep.modes is None or not sweep.modes.chart:
-            continue
-        poles = sorted(sweep.modes.chart, key=lambda pole: pole.frequency)
+    for sweep, modes in identified:
+        poles = sorted(modes.chart, key=lambda pole: pole.frequency)
         frequency, order, stable = np.array([(pole.frequency, pole.order, pole.stable) for pole in poles]).T
-        band, top = sweep.frfs[0].frequency, float(order.max())
-        modes, ticks = sweep.modes.frequency, np.arange(0.0, top + 1.0, 5.0).tolist()
-        is_near = (abs(frequency[:, None] / modes - 1.0) <= _MODE_WIDTH).any(axis=1)
+        top = float(order.max())
+        ticks = np.arange(0.0, top + 1.0, 5.0).tolist()
+        is_near = (abs(frequency[:, None] / modes.frequency - 1.0) <= _MODE_WIDTH).any(axis=1)
         # Poles are symbols, not points of a series, because poles of several orders have the same frequency.
         kinds = {
             ("new", "crosses"): stable == 0,
@@ -333,20 +341,20 @@ def stabilization_charts(measurements: Sequence[Measurement]) -> list[Chart]:
                 zip(frequency[selected], order[selected], strict=True),
             )
         ]
-        texts = {float(natural): f"{format_decimals(natural, 2)} Hz" for natural in sweep.modes.frequency}
-        texts |= {each.frequency: f"{format_decimals(each.frequency, 2)} Hz?" for each in sweep.modes.uncertain}
+        texts = {float(natural): f"{format_decimals(natural, 2)} Hz" for natural in modes.frequency}
+        texts |= {each.frequency: f"{format_decimals(each.frequency, 2)} Hz?" for each in modes.uncertain}
         marks = [Mark(natural, 0.0, texts[natural]) for natural in sorted(texts)]
         charts.append(
             Chart(
                 f"{sweep.label}: poles of models of increasing order. Dotted lines: the identified modes, each with a "
                 f"column of stable poles. A column that is split into two around its line indicates a nonlinear mode."
-                + " Question marks: uncertain modes." * bool(sweep.modes.uncertain)
+                + " Question marks: uncertain modes." * bool(modes.uncertain)
                 + " Hollow: stable, but not identified as a mode." * any(curve.draw == "circles" for curve in curves),
                 f"Stabilization diagram of {sweep.label}.",
                 [Panel("model order", "", curves, 130, limits=(0.0, 1.05 * top), ticks=ticks, marks=marks)],
                 logarithmic=needs_logarithmic_axis(band),
                 x_limits=(float(band.min()), float(band.max())),
-                x_view=_first_view(band, modes),
+                x_view=view,
             )
         )
     return charts

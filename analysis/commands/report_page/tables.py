@@ -36,7 +36,7 @@ _HYPHEN = re.compile(r"(?<![\w.-])-(?=\d)")
 _BREAK = re.compile(
     r"(?<=[\d)]) (?=(?:%|[kM]?Hz|[kmµ]?N|dB|g|kg|m?s|[mµ]?m|m?V|µm/N|m/s²|k?N/m|mm/s)(?![\w/]))| (?=±)|(?<=±) "
     r"|(?<=\d) (?=→)|(?<=→) (?=\d)|(?<=Δf) |(?<=\d) (?=to [+\u2212]?\d)"
-    r"|(?<=\d to) (?=[+\u2212]?\d)|(?<=least) (?=\d)|(?<=at) (?=least)"
+    r"|(?<=\d to) (?=[+\u2212]?\d)|(?<=least) (?=\d)|(?<=at) (?=least)|(?<=≥) "
 )
 _CODE = re.compile("`([^`]+)`")
 # Modes of two recordings are the same mode if their frequencies differ by less than this fraction; dampers shift the

@@ -421,7 +421,7 @@ class PeakChange:
         bounds = [peak.bound for peak in peaks if isfinite(peak.bound)]
         bound = factor * max([*bounds, _HEIGHT_RESOLUTION * max(peak.value for peak in peaks)])
         return tuple(
-            f"at least {round_to_bound(factor * peak.low, bound)}"
+            f"≥ {round_to_bound(factor * peak.low, bound)}"
             if isinf(peak.bound)
             else f"{round_to_bound(factor * peak.value, bound)}{' (extrapolated)' * peak.is_extrapolated}"
             for peak in peaks

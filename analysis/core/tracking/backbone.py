@@ -145,7 +145,8 @@ class Backbone(Result):
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the amplitude over the frequency: the measured points with their levels, joined in their order."""
         color = place_styles([self.body])[0].color
-        line = {"color": color, "lw": 0.8, "marker": "o", "markersize": 4.5}
+        # Dotted: nothing is measured between the points.
+        line = {"color": color, "ls": ":", "lw": 1.0, "marker": "o", "markersize": 4.5}
         bars = complete_style(style, label=self.label, capsize=2, elinewidth=1.0, **line)
         ax.errorbar(
             self.frequency, 1e3 * self.amplitude, 1e3 * self.amplitude_bound, self.frequency_bound, **bars

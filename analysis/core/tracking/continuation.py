@@ -141,7 +141,7 @@ class AmplitudeCurve(Result):
             largest = format_limited(*peak)
             if highest in chosen[[0, -1]]:
                 # The curve continues beyond its first and last point.
-                largest = f"at least {peak[0] - peak[1]:.3g}"
+                largest = f"≥ {peak[0] - peak[1]:.3g}"
             quantities = {
                 "excitation frequency / Hz": (frequency, f"{frequency:.4g}"),
                 f"largest amplitude of {self.body} / mm": (peak[0], largest),
@@ -180,6 +180,10 @@ class AmplitudeCurve(Result):
         for level, level_style in level_styles(self.level).items():
             chosen = (self.level == level) & self.settled
             ax.plot(self.frequency[chosen], 1e3 * self.amplitude[chosen], color=level_style.color, lw=0.5, zorder=0)
+        self.draw_points(ax, **style)
+
+    def draw_points(self, ax: Axes, **style: Any) -> None:
+        """Draw the settled points without lines; unstable points are hollow, and folds are crosses."""
         for name, (color, _, marker), part, is_stable in self.parts():
             face = color if is_stable else "white"
             points = complete_style(style, color=color, marker=marker, ms=4, ls="", elinewidth=0.7, zorder=3)

@@ -453,3 +453,11 @@ def test_phase_has_no_islands_in_noise() -> None:
     angle[:300], angle[700:740] = 0.0, 0.0
     is_drawn = is_smooth(Response.curve(np.linspace(1.0, 100.0, 1200), np.exp(1j * angle), "body1"))
     assert is_drawn[:280].all() and not is_drawn[350:].any()
+
+
+def test_phase_axis_is_common_to_figures_of_compliances() -> None:
+    f = np.linspace(8.0, 60.0, 400)
+    # The phase beyond the second mode is -360°.
+    value = 1.0 / ((13.0**2 - f**2 + 0.5j * f) * (35.0**2 - f**2 + 1.0j * f))
+    _, phase_axes, _ = frf_figure([Response.curve(f, value, "body2")], "").axes
+    assert phase_axes.get_yticks().tolist() == [-270.0, -180.0, -90.0, 0.0, 90.0]

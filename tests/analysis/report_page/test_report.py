@@ -569,6 +569,12 @@ def test_stabilization_diagram_has_every_pole(recordings: list[Path]) -> None:
     assert drawn == sorted((pole.frequency, pole.order) for pole in modes.chart)
 
 
+def test_stabilization_diagrams_have_one_frequency_axis(recordings: list[Path], tmp_path: Path) -> None:
+    narrow = synthetic.stepped_sine(tmp_path / "narrow.mcap", FREQUENCIES[2:], noise=1e-6, name="narrow")
+    with Measurements([recordings[0], narrow]) as measurements:
+        assert [chart.x_limits for chart in stabilization_charts(measurements.results)] == [(8.0, 60.0)] * 2
+
+
 def test_local_model_carries_a_peak_between_lines() -> None:
     f = np.linspace(10.0, 16.0, 1201)[::50]
     curve = Response.curve(f, 1.0 / (13.04**2 - f**2 + 0.13j * f), "body1")

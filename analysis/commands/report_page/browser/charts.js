@@ -156,7 +156,10 @@
         context.lineTo(...position(value, curve.high[i]));
       });
       context.globalAlpha = 0.8;
+      // A path only joins its points: nothing is measured between them.
+      if (curve.draw === "path") context.setLineDash([1.5 * ratio, 2.5 * ratio]);
       context.stroke();
+      context.setLineDash([]);
       context.globalAlpha = 1;
       if (curve.draw === "path") continue;
       context.beginPath();

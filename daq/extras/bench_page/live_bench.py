@@ -407,10 +407,16 @@ class LiveBench:
         return max(0.0, (time.time_ns() - self.chassis.time_ns(self.chassis.position)) * 1e-9)
 
     def outputs(self) -> list[str]:
-        """Return a line for each output: peak in V, and frequency of the tone of the test, or else of the drive."""
+        """Return a line for each output: peak in V, and frequency of the tone of the test, or else of the drive.
+
+        Without a running test or task, the level is that of the newest sample, not that of the last test.
+        """
         lines, band = [], self.controller.excited_band() if self.controller.running else None
+        levels = self.monitor.drive_levels()
+        if not self.controller.running and not self.chassis.outputs:
+            levels = [(float(value), 0.0) for value in np.abs(self.monitor.drive_history.last(1)[:, 0])]
         for number, ((peak, frequency), drive_per_volt) in enumerate(
-            zip(self.monitor.drive_levels(), self.chassis.terminals.drive_per_volt, strict=False), 1
+            zip(levels, self.chassis.terminals.drive_per_volt, strict=False), 1
         ):
             if frequency and band and band[0] == band[1]:
                 frequency = band[0]

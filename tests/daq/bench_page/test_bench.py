@@ -365,6 +365,18 @@ def test_live_force_of_sweep_is_its_level(bench):
 
 
 @pytest.mark.parametrize("bench", ["sweep"], indirect=True)
+def test_outputs_are_zero_after_a_test(bench):
+    set_controls(bench, level=5.0, low=40.0, high=50.0, duration=4.0)
+    bench.controller.start()
+    pass_time(bench, 2.0)
+    assert bench.controller.running and not bench.outputs()[0].startswith("output 1: 0 V")
+    while bench.controller.running:
+        pass_time(bench, 0.25)
+    assert bench.monitor.drive_levels()[0][0] > 1.0
+    assert bench.outputs() == ["output 1: 0 V"]
+
+
+@pytest.mark.parametrize("bench", ["sweep"], indirect=True)
 def test_clipped_block_bounds_its_lines(bench):
     # At 62 Hz the arm exceeds 50 g.
     set_controls(bench, level=120.0, low=50.0, high=75.0, duration=12.0)

@@ -232,6 +232,9 @@ def test_texts_and_scales_suit_the_values(bench, browser):
     # A few lines among noise have a smooth phase by chance.
     phase = "Float32Array.from({length: 200}, (_, k) => k > 95 && k < 105 ? k / 10 : (40 * k) % 180)"
     assert not any(value(f"determined({phase}, new Float32Array(200).fill(NaN))"))
+    # A peak where the curve is thin is uncertain.
+    curves = "{frequency: Float32Array.of(0.1, 0.2), rows: [{name: 'a', determined: [true, false]}]}"
+    assert value(f"[0.1, 0.2].map((f) => response.isUncertain.call({{curves: {curves}}}, ['a', f]))") == [False, True]
     # The axis of a hammer test is logarithmic and ends at the highest excited frequency.
     curves = "{frequency: Float32Array.of(0, 0.5, 1, 300, 400), rows: [{magnitude: Float32Array.of(1, 1, 1, 1, NaN)}]}"
     low, high = value(f"response.range.call({{curves: {curves}}})")

@@ -2,7 +2,7 @@
 "use strict";
 
 const response = {
-  curves: null, // {test, frequency, rows: [{name, color, magnitude, phase, coherence}]}
+  curves: null, // {test, frequency, rows: [{name, color, magnitude, phase, coherence, relation, determined}]}
   previous: null,
   theory: null, // {frequency, rows: [[...]]}
 
@@ -27,7 +27,10 @@ const response = {
     this.head = head;
     if (arrays.frequency) {
       const { frequency, magnitude, phase, coherence } = arrays;
-      const rows = this.channels.map((channel, k) => ({ ...channel, magnitude: magnitude[k], phase: wrapped(phase[k]), coherence: coherence[k], relation: arrays.relation[k] }));
+      const rows = this.channels.map((channel, k) => {
+        const angle = wrapped(phase[k]);
+        return { ...channel, magnitude: magnitude[k], phase: angle, coherence: coherence[k], relation: arrays.relation[k], determined: determined(angle, coherence[k]) };
+      });
       this.curves = { test: head.test, level: head.level, force: arrays.force[0], frequency: frequency[0], rows };
     }
     if ($("theory").checked && this.band?.join() !== head.band?.join()) send("theory");
@@ -76,7 +79,7 @@ const response = {
     }
     for (const row of curves?.rows ?? []) {
       const style = { x: curves.frequency, color: row.color, dots: true };
-      const isDetermined = determined(row.phase, row.coherence), certain = isDetermined.map((each, k) => each && !row.relation[k]), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
+      const certain = row.determined.map((each, k) => each && !row.relation[k]), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
       magnitude.push({ ...style, y: micro(row.magnitude), width: 0.6, opacity: 0.6 });
       magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => row.relation[k]), width: 1.6, dash: [5, 4] });
       magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => certain[k]), width: 1.8 });
@@ -115,6 +118,12 @@ const response = {
     return this.curves.frequency.reduce((best, f, k) => (isFinite(this.curves.rows[0].magnitude[k]) && Math.abs(f - frequency) < Math.abs(best - frequency) ? f : best), Infinity);
   },
 
+  // Return whether the curve is thin at a peak.
+  isUncertain([name, frequency]) {
+    const row = this.curves?.rows.find((each) => each.name === name);
+    return row !== undefined && !row.determined[this.curves.frequency.indexOf(Math.fround(frequency))];
+  },
+
   // The values at the cursors, and the peak list.
   describe() {
     const { curves } = this, cursors = this.chart.cursors.map((f) => [f, curves?.frequency.indexOf(f) ?? -1]);
@@ -127,12 +136,15 @@ const response = {
     fillTable($("cursors"), rows.length ? [["cursor", "frequency", ...curves.rows.map((row) => row.name)], ...rows] : [[curves ? "Click: cursor A. Shift and click: cursor B. Double-click: none." : ""]]);
     const peaks = this.head?.peaks ?? [];
     if (!peaks.length) return $("peaks").replaceChildren();
-    fillTable($("peaks"), [["peak", "frequency", "value", "damping"], ...peaks.map(([name, f, value, damping, relation]) => [
-      name, `${digits(f, 5)} Hz`, relation === "?" ? "clipped" : `${relation}${withUnit(value, "m/N")}`, damping == null ? "–" : `${digits(100 * damping, 2)} %`])]);
+    const uncertain = peaks.map((peak) => this.isUncertain(peak));
+    fillTable($("peaks"), [["peak", "frequency", "value", "damping"], ...peaks.map(([name, f, value, damping, relation], k) => [
+      name, `${digits(f, 5)} Hz`, relation === "?" ? "clipped" : `${relation || (uncertain[k] ? "~" : "")}${withUnit(value, "m/N")}`, damping == null || uncertain[k] ? "–" : `${digits(100 * damping, 2)} %`])]);
     peaks.forEach(([, , , damping, relation], k) => {
       const row = $("peaks").rows[k + 1];
       row.classList.toggle("bound", relation !== "");
-      if (damping == null) row.lastChild.title = relation ? "No damping: the peak is clipped." : "No damping: the half-power width has fewer than 3 lines, one side of the peak is not measured, or its coherence is below 0.7.";
+      row.classList.toggle("uncertain", uncertain[k]);
+      row.title = uncertain[k] ? "Uncertain: the curve is thin here (γ² < 0.7, or the phase scatters). Sweep slower, or average more." : "";
+      if (damping == null && !uncertain[k]) row.lastChild.title = relation ? "No damping: the peak is clipped." : "No damping: the half-power width has fewer than 3 lines, one side of the peak is not measured, or its coherence is below 0.7.";
     });
   },
 };

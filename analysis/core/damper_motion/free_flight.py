@@ -140,7 +140,7 @@ def restitution(motion: BodyMotion, damper: Damper) -> Restitution | None:
     closing_speed = inelastic_closing_speeds(motion.rec.scene, detected, damper)
     if not np.isfinite(motion.samples).all() or not np.isfinite(closing_speed).all():
         return None
-    # Speeds of rebounds that end within the time resolution of the channel.
+    # Largest rebound speeds that remain undetected: the flight is shorter than the time resolution of the channel.
     apparent_gravity = -np.sign(detected.jump) * (detected.acceleration + gravity)
     unresolved_rebound = 0.5 * detected.resolution * np.maximum(apparent_gravity, 0.0)
     wall = np.where(detected.jump < 0.0, 0.0, damper.clearance)

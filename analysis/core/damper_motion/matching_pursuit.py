@@ -75,7 +75,7 @@ _UNRESOLVED_JUMP_RATIO = 0.5
 _HIGHER_ORDERS = (2, 4, 6)
 # A higher order must reduce the residual variance by this factor.
 _MIN_VARIANCE_REDUCTION = 2.0
-# A filter of higher order is used if it reduces the noise of the jumps below this fraction.
+# A filter of higher order is used if the noise of the jumps is below this fraction of that with the present filter.
 NOISE_REDUCTION = 0.7
 # Maximum number of jumps in a joint fit.
 _MAX_JOINT_JUMPS = 5

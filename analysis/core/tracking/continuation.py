@@ -45,7 +45,7 @@ class Fold(NamedTuple):
 
     level: float  # level, in the unit of the test
     frequency: float  # Hz
-    bound: float  # half of the 95 % interval of the frequency, Hz
+    bound: float  # expanded uncertainty of the frequency, Hz
     amplitude: float  # m
     position: float  # position along the curve, in numbers of points
 

@@ -92,7 +92,7 @@ class Workers:
             yield jobs.pop(job), self._result(job)
 
     def _result(self, job: Future[Result]) -> Result:
-        """Return the result of a finished piece; raise `RunError` if its worker ended."""
+        """Return the result of a finished job; raise `RunError` if its worker process ended unexpectedly."""
         try:
             return job.result()
         except Exception as error:

@@ -153,7 +153,7 @@ def half_sine(peak: float, width: float, rate: float) -> Array:
     """
     from scipy.optimize import brentq
 
-    target_sum = 2 * width * rate / np.pi  # area of the pulse, in samples times its peak
+    target_sum = 2 * width * rate / np.pi  # area of the pulse divided by its peak, in samples
     if target_sum < 1.2:  # 4 / pi for two samples; 1.2 accepts a width that is rounded as in the message
         raise SceneError(
             f"test.width: a pulse of {width * 1e3:g} ms is shorter than two samples at {rate:g} Hz; expected at least "

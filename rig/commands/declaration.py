@@ -73,7 +73,7 @@ def _with_text(parameter: inspect.Parameter) -> Any:
 def _option(name: str, value_type: Any, placeholder: str, text: str, *, is_on: bool, minimum: int | None = None) -> Any:
     """Return the annotation of an option. `is_on`: it is a flag that is on by default."""
     option = _option_name(name)
-    names = ["-o", option] if name == "output" else [f"{option}/--no-{name}" if is_on else option]
+    names = ["-o", option] if name == "output" else [f"{option}/--no-{option[2:]}" if is_on else option]
     maximum = None if minimum is None else MAX_COUNT
     return Annotated[value_type, typer.Option(*names, metavar=placeholder or None, help=text, min=minimum, max=maximum)]
 

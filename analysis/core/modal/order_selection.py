@@ -97,7 +97,7 @@ def select_model(
             break
         all_candidates = np.concatenate([candidates, _poles_at_residual(curves, current), outside])
         larger = _with_best_added_pole(curves, current, all_candidates)
-        if larger is None and not current.poles.size:
+        if larger is None and not current.poles.size and max_modes > 1 and curves.degrees_of_freedom(2) >= _MIN_DEGREES:
             larger = _best_pair(curves, current, all_candidates)
         if larger is None:
             break

@@ -235,10 +235,9 @@ def profile(rec: Recording) -> ProfileCheck:
     if not measured:
         raise RecordingError(f"{rec.path}: the test did not reach its full level. `daq info` gives the reason.")
     start, stop = measured[-1].first_sample, measured[-1].end + 1
-    measure, warnings = _amplitudes, tuple[str, ...]()
-    if prescription.resolution is not None:
-        measure, warnings = _densities, tuple(line_warnings(prescription, rec.scene, rec.channels.values()))
-    frequency, rows = measure(rec, prescription, start, stop)
+    has_lines = prescription.resolution is not None
+    frequency, rows = (_densities if has_lines else _amplitudes)(rec, prescription, start, stop)
+    warnings = tuple(line_warnings(prescription, rec.scene, rec.channels.values())) if has_lines else ()
     bound = prescription.profile.at(frequency)
     channels = [_level(rec, name, bound, rows[name], start, stop) for name in prescription.control.channels]
     limited = [_level(rec, each.channel, each.at(frequency), rows[each.channel], start, stop)
@@ -297,7 +296,9 @@ def _amplitudes(
         first += length
     names, middle = list(_names(prescription)), np.array(frequency)
     if not bounds:
-        raise RecordingError(f"{rec.path}: the recorded sweep is shorter than {_PERIODS:g} periods. Record a longer sweep.")
+        raise RecordingError(
+            f"{rec.path}: the sweep is shorter than {_PERIODS:g} periods. Record a longer sweep."
+        )
     values = np.empty((len(names), middle.size))
     for k, segment in enumerate(read_slices(rec, names, bounds)):
         begin = bounds[k][0] - start

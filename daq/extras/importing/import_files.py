@@ -305,11 +305,11 @@ def _implausible_times(scene: Scene, rate: float, samples: int) -> Iterator[str]
     """Yield a warning if the unit of the times is probably wrong; `rate` in Hz."""
     natural_hz = structural_model(scene).modes.frequency
     lowest_hz = min(natural_hz[natural_hz > 0.0], default=np.nan)
+    structure = "" if np.isnan(lowest_hz) else f" for a structure with the lowest natural frequency {lowest_hz:.3g} Hz"
     if rate > _MAX_PLAUSIBLE_RATE or rate < 2.0 * lowest_hz or samples / rate * lowest_hz < 1.0:
         yield (
-            f"{samples / rate:.3g} s at {rate:.6g} Hz is implausible for a structure with the lowest natural frequency "
-            f"{lowest_hz:.3g} Hz. Check the unit of the times, such as s instead of ms, or give rate: in the channel "
-            "table."
+            f"{samples / rate:.3g} s at {rate:.6g} Hz is implausible{structure}. Check the unit of the times, such as s "
+            "instead of ms, or give rate: in the channel table."
         )
 
 

@@ -230,7 +230,7 @@ def _simulate_tone(
 def _segment_times(
     duration: float, samples: int, rate: float, frequency: float
 ) -> tuple[NDArray[np.longdouble], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the end of each segment, s, ascending, and for each whether it is a sample and whether a period starts there.
+    """Return the end of each segment, s, ascending, and whether it is a sample, and whether a period starts there.
 
     Segments end at samples, at period starts, and at the end of the run.
     """

@@ -146,12 +146,14 @@ SIGNALS = ["force", "tip"]
         ("Sample;Time (s);force (N);tip (g)", "{number};{time:.8f};{force:.6f};{tip:.6f}"),
         ("Time 1 (s);force (N);Time 2 (s);tip (g)", "{time:.8f};{force:.6f};{time:.8f};{tip:.6f}"),
         ("Time (ms);force (N);tip (g);", "{ms:.5f};{force:.6f};{tip:.6f};"),
-        ("% exported;by Fortran\nTime (s);force (N);tip (g)", "{time:.8f};{force:.6f};{tip:.6E}".replace("E}", "E}")),
+        ("% exported;by Fortran\nTime (s);force (N);tip (g)", "{time:.8f};{force:.6f};{fortran}"),
     ],
 )
 def test_columns_without_signals_are_omitted(heading: str, row: str, tmp_path: Path) -> None:
     rows = [
-        row.format(number=number, time=time, ms=1e3 * time, force=force, tip=tip)
+        row.format(
+            number=number, time=time, ms=1e3 * time, force=force, tip=tip, fortran=f"{tip:.6E}".replace("E", "D")
+        )
         for number, (time, force, tip) in enumerate(SAMPLES)
     ]
     (tmp_path / "a.csv").write_text("\n".join([heading, *rows]), encoding="utf-8")

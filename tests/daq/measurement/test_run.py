@@ -406,7 +406,7 @@ def test_ctrl_c_exits_with_130(
         ("60 s", "", "\nsteady state reached: 1 of 1"),
     ],
 )
-def test_settled_and_unsettled_steps_are_counted(
+def test_dwells_in_steady_state_are_counted(
     longest: str,
     warning: str,
     count: str,
@@ -421,6 +421,7 @@ def test_settled_and_unsettled_steps_are_counted(
     assert run_command(monkeypatch, "record", str(tmp_path / "a.yaml"), "-o", str(tmp_path / "a.mcap")) == 0
     printed = capsys.readouterr()
     assert warning in printed.err and f"{count} measurements" in printed.out
+    assert ("did not reach steady state" in printed.err) is bool(warning)
 
 
 @pytest.mark.parametrize("block", [1, 3, 50])

@@ -39,7 +39,7 @@ def line_warnings(prescription: Prescription, scene: Scene, channels: Iterable[C
     states = riding_response(system, scene.at_driven("shaker"), 2.0 * pi * frequency)
     amplitudes = abs(states[[system.points.index(places[name]) for name in names]]) * (2.0 * pi * frequency) ** 2
     required = prescription.decibels(prescription.required(amplitudes**2, frequency))
-    # Where another channel begins to determine the drive, its density may change at once.
+    # Where another channel begins to determine the drive, its density may jump.
     determining, drive = required.argmin(axis=0), required.min(axis=0)
     steps = _OVERSAMPLING * np.where(np.diff(determining) == 0, abs(np.diff(drive)), 0.0)
     worst = int(np.argmax(steps))

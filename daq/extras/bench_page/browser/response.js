@@ -108,9 +108,9 @@ const response = {
   // The force at each line, and its level (dashed); empty for impacts, whose force is in the panel of the impact.
   forcePanel({ frequency, force, level }) {
     if (force.every(isNaN)) return [];
-    const required = { x: [frequency[0], frequency[frequency.length - 1]], y: Float32Array.of(level, level), color: LAST, dash: [5, 4], width: 1 };
-    const largest = roundUp(Math.max(level, ...force.filter(isFinite)));
-    return [{ name: "force / N", range: [0, largest], ticks: [[0, true], [largest / 2, false], [largest, true]], share: 0.7, curves: [required, { x: frequency, y: force, color: "#ffffff" }] }];
+    const required = level == null ? [] : [{ x: [frequency[0], frequency[frequency.length - 1]], y: Float32Array.of(level, level), color: LAST, dash: [5, 4], width: 1 }];
+    const largest = roundUp(Math.max(level ?? 0, ...force.filter(isFinite)));
+    return [{ name: "force / N", range: [0, largest], ticks: [[0, true], [largest / 2, false], [largest, true]], share: 0.7, curves: [...required, { x: frequency, y: force, color: "#ffffff" }] }];
   },
 
   nearest(frequency) {

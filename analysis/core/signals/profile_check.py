@@ -296,9 +296,7 @@ def _amplitudes(
         first += length
     names, middle = list(_names(prescription)), np.array(frequency)
     if not bounds:
-        raise RecordingError(
-            f"{rec.path}: the sweep is shorter than {_PERIODS:g} periods. Record a longer sweep."
-        )
+        raise RecordingError(f"{rec.path}: the sweep is shorter than {_PERIODS:g} periods. Record a longer sweep.")
     values = np.empty((len(names), middle.size))
     for k, segment in enumerate(read_slices(rec, names, bounds)):
         begin = bounds[k][0] - start

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from rig.core.scene.scene import Scene
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rig.core.scene.scene import Scene
 
 
 def instantaneous_impact_remedy(scene: Scene) -> str:

@@ -134,11 +134,11 @@ def map(
         at which a damper lifts off.
     most : float or str, optional
         Highest value of the varied quantity, such as ``"20 N"``. Default: above that of the scene.
-    rows : int
+    rows : int, 2 to 1000
         Number of values of the varied quantity.
     first, last : as in `rig.response`
         Lowest and highest frequency.
-    points : int
+    points : int, 2 to 1000
         Number of frequencies.
     cluster : str, optional
         Address of a Dask scheduler; default: the processors of this machine.
@@ -181,7 +181,7 @@ def cost(
     frequency : float or str, optional
         Excitation frequency, such as ``"49 Hz"``. Default: in the range of the test, the frequency of the largest
         acceleration with the dampers at rest on their floors.
-    periods : int
+    periods : int, at least 2
         Number of drive periods to simulate.
     say : callable, optional
         Called with the name of the next method.

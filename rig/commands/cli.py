@@ -13,7 +13,6 @@ import typer
 
 from rig.commands.arguments import Changes, Cluster, Overwrite, SceneName, completions, load_scene
 from rig.commands.command_line import create_application, run_command
-from rig.commands.declaration import MAX_COUNT
 from rig.core.base.console import count_progress, progress, report_written, resumable, show_activity
 
 app = create_application("Compute the motion of the virtual vibration rig, without sensors and recordings.")
@@ -206,15 +205,13 @@ def grains(
         report_written(output)
 
 
-@app.command(example="rig cost fig9", options="--frequency F")
+@app.command(example="rig cost fig9", options="--frequency F --periods N")
 def cost(
     scene: SceneName,
     changes: Changes = None,
     *,
     frequency: str | None,
-    periods: Annotated[
-        int, typer.Option(min=2, max=MAX_COUNT, metavar="N", help="Number of drive periods to simulate.")
-    ] = 20,
+    periods: int,
     output: Folder = Path(),
     overwrite: Overwrite = False,
 ) -> None:
@@ -236,17 +233,15 @@ def cost(
 
 
 @app.command(
-    "map", example="rig map fig9 --rows 12 --points 24", options="--over --least VALUE --most VALUE --from F --to F"
+    "map",
+    example="rig map fig9 --rows 12 --points 24",
+    options="--over --least VALUE --most VALUE --rows N --from F --to F --points N",
 )
 def map_(
     scene: SceneName,
     changes: Changes = None,
     *,
     over: str | None,
-    rows: Annotated[
-        int, typer.Option(min=2, max=1000, metavar="N", help="Number of values of the quantity --over.")
-    ] = 36,
-    points: Annotated[int, typer.Option(min=2, max=1000, metavar="N", help="Number of frequencies.")] = 48,
     cluster: Cluster = None,
     output: Folder = Path(),
     overwrite: Overwrite = False,
@@ -265,7 +260,7 @@ def map_(
     loaded_scene = load_scene(scene, changes)
     stem = output_stem(loaded_scene, vertical_axis(loaded_scene, over)[0], output)
     table = stem.with_suffix(".csv")
-    options |= {"over": over, "rows": rows, "points": points, "cluster": cluster, "kept": unfinished_file(table)}
+    options |= {"over": over, "cluster": cluster, "kept": unfinished_file(table)}
     with resumable(), allow_overwriting(overwrite), STUDY.reserve(table):
         prepare_outputs(*_figure_and_table(stem))
         with count_progress("computing the motion") as progress:

@@ -15,8 +15,8 @@ from typing import Annotated, Any, get_args
 
 import typer
 
-# Upper limit for numbers of frequencies or periods, so that typing errors are rejected.
-MAX_COUNT = 100_000
+# Upper limit of numbers whose type gives none ("int, at least 1"), so that typing errors are rejected.
+_MAX_COUNT = 100_000
 # Options of parameters that have another name in Python.
 _OPTIONS = {
     "changes": "--set", "first": "--from", "from_s": "--from", "last": "--to", "to_s": "--to", "host": "--address",
@@ -70,11 +70,12 @@ def _with_text(parameter: inspect.Parameter) -> Any:
     return _option(parameter.name, value_type, placeholder, text, is_on=parameter.default is True)
 
 
-def _option(name: str, value_type: Any, placeholder: str, text: str, *, is_on: bool, minimum: int | None = None) -> Any:
-    """Return the annotation of an option. `is_on`: it is a flag that is on by default."""
+def _option(name: str, value_type: Any, placeholder: str, text: str, *, is_on: bool, kind: str = "") -> Any:
+    """Return the annotation of an option. `is_on`: it is a flag that is on by default; `kind`: type with limits."""
     option = _option_name(name)
     names = ["-o", option] if name == "output" else [f"{option}/--no-{option[2:]}" if is_on else option]
-    maximum = None if minimum is None else MAX_COUNT
+    limits = re.search(r"at least (\d+)|(\d+) to (\d+)", kind)
+    minimum, maximum = (int(limits[1] or limits[2]), int(limits[3] or _MAX_COUNT)) if limits else (None, None)
     return Annotated[value_type, typer.Option(*names, metavar=placeholder or None, help=text, min=minimum, max=maximum)]
 
 
@@ -99,14 +100,13 @@ def _options_of(package: str, call: str, usage: str) -> Iterator[inspect.Paramet
         kind, text = _kind_and_text(package, call, argument.arg)
         if value_type in (list[str], list[float]):
             text += " May be repeated."
-        minimum = re.search(r"at least (\d+)", kind)
         declared = _option(
             argument.arg,
             value_type,
             placeholder or "|".join(re.findall(r"'(\w+)'", kind)),
             text,
             is_on=default is True,
-            minimum=None if minimum is None else int(minimum[1]),
+            kind=kind,
         )
         yield inspect.Parameter(argument.arg, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=declared)
 

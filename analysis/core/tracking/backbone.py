@@ -189,66 +189,55 @@ def backbone(rec: Recording) -> Backbone:
     held = None if test is None else test.held_phase
     if test is None or held is None or not markers:
         raise RecordingError(f"{rec.path}: contains no phase-resonance test. Record a test of kind phase_resonance.")
-    body, wanted = held
+    body, prescribed_phase = held
     mass = structural_model(rec.scene).mass
-    driven = rec.scene.force_on
+    driven = [number - 1 for number in rec.scene.force_on]
+    # The sensitivity of a force sensor does not change the phase; those of the sensors of a spring force do.
     rotates = len(reference_of(rec, "force").channels) > 1
-    levels = []
+    points: list[dict[str, Any]] = []
     for marker in markers:
         [response] = frequency_responses(rec, level=float(marker.fields["level"]))
         line = int(np.argmin(abs(response.frequency - float(marker.fields["frequency"]))))
         omega = 2.0 * np.pi * float(response.frequency[line])
-        outputs = {output.at: k for k, output in enumerate(response.outputs)}
+        output_at = {output.at: index for index, output in enumerate(response.outputs)}
         at_body = body_motion(response, body)
-        k, values = at_body.output, response.value[line, :, 0]
+        held_output, values = at_body.output, response.value[line, :, 0]
         force, amplitude, relative = (
             float(column[line]) for column in (at_body.force, at_body.amplitude, at_body.relative)
         )
-        error = float(np.remainder(np.angle(values[k]) - wanted + np.pi, 2.0 * np.pi) - np.pi)
-        # The sensitivity of a force sensor does not change the phase; those of the sensors of a spring force do.
-        phase = response if rotates else response.without(SENSITIVITY)
-        rotation = float(phase.expanded()[line, k, 0]) / abs(values[k])
-        angle = _FREQUENCY_DEVIATION_RATIO * (abs(error) + rotation)
+        turn = 2.0 * np.pi
+        phase_error = float(np.remainder(np.angle(values[held_output]) - prescribed_phase + np.pi, turn) - np.pi)
+        uncertain = response if rotates else response.without(SENSITIVITY)
+        rotation = float(uncertain.expanded()[line, held_output, 0]) / abs(values[held_output])
+        angle = _FREQUENCY_DEVIATION_RATIO * (abs(phase_error) + rotation)
         tangent = float(np.tan(angle)) if angle < np.pi / 2.0 else np.inf
-        mode = _NO_MODE
-        if all(f"body {number}" in outputs for number in range(1, len(mass) + 1)):
-            rows = [outputs[f"body {number}"] for number in range(1, len(mass) + 1)]
-            motion = np.asarray(force * values[rows], dtype=np.complex128)
-            mode = _mode(motion, mass, [number - 1 for number in driven], force, omega, relative, rotation)
-        bound = abs(mode.damping) * omega / (2.0 * np.pi) * tangent
-        levels.append(
-            (
-                marker.fields["level"], force, response.frequency[line], bound, *mode, amplitude, relative * amplitude,
-                marker.fields.get("settled") is not False,
-            )
-        )  # fmt: skip
-    (
-        level, force_, frequency, frequency_bound, natural, natural_bound, ratio, ratio_bound, displacement,
-        displacement_bound, settled,
-    ) = (np.array(column, dtype=float) for column in zip(*levels, strict=True))  # fmt: skip
+        mode, places = _NO_MODE, [f"body {number}" for number in range(1, len(mass) + 1)]
+        if all(place in output_at for place in places):
+            motion = np.asarray(force * values[[output_at[place] for place in places]], dtype=np.complex128)
+            mode = _mode(motion, mass, driven, force, omega, relative, rotation)
+        points.append({
+            "level": float(marker.fields["level"]),
+            "force": force,
+            "frequency": response.frequency[line],
+            "frequency_bound": abs(mode.damping) * omega / turn * tangent,
+            **mode._asdict(),
+            "amplitude": amplitude,
+            "amplitude_bound": relative * amplitude,
+            "settled": marker.fields.get("settled") is not False,
+        })  # fmt: skip
     return Backbone(
         label=rec.scene.name,
         body=rec.scene.structure.label(body),
         unit=test.level_unit(rec.scene.driven_shaker),
-        level=level,
-        force=force_,
-        frequency=frequency,
-        frequency_bound=frequency_bound,
-        natural_frequency=natural,
-        natural_frequency_bound=natural_bound,
-        amplitude=displacement,
-        amplitude_bound=displacement_bound,
-        damping=ratio,
-        damping_bound=ratio_bound,
-        settled=settled.astype(bool),
+        **{name: np.array([point[name] for point in points]) for name in points[0]},
     )
 
 
 class _Mode(NamedTuple):
     """A mode near phase resonance; the `_bound`s are halves of 95 % intervals."""
 
-    frequency: float  # Hz
-    frequency_bound: float
+    natural_frequency: float  # Hz
+    natural_frequency_bound: float
     damping: float
     damping_bound: float
 

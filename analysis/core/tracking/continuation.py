@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 
 # Number of points on each side of a fold to which polynomials are fitted.
 _FITTED = 3
-
-
 # A curve reaches an end of the band up to this ratio of frequencies.
 _BAND_END = 1.001
 
@@ -231,55 +229,46 @@ def continuation(rec: Recording) -> AmplitudeCurve:
     if not markers or test is None or test.band is None:
         raise RecordingError(f"{rec.path}: contains no continuation test. Record a test of kind continuation.")
     [location] = rec.scene.controlled_terms
-    rows: list[Array] = []
+    columns: list[dict[str, NDArray[Any]]] = []
     folds: list[Fold] = []
     for level in dict.fromkeys(float(marker.fields["level"]) for marker in markers):
         [response] = frequency_responses(rec, level=level)
-        motion = body_motion(response, location)
-        k = motion.output
-        fields = {
+        motion, frequency = body_motion(response, location), response.frequency
+        compliance, settled = response.value[:, motion.output, 0], motion.settled
+        fields_at = {
             float(marker.fields["frequency"]): marker.fields for marker in markers if marker.fields["level"] == level
         }
-        value, frequency = response.value[:, k, 0], response.frequency
+        points = [fields_at[each] for each in frequency.tolist()]
         # The drive of a force shaker is the level, independent of the sensitivities of the sensors.
-        known = rec.scene.driven_shaker is not None and rec.scene.driven_shaker.drive_is_force
-        error = (response.without(SENSITIVITY) if known else response).expanded()[:, k, 0] / abs(value)
+        drive_is_force = rec.scene.driven_shaker is not None and rec.scene.driven_shaker.drive_is_force
+        uncertain = response.without(SENSITIVITY) if drive_is_force else response
+        force_error = uncertain.expanded()[:, motion.output, 0] / abs(compliance) + FORCE_TOLERANCE
         # Change of the frequency per relative change of the force at constant amplitude, as on the flank of a mode.
-        points = [fields[each] for each in frequency.tolist()]
-        rate = np.array([float(each[FOLLOWED_CURVE.field]) for each in points]) / (2.0 * np.pi)
-        jump = np.array([each.get("jump") or np.nan for each in points])
-        per_level = rate * abs(value) / np.maximum(abs(value.real), 1e-3 * abs(value))
-        bound = (error + FORCE_TOLERANCE) * per_level
-        settled, amplitude = motion.settled, motion.amplitude
-        found = _folds(level, frequency[settled], amplitude[settled], bound[settled], jump[settled])
-        folds += found
-        number = np.searchsorted([fold.position for fold in found], np.arange(frequency.size))
-        columns = (
-            np.full(frequency.size, level),
-            motion.force,
-            frequency,
-            bound,
-            amplitude,
-            motion.relative * amplitude,
-            number % 2,
-            settled,
-        )
-        rows.append(np.array(columns))
-    level_, force, frequency, frequency_bound, amplitude, bound, unstable, settled_ = np.hstack(rows)
+        decay_rate = np.array([float(fields[FOLLOWED_CURVE.field]) for fields in points]) / (2.0 * np.pi)
+        per_force = decay_rate * abs(compliance) / np.maximum(abs(compliance.real), 1e-3 * abs(compliance))
+        bound = force_error * per_force
+        jump = np.array([fields.get("jump") or np.nan for fields in points])
+        of_level = _folds(level, frequency[settled], motion.amplitude[settled], bound[settled], jump[settled])
+        folds += of_level
+        # The motion is unstable behind an odd number of folds.
+        n_passed = np.searchsorted([fold.position for fold in of_level], np.arange(frequency.size))
+        columns.append({
+            "level": np.full(frequency.size, level),
+            "force": motion.force,
+            "frequency": frequency,
+            "frequency_bound": bound,
+            "amplitude": motion.amplitude,
+            "amplitude_bound": motion.relative * motion.amplitude,
+            "stable": n_passed % 2 == 0,
+            "settled": settled,
+        })  # fmt: skip
     return AmplitudeCurve(
         label=rec.scene.name,
         body=rec.scene.structure.label(location),
         unit=test.level_unit(rec.scene.driven_shaker),
         band=test.band,
-        level=level_,
-        force=force,
-        frequency=frequency,
-        frequency_bound=frequency_bound,
-        amplitude=amplitude,
-        amplitude_bound=bound,
-        stable=unstable == 0,
-        settled=settled_ == 1,
         folds=tuple(folds),
+        **{name: np.concatenate([each[name] for each in columns]) for name in columns[0]},
     )
 
 
@@ -296,22 +285,24 @@ def _folds(level: float, frequency: Array, amplitude: Array, bound: Array, jump:
             continue
         first = max(vertex - _FITTED + 1, 0)
         window = slice(first, vertex + _FITTED)
-        # Frequency and amplitude are scaled to the same range within the window.
-        f, a = frequency[window], amplitude[window]
-        lengths = np.hypot(np.diff(f) / max(np.ptp(f), 1e-12), np.diff(np.log(a)) / max(np.ptp(np.log(a)), 1e-12))
-        s = np.concatenate([[0.0], np.cumsum(lengths)])
-        s -= s[vertex - first]
-        estimates: list[tuple[float, float]] = []
+        near, heights = frequency[window], amplitude[window]
+        # Frequency and logarithm of the amplitude are scaled to the same range within the window.
+        logarithm = np.log(heights)
+        chords = np.hypot(np.diff(near) / max(np.ptp(near), 1e-12), np.diff(logarithm) / max(np.ptp(logarithm), 1e-12))
+        # Length along the curve, from the vertex.
+        length = np.concatenate([[0.0], np.cumsum(chords)])
+        length -= length[vertex - first]
+        extremes: list[tuple[float, float]] = []
         for degree in (2, 3):
-            curve = np.polynomial.Polynomial.fit(s, f, min(degree, s.size - 1))
-            roots = curve.deriv().roots()
-            root = float(np.real(roots[np.argmin(abs(roots))])) if roots.size else 0.0
-            root = float(np.clip(root, s[0], s[-1]))
-            estimates.append((root, float(curve(root))))
-        (_, quadratic), (root, cubic) = estimates
-        position = first + float(np.interp(root, s, np.arange(s.size)))
+            polynomial = np.polynomial.Polynomial.fit(length, near, min(degree, length.size - 1))
+            roots = polynomial.deriv().roots()
+            nearest = float(np.real(roots[np.argmin(abs(roots))])) if roots.size else 0.0
+            nearest = float(np.clip(nearest, length[0], length[-1]))
+            extremes.append((nearest, float(polynomial(nearest))))
+        (_, quadratic), (at, cubic) = extremes
+        position = first + float(np.interp(at, length, np.arange(length.size)))
         error = float(np.hypot(bound[vertex], cubic - quadratic))
-        folds.append(Fold(level, cubic, error, float(np.interp(root, s, a)), position))
+        folds.append(Fold(level, cubic, error, float(np.interp(at, length, heights)), position))
     for point in np.flatnonzero(np.isfinite(jump)).tolist():
         middle, half = (jump[point] + frequency[point]) / 2.0, abs(jump[point] - frequency[point]) / 2.0
         folds.append(Fold(level, float(middle), float(half + bound[point]), float(amplitude[point]), point - 0.5))

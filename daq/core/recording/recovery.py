@@ -51,7 +51,7 @@ _DISK_REMEDY = "Free disk space, or choose a file on another disk with -o."
 
 
 @dataclass(frozen=True)
-class Salvage:
+class Recovery:
     """Result of `recover`."""
 
     source: Path  # the damaged file
@@ -85,7 +85,7 @@ class Salvage:
         yield from self.notes
 
 
-def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Salvage:
+def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Recovery:
     """Make a complete recording from an incomplete or damaged file.
 
     The new file contains only data whose checksum in the damaged file is right. Samples keep their numbers; lost
@@ -102,7 +102,7 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
 
     Returns
     -------
-    Salvage
+    Recovery
         Kept and lost samples.
 
     Raises
@@ -128,13 +128,13 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Sal
                     f"{disk.free() / 1e6:.1f} MB left. {_DISK_REMEDY}"
                 )
             try:
-                salvage = _Salvager(source, target, disk, *descriptions).run(damaged)
+                recovery = _Copy(source, target, disk, *descriptions).run(damaged)
             except LostPathError:
                 raise
             except DiskError as error:
                 raise DiskError(f"{error}; {source} is not changed. {_DISK_REMEDY}") from error
         disk.close()
-    return salvage
+    return recovery
 
 
 def _read_descriptions(
@@ -163,8 +163,8 @@ def _read_descriptions(
     return records_by_id[Opcode.SCHEMA], records_by_id[Opcode.CHANNEL], None
 
 
-class _Salvager:
-    """Copies the intact parts of a damaged file into a complete recording."""
+class _Copy:
+    """A complete recording that is copied from the intact parts of a damaged file."""
 
     def __init__(
         self,
@@ -205,7 +205,7 @@ class _Salvager:
                 with suppress(RecordingError):
                     self._clock = self._clock or stated_clock(channel.metadata)
 
-    def run(self, damaged: DamagedFile) -> Salvage:
+    def run(self, damaged: DamagedFile) -> Recovery:
         """Write the complete recording; return its content and the losses."""
         for part in damaged.parts():
             if isinstance(part, Unreadable):
@@ -220,9 +220,9 @@ class _Salvager:
             raise RecordingError(
                 f"{self._source}: nothing can be recovered, no block of samples is intact{reason}. Record it again."
             )
-        salvage = self._determine_losses(self._clock)
-        self._finish(salvage)
-        return salvage
+        recovery = self._determine_losses(self._clock)
+        self._finish(recovery)
+        return recovery
 
     def _copy_chunk(self, records: memoryview, stored_bytes: int) -> None:
         """Copy the messages of a chunk into a new chunk."""
@@ -289,7 +289,7 @@ class _Salvager:
 
     # -- losses ------------------------------------------------------------------------------------------
 
-    def _determine_losses(self, clock: Timebase) -> Salvage:
+    def _determine_losses(self, clock: Timebase) -> Recovery:
         """Compare the copied samples and messages with the numbers that the file states; return the differences."""
         channels, outcome = self._channels, self._metadata.get("outcome", {})
         end = max(ranges[-1][1] for ranges in self._sample_ranges.values() if ranges)
@@ -323,13 +323,13 @@ class _Salvager:
             )
         if not self._has_scene:
             self._notes.append(f"the scene ({layout.SCENE_FILE}) is lost")
-        return Salvage(self._source, self._target, clock.rate, recovered, lost, missing_messages, self._notes)
+        return Recovery(self._source, self._target, clock.rate, recovered, lost, missing_messages, self._notes)
 
-    def _finish(self, salvage: Salvage) -> None:
+    def _finish(self, recovery: Recovery) -> None:
         """Mark the losses in the file, and end it."""
         marker_channels = [self._new_numbers[n] for n in self._new_numbers if self._channels[n].topic == layout.MARKERS]
         channels_by_range: dict[SampleRange, list[str]] = defaultdict(list)
-        for topic, ranges in salvage.lost.items():
+        for topic, ranges in recovery.lost.items():
             for sample_range in ranges:
                 channels_by_range[sample_range].append(topic.removeprefix(layout.RAW))
         assert self._clock is not None
@@ -341,13 +341,13 @@ class _Salvager:
             lost += [Message(number, end_ns, start_ns, content, 0) for number in marker_channels]
         self._file.add_chunk(lost, self._compressor)
         outcome = self._metadata.get("outcome")
-        if outcome is None or not salvage.whole:
+        if outcome is None or not recovery.whole:
             earlier = {} if outcome is None else {key: outcome.get(key, "") for key in ("status", "reason")}
             outcome = with_checksum(
                 {f"before.{key}": text for key, text in earlier.items()}
                 | {"status": "recovered", "reason": f"recovered from {escape_terminal(self._source.name)}"}
                 | {"samples": str(max(ranges[-1][1] for ranges in self._sample_ranges.values() if ranges))}
-                | {"report": json.dumps(list(salvage.report()))}
+                | {"report": json.dumps(list(recovery.report()))}
             )
         self._file.add_metadata("outcome", outcome)
         self._file.finish()

@@ -64,7 +64,7 @@ class SteadyResponse(Result):
         `motion_types`), "k per n" (k impacts in n periods), "irregular"; types of several dampers and joints are
         sorted and joined by "/"; `damper_motion` has those of each.
     damper_motion : ndarray of str, shape (dampers and joints, frequencies)
-        Motion type of each moving damper, then of each joint.
+        Type of motion of each moving damper, then of each joint.
     impacts : ndarray, shape (dampers and joints, frequencies)
         Impacts per period of the drive.
     closing_speed : ndarray, shape (dampers and joints, frequencies)
@@ -121,7 +121,7 @@ class SteadyResponse(Result):
         )
 
     def summary(self) -> str:
-        """Summarize frequency range, peak and motion types."""
+        """Summarize frequency range, peak and types of motion."""
         body, k = np.unravel_index(int(np.argmax(abs(self.frf))), self.frf.shape)
         unit, factor = frf_display(self.reference)[1:]
         return (
@@ -131,7 +131,7 @@ class SteadyResponse(Result):
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return frequency, response of each body, and motion type."""
+        """Return frequency, response of each body, and type of motion."""
         return {
             "frequency_Hz": self.frequency,
             **frf_columns(self.labels, self.frf, self.reference),
@@ -200,7 +200,7 @@ class SteadyMotion:
     """Steady-state motion at one frequency, over one repetition.
 
     `end_state`: initial state for the next frequency; `trajectory`, `initial_states`: see `integrate_cycle`;
-    `interval`: duration of its segments, s. For each element: `types`: motion type; `impacts`: impacts per period of
+    `interval`: duration of its segments, s. For each element: `types`: type of motion; `impacts`: impacts per period of
     the drive; `closing_speed`: as in `SteadyResponse`.
     """
 
@@ -218,7 +218,7 @@ class SteadyMotion:
 class SteadyPoint:
     """Response of a steady-state motion at one frequency; `end_state` is the initial state for the next frequency.
 
-    The attributes are those of `SteadyResponse` at one frequency, the motion types of all dampers, the result of
+    The attributes are those of `SteadyResponse` at one frequency, the types of motion of all dampers, the result of
     `settle`, and the drive level relative to the level of the linear structure.
     """
 

@@ -78,7 +78,7 @@ def element_labels(elements: int, joints: int) -> list[str]:
 
 
 def describe_motion(motion: NDArray[np.str_], joints: int) -> str:
-    """Describe the motion types of all elements, shape (elements, points); elements that are always linear are omitted.
+    """Describe the types of motion of all elements but those that are always linear, shape (elements, points).
 
     >>> describe_motion(np.array([["I", "riding"], ["linear", "1 per 1"], ["linear", "linear"]]), 2)
     'damper 1: I, riding; joint 1: linear, 1 per 1'
@@ -93,7 +93,7 @@ def describe_motion(motion: NDArray[np.str_], joints: int) -> str:
 
 
 def combined_type(types: list[str]) -> str:
-    """Combine the motion types of all dampers; "linear" without dampers that can hit a wall.
+    """Combine the types of motion of all dampers; "linear" without dampers that can hit a wall.
 
     >>> combined_type(["I", "II", "I"])
     'I/II'

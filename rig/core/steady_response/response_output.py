@@ -118,7 +118,7 @@ def format_response(response: SteadyResponse, every_frequency: bool = False) -> 
     if not response.converged.all():
         ranges = format_frequencies(response.frequency.tolist(), (~response.converged).tolist())
         lines.append(
-            f"  no steady state: {ranges}. Irregular motion never settles; for other motion types, pass a larger "
+            f"  no steady state: {ranges}. Irregular motion never settles; for other types of motion, pass a larger "
             "`longest` to rig.frequency_response (Python)."
         )
     motion_labels = _motion_labels(response)
@@ -234,7 +234,7 @@ def _jump_notes(jumps: list[_Jump]) -> list[str]:
 
 
 def _frequency_table(response: SteadyResponse, motion: list[str]) -> list[str]:
-    """Return a table of responses, impacts per period and motion type at each frequency."""
+    """Return a table of responses, impacts per period and type of motion at each frequency."""
     unit, factor = frf_display(response.reference)[1:]
     headers = [f"{label} / ({unit})" for label in response.labels]
     lines = [f"{'frequency / Hz':>14}" + "".join(f"{header:>18}" for header in headers) + "  impacts  motion"]

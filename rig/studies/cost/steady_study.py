@@ -35,7 +35,7 @@ class SteadyStudy:
 
     points: tuple[Point, ...]  # error: largest compliance error of any body, relative to the largest compliance
     frequency: float  # Hz
-    motion_type: str  # motion type at this frequency; "" without steady state
+    motion_type: str  # type of motion at this frequency; "" without steady state
     reference: str  # reference of the errors; without periodic motion, the reason why there are no errors
 
 

@@ -70,7 +70,7 @@ class MotionMap(Result):
     kind : ndarray of int, shape (rows, frequencies)
         Index in `KINDS` of the most complex type of motion of the dampers and joints.
     motion : ndarray of str, shape (rows, frequencies)
-        Motion type of each damper, in order, then of each joint, joined by "/".
+        Type of motion of each damper, in order, then of each joint, joined by "/".
     impacts : ndarray, shape (rows, frequencies)
         Impacts of all dampers and joints per period.
     repetition : ndarray of int, shape (rows, frequencies)

@@ -115,10 +115,10 @@ def test_truncated_file_keeps_every_complete_chunk(intact_file, tmp_path):
             assert not fixed.exists()
             n_rejected += 1
             continue
-        salvage = daq.recover(truncated, fixed, overwrite=True)
+        recovery = daq.recover(truncated, fixed, overwrite=True)
         assert np.array_equal(check_readable(fixed), expected)
-        assert salvage.whole == (cut > end_of_data)
-        assert sum(salvage.kept.values()) == expected.sum()
+        assert recovery.whole == (cut > end_of_data)
+        assert sum(recovery.kept.values()) == expected.sum()
         fixed.unlink()
     # Nothing is recovered only from a cut before the end of the first chunk with samples, which has less than 20 kB.
     assert n_rejected < 40 * (first_chunk + 20_000) / len(data)
@@ -133,14 +133,14 @@ def test_bit_flips_lose_a_chunk_at_most(intact_file, tmp_path):
         damaged = bytearray(data)
         damaged[position] ^= 1 << rng.randrange(8)
         flipped.write_bytes(damaged)
-        salvage = daq.recover(flipped, fixed, overwrite=True)
+        recovery = daq.recover(flipped, fixed, overwrite=True)
         is_readable = check_readable(fixed)
         # A chunk whose head alone is damaged may be recovered, too.
         assert is_readable[samples_in_intact_chunks(chunks, lambda begin, end, at=position: begin <= at < end)].all()
-        lost = sum(stop - first for spans in salvage.lost.values() for first, stop in spans)
+        lost = sum(stop - first for spans in recovery.lost.values() for first, stop in spans)
         assert lost == (~is_readable).sum()
         if lost:
-            assert any("checksum" in note or "decompress" in note or "record" in note for note in salvage.notes)
+            assert any("checksum" in note or "decompress" in note or "record" in note for note in recovery.notes)
 
 
 @pytest.mark.parametrize("length", [1, 40, 5000, 60_000])
@@ -159,9 +159,9 @@ def test_repeated_chunk_is_omitted(intact_file, tmp_path):
     data, chunks = intact_file.read_bytes(), chunks_of(intact_file)
     (begin, _, _), (end, _, _) = [chunk for chunk in chunks if "/raw/body1" in chunk[2]][:2]
     (tmp_path / "a.mcap").write_bytes(data[:end] + data[begin:])
-    salvage = daq.recover(tmp_path / "a.mcap", tmp_path / "fixed.mcap")
+    recovery = daq.recover(tmp_path / "a.mcap", tmp_path / "fixed.mcap")
     assert check_readable(tmp_path / "fixed.mcap").all()
-    assert any("later samples precede" in note for note in salvage.notes)
+    assert any("later samples precede" in note for note in recovery.notes)
 
 
 def test_samples_after_removed_bytes_keep_their_numbers(intact_file, tmp_path):
@@ -181,16 +181,16 @@ def test_chunk_with_damaged_length_is_recovered(intact_file, tmp_path, byte):
     damaged = bytearray(intact_file.read_bytes())
     damaged[chunks[2][0] + byte] ^= 0x41
     (tmp_path / "a.mcap").write_bytes(damaged)
-    salvage = daq.recover(tmp_path / "a.mcap", tmp_path / "fixed.mcap")
+    recovery = daq.recover(tmp_path / "a.mcap", tmp_path / "fixed.mcap")
     assert check_readable(tmp_path / "fixed.mcap").all()
-    assert salvage.lost == {}
+    assert recovery.lost == {}
 
 
 def test_file_with_damaged_end_is_complete(intact_file, tmp_path):
     (tmp_path / "a.mcap").write_bytes(intact_file.read_bytes()[:-3])
-    salvage = daq.recover(tmp_path / "a.mcap", tmp_path / "fixed.mcap")
-    assert salvage.whole
-    assert list(salvage.report())[-1] == "nothing was lost"
+    recovery = daq.recover(tmp_path / "a.mcap", tmp_path / "fixed.mcap")
+    assert recovery.whole
+    assert list(recovery.report())[-1] == "nothing was lost"
     with daq.open(tmp_path / "fixed.mcap") as recording:
         assert recording.status == "complete"
         assert [marker.kind for marker in recording.markers] == ["measure"]
@@ -203,11 +203,11 @@ def test_lost_markers_and_display_are_counted(intact_file, tmp_path):
         begin, end, _ = [chunk for chunk in chunks_of(intact_file) if topic in chunk[2]][-1]
         data[(begin + end) // 2] ^= 1
     (tmp_path / "a.mcap").write_bytes(data)
-    salvage = daq.recover(tmp_path / "a.mcap", tmp_path / "fixed.mcap")
-    assert salvage.lost == {}
-    assert salvage.missing["/markers"] == 1
-    assert salvage.missing["/tf"] > 0
-    assert "lost: 1 message of /markers" in list(salvage.report())
+    recovery = daq.recover(tmp_path / "a.mcap", tmp_path / "fixed.mcap")
+    assert recovery.lost == {}
+    assert recovery.missing["/markers"] == 1
+    assert recovery.missing["/tf"] > 0
+    assert "lost: 1 message of /markers" in list(recovery.report())
 
 
 def test_lost_truth_is_listed_by_topic(tmp_path):
@@ -216,9 +216,9 @@ def test_lost_truth_is_listed_by_topic(tmp_path):
     data = bytearray(path.read_bytes())
     data[(begin + end) // 2] ^= 1
     path.write_bytes(data)
-    salvage = daq.recover(path, tmp_path / "fixed.mcap")
+    recovery = daq.recover(path, tmp_path / "fixed.mcap")
     span = (FLUSH_LENGTH, 2 * FLUSH_LENGTH)
-    assert salvage.lost == {"/truth/damper_1/gap": [span], "/truth/damper_1/contact": [span]}
+    assert recovery.lost == {"/truth/damper_1/gap": [span], "/truth/damper_1/contact": [span]}
     with daq.open(tmp_path / "fixed.mcap") as recording:
         gap = recording.truth("gap")[0]
         assert np.isnan(gap[slice(*span)]).all()
@@ -287,10 +287,10 @@ def test_killed_recorder_keeps_all_flushed_samples(tmp_path):
         # The very last line may be incomplete; the previous line has the number of samples written so far.
         n_written = int(last_lines[-1] if len(last_lines) < 3 else last_lines[-2])
         fixed = path.with_suffix(".fixed")
-        salvage = daq.recover(path, fixed)
+        recovery = daq.recover(path, fixed)
         is_readable = check_readable(fixed, true)
         assert is_readable[:, : n_written // FLUSH_LENGTH * FLUSH_LENGTH].all()
-        assert any("has no end" in note for note in salvage.notes)
+        assert any("has no end" in note for note in recovery.notes)
 
 
 # -- recovery that is impossible -------------------------------------------------------------------------
@@ -400,11 +400,11 @@ T0, FIRST_SAMPLE = 1, 10
 )
 def test_block_with_contradicting_times_is_omitted(tmp_path, write_damaged_blocks, position, value):
     path = write_damaged_blocks(position, struct.pack("<Q", value))
-    salvage = daq.recover(path, tmp_path / "fixed.mcap")
+    recovery = daq.recover(path, tmp_path / "fixed.mcap")
     is_readable = check_readable(tmp_path / "fixed.mcap")
     assert not is_readable[:, FLUSH_LENGTH : 2 * FLUSH_LENGTH].any()
     assert is_readable.sum() == 2 * (SAMPLES - FLUSH_LENGTH)
-    assert salvage.lost.keys() == {"/raw/body1", "/raw/body2"}
+    assert recovery.lost.keys() == {"/raw/body1", "/raw/body2"}
 
 
 def test_implausible_count_of_samples_is_ignored(tmp_path, monkeypatch):

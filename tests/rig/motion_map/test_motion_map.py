@@ -114,7 +114,7 @@ def test_locked_dampers_keep_their_clearance() -> None:
     first, *rest = scene.dampers
     scene = scene.replace(dampers=(first.replace(locked=True), *rest))
     result = rig.map_motion(scene, over="clearance", values=[0.5e-3], frequencies=[48.0, 50.0])
-    # Motion types of the two dampers that are not locked.
+    # Types of motion of the two dampers that are not locked.
     assert len(result.motion[0, 0].split("/")) == 2
     assert vertical_axis(scene, "clearance") == ("clearance", LENGTH)
 

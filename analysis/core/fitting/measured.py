@@ -14,6 +14,7 @@ from analysis.core.responses.estimator import annotate
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import (
     default_reference,
+    motion_of,
     reference_of,
     required_channels,
     response_channels,
@@ -122,11 +123,11 @@ def measured_curves(rec: Recording, name: str) -> list[Curves]:
             "level. Record test: {kind: stepped_sine, ...} at one or several levels."
         )
     if has_tones:
-        all_sweeps = sweeps(rec, required_channels(rec, names, reference))
+        all_sweeps, denominator = sweeps(rec, required_channels(rec, names, reference)), reference_of(rec, reference)
         return [
             _curves(
                 rec,
-                annotate(rec, [sweep.lines.frf(rec, response, reference) for response in names]),
+                annotate(rec, [sweep.lines.frf(rec, motion_of(rec, each), denominator) for each in names]),
                 reference,
                 f"{name}, {sweep_name(rec, (sweep.level, sweep.direction))}" if len(all_sweeps) > 1 else name,
             )

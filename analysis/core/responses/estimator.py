@@ -15,7 +15,14 @@ from analysis.core.responses.checks.curve_checks import delayed_channels, revers
 from analysis.core.responses.checks.several_inputs import check_matrix
 from analysis.core.responses.checks.tone_steps import ToneInterval
 from analysis.core.responses.estimators import ESTIMATORS
-from analysis.core.responses.measurands import Measurand, force_of, input_location, output_point
+from analysis.core.responses.measurands import (
+    Measurand,
+    force_of,
+    input_location,
+    motion_of,
+    output_point,
+    reference_of,
+)
 from daq.core.recording.markers import Marker
 from daq.core.recording.recording import Recording
 from rig.core.base.errors import RecordingError, SceneError
@@ -70,14 +77,9 @@ class Source(Protocol):
     """Spectra or amplitudes of a sweep, or of a test without sweeps, from which responses are estimated."""
 
     def frf(
-        self,
-        rec: Recording,
-        response: str,
-        reference: str | Measurand = "force",
-        motion: str = "displacement",
-        others: Sequence[Measurand] = (),
+        self, rec: Recording, numerator: Measurand, denominator: Measurand, others: Sequence[Measurand] = ()
     ) -> Response:
-        """Estimate one response to a reference; `others`: the other inputs, if there are several."""
+        """Estimate the response of one measurand to another; `others`: the other inputs, if there are several."""
 
 
 @dataclass(frozen=True)
@@ -92,28 +94,26 @@ class Request:
     progress: CountProgress | None
     channels: Sequence[str]  # channels of the responses and of their reference
     measured: Sequence[Marker]  # markers of the measured intervals
-    inputs: Sequence[Point] = ()  # the forces, if several drive the structure
+    inputs: tuple[Point, ...] = ()  # the forces, if several drive the structure
     level: float | None = None  # selected level, if the recording has several; None: every level
     direction: str | None = None  # selected direction, up or down; None: both
 
     def compute(self, sources: Iterable[Source]) -> list[Response]:
         """Compute the response of each source: the matrix of all outputs over all inputs."""
-        forces = [force_of(point.name) for point in self.inputs]
-        n_inputs, computed = max(len(forces), 1), []
+        references = [force_of(point.name) for point in self.inputs] or [reference_of(self.rec, self.reference)]
+        computed = []
         for source in sources:
-            columns: list[list[Response]] = [[] for _ in range(n_inputs)]
+            columns: list[list[Response]] = [[] for _ in references]
             for n_completed, name in enumerate(self.names, 1):
-                if not forces:
-                    columns[0].append(source.frf(self.rec, name, self.reference, self.motion))
-                for k, (point, force) in enumerate(zip(self.inputs, forces, strict=True)):
-                    others = [*forces[:k], *forces[k + 1 :]]
-                    curve = source.frf(self.rec, name, force, self.motion, others)
-                    columns[k].append(replace(curve, inputs=(point,)))
+                output = motion_of(self.rec, name, self.motion)
+                for k, (column, reference) in enumerate(zip(columns, references, strict=True)):
+                    curve = source.frf(self.rec, output, reference, [*references[:k], *references[k + 1 :]])
+                    column.append(replace(curve, inputs=self.inputs[k : k + 1]) if self.inputs else curve)
                 if self.progress is not None:
                     self.progress(n_completed, len(self.names))
             columns = [annotate(self.rec, column) for column in columns]
-            response = stack([curve for row in zip(*columns, strict=True) for curve in row], n_inputs)
-            computed.append(check_matrix(response) if forces else response)
+            response = stack([curve for row in zip(*columns, strict=True) for curve in row], len(references))
+            computed.append(check_matrix(response) if self.inputs else response)
         return computed
 
 

@@ -30,13 +30,7 @@ from analysis.core.responses.errors.systematic import (
     shared_noise_bound,
     zero_safe_product,
 )
-from analysis.core.responses.measurands import (
-    Measurand,
-    motion_of,
-    reference_name,
-    reference_of,
-    reject_zero_reference,
-)
+from analysis.core.responses.measurands import Measurand, reject_zero_reference
 from analysis.core.responses.segment_fits import SegmentFits
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
@@ -94,18 +88,12 @@ class AveragedSpectra:
     estimator: str = "H1"  # or ``"H2"``, ``"Hv"``
 
     def frf(
-        self,
-        rec: Recording,
-        response: str,
-        reference: str | Measurand = "force",
-        motion: str = "displacement",
-        others: Sequence[Measurand] = (),
+        self, rec: Recording, numerator: Measurand, denominator: Measurand, others: Sequence[Measurand] = ()
     ) -> Response:
         """Estimate a frequency response with coherence; random error by Bendat and Piersol, Random Data, eq. 9.90.
 
-        `others`: other inputs. Response and reference are conditioned on them (section 7.3).
+        `others`: other inputs. Numerator and denominator are conditioned on them (section 7.3).
         """
-        numerator, denominator = motion_of(rec, response, motion), reference_of(rec, reference)
         inputs = (denominator, *others)
         names = tuple(dict.fromkeys(name for each in (numerator, *inputs) for name in each.channels))
         positions = [self.channels.index(name) for name in names]
@@ -114,7 +102,7 @@ class AveragedSpectra:
         response_weights = numerator.row(rec, names, self.frequency)
         reference_weights = denominator.row(rec, names, self.frequency)
         x, f = (np.einsum("in,rin->nr", row, factor) for row in (response_weights, reference_weights))
-        reject_zero_reference(rec, reference, f)
+        reject_zero_reference(rec, denominator, f)
         several = None
         if others:
             rows = [each.row(rec, names, self.frequency) for each in inputs]
@@ -145,10 +133,10 @@ class AveragedSpectra:
             error = abs(value) * np.sqrt(incoherence / (2.0 * n_free_averages))
         bounds: dict[str, Array] = {}
         if self.leakage_free is not None:
-            leakage_free = self.leakage_free.frf(rec, response, reference, motion, others)
+            leakage_free = self.leakage_free.frf(rec, numerator, denominator, others)
             bounds[LEAKAGE] = leakage(self.frequency, value, error, leakage_free)
         contributions = ChannelContributions(
-            names, self.frequency, motion, value, response_weights * readings, reference_weights * readings
+            names, self.frequency, numerator.motion, value, response_weights * readings, reference_weights * readings
         )
         change_per_reading = response_weights - value * reference_weights
         noise_bias = reference_noise_bound(value, coherence)
@@ -173,7 +161,7 @@ class AveragedSpectra:
             scale=common_scale(rec, numerator.channels, denominator.channels),
         )  # fmt: skip
         return Response.curve(
-            self.frequency, value, numerator.channels[0], reference=reference_name(reference), motion=motion,
+            self.frequency, value, numerator.channels[0], reference=denominator.reference, motion=numerator.motion,
             uncertainty=budget, coherence=coherence, label=self.label, resolution=self.resolution,
             warnings=self.warnings,
         )  # fmt: skip

@@ -69,6 +69,7 @@ class Measurand:
     channels: tuple[str, ...]  # channels that are summed
     weights: tuple[float, ...]  # factor of the quantity at each channel
     motion: str  # quantity of the sum: displacement, velocity, acceleration or force
+    reference: str = ""  # quantity as a reference of responses: force or table
 
     def row(self, rec: Recording, names: Sequence[str], frequency: NDArray[np.float64]) -> NDArray[np.complex128]:
         """Compute the weights of the amplitudes of the channels `names` as recorded, shape (channels, frequencies).
@@ -113,17 +114,15 @@ def default_reference(rec: Recording) -> str:
 
 def force_of(channel: str) -> Measurand:
     """Return the force that a channel measures."""
-    return Measurand((channel,), (1.0,), "force")
+    return Measurand((channel,), (1.0,), "force", "force")
 
 
-def reference_of(rec: Recording, reference: str | Measurand) -> Measurand:
-    """Return the force on the structure, or the displacement of the shaker table; a measurand is returned unchanged.
+def reference_of(rec: Recording, reference: str) -> Measurand:
+    """Return the force on the structure, or the displacement of the shaker table.
 
     The force is measured by a force channel if there is one. Otherwise it is the force of the coil spring,
     F1 = k0 (x0 - x1), from the channels on the table and on the driven body.
     """
-    if isinstance(reference, Measurand):
-        return reference
     if reference == "table":
         location = rec.scene.at_driven("table")
         table = motion_channel_at(rec, location)
@@ -132,7 +131,7 @@ def reference_of(rec: Recording, reference: str | Measurand) -> Measurand:
                 f"{rec.path}: no channel on the table ({_places(rec)}). "
                 f"Add {{name: table, at: {location}}} to the scene's channels."
             )
-        return Measurand((table.name,), (1.0,), "displacement")
+        return Measurand((table.name,), (1.0,), "displacement", "table")
     if reference != "force":
         raise RecordingError(f"reference: got {reference!r}; expected 'force' or 'table'")
     forces = [info for info in rec.channels.values() if info.quantity == "force"]
@@ -162,7 +161,7 @@ def reference_of(rec: Recording, reference: str | Measurand) -> Measurand:
                 f"({_places(rec)}). Add {{name: {at.replace(' ', '')}, at: {at}}} to the scene's channels."
             )
         ends.append(info.name)
-    return Measurand(tuple(ends), tuple(terms.values()), "displacement")
+    return Measurand(tuple(ends), tuple(terms.values()), "displacement", "force")
 
 
 def input_location(rec: Recording, reference: str) -> str:
@@ -188,15 +187,10 @@ def required_channels(rec: Recording, responses: Sequence[str], reference: str) 
     return list(dict.fromkeys(name for measurand in measurands for name in measurand.channels))
 
 
-def reference_name(reference: str | Measurand) -> str:
-    """Return the quantity of a reference: force or table."""
-    return reference if isinstance(reference, str) else reference.motion
-
-
-def reject_zero_reference(rec: Recording, reference: str | Measurand, amplitude: NDArray[np.generic]) -> None:
+def reject_zero_reference(rec: Recording, denominator: Measurand, amplitude: NDArray[np.generic]) -> None:
     """Reject a reference that is zero at all lines, because the response is then undefined."""
     if not np.any(np.abs(amplitude) > 0):
-        quantity = "force on the structure" if reference_name(reference) == "force" else "displacement of the table"
+        quantity = "force on the structure" if denominator.reference == "force" else "displacement of the table"
         raise RecordingError(
             f"{rec.path}: the {quantity} is zero throughout the measurement. Check the excitation and its channels "
             "(`daq info`), and record again."

@@ -34,7 +34,7 @@ from analysis.core.responses.errors.systematic import (
 )
 from analysis.core.responses.estimator import Estimator, Request
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH
-from analysis.core.responses.measurands import force_of, motion_channel_at, reference_of
+from analysis.core.responses.measurands import force_of, motion_channel_at, motion_of, reference_of
 from analysis.core.responses.spectral_lines import Lines, residual_transient
 from daq.core.recording.markers import Marker
 from daq.core.recording.recording import Recording
@@ -198,7 +198,8 @@ def _undistorted_warning(rec: Recording, averages: Lines, reference: str) -> str
     for body in {damper.body for damper in rec.scene.dampers if damper.impacts}:
         info = motion_channel_at(rec, f"body {body}")
         if info is not None and reference == "force":
-            accelerance = np.nan_to_num(abs(averages.frf(rec, info.name, motion="acceleration").value))
+            output, reference_force = motion_of(rec, info.name, "acceleration"), reference_of(rec, "force")
+            accelerance = np.nan_to_num(abs(averages.frf(rec, output, reference_force).value))
             amplitudes = accelerance * force
             # Peak value of a sum of tones with random phases.
             peak_acceleration = min(_CREST_FACTOR * np.sqrt(np.sum(np.square(amplitudes)) / 2.0), amplitudes.sum())

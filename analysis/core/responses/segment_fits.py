@@ -23,7 +23,7 @@ from analysis.core.responses.impact_errors import force_noise, rounding_gain_err
 from analysis.core.responses.local_models.jitter import jitter_factor
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH, LocalSpectra
 from analysis.core.responses.local_models.low_spectra import low_spectra
-from analysis.core.responses.measurands import Measurand, motion_of, reference_of, response_channels
+from analysis.core.responses.measurands import Measurand, response_channels
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
@@ -72,20 +72,14 @@ class SegmentFits:
     stored: dict[tuple[str, ...], LocalSpectra] = field(default_factory=dict)
 
     def frf(
-        self,
-        rec: Recording,
-        response: str,
-        reference: str | Measurand = "force",
-        motion: str = "displacement",
-        others: Sequence[Measurand] = (),
+        self, rec: Recording, numerator: Measurand, denominator: Measurand, others: Sequence[Measurand] = ()
     ) -> Response:
         """Estimate the frequency response with coherence, random and systematic errors; `others`: other inputs."""
-        numerator, denominator = motion_of(rec, response, motion), reference_of(rec, reference)
         segments, notes = self.usable_segments(rec, [name for each in (denominator, *others) for name in each.channels])
         warnings = (*self.warnings, *notes)
         if self.impacts is None:
             spectra = self.spectra(rec, self.channels, segments)
-            return spectra.frf(rec, numerator, denominator, reference, motion, self.label, warnings, others=others)
+            return spectra.frf(rec, numerator, denominator, self.label, warnings, others=others)
         # Whether the rig was at rest before the impacts is determined from the channels of each response.
         names = tuple(dict.fromkeys([*numerator.channels, *denominator.channels]))
         longest = max(stop - start for start, stop in segments)
@@ -94,7 +88,7 @@ class SegmentFits:
             prior_motion = [self.impacts.prior_motion(rec, names, *bounds) for bounds in group]
             spectra = self._spectra(rec, names, group, prior_motion, longest)
             noise = force_noise(self.impacts, rec, group, spectra.frequency[spectra.lines])
-            frf = spectra.frf(rec, numerator, denominator, reference, motion, self.label, warnings, noise)
+            frf = spectra.frf(rec, numerator, denominator, self.label, warnings, noise)
             frf = _with_motion_before(frf, prior_motion)
             # The arrays of the errors are large, so only those of the first group are stored; they represent all
             # groups.

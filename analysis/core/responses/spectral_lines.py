@@ -17,7 +17,7 @@ from analysis.core.responses.errors.random_errors import MeanErrors
 from analysis.core.responses.errors.ringing import ringing
 from analysis.core.responses.errors.scatter import Scatter, moderate
 from analysis.core.responses.errors.systematic import RESOLUTION, UNSETTLED, ChannelContributions, common_scale
-from analysis.core.responses.measurands import Measurand, motion_of, reference_name, reference_of, reject_zero_reference
+from analysis.core.responses.measurands import Measurand, reject_zero_reference
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import Response
@@ -76,25 +76,19 @@ class Lines:
     inputs: tuple[str, ...] = ()  # channels of several inputs, in the order of the rows
 
     def frf(
-        self,
-        rec: Recording,
-        response: str,
-        reference: str | Measurand = "force",
-        motion: str = "displacement",
-        others: Sequence[Measurand] = (),
+        self, rec: Recording, numerator: Measurand, denominator: Measurand, others: Sequence[Measurand] = ()
     ) -> Response:
         """Divide the mean of the response by the mean of the reference; propagate their covariance to first order.
 
         `others`: other inputs.
         """
-        numerator, denominator = motion_of(rec, response, motion), reference_of(rec, reference)
         names = tuple(dict.fromkeys(name for each in (numerator, denominator, *others) for name in each.channels))
         positions = self._positions(names, denominator)
         mean, scatter, noise, residual_transient, resolution = self._rows_of(positions)
         response_weights = numerator.row(rec, names, self.frequency)
         reference_weights = denominator.row(rec, names, self.frequency)
         x, f = np.sum(response_weights * mean, axis=0), np.sum(reference_weights * mean, axis=0)
-        reject_zero_reference(rec, reference, f)
+        reject_zero_reference(rec, denominator, f)
         value = x / f
         # d(x/f) = (dx - value df) / f, and both are sums over the same channels.
         change = response_weights - value * reference_weights
@@ -130,7 +124,7 @@ class Lines:
                 unexplained = sum(each.variance(change) for each in (scatter, *variances)) / sum(explained)
             coherence = 1.0 / (1.0 + averages * unexplained)
         contributions = ChannelContributions(
-            names, self.frequency, motion, value, response_weights * mean / f, reference_weights * mean / f
+            names, self.frequency, numerator.motion, value, response_weights * mean / f, reference_weights * mean / f
         )
         amplitude = None if self.unsteady is None else abs(f)
         budget = assemble_budget(
@@ -139,7 +133,7 @@ class Lines:
             scale=common_scale(rec, numerator.channels, denominator.channels),
         )  # fmt: skip
         return Response.curve(
-            self.frequency, value, numerator.channels[0], reference=reference_name(reference), motion=motion,
+            self.frequency, value, numerator.channels[0], reference=denominator.reference, motion=numerator.motion,
             uncertainty=budget, coherence=coherence, label=self.label, warnings=self.warnings, unsteady=self.unsteady,
             amplitude=amplitude, omitted=self.omitted,
         )  # fmt: skip

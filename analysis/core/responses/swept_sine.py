@@ -26,7 +26,7 @@ from analysis.core.responses.errors.systematic import (
 from analysis.core.responses.estimator import Estimator, Request
 from analysis.core.responses.local_models.local_rational import ORDER
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH, LocalSpectra
-from analysis.core.responses.measurands import Measurand, motion_of, reference_of
+from analysis.core.responses.measurands import Measurand
 from analysis.core.responses.segment_fits import warn_of_dampers
 from daq.core.recording.markers import Marker
 from daq.core.recording.recording import Recording
@@ -71,16 +71,10 @@ class SweptTone:
     shared: float = 1.0  # number of neighboring lines with a common error
 
     def frf(
-        self,
-        rec: Recording,
-        response: str,
-        reference: str | Measurand = "force",
-        motion: str = "displacement",
-        others: Sequence[Measurand] = (),
+        self, rec: Recording, numerator: Measurand, denominator: Measurand, others: Sequence[Measurand] = ()
     ) -> Response:
         """Estimate the frequency response with coherence, random and systematic errors; `others`: other inputs."""
-        numerator, denominator = motion_of(rec, response, motion), reference_of(rec, reference)
-        frf = self.spectra.frf(rec, numerator, denominator, reference, motion, self.label, self.warnings, others=others)
+        frf = self.spectra.frf(rec, numerator, denominator, self.label, self.warnings, others=others)
         budget = frf.uncertainty
         assert isinstance(budget.errors, SharedErrors)
         # Segments of neighboring lines overlap in time, although their bins are counted as independent.

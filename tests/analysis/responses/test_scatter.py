@@ -8,6 +8,7 @@ from analysis.core.responses import estimators
 from analysis.core.responses.errors.scatter import Scatter, moderate
 from analysis.core.responses.estimators import AveragedSpectra, square_root
 from analysis.core.responses.local_models.jitter import jitter_bound
+from analysis.core.responses.measurands import motion_of, reference_of
 from analysis.core.responses.stepped_sine import LockIn, parts_of_whole_periods
 from daq.core.recording.recording import Recording
 from rig.core.base.errors import RunError
@@ -69,7 +70,7 @@ def test_coherence_of_dependent_channels_is_at_most_one(seed, tmp_path):
         factor = square_root(cross).transpose(2, 1, 0)
         averages = AveragedSpectra(tuple(recording.channels), np.linspace(10.0, 50.0, 40), factor, 30.0, 0.0)
 
-        frf = averages.frf(recording, "body3")
+        frf = averages.frf(recording, motion_of(recording, "body3"), reference_of(recording, "force"))
 
     assert np.isfinite(frf.error).all()
     assert ((frf.coherence >= 0.0) & (frf.coherence <= 1.0)).all()

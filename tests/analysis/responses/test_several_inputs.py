@@ -113,7 +113,7 @@ def test_column_equals_response_to_one_input(block, tmp_path):
         [expected] = analysis.frequency_responses(rec, ["a1", "a3"], block=block)
         request = Request(
             rec, ["a1", "a3"], "force", "displacement", Blocks(block=block), None, ["a1", "a3", "f1"],
-            rec.markers[-1:], [Point("f1", "force", "body 1")],
+            rec.markers[-1:], (Point("f1", "force", "body 1"),),
         )  # fmt: skip
         [matrix] = estimator_of("random").compute(request)
     np.testing.assert_array_equal(matrix.value, expected.value)

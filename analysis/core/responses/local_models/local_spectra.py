@@ -29,7 +29,7 @@ from analysis.core.responses.local_models.local_rational import (
     OutputSpectra,
     local_fit,
 )
-from analysis.core.responses.measurands import Measurand, reference_name, reject_zero_reference
+from analysis.core.responses.measurands import Measurand, motion_of, reject_zero_reference
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import Response
@@ -65,8 +65,6 @@ class LocalSpectra:
         rec: Recording,
         numerator: Measurand,
         denominator: Measurand,
-        reference: str | Measurand,
-        motion: str,
         label: str,
         warnings: Sequence[str],
         reference_noise: ComplexArray | None = None,
@@ -90,12 +88,10 @@ class LocalSpectra:
                 noise=self.noise[rows],
                 jitter=self.jitter[:, rows],
             )
-            return selected.frf(
-                rec, numerator, denominator, reference, motion, label, warnings, reference_noise, others
-            )
+            return selected.frf(rec, numerator, denominator, label, warnings, reference_noise, others)
         frequency = self.frequency[self.lines]
         force = self.spectrum(rec, denominator)
-        reject_zero_reference(rec, reference, force)
+        reject_zero_reference(rec, denominator, force)
         response_weights = numerator.row(rec, names, frequency)
         reference_weights = denominator.row(rec, names, frequency)
         # Reading of each channel per unit of the reference.
@@ -118,7 +114,7 @@ class LocalSpectra:
         noise_variance = main_fit.variance_per_reference_noise * reference_noise_power
         variance = np.maximum(main_fit.variance, noise_variance) * scale**2
         contributions = ChannelContributions(
-            names, frequency, motion, value, response_weights * readings, reference_weights * readings
+            names, frequency, numerator.motion, value, response_weights * readings, reference_weights * readings
         )
         change_per_reading = response_weights - value * reference_weights
         bounds = (
@@ -171,7 +167,7 @@ class LocalSpectra:
             coherence = np.clip(1.0 - main_fit.noise_power / self.power(self.output(rec, output).spectra), 0.0, 1.0)
             value = np.where(self._condition(rec, (denominator, *others)) > MAX_CONDITION_NUMBER, np.nan, value)
         return Response.curve(
-            frequency, value, output, reference=reference_name(reference), motion=motion, uncertainty=budget,
+            frequency, value, output, reference=denominator.reference, motion=numerator.motion, uncertainty=budget,
             coherence=coherence, label=label, warnings=tuple(warnings),
         )  # fmt: skip
 
@@ -246,7 +242,7 @@ class LocalSpectra:
         bound = self.noise.copy()
         for name, other in permutations(denominator.channels):
             row = self.channels.index(name)
-            fit = self._fit(rec, name, Measurand((other,), (1.0,), "displacement"))
+            fit = self._fit(rec, name, motion_of(rec, other))
             # Upper end of the 95 % interval of the noise power for these degrees of freedom.
             n = fit.degrees_of_freedom
             bound[row] = np.maximum(bound[row], fit.noise_power * n / scipy.special.chdtri(n, 0.95))

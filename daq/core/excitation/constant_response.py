@@ -103,31 +103,6 @@ class HeldMotion(EnvelopeTone):
         self.mark_measured(first, held, settled and held.repeats, **fields)
 
 
-def excite(station: Station, test: ConstantResponse) -> Excitation:
-    """Run the test; raise `GivenUp` if no dwell reached its level."""
-    tone = HeldMotion(station, test)
-    yield from tone.measure_noise()
-    settled = yield from stepped_sine.excite(station, test, tone)
-    messages = []
-    if tone.limited:
-        low, high, ratio = min(tone.limited), max(tone.limited), max(tone.limited.values())
-        messages.append(
-            f"{test.at} reaches {ratio:.0%} of the level: the amplifier is at its limit from {low:.4g} to "
-            f"{high:.4g} Hz."
-        )
-    if tone.lost:
-        growth, dead_time = max(tone.lost)
-        limit = MAX_POLE_TIMES_DEAD_TIME / growth
-        messages.append(
-            f"open-loop growth of {growth:.2g} 1/s requires a dead time below {limit:.2g} s; it is {dead_time:.2g} s. "
-            "Use a converter filter with a shorter delay."
-        )
-    if not settled:
-        raise GivenUp(" ".join([f"the motion of {test.at} reached the level at no frequency.", *messages]))
-    for message in messages:
-        station.warn(message)
-
-
 class ConstantResponseProcedure(StepsProcedure["ConstantResponse"]):
     """Tones at which a motion has a constant amplitude."""
 
@@ -135,8 +110,28 @@ class ConstantResponseProcedure(StepsProcedure["ConstantResponse"]):
     duration_ratio = 1.5
 
     def excite(self, station: Station, test: ConstantResponse) -> Excitation:
-        """Yield the drive of the test block by block, and mark the measured intervals."""
-        return excite(station, test)
+        """Run the test; raise `GivenUp` if no dwell reached its level."""
+        tone = HeldMotion(station, test)
+        yield from tone.measure_noise()
+        settled = yield from stepped_sine.excite(station, test, tone)
+        messages = []
+        if tone.limited:
+            low, high, ratio = min(tone.limited), max(tone.limited), max(tone.limited.values())
+            messages.append(
+                f"{test.at} reaches {ratio:.0%} of the level: the amplifier is at its limit from {low:.4g} to "
+                f"{high:.4g} Hz."
+            )
+        if tone.lost:
+            growth, dead_time = max(tone.lost)
+            limit = MAX_POLE_TIMES_DEAD_TIME / growth
+            messages.append(
+                f"open-loop growth of {growth:.2g} 1/s requires a dead time below {limit:.2g} s; it is "
+                f"{dead_time:.2g} s. Use a converter filter with a shorter delay."
+            )
+        if not settled:
+            raise GivenUp(" ".join([f"the motion of {test.at} reached the level at no frequency.", *messages]))
+        for message in messages:
+            station.warn(message)
 
     def part(self, test: ConstantResponse, seconds: float, scene: Scene) -> ConstantResponse:
         """Return the highest level at evenly spaced frequencies of the test."""

@@ -385,38 +385,6 @@ def _next_position(visited: Sequence[tuple[float, float]], slope: float, length:
     return None if any(candidate == other for other, _ in visited) else candidate
 
 
-def excite(station: Station, test: Continuation) -> Excitation:
-    """Follow the curve of each level; raise `GivenUp` if none reached a fold or the end of the band."""
-    force = None if test.level_key == "drive" or station.force_is_drive else measured_force(station)
-    tone, failures, useless = CurveTone(station, test, force), list[str](), 0
-    yield from tone.measure_noise()
-    for level in test.levels:
-        curve = _Curve(station, test, tone, level)
-        try:
-            yield from curve.follow(tone.start(level))
-        except Lost as loss:
-            failures.append(f"level {level:g}, {len(curve.points)} points: {loss}.")
-            useless += not curve.folds
-        if curve.irregular:
-            irregular = ", ".join(dict.fromkeys(f"{frequency:.5g}" for frequency in curve.irregular))
-            station.warn(
-                f"level {level:g}: the motion does not repeat at {irregular} Hz. These points are omitted. "
-                "Give another level."
-            )
-        if curve.gaps:
-            ends = ", ".join(f"{start:.5g} to {end:.5g}" for start, end in curve.gaps)
-            station.warn(
-                f"level {level:g}: no points from {ends} Hz, where feedback does not hold the motion: "
-                "its period has doubled, or its impacts change. Folds there are missed. Give a smaller test.step."
-            )
-        yield tone.end()
-    if useless == len(test.levels):
-        raise GivenUp(failures[0])
-    for message in failures:
-        station.warn(message)
-    station.report(1.0, "done")
-
-
 class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
     """A tone that follows the response curve of each level."""
 
@@ -425,8 +393,35 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
     duration_ratio = 3.0
 
     def excite(self, station: Station, test: Continuation) -> Excitation:
-        """Yield the drive of the test block by block, and mark the measured intervals."""
-        return excite(station, test)
+        """Follow the curve of each level; raise `GivenUp` if none reached a fold or the end of the band."""
+        force = None if test.level_key == "drive" or station.force_is_drive else measured_force(station)
+        tone, failures, useless = CurveTone(station, test, force), list[str](), 0
+        yield from tone.measure_noise()
+        for level in test.levels:
+            curve = _Curve(station, test, tone, level)
+            try:
+                yield from curve.follow(tone.start(level))
+            except Lost as loss:
+                failures.append(f"level {level:g}, {len(curve.points)} points: {loss}.")
+                useless += not curve.folds
+            if curve.irregular:
+                irregular = ", ".join(dict.fromkeys(f"{frequency:.5g}" for frequency in curve.irregular))
+                station.warn(
+                    f"level {level:g}: the motion does not repeat at {irregular} Hz. These points are omitted. "
+                    "Give another level."
+                )
+            if curve.gaps:
+                ends = ", ".join(f"{start:.5g} to {end:.5g}" for start, end in curve.gaps)
+                station.warn(
+                    f"level {level:g}: no points from {ends} Hz, where feedback does not hold the motion: "
+                    "its period has doubled, or its impacts change. Folds there are missed. Give a smaller test.step."
+                )
+            yield tone.end()
+        if useless == len(test.levels):
+            raise GivenUp(failures[0])
+        for message in failures:
+            station.warn(message)
+        station.report(1.0, "done")
 
     def waits(self, test: Continuation, scene: Scene) -> float:
         """Return the expected time of all points, s; the number of points follows from the linear modes in the band."""

@@ -14,24 +14,19 @@ if TYPE_CHECKING:
 _WINDOW_S = 0.1
 
 
-def excite(station: Station, test: Free) -> Excitation:
-    """Record a free decay."""
-    first, total = station.now, station.samples(test.duration)
-    while (elapsed := station.now - first) < total:
-        yield station.zero_drive(min(station.samples(_WINDOW_S), total - elapsed))
-        elapsed = station.now - first
-        station.report(elapsed / total, f"{elapsed / station.rate:.1f} s of {test.duration:g} s")
-    station.mark("free", first, first + total)
-
-
 class FreeProcedure(Procedure["Free"]):
     """A free decay."""
 
     detection = "start"
 
     def excite(self, station: Station, test: Free) -> Excitation:
-        """Yield the drive of the test block by block, and mark the measured intervals."""
-        return excite(station, test)
+        """Record a free decay."""
+        first, total = station.now, station.samples(test.duration)
+        while (elapsed := station.now - first) < total:
+            yield station.zero_drive(min(station.samples(_WINDOW_S), total - elapsed))
+            elapsed = station.now - first
+            station.report(elapsed / total, f"{elapsed / station.rate:.1f} s of {test.duration:g} s")
+        station.mark("free", first, first + total)
 
 
 PROCEDURE = FreeProcedure()

@@ -32,28 +32,6 @@ _DRIFT_WINDOW_S = 0.5
 _DRIFT_SIGMAS = 4.0
 
 
-def excite(station: Station, test: Impulse) -> Excitation:
-    """Run the impacts of an impact test."""
-    pulses = test.pulses(station.rate)
-    interval, window = (station.samples(time) for time in (test.interval, _WINDOW_S))
-    yield station.zero_drive(station.samples(BASELINE_S))
-    yield from _wait_for_sensors(station)
-    for hit, (pulse, peak) in enumerate(zip(pulses, test.peaks, strict=True), 1):
-        force = np.zeros(interval)
-        force[: pulse.size] = pulse
-        first = station.now
-        # The first window contains the whole pulse, so that the pulse is marked immediately after its end.
-        edges = [0, *range(max(window, pulse.size), interval, window), interval]
-        for start, stop in pairwise(edges):
-            yield station.drive(force[start:stop], "hammer")
-            if start == 0:
-                station.mark(
-                    "hit", first, first + pulse.size, number=hit, body=test.body, peak=peak, width=test.width,
-                    double=test.is_double(hit),
-                )  # fmt: skip
-            station.report((hit - 1 + stop / interval) / test.repeats, f"impact {hit} of {test.repeats}")
-
-
 def _wait_for_sensors(station: Station) -> Excitation:
     """Wait until the bias of the sensors has settled after power-on, so that no reading drifts during an impact."""
     max_samples = round(max((settling_time(info) for info in station.channels), default=0.0) * station.rate)
@@ -121,8 +99,25 @@ class ImpulseProcedure(Procedure["Impulse"]):
     form = Form("hammer", ("level", "interval", "hits"))
 
     def excite(self, station: Station, test: Impulse) -> Excitation:
-        """Yield the drive of the test block by block, and mark the measured intervals."""
-        return excite(station, test)
+        """Run the impacts of an impact test."""
+        pulses = test.pulses(station.rate)
+        interval, window = (station.samples(time) for time in (test.interval, _WINDOW_S))
+        yield station.zero_drive(station.samples(BASELINE_S))
+        yield from _wait_for_sensors(station)
+        for hit, (pulse, peak) in enumerate(zip(pulses, test.peaks, strict=True), 1):
+            force = np.zeros(interval)
+            force[: pulse.size] = pulse
+            first = station.now
+            # The first window contains the whole pulse, so that the pulse is marked immediately after its end.
+            edges = [0, *range(max(window, pulse.size), interval, window), interval]
+            for start, stop in pairwise(edges):
+                yield station.drive(force[start:stop], "hammer")
+                if start == 0:
+                    station.mark(
+                        "hit", first, first + pulse.size, number=hit, body=test.body, peak=peak, width=test.width,
+                        double=test.is_double(hit),
+                    )  # fmt: skip
+                station.report((hit - 1 + stop / interval) / test.repeats, f"impact {hit} of {test.repeats}")
 
     def power_on_wait(self, channels: Sequence[ChannelInfo]) -> float:
         """Return the longest wait before the first impact, s."""

@@ -41,66 +41,6 @@ _EQUALIZING_S = 8.0
 _MIN_NOISE_RATIO = 0.9
 
 
-def excite(station: Station, test: Multisine) -> Excitation:
-    """Run a multisine test; each experiment is marked with its settling (`settle`) and its periods (`measure`)."""
-    period = station.samples(test.period_s)
-    lines = lines_between(test.from_, test.to, period, station.rate)
-    if test.period is None:
-        lines = lines[: test.lines or 2]
-    random, shakers = station.generator("multisine"), station.shakers
-    present_waves = np.zeros((len(shakers), period))
-    amplitudes, force = equal_amplitudes(station.level, lines), controlled(station)
-    for realisation in range(1, test.realisations + 1):
-        phases = [random.uniform(0.0, 2 * np.pi, lines.size)]
-        if force is not None and realisation == 1:
-            amplitudes, _, present_waves[0] = yield from equalize(station, force, lines, period, phases[0])
-        for number in shakers[1:]:
-            generator = station.generator(f"multisine {number} {realisation}")
-            phases.append(generator.uniform(0.0, 2 * np.pi, lines.size))
-        for experiment in range(len(shakers)):
-            # Orthogonal multisines: from experiment to experiment the phases of shaker k increase by 2 pi k / shakers.
-            phase_step = 2.0 * np.pi * experiment / len(shakers)
-            waves = np.stack(
-                [sum_of_tones(lines, amplitudes, phase + phase_step * k, period) for k, phase in enumerate(phases)]
-            )
-            factor = min(limit_factor(station, wave) for wave in waves)
-            experiment_fields: dict[str, object] = {}  # fields of the marker
-            message = f"realization {realisation} of {test.realisations}"
-            if len(shakers) > 1:
-                experiment_fields = {"experiment": experiment, "shakers": list(shakers)}
-                message += f", experiment {experiment + 1} of {len(shakers)}"
-            if factor < 1.0:
-                station.warn(
-                    f"{message}: the amplifier delivers only {format_percent(factor)} of the drive that the level "
-                    "requires. Lower the level of the test."
-                )
-            waves *= factor
-            fraction = (realisation - 1 + experiment / len(shakers)) / test.realisations
-            station.report(fraction, f"{message}, settling")
-            first = station.now
-            yield station.drives(np.stack([crossfade(a, b) for a, b in zip(present_waves, waves, strict=True)]))
-            settled = yield from _settle(station, waves)
-            station.mark("settle", first, station.now, realisation=realisation, settled=settled)
-            if not settled:
-                max_wait_s = _max_wait(station, period) / station.rate
-                station.warn(
-                    f"{message}: the response did not become periodic within {max_wait_s:g} s. These periods are "
-                    "marked as not settled. Choose another level."
-                )
-            first, n_experiments = station.now, test.realisations * len(shakers)
-            for period_index in range(test.periods):
-                station.report(
-                    fraction + period_index / test.periods / n_experiments, f"{message}, period {period_index + 1}"
-                )
-                yield station.drives(waves)
-            station.mark(
-                "measure", first, station.now, realisation=realisation, **experiment_fields, period=period,
-                periods=test.periods, lines=[int(lines[0]), int(lines[-1])], level=station.level, settled=settled,
-            )  # fmt: skip
-            present_waves = waves
-    yield station.drives(np.stack([crossfade(wave, np.zeros(period)) for wave in present_waves]))
-
-
 def _settle(station: Station, waves: Array) -> Generator[Array, Array, bool]:
     """Output periods until successive readings agree or differ only by noise; return whether they do."""
     end = station.now + _max_wait(station, waves.shape[1])
@@ -132,8 +72,64 @@ class MultisineProcedure(Procedure["Multisine"]):
     budget = 4.0
 
     def excite(self, station: Station, test: Multisine) -> Excitation:
-        """Yield the drive of the test block by block, and mark the measured intervals."""
-        return excite(station, test)
+        """Run a multisine test; each experiment is marked with its settling (`settle`) and its periods (`measure`)."""
+        period = station.samples(test.period_s)
+        lines = lines_between(test.from_, test.to, period, station.rate)
+        if test.period is None:
+            lines = lines[: test.lines or 2]
+        random, shakers = station.generator("multisine"), station.shakers
+        present_waves = np.zeros((len(shakers), period))
+        amplitudes, force = equal_amplitudes(station.level, lines), controlled(station)
+        for realisation in range(1, test.realisations + 1):
+            phases = [random.uniform(0.0, 2 * np.pi, lines.size)]
+            if force is not None and realisation == 1:
+                amplitudes, _, present_waves[0] = yield from equalize(station, force, lines, period, phases[0])
+            for number in shakers[1:]:
+                generator = station.generator(f"multisine {number} {realisation}")
+                phases.append(generator.uniform(0.0, 2 * np.pi, lines.size))
+            for experiment in range(len(shakers)):
+                # Orthogonal multisines: from experiment to experiment, the phases of shaker k increase by
+                # 2 pi k / shakers.
+                phase_step = 2.0 * np.pi * experiment / len(shakers)
+                waves = np.stack(
+                    [sum_of_tones(lines, amplitudes, phase + phase_step * k, period) for k, phase in enumerate(phases)]
+                )
+                factor = min(limit_factor(station, wave) for wave in waves)
+                experiment_fields: dict[str, object] = {}  # fields of the marker
+                message = f"realization {realisation} of {test.realisations}"
+                if len(shakers) > 1:
+                    experiment_fields = {"experiment": experiment, "shakers": list(shakers)}
+                    message += f", experiment {experiment + 1} of {len(shakers)}"
+                if factor < 1.0:
+                    station.warn(
+                        f"{message}: the amplifier delivers only {format_percent(factor)} of the drive that the level "
+                        "requires. Lower the level of the test."
+                    )
+                waves *= factor
+                fraction = (realisation - 1 + experiment / len(shakers)) / test.realisations
+                station.report(fraction, f"{message}, settling")
+                first = station.now
+                yield station.drives(np.stack([crossfade(a, b) for a, b in zip(present_waves, waves, strict=True)]))
+                settled = yield from _settle(station, waves)
+                station.mark("settle", first, station.now, realisation=realisation, settled=settled)
+                if not settled:
+                    max_wait_s = _max_wait(station, period) / station.rate
+                    station.warn(
+                        f"{message}: the response did not become periodic within {max_wait_s:g} s. These periods are "
+                        "marked as not settled. Choose another level."
+                    )
+                first, n_experiments = station.now, test.realisations * len(shakers)
+                for period_index in range(test.periods):
+                    station.report(
+                        fraction + period_index / test.periods / n_experiments, f"{message}, period {period_index + 1}"
+                    )
+                    yield station.drives(waves)
+                station.mark(
+                    "measure", first, station.now, realisation=realisation, **experiment_fields, period=period,
+                    periods=test.periods, lines=[int(lines[0]), int(lines[-1])], level=station.level, settled=settled,
+                )  # fmt: skip
+                present_waves = waves
+        yield station.drives(np.stack([crossfade(wave, np.zeros(period)) for wave in present_waves]))
 
     def noise_gain(self, test: Multisine, frequency: Array) -> Array:
         """Return the gain of a line over the measured periods of a realization."""

@@ -103,59 +103,6 @@ class _PhaseTone(SteadyTone):
         return (yield from self.window_of(whole_periods(self.frequency, self.rate, samples / self.rate)))
 
 
-def excite(station: Station, test: PhaseResonance) -> Excitation:
-    """Lock the phase at each level, and measure at constant frequency; raise `GivenUp` without any lock."""
-    tone, failures = _PhaseTone(station, test), list[str]()
-    frequency, drive = test.frequency, 0.0
-    for number, level in enumerate(test.levels):
-        station.report(number / len(test.levels), f"level {level:g}, {format_decimals(tone.frequency, 3)} Hz")
-        first_drive = tone.start(level)
-        drive = first_drive if not number or not station.is_controlled else drive * level / test.levels[number - 1]
-        first = station.now
-        yield station.drive(tone.transition(station.samples(TRANSITION_S), frequency, drive))
-        locked = False
-        for _ in range(_MAX_DRIVES):
-            locked, force = yield from tone.lock()
-            if not locked or tone.control is None or tone.control.is_at_level(abs(force)):
-                break
-            locked, drive = False, tone.control.next_drive(tone.amplitude, abs(force))
-            yield station.drive(tone.transition(station.samples(TRANSITION_S), tone.frequency, drive))
-        measured = None
-        fields: dict[str, Any] = {"level": level, "direction": "up"}
-        begin = station.now
-        station.mark("settle", first, begin, drive=tone.amplitude, settled=locked, frequency=tone.frequency, **fields)
-        for attempt in range(_MAX_LOCKS):
-            begin = station.now
-            measured = yield from tone.measure_phase(round(test.measure.periods * station.rate / tone.frequency))
-            within = abs(tone.loop.error(measured.phase)) <= test.tolerance
-            if not locked or within or attempt == _MAX_LOCKS - 1:
-                locked = locked and within
-                break
-            locked, _ = yield from tone.lock()
-        assert measured is not None
-        station.mark(
-            "measure",
-            begin,
-            station.now,
-            drive=tone.amplitude,
-            force=abs(measured.force),
-            settled=locked,
-            frequency=tone.frequency,
-            phase=measured.phase,
-            **fields,
-        )
-        if locked:
-            frequency, drive = tone.frequency, tone.amplitude
-        else:
-            failures.append(_failure(station, test, tone, level, measured))
-    yield tone.end()
-    if len(failures) == len(test.levels):
-        raise GivenUp(failures[0])
-    for message in failures:
-        station.warn(message)
-    station.report(1.0, "done")
-
-
 def _failure(station: Station, test: PhaseResonance, tone: _PhaseTone, level: float, measured: _Window) -> str:
     """Describe why a level has no lock."""
     quantity = measured_force(station)
@@ -179,8 +126,58 @@ class PhaseResonanceProcedure(SteadyTonesProcedure["PhaseResonance"]):
     duration_ratio = 2.0
 
     def excite(self, station: Station, test: PhaseResonance) -> Excitation:
-        """Yield the drive of the test block by block, and mark the measured intervals."""
-        return excite(station, test)
+        """Lock the phase at each level, and measure at constant frequency; raise `GivenUp` without any lock."""
+        tone, failures = _PhaseTone(station, test), list[str]()
+        frequency, drive = test.frequency, 0.0
+        for number, level in enumerate(test.levels):
+            station.report(number / len(test.levels), f"level {level:g}, {format_decimals(tone.frequency, 3)} Hz")
+            first_drive = tone.start(level)
+            drive = first_drive if not number or not station.is_controlled else drive * level / test.levels[number - 1]
+            first = station.now
+            yield station.drive(tone.transition(station.samples(TRANSITION_S), frequency, drive))
+            locked = False
+            for _ in range(_MAX_DRIVES):
+                locked, force = yield from tone.lock()
+                if not locked or tone.control is None or tone.control.is_at_level(abs(force)):
+                    break
+                locked, drive = False, tone.control.next_drive(tone.amplitude, abs(force))
+                yield station.drive(tone.transition(station.samples(TRANSITION_S), tone.frequency, drive))
+            measured = None
+            fields: dict[str, Any] = {"level": level, "direction": "up"}
+            begin = station.now
+            station.mark(
+                "settle", first, begin, drive=tone.amplitude, settled=locked, frequency=tone.frequency, **fields
+            )
+            for attempt in range(_MAX_LOCKS):
+                begin = station.now
+                measured = yield from tone.measure_phase(round(test.measure.periods * station.rate / tone.frequency))
+                within = abs(tone.loop.error(measured.phase)) <= test.tolerance
+                if not locked or within or attempt == _MAX_LOCKS - 1:
+                    locked = locked and within
+                    break
+                locked, _ = yield from tone.lock()
+            assert measured is not None
+            station.mark(
+                "measure",
+                begin,
+                station.now,
+                drive=tone.amplitude,
+                force=abs(measured.force),
+                settled=locked,
+                frequency=tone.frequency,
+                phase=measured.phase,
+                **fields,
+            )
+            if locked:
+                frequency, drive = tone.frequency, tone.amplitude
+            else:
+                failures.append(_failure(station, test, tone, level, measured))
+        yield tone.end()
+        if len(failures) == len(test.levels):
+            raise GivenUp(failures[0])
+        for message in failures:
+            station.warn(message)
+        station.report(1.0, "done")
 
     def waits(self, test: PhaseResonance, scene: Scene) -> float:
         """Return the expected time of all locks, s."""

@@ -26,63 +26,6 @@ _BLOCK_S = 8.0
 _EDGE_S = 0.02
 
 
-def excite(station: Station, test: Random) -> Excitation:
-    """Run a random test: white noise is filtered to a flat force spectrum in the band, and multiplied by the bursts."""
-    period = station.samples(_FILTER_S)
-    lines = lines_between(test.from_, test.to, period, station.rate)
-    level = station.level
-    generator = station.generator("random")
-    amplitudes, gains = equal_amplitudes(level, lines), np.ones(lines.size)
-    force = controlled(station)
-    if force is not None:
-        phases = generator.uniform(0.0, 2 * np.pi, lines.size)
-        amplitudes, gains, wave = yield from equalize(station, force, lines, period, phases)
-        yield station.drive(wave * (1 + np.cos(np.pi * np.arange(period) / period)) / 2)
-    total = station.samples(test.duration)
-    block = min(total, station.samples(_BLOCK_S))
-    envelope = _burst_envelope(block, test.burst, station.samples(_EDGE_S))
-    first, completed, clipped = station.now, 0, 0
-    # For speed, white noise is drawn at a lower rate than the drive rate: at least four times the highest frequency.
-    max_divisor = max(1, period // (4 * int(lines[-1])))
-    rate_divisor = next(divisor for divisor in range(max_divisor, 0, -1) if period % divisor == 0)
-    length = rate_divisor * next_fast_len(-(-(2 * period - 1) // rate_divisor), real=True)  # rounded up
-    impulse_response = shaping_filter(lines, amplitudes, gains, level, period)
-    spectrum = rfft(impulse_response, length)[: length // rate_divisor // 2 + 1] * np.sqrt(rate_divisor)
-    sources = [generator, *(station.generator(f"random {number}") for number in station.shakers[1:])]
-
-    def shaped_noise() -> Array:
-        """Return a period of noise and its tail, shape (shakers, 2 period - 1)."""
-        white = [rfft(source.standard_normal(period // rate_divisor), length // rate_divisor) for source in sources]
-        return np.asarray([irfft(source * spectrum, length)[: 2 * period - 1] for source in white])
-
-    tails = shaped_noise()[:, period:]
-    fields: dict[str, object] = {"from": test.from_, "to": test.to}
-    if test.burst is not None:
-        fields |= {"burst": test.burst, "block": block}
-    if len(station.shakers) > 1:
-        fields["shakers"] = list(station.shakers)
-    try:
-        while completed < total:
-            # Overlap-add convolution makes the noise continuous across windows.
-            shaped = shaped_noise()
-            shaped[:, : tails.shape[1]] += tails
-            wave, tails = shaped[:, :period], shaped[:, period:]
-            n_samples = min(period, total - completed)
-            samples = np.arange(completed, completed + n_samples)
-            wave = wave[:, :n_samples] * envelope[samples % block]
-            wave *= np.minimum(1.0, np.minimum(samples, total - 1 - samples) / station.samples(_EDGE_S))
-            clipped += int(np.sum((abs(wave) > station.drive_limit).any(axis=0)))
-            yield station.drives(np.clip(wave, -station.drive_limit, station.drive_limit))
-            completed += n_samples
-            station.report(completed / total, f"{completed / station.rate:.0f} s of {test.duration:g} s")
-    finally:
-        # The measurement is marked even if the test ends early.
-        if completed:
-            station.mark("measure", first, first + completed, level=level, **fields)
-    if clipped:
-        station.warn(f"the amplifier's limit clipped {clipped} of {total} drive samples. Lower the level.")
-
-
 def shaping_filter(lines: Lines, amplitudes: Array, gains: Array, level: float, period: int) -> Array:
     """Return the impulse response (period,) from white noise of unit variance to the required drive.
 
@@ -122,8 +65,60 @@ class RandomProcedure(Procedure["Random"]):
     form = Form("random", ("level", "low", "high", "duration"))
 
     def excite(self, station: Station, test: Random) -> Excitation:
-        """Yield the drive of the test block by block, and mark the measured intervals."""
-        return excite(station, test)
+        """Run a random test: white noise, filtered to a flat force spectrum in the band, times the bursts."""
+        period = station.samples(_FILTER_S)
+        lines = lines_between(test.from_, test.to, period, station.rate)
+        level = station.level
+        generator = station.generator("random")
+        amplitudes, gains = equal_amplitudes(level, lines), np.ones(lines.size)
+        force = controlled(station)
+        if force is not None:
+            phases = generator.uniform(0.0, 2 * np.pi, lines.size)
+            amplitudes, gains, wave = yield from equalize(station, force, lines, period, phases)
+            yield station.drive(wave * (1 + np.cos(np.pi * np.arange(period) / period)) / 2)
+        total = station.samples(test.duration)
+        block = min(total, station.samples(_BLOCK_S))
+        envelope = _burst_envelope(block, test.burst, station.samples(_EDGE_S))
+        first, completed, clipped = station.now, 0, 0
+        # For speed, white noise is drawn at less than the drive rate: at least four times the highest frequency.
+        max_divisor = max(1, period // (4 * int(lines[-1])))
+        rate_divisor = next(divisor for divisor in range(max_divisor, 0, -1) if period % divisor == 0)
+        length = rate_divisor * next_fast_len(-(-(2 * period - 1) // rate_divisor), real=True)  # rounded up
+        impulse_response = shaping_filter(lines, amplitudes, gains, level, period)
+        spectrum = rfft(impulse_response, length)[: length // rate_divisor // 2 + 1] * np.sqrt(rate_divisor)
+        sources = [generator, *(station.generator(f"random {number}") for number in station.shakers[1:])]
+
+        def shaped_noise() -> Array:
+            """Return a period of noise and its tail, shape (shakers, 2 period - 1)."""
+            white = [rfft(source.standard_normal(period // rate_divisor), length // rate_divisor) for source in sources]
+            return np.asarray([irfft(source * spectrum, length)[: 2 * period - 1] for source in white])
+
+        tails = shaped_noise()[:, period:]
+        fields: dict[str, object] = {"from": test.from_, "to": test.to}
+        if test.burst is not None:
+            fields |= {"burst": test.burst, "block": block}
+        if len(station.shakers) > 1:
+            fields["shakers"] = list(station.shakers)
+        try:
+            while completed < total:
+                # Overlap-add convolution makes the noise continuous across windows.
+                shaped = shaped_noise()
+                shaped[:, : tails.shape[1]] += tails
+                wave, tails = shaped[:, :period], shaped[:, period:]
+                n_samples = min(period, total - completed)
+                samples = np.arange(completed, completed + n_samples)
+                wave = wave[:, :n_samples] * envelope[samples % block]
+                wave *= np.minimum(1.0, np.minimum(samples, total - 1 - samples) / station.samples(_EDGE_S))
+                clipped += int(np.sum((abs(wave) > station.drive_limit).any(axis=0)))
+                yield station.drives(np.clip(wave, -station.drive_limit, station.drive_limit))
+                completed += n_samples
+                station.report(completed / total, f"{completed / station.rate:.0f} s of {test.duration:g} s")
+        finally:
+            # The measurement is marked even if the test ends early.
+            if completed:
+                station.mark("measure", first, first + completed, level=level, **fields)
+        if clipped:
+            station.warn(f"the amplifier's limit clipped {clipped} of {total} drive samples. Lower the level.")
 
     def noise_gain(self, test: Random, frequency: Array) -> Array:
         """Return the gain of the density of the drive."""

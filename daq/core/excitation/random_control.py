@@ -122,52 +122,6 @@ class SpectrumControl:
         return np.asarray(required.min(axis=0))
 
 
-def excite(station: Station, test: RandomControl) -> Excitation:
-    """Run the levels of the ramp (marked `ramp`), and the full level (marked `measure` and `tolerance`)."""
-    for message in line_warnings(test.prescription, station.scene, station.channels):
-        station.warn(message)
-    control = SpectrumControl(station, test)
-    yield from control.identify()
-    averages = min(_FIRST_AVERAGES, test.averages)
-    for level in test.ramp:
-        first, updates = station.now, 0
-        while True:
-            share = yield from _step(control, level, averages)
-            updates += 1
-            if share >= _MIN_WITHIN and station.now - first >= station.samples(test.hold):
-                break
-            if updates >= _MAX_UPDATES and share < _MIN_WITHIN:
-                raise GivenUp(
-                    f"at {level:g} dB only {100 * share:.0f} % of the lines are within {test.tolerance:g} dB after "
-                    f"{updates} updates. Give more lines, or widen the tolerance."
-                )
-        station.mark("ramp", first, station.now, level=level, within=round(share, 3))
-    first, end, count = station.now, station.now + station.samples(test.duration), averages
-    fields = {"from": test.band[0], "to": test.band[1], "level": test.rms()}
-    try:
-        while station.now < end:
-            start, remaining = station.now, -(-(end - station.now) // (control.period // 2))
-            if remaining < _FIRST_AVERAGES:
-                yield from control.run(0.0, remaining)
-                break
-            yield from _step(control, 0.0, min(count, remaining))
-            station.mark("tolerance", start, station.now, outside=control.outside, worst=round(control.worst, 2))
-            count = min(2 * count, test.averages)
-    finally:
-        # The measurement is marked even if the test ends early.
-        if station.now > first:
-            station.mark("measure", first, station.now, **fields)
-    half = control.source.next_half(0.0 * control.drive)
-    yield station.drive(half)
-    if control.outside:
-        station.warn(
-            f"{control.outside} of {control.lines.size} lines are outside the tolerance of {test.tolerance:g} dB "
-            f"(worst {control.worst:+.1f} dB). Give more lines, or a longer test."
-        )
-    if control.clipped > 1e-4 * control.total:
-        station.warn(f"the output clipped {control.clipped} drive samples. Lower the profile.")
-
-
 def _step(control: SpectrumControl, level: float, averages: int) -> Generator[Array, Array, float]:
     """Output noise, assess its densities and update the drive; return the fraction of lines within the tolerance."""
     test, station = control.test, control.station
@@ -186,8 +140,49 @@ class RandomControlProcedure(Procedure["RandomControl"]):
     form = Form("random control of the scene", ())
 
     def excite(self, station: Station, test: RandomControl) -> Excitation:
-        """Yield the drive of the test block by block, and mark the measured intervals."""
-        return excite(station, test)
+        """Run the levels of the ramp (marked `ramp`), and the full level (marked `measure` and `tolerance`)."""
+        for message in line_warnings(test.prescription, station.scene, station.channels):
+            station.warn(message)
+        control = SpectrumControl(station, test)
+        yield from control.identify()
+        averages = min(_FIRST_AVERAGES, test.averages)
+        for level in test.ramp:
+            first, updates = station.now, 0
+            while True:
+                share = yield from _step(control, level, averages)
+                updates += 1
+                if share >= _MIN_WITHIN and station.now - first >= station.samples(test.hold):
+                    break
+                if updates >= _MAX_UPDATES and share < _MIN_WITHIN:
+                    raise GivenUp(
+                        f"at {level:g} dB only {100 * share:.0f} % of the lines are within {test.tolerance:g} dB after "
+                        f"{updates} updates. Give more lines, or widen the tolerance."
+                    )
+            station.mark("ramp", first, station.now, level=level, within=round(share, 3))
+        first, end, count = station.now, station.now + station.samples(test.duration), averages
+        fields = {"from": test.band[0], "to": test.band[1], "level": test.rms()}
+        try:
+            while station.now < end:
+                start, remaining = station.now, -(-(end - station.now) // (control.period // 2))
+                if remaining < _FIRST_AVERAGES:
+                    yield from control.run(0.0, remaining)
+                    break
+                yield from _step(control, 0.0, min(count, remaining))
+                station.mark("tolerance", start, station.now, outside=control.outside, worst=round(control.worst, 2))
+                count = min(2 * count, test.averages)
+        finally:
+            # The measurement is marked even if the test ends early.
+            if station.now > first:
+                station.mark("measure", first, station.now, **fields)
+        half = control.source.next_half(0.0 * control.drive)
+        yield station.drive(half)
+        if control.outside:
+            station.warn(
+                f"{control.outside} of {control.lines.size} lines are outside the tolerance of {test.tolerance:g} dB "
+                f"(worst {control.worst:+.1f} dB). Give more lines, or a longer test."
+            )
+        if control.clipped > 1e-4 * control.total:
+            station.warn(f"the output clipped {control.clipped} drive samples. Lower the profile.")
 
     def check(self, test: RandomControl, scene: Scene, channels: Sequence[ChannelInfo]) -> Iterable[str]:
         """Name lines that are too coarse, limits that end early, and what precedes the full level."""

@@ -36,41 +36,6 @@ _GROWTH = 1.2
 _REST = 0.25
 
 
-def excite(station: Station, test: Shock) -> Excitation:
-    """Run practice pulses (marked `practice`) and shocks (marked `shock`)."""
-    period = station.samples(test.interval)
-    pulse = _pulse(test, period, station.rate)
-    lines = lines_between(pulse.band[0], min(pulse.band[1], _BAND_RATIO * station.rate), period, station.rate)
-    row = station.row_of(test.control)
-    required = np.asarray(abs(np.fft.rfft(pulse.target)[lines]) * (2.0 / period))
-    identified = yield from identify(station, [row], lines, period, required, np.full(1, np.inf), "shock")
-    gain = np.where(identified.coherence[0] >= MIN_COHERENCE, identified.gain[0], 0.0)
-    replication = Replication(pulse.target, lines, gain)
-    _check_drive(station, replication, test)
-    levels, n_practice = list(test.practice), max(_MAX_PRACTICE, len(test.practice))
-    total, number, is_within, message, deviations = n_practice + test.repeats, 0, False, "", list[float]()
-    while levels or not is_within:
-        if number == n_practice:
-            raise GivenUp(f"after {number} practice pulses {message}. {_remedy(deviations)}")
-        level = levels.pop(0) if levels else test.practice[-1]
-        number += 1
-        station.report(number / total, f"practice pulse {number} at {level:g} dB")
-        deviation, message = yield from _run_pulse(station, test, replication, pulse, level, "practice", number)
-        deviations.append(deviation)
-        is_within = deviation <= pulse.tolerance
-        _check_drive(station, replication, test)
-    outside = []
-    for number in range(1, test.repeats + 1):
-        station.report((n_practice + number) / total, f"shock {number} of {test.repeats}")
-        deviation, message = yield from _run_pulse(station, test, replication, pulse, 0.0, "shock", number)
-        deviations.append(deviation)
-        if deviation > pulse.tolerance:
-            outside.append(f"shock {number}: {message}")
-    yield station.zero_drive(station.samples(_REST * test.interval))
-    if outside:
-        station.warn(f"{'; '.join(outside)}. {_remedy(deviations)}")
-
-
 def _remedy(deviations: Sequence[float]) -> str:
     """Return what to do about pulses with these deviations, in their order."""
     if deviations[-1] > _GROWTH * deviations[0]:
@@ -127,8 +92,38 @@ class ShockProcedure(Procedure["Shock"]):
     form = Form("shock of the scene", ())
 
     def excite(self, station: Station, test: Shock) -> Excitation:
-        """Yield the drive of the test block by block, and mark the measured intervals."""
-        return excite(station, test)
+        """Run practice pulses (marked `practice`) and shocks (marked `shock`)."""
+        period = station.samples(test.interval)
+        pulse = _pulse(test, period, station.rate)
+        lines = lines_between(pulse.band[0], min(pulse.band[1], _BAND_RATIO * station.rate), period, station.rate)
+        row = station.row_of(test.control)
+        required = np.asarray(abs(np.fft.rfft(pulse.target)[lines]) * (2.0 / period))
+        identified = yield from identify(station, [row], lines, period, required, np.full(1, np.inf), "shock")
+        gain = np.where(identified.coherence[0] >= MIN_COHERENCE, identified.gain[0], 0.0)
+        replication = Replication(pulse.target, lines, gain)
+        _check_drive(station, replication, test)
+        levels, n_practice = list(test.practice), max(_MAX_PRACTICE, len(test.practice))
+        total, number, is_within, message, deviations = n_practice + test.repeats, 0, False, "", list[float]()
+        while levels or not is_within:
+            if number == n_practice:
+                raise GivenUp(f"after {number} practice pulses {message}. {_remedy(deviations)}")
+            level = levels.pop(0) if levels else test.practice[-1]
+            number += 1
+            station.report(number / total, f"practice pulse {number} at {level:g} dB")
+            deviation, message = yield from _run_pulse(station, test, replication, pulse, level, "practice", number)
+            deviations.append(deviation)
+            is_within = deviation <= pulse.tolerance
+            _check_drive(station, replication, test)
+        outside = []
+        for number in range(1, test.repeats + 1):
+            station.report((n_practice + number) / total, f"shock {number} of {test.repeats}")
+            deviation, message = yield from _run_pulse(station, test, replication, pulse, 0.0, "shock", number)
+            deviations.append(deviation)
+            if deviation > pulse.tolerance:
+                outside.append(f"shock {number}: {message}")
+        yield station.zero_drive(station.samples(_REST * test.interval))
+        if outside:
+            station.warn(f"{'; '.join(outside)}. {_remedy(deviations)}")
 
     def waits(self, test: Shock, scene: Scene) -> float:
         """Return the expected time of the identification, and of the rest at the end, s."""

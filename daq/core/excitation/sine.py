@@ -26,35 +26,6 @@ _TOLERANCE = 1e-3
 _MAX_WAIT_S = 60.0
 
 
-def excite(station: Station, test: Sine) -> Excitation:
-    """Run a tone of constant frequency; mark the measurement.
-
-    With a controlled spring force, the duration of the test begins when the force is steady at its level. In open loop
-    it begins with the first sample, at full amplitude.
-    """
-    tone, level = SteadyTone(station, test.frequency, controlled(station)), station.level
-    if station.is_controlled:
-        settle = Settle(tolerance=_TOLERANCE, longest=_MAX_WAIT_S)
-        yield from tone.run([[test.frequency]], [level], settle, [test.duration])
-        return
-    # In open loop, the level is the amplitude of the drive.
-    tone.amplitude = level
-    detector = Settling(_TOLERANCE)
-    window = whole_periods(test.frequency, station.rate, WINDOW_S)
-    first, total, steady_from = station.now, station.samples(test.duration), None
-    while (remaining := first + total - station.now) > 0:
-        station.report((total - remaining) / total, f"{format_decimals(test.frequency, 2)} Hz, level {level:g}")
-        n_samples, phase = min(window, remaining), tone.phase
-        readings = yield station.drive(tone.hold(n_samples))
-        if n_samples == window and steady_from is None:
-            detector.add(tone.amplitudes(readings, [phase])[0])
-            steady_from = station.now if detector.settled else None
-    settled = steady_from is not None and station.now - steady_from >= window
-    # Without a steady state, the second half of the test is measured.
-    begin = steady_from if settled else first + total // 2
-    station.mark("measure", begin, station.now, frequency=test.frequency, level=level, drive=level, settled=settled)
-
-
 class SineProcedure(Procedure["Sine"]):
     """A tone of constant frequency."""
 
@@ -62,8 +33,32 @@ class SineProcedure(Procedure["Sine"]):
     form = Form("sine", ("level", "frequency"), adjustable=True)
 
     def excite(self, station: Station, test: Sine) -> Excitation:
-        """Yield the drive of the test block by block, and mark the measured intervals."""
-        return excite(station, test)
+        """Run a tone of constant frequency; mark the measurement.
+
+        With a controlled spring force, the duration of the test begins when the force is steady at its level. In open
+        loop it begins with the first sample, at full amplitude.
+        """
+        tone, level = SteadyTone(station, test.frequency, controlled(station)), station.level
+        if station.is_controlled:
+            settle = Settle(tolerance=_TOLERANCE, longest=_MAX_WAIT_S)
+            yield from tone.run([[test.frequency]], [level], settle, [test.duration])
+            return
+        # In open loop, the level is the amplitude of the drive.
+        tone.amplitude = level
+        detector = Settling(_TOLERANCE)
+        window = whole_periods(test.frequency, station.rate, WINDOW_S)
+        first, total, steady_from = station.now, station.samples(test.duration), None
+        while (remaining := first + total - station.now) > 0:
+            station.report((total - remaining) / total, f"{format_decimals(test.frequency, 2)} Hz, level {level:g}")
+            n_samples, phase = min(window, remaining), tone.phase
+            readings = yield station.drive(tone.hold(n_samples))
+            if n_samples == window and steady_from is None:
+                detector.add(tone.amplitudes(readings, [phase])[0])
+                steady_from = station.now if detector.settled else None
+        settled = steady_from is not None and station.now - steady_from >= window
+        # Without a steady state, the second half of the test is measured.
+        begin = steady_from if settled else first + total // 2
+        station.mark("measure", begin, station.now, frequency=test.frequency, level=level, drive=level, settled=settled)
 
     def noise_gain(self, test: Sine, frequency: Array) -> Array:
         """Return the gain of a lock-in measurement over the duration."""

@@ -189,59 +189,6 @@ class SineSweep:
         return observation
 
 
-def excite(station: Station, test: SineControl) -> Excitation:
-    """Run the sweep.
-
-    Markers: `measure` for the sweep, `tolerance` for deviations, `notch` for bands in which a limit sets the drive.
-    """
-    warning = check_sweep(test, station.scene, station.channels, station.latency / station.rate).warning
-    if warning:
-        station.warn(warning)
-    sweep, period = SineSweep(station, test), station.samples(_identification_seconds(test))
-    low, high = widened(test)
-    highest = max(test.band[1], min(high, _HIGHEST_RATIO * station.rate))
-    lines = lines_between(low, highest, period, station.rate)
-    frequency = lines * station.rate / period
-    inside = in_band(test, frequency)
-    # The sum of the tones in the band is as large as the profile.
-    required = np.where(inside, test.profile.at(frequency), 0.0) / np.sqrt(np.sum(inside))
-    largest = [np.nanmin(limit.at(frequency[inside]), initial=np.inf) / np.sqrt(2.0) for limit in test.limits]
-    limits = np.array(
-        [np.inf] * len(test.control.channels) + [value if np.isfinite(value) else np.inf for value in largest]
-    )
-    found = yield from identify(station, sweep.rows, lines, period, required, limits, "sine control")
-    first, target = station.now, sweep.first_drive(found, period)
-    samples = _window_samples(test.from_, station.rate)
-    rise = -(-station.samples(_RISE_S) // samples)
-    for k in range(rise):
-        yield from sweep.window(samples, test.from_, target * (k + 1) / rise)
-    settled_windows = 0
-    while settled_windows < _START_WINDOWS and station.now < first + station.samples(_MAX_START_S):
-        station.report(0.0, f"settling at {format_decimals(test.from_, 2)} Hz")
-        at_start = yield from sweep.step(test.from_, samples)
-        reached = at_start is not None and (at_start.limiting >= 0 or abs(at_start.deviation) < _START_DB)
-        settled_windows = settled_windows + 1 if reached else 0
-    station.mark("settle", first, station.now, frequency=test.from_, settled=settled_windows >= _START_WINDOWS)
-    first = station.now
-    try:
-        while sweep.completed < sweep.total:
-            now_at = float(test.frequency_at(sweep.completed / sweep.total))
-            samples = min(sweep.total - sweep.completed, _window_samples(now_at, station.rate))
-            observation = yield from sweep.step(now_at, samples)
-            sweep.completed += samples
-            if observation is not None:
-                sweep.observations.append(observation)
-            station.report(sweep.completed / sweep.total, f"{format_decimals(now_at, 2)} Hz")
-    finally:
-        # The measurement is marked even if the test ends early.
-        if station.now > first:
-            _mark(sweep, first)
-    fall = station.samples(_RISE_S)
-    yield from sweep.window(fall, test.to, 0.0)
-    if sweep.limited:
-        station.warn("the output limited the drive, so that the profile was not reached. Lower the profile.")
-
-
 def _mark(sweep: SineSweep, first: int) -> None:
     """Mark the sweep, its deviations from the profile, and the bands in which a limit determines the drive."""
     station, test, seen = sweep.station, sweep.test, sweep.observations
@@ -286,8 +233,56 @@ class SineControlProcedure(Procedure["SineControl"]):
     form = Form("sine control of the scene", ())
 
     def excite(self, station: Station, test: SineControl) -> Excitation:
-        """Yield the drive of the test block by block, and mark the measured intervals."""
-        return excite(station, test)
+        """Run the sweep.
+
+        Markers: `measure` for the sweep, `tolerance` for deviations, `notch` for bands in which a limit sets the drive.
+        """
+        warning = check_sweep(test, station.scene, station.channels, station.latency / station.rate).warning
+        if warning:
+            station.warn(warning)
+        sweep, period = SineSweep(station, test), station.samples(_identification_seconds(test))
+        low, high = widened(test)
+        highest = max(test.band[1], min(high, _HIGHEST_RATIO * station.rate))
+        lines = lines_between(low, highest, period, station.rate)
+        frequency = lines * station.rate / period
+        inside = in_band(test, frequency)
+        # The sum of the tones in the band is as large as the profile.
+        required = np.where(inside, test.profile.at(frequency), 0.0) / np.sqrt(np.sum(inside))
+        largest = [np.nanmin(limit.at(frequency[inside]), initial=np.inf) / np.sqrt(2.0) for limit in test.limits]
+        limits = np.array(
+            [np.inf] * len(test.control.channels) + [value if np.isfinite(value) else np.inf for value in largest]
+        )
+        found = yield from identify(station, sweep.rows, lines, period, required, limits, "sine control")
+        first, target = station.now, sweep.first_drive(found, period)
+        samples = _window_samples(test.from_, station.rate)
+        rise = -(-station.samples(_RISE_S) // samples)
+        for k in range(rise):
+            yield from sweep.window(samples, test.from_, target * (k + 1) / rise)
+        settled_windows = 0
+        while settled_windows < _START_WINDOWS and station.now < first + station.samples(_MAX_START_S):
+            station.report(0.0, f"settling at {format_decimals(test.from_, 2)} Hz")
+            at_start = yield from sweep.step(test.from_, samples)
+            reached = at_start is not None and (at_start.limiting >= 0 or abs(at_start.deviation) < _START_DB)
+            settled_windows = settled_windows + 1 if reached else 0
+        station.mark("settle", first, station.now, frequency=test.from_, settled=settled_windows >= _START_WINDOWS)
+        first = station.now
+        try:
+            while sweep.completed < sweep.total:
+                now_at = float(test.frequency_at(sweep.completed / sweep.total))
+                samples = min(sweep.total - sweep.completed, _window_samples(now_at, station.rate))
+                observation = yield from sweep.step(now_at, samples)
+                sweep.completed += samples
+                if observation is not None:
+                    sweep.observations.append(observation)
+                station.report(sweep.completed / sweep.total, f"{format_decimals(now_at, 2)} Hz")
+        finally:
+            # The measurement is marked even if the test ends early.
+            if station.now > first:
+                _mark(sweep, first)
+        fall = station.samples(_RISE_S)
+        yield from sweep.window(fall, test.to, 0.0)
+        if sweep.limited:
+            station.warn("the output limited the drive, so that the profile was not reached. Lower the profile.")
 
     def check(self, test: SineControl, scene: Scene, channels: Sequence[ChannelInfo]) -> Iterable[str]:
         """Describe the expected deviation from the profile, and the frequency bands in which a limit sets the drive."""

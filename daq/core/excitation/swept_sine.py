@@ -54,54 +54,6 @@ _CONTROLLED_PERIOD_CPU_S = 1.2e-3
 _SENSITIVITY_HINT = "Choose more sensitive sensors, a smaller converter.range, or more force."
 
 
-def excite(station: Station, test: SweptSine) -> Excitation:
-    """Run a swept sine.
-
-    With a controlled spring force, a pretest identifies the shaker (`ShakerLaw`), and the sweep begins when the force
-    is at its level.
-    """
-    force = controlled(station)
-    tone = SteadyTone(station, test.from_, force)
-    level, law = station.level, None
-    if force is not None:
-        station.report(0.0, "measuring the shaker")
-        law = yield from pretest(station, force, *test.band, level)
-    station.report(0.0, f"settling at {format_decimals(test.from_, 2)} Hz")
-    first = station.now
-    settled = yield from tone.settle({test.from_: tone.start(level)}, _TOLERANCE, _MAX_WAIT_S)
-    station.mark("settle", first, station.now, frequency=test.from_, level=level, settled=settled)
-
-    first, start_phase = station.now, tone.phase
-    amplitude, extremes = -1j * tone.amplitude, {}
-    # All motion coefficients are zero if the table's channel did not change in the pretest.
-    if force is not None and law is not None and law.motion.any():
-        monitor = LevelMonitor(station, level)
-        sweep = SweepControl(law, level, station.drive_limit, amplitude)
-        amplitude = yield from _sweep_controlled(force, test, start_phase, amplitude, sweep, monitor)
-        monitor.close(station.now - first)
-        extremes = {"lowest": monitor.lowest, "highest": monitor.highest}
-    else:
-        if force is not None:
-            station.warn(
-                f"the spring force was not controlled at {level:g} N: channel "
-                f"{station.channels[force.rows[0]].name} at the {station.scene.at_driven('table')} did not "
-                f"change in the pretest, because its signal is below one count of the converter. {_SENSITIVITY_HINT}"
-            )
-        total, completed = station.samples(test.duration), 0
-        while completed < total:
-            window = min(total - completed, station.samples(_WINDOW_S))
-            phase = _phase(test, start_phase, completed, window, total)
-            yield station.drive((amplitude * np.exp(1j * phase)).real)
-            completed += window
-            station.report(completed / total, f"{format_decimals(test.frequency_at(completed / total), 2)} Hz")
-    tone.amplitude, tone.frequency = abs(amplitude), test.to
-    periods = float(test.periods_at(np.ones(1))[0])
-    tone.phase = float(np.fmod(start_phase + 2 * np.pi * periods + np.angle(1j * amplitude), 2 * np.pi))
-    fields = {"from": test.from_, "to": test.to, "spacing": test.spacing, "level": level, **extremes}
-    station.mark("measure", first, station.now, duration=test.duration, settled=settled, **fields)
-    yield tone.end()
-
-
 def _sweep_controlled(
     force: Controlled,
     test: SweptSine,
@@ -229,8 +181,52 @@ class SweptSineProcedure(Procedure["SweptSine"]):
     form = Form("sweep", ("level", "low", "high", "duration"))
 
     def excite(self, station: Station, test: SweptSine) -> Excitation:
-        """Yield the drive of the test block by block, and mark the measured intervals."""
-        return excite(station, test)
+        """Run a swept sine.
+
+        With a controlled spring force, a pretest identifies the shaker (`ShakerLaw`), and the sweep begins when the
+        force is at its level.
+        """
+        force = controlled(station)
+        tone = SteadyTone(station, test.from_, force)
+        level, law = station.level, None
+        if force is not None:
+            station.report(0.0, "measuring the shaker")
+            law = yield from pretest(station, force, *test.band, level)
+        station.report(0.0, f"settling at {format_decimals(test.from_, 2)} Hz")
+        first = station.now
+        settled = yield from tone.settle({test.from_: tone.start(level)}, _TOLERANCE, _MAX_WAIT_S)
+        station.mark("settle", first, station.now, frequency=test.from_, level=level, settled=settled)
+
+        first, start_phase = station.now, tone.phase
+        amplitude, extremes = -1j * tone.amplitude, {}
+        # All motion coefficients are zero if the table's channel did not change in the pretest.
+        if force is not None and law is not None and law.motion.any():
+            monitor = LevelMonitor(station, level)
+            sweep = SweepControl(law, level, station.drive_limit, amplitude)
+            amplitude = yield from _sweep_controlled(force, test, start_phase, amplitude, sweep, monitor)
+            monitor.close(station.now - first)
+            extremes = {"lowest": monitor.lowest, "highest": monitor.highest}
+        else:
+            if force is not None:
+                station.warn(
+                    f"the spring force was not controlled at {level:g} N: channel "
+                    f"{station.channels[force.rows[0]].name} at the {station.scene.at_driven('table')} did not "
+                    "change in the pretest, because its signal is below one count of the converter. "
+                    f"{_SENSITIVITY_HINT}"
+                )
+            total, completed = station.samples(test.duration), 0
+            while completed < total:
+                window = min(total - completed, station.samples(_WINDOW_S))
+                phase = _phase(test, start_phase, completed, window, total)
+                yield station.drive((amplitude * np.exp(1j * phase)).real)
+                completed += window
+                station.report(completed / total, f"{format_decimals(test.frequency_at(completed / total), 2)} Hz")
+        tone.amplitude, tone.frequency = abs(amplitude), test.to
+        periods = float(test.periods_at(np.ones(1))[0])
+        tone.phase = float(np.fmod(start_phase + 2 * np.pi * periods + np.angle(1j * amplitude), 2 * np.pi))
+        fields = {"from": test.from_, "to": test.to, "spacing": test.spacing, "level": level, **extremes}
+        station.mark("measure", first, station.now, duration=test.duration, settled=settled, **fields)
+        yield tone.end()
 
     def noise_gain(self, test: SweptSine, frequency: Array) -> Array:
         """Return the gain for the time in which the sweep stays within its resolution bandwidth."""

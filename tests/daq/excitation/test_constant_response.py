@@ -7,14 +7,12 @@ import pytest
 
 import daq
 import rig
-from daq.core.excitation import Station, excitation
 from daq.core.excitation.tones.envelope_control import EnvelopeControl, irregularity
-from daq.core.measurement.device_loop import run_on_device
-from daq.core.virtual_bench.bench import Bench
-from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.arrays import ComplexArray
 from rig.core.base.errors import RunError, SceneError
 from rig.core.scene.excitation import FORCE_TOLERANCE
 from rig.core.system.structural_model import receptance
+from tests.daq.excitation.virtual_device import run_device
 from tests.daq.measurement.bench_run import BenchRun, run, scene_with
 
 LEVEL = 0.4e-3  # m
@@ -132,37 +130,12 @@ def test_linear_response_is_exact() -> None:
     assert motion(bench_run, "body 3") == pytest.approx(0.05 / (2 * np.pi * frequencies), rel=0.006)
 
 
-def device_marks(scene: rig.Scene, queued: int) -> list[tuple[Any, ...]]:
-    """Run the test of a scene on a device whose output is ahead by a number of samples; return the marks."""
-    bench, marks = Bench(scene), list[tuple[Any, ...]]()
-    station = Station(
-        scene,
-        bench.channels,
-        bench.inputs,
-        bench.rate,
-        lambda kind, first, stop, **fields: marks.append((kind, first, stop, fields)),
-    )
-    waiting = np.zeros((len(bench.inputs), 0))
-
-    def write(volts: Array) -> None:
-        nonlocal waiting
-        waiting = np.concatenate([waiting, volts], axis=1)  # a force of 1 N/V
-
-    def read(samples: int) -> Array:
-        nonlocal waiting
-        drive, waiting = waiting[:, :samples], waiting[:, samples:]
-        return bench.to_units(bench.acquire(drive).samples)
-
-    run_on_device(excitation, station, read, write, queued)
-    return marks
-
-
 def test_device_gives_equal_markers(held: BenchRun) -> None:
-    assert device_marks(held.bench.scene, 0) == held.marks
+    assert run_device(held.bench.scene, 0) == held.marks
 
 
 def test_delayed_device_gives_same_points(held: BenchRun) -> None:
-    delayed = [fields for kind, *_, fields in device_marks(held.bench.scene, 256) if kind == "measure"]
+    delayed = [fields for kind, *_, fields in run_device(held.bench.scene, 256) if kind == "measure"]
     direct = [fields for *_, fields in held.marks_of("measure")]
     assert [fields["frequency"] for fields in delayed] == [fields["frequency"] for fields in direct]
     assert [fields["drive"] for fields in delayed] == pytest.approx([fields["drive"] for fields in direct], rel=0.01)

@@ -18,7 +18,7 @@ from daq.core.excitation.tones.phase_loop import PhaseLoop
 from daq.core.excitation.tones.phase_plant import LoopSettings, loop_settings
 from rig.core.base.errors import RecordingError, RunError, SceneError
 from rig.core.system.structural_model import structural_model
-from tests.daq.excitation.test_constant_response import device_marks
+from tests.daq.excitation.virtual_device import run_device
 from tests.daq.measurement.bench_run import run
 
 TEST = {
@@ -180,8 +180,8 @@ def test_undetermined_spring_force_is_named(tmp_path: Path) -> None:
 
 def test_device_gives_equal_markers() -> None:
     scene = rig.load("held-response").replace(test={**TEST, "force": 0.5})
-    assert device_marks(scene, 0) == run(scene).marks
-    delayed = [fields for kind, *_, fields in device_marks(scene, 256) if kind == "measure"]
+    assert run_device(scene, 0) == run(scene).marks
+    delayed = [fields for kind, *_, fields in run_device(scene, 256) if kind == "measure"]
     assert delayed[0]["settled"] and delayed[0]["frequency"] == pytest.approx(48.91, abs=0.01)
 
 

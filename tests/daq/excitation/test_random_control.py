@@ -18,7 +18,8 @@ from daq.core.excitation.random_control import PROCEDURE
 from daq.core.virtual_bench.bench import Bench
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, SceneError
-from tests.daq.excitation.virtual_device import MarkedRun, run_device
+from tests.daq.excitation.virtual_device import run_device
+from tests.daq.measurement.bench_run import run
 
 PROFILE = {"frequencies": ["5 Hz", "60 Hz"], "density": ["0.002 g^2/Hz", "0.002 g^2/Hz"]}
 LIMIT = {"channel": "unit", "frequencies": ["8 Hz", "30 Hz"], "density": ["0.01 g^2/Hz", "0.01 g^2/Hz"]}
@@ -91,14 +92,14 @@ def test_table_follows_profile_and_unit_its_limit(recording: Path) -> None:
 
 
 def test_body_is_held_through_anti_resonance() -> None:
-    run = MarkedRun(scene(control={"channels": ["frame"]}, duration="60 s"))
-    assert not run.reason and run.of_kind("tolerance")[-1]["outside"] == 0
+    result = run(scene(control={"channels": ["frame"]}, duration="60 s"))
+    assert not result.reason and result.fields_of("tolerance")[-1]["outside"] == 0
 
 
 @pytest.mark.parametrize("combine", ["average", "maximum", "minimum"])
 def test_several_channels_are_combined(combine: str) -> None:
-    run = MarkedRun(scene(control={"channels": ["table", "frame"], "combine": combine}, duration="20 s"))
-    assert not run.reason and run.of_kind("measure")
+    result = run(scene(control={"channels": ["table", "frame"], "combine": combine}, duration="20 s"))
+    assert not result.reason and result.fields_of("measure")
 
 
 def test_profile_is_held_with_dampers_in_flight(tmp_path: Path) -> None:
@@ -112,37 +113,37 @@ def test_profile_is_held_with_dampers_in_flight(tmp_path: Path) -> None:
 
 def test_random_runs_with_electrodynamic_shaker() -> None:
     shaker = {"kind": "electrodynamic", "body": 1, "spring": "6.6 kN/m"}
-    run = MarkedRun(scene(shaker=shaker, control={"channels": ["frame"]}, duration="20 s"))
-    assert not run.reason and run.of_kind("tolerance")[-1]["outside"] < 5
+    result = run(scene(shaker=shaker, control={"channels": ["frame"]}, duration="20 s"))
+    assert not result.reason and result.fields_of("tolerance")[-1]["outside"] < 5
 
 
 @pytest.mark.parametrize("queued", [0, 64])
 def test_device_gives_same_markers(queued: int) -> None:
-    expected, markers = MarkedRun(scene()).markers, run_device(scene(), queued)
+    expected, markers = run(scene()).marks, run_device(scene(), queued)
     assert [(kind, first, stop) for kind, first, stop, _ in markers] == [marker[:3] for marker in expected]
 
 
 def test_too_high_profile_leaves_zero_drive() -> None:
-    run = MarkedRun(scene(shaker={"kind": "base", "output": {"range": "0.5 V"}}))
-    assert "% of the drive samples are clipped by the output. Lower the profile" in run.reason
-    assert not run.drives[-1][:, -1].any() and run.drives[-1].shape[1] < 51
+    result = run(scene(shaker={"kind": "base", "output": {"range": "0.5 V"}}))
+    assert "% of the drive samples are clipped by the output. Lower the profile" in result.reason
+    assert not result.drives[-1][:, -1].any() and result.drives[-1].shape[1] < 51
 
 
 def test_excess_aborts_with_zero_drive() -> None:
     # Most of the drive is above the resonance; clipping spreads it over all lines.
-    run = MarkedRun(scene(**WIDE))
-    assert "of the lines exceed the profile by more than 6 dB, the largest by" in run.reason
-    assert not run.drives[-1][:, -1].any() and run.drives[-1].shape[1] < 51
+    result = run(scene(**WIDE))
+    assert "of the lines exceed the profile by more than 6 dB, the largest by" in result.reason
+    assert not result.drives[-1][:, -1].any() and result.drives[-1].shape[1] < 51
 
 
 def test_notched_lines_are_not_outside() -> None:
     # With 20 averages the limited channel scatters by more than the tolerance about its limit.
-    run = MarkedRun(scene(limits=[LIMIT], averages=20, tolerance="1.5 dB"))
-    assert [fields["outside"] for kind, _, _, fields in run.markers if kind == "tolerance"] == [0, 0]
+    result = run(scene(limits=[LIMIT], averages=20, tolerance="1.5 dB"))
+    assert [fields["outside"] for kind, _, _, fields in result.marks if kind == "tolerance"] == [0, 0]
 
 
 def test_ramp_without_progress_ends_test() -> None:
-    assert "of the lines are within 3 dB after 12 updates" in MarkedRun(scene(abort_lines=0.99, **WIDE)).reason
+    assert "of the lines are within 3 dB after 12 updates" in run(scene(abort_lines=0.99, **WIDE)).reason
 
 
 @pytest.mark.parametrize(
@@ -175,7 +176,7 @@ def test_coarse_lines_and_early_limit_are_named() -> None:
 
 
 def test_foresight_states_duration() -> None:
-    assert daq.foresee(scene()).seconds == pytest.approx(MarkedRun(scene()).station.now / 512.0, rel=0.2)
+    assert daq.foresee(scene()).seconds == pytest.approx(run(scene()).station.now / 512.0, rel=0.2)
 
 
 def test_profile_and_responses_are_evaluated(recording: Path, tmp_path: Path) -> None:

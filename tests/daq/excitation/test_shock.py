@@ -16,7 +16,8 @@ from daq.core.excitation.profiles.spectrum_shaping import lines_between
 from daq.core.excitation.profiles.wave_replication import HalfSinePulse, Replication, SpectrumPulse
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.scene.excitation.shock import HalfSine, ShockProfile
-from tests.daq.excitation.virtual_device import MarkedRun, run_device
+from tests.daq.excitation.virtual_device import run_device
+from tests.daq.measurement.bench_run import run
 
 RATE = 2048.0
 HALF_SINE = {"peak": "5 g", "width": "11 ms"}
@@ -77,28 +78,28 @@ def test_replication_converges_with_wrong_gain() -> None:
 
 @pytest.mark.parametrize("pulse", [{"half_sine": HALF_SINE}, {"spectrum": SPECTRUM}])
 def test_shock_is_within_tolerance(pulse: dict[str, Any]) -> None:
-    run = MarkedRun(scene(**pulse))
-    assert [fields["level"] for fields in run.of_kind("practice")] == [-12.0, -6.0]
-    (fields,) = run.of_kind("shock")
+    result = run(scene(**pulse))
+    assert [fields["level"] for fields in result.fields_of("practice")] == [-12.0, -6.0]
+    (fields,) = result.fields_of("shock")
     assert fields["deviation"] < 0.3 * fields["tolerance"]
 
 
 def test_shock_is_replicated_at_body_of_coil_spring() -> None:
     shaker = {"kind": "table", "body": 1, "spring": "100 kN/m"}
-    run = MarkedRun(scene(shaker=shaker, half_sine={"peak": "2 g", "width": "20 ms"}, control="unit"))
-    assert run.of_kind("shock")[0]["deviation"] < 0.2
+    result = run(scene(shaker=shaker, half_sine={"peak": "2 g", "width": "20 ms"}, control="unit"))
+    assert result.fields_of("shock")[0]["deviation"] < 0.2
 
 
 def test_shock_is_replicated_despite_filter_delay() -> None:
     settings = scene()
     filtered = settings.replace(converter=settings.converter.replace(filter="delta_sigma", remove_delay=True))
-    assert MarkedRun(filtered).of_kind("shock")[0]["deviation"] < 0.2
+    assert run(filtered).fields_of("shock")[0]["deviation"] < 0.2
 
 
 @pytest.mark.parametrize("queued", [0, 100])
 def test_device_with_queue_gives_same_markers(queued: int) -> None:
     settings = scene()
-    expected = MarkedRun(settings).markers
+    expected = run(settings).marks
     markers = run_device(settings, queued)
     assert [kind for kind, *_ in markers] == [kind for kind, *_ in expected]
     for (_, _, _, fields), (_, _, _, others) in zip(markers, expected, strict=True):
@@ -109,15 +110,15 @@ def test_too_large_pulse_leaves_zero_drive(tmp_path: Path) -> None:
     small = {"kind": "base", "output": {"range": "2 V"}}
     with pytest.raises(rig.RunError, match=r"requires a drive of 48.9 m/s\^2; the output gives 20 m/s\^2. Shorten"):
         daq.record(scene(shaker=small), tmp_path / "shock.mcap")
-    run = MarkedRun(scene(shaker=small))
-    assert run.reason and not run.drives[-1][:, -1].any()
-    assert sum(drive.shape[1] for drive in run.drives[-1:]) < 0.1 * RATE
+    result = run(scene(shaker=small))
+    assert result.reason and not result.drives[-1][:, -1].any()
+    assert sum(drive.shape[1] for drive in result.drives[-1:]) < 0.1 * RATE
 
 
 def test_noisy_sensor_is_named() -> None:
     assert (
         "table does not follow the drive"
-        in MarkedRun(scene(noise="2 mg/sqrt(Hz)", half_sine={"peak": "5 mg", "width": "11 ms"}, shaker=LIMITED)).reason
+        in run(scene(noise="2 mg/sqrt(Hz)", half_sine={"peak": "5 mg", "width": "11 ms"}, shaker=LIMITED)).reason
     )
 
 
@@ -131,13 +132,13 @@ def test_too_short_interval_is_named() -> None:
         "converter": {"rate": RATE, "bits": 24, "range": 200.0},
         "test": test,
     })  # fmt: skip
-    run = MarkedRun(settings)
-    assert "Give a longer interval" in run.reason and not run.drives[-1][:, -1].any()
+    result = run(settings)
+    assert "Give a longer interval" in result.reason and not result.drives[-1][:, -1].any()
 
 
 def test_practice_outside_tolerance_ends_test() -> None:
-    run = MarkedRun(scene(half_sine=HALF_SINE | {"tolerance": "0.01 %"}))
-    assert "after 3 practice pulses the pulse deviates by" in run.reason and not run.of_kind("shock")
+    result = run(scene(half_sine=HALF_SINE | {"tolerance": "0.01 %"}))
+    assert "after 3 practice pulses the pulse deviates by" in result.reason and not result.fields_of("shock")
 
 
 @pytest.mark.parametrize(
@@ -174,7 +175,7 @@ def test_impossible_pulse_is_named(changes: dict[str, Any], message: str, tmp_pa
 
 def test_foresight_states_duration() -> None:
     foresight = daq.foresee(scene())
-    assert foresight.seconds == pytest.approx(MarkedRun(scene()).station.now / RATE, rel=0.25)
+    assert foresight.seconds == pytest.approx(run(scene()).station.now / RATE, rel=0.25)
 
 
 def test_shock_is_offered_on_page() -> None:

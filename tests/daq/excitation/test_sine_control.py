@@ -15,7 +15,8 @@ from analysis.commands.cli import app
 from daq.core.excitation.profiles.sine_control_check import loop_gain
 from daq.core.excitation.sine_control import Caution, next_drive
 from rig.core.base.errors import SceneError
-from tests.daq.excitation.virtual_device import MarkedRun, run_device
+from tests.daq.excitation.virtual_device import run_device
+from tests.daq.measurement.bench_run import run
 
 PROFILE = {"frequencies": ["5 Hz", "30 Hz"], "acceleration": ["0.1 g", "0.2 g"]}
 LIMIT = {"channel": "unit", "frequencies": ["5 Hz", "30 Hz"], "acceleration": ["1 g", "1 g"]}
@@ -84,28 +85,28 @@ def test_table_follows_profile_and_unit_its_limit(recording: Path) -> None:
 def test_profile_of_other_motion_is_held(quantity: str) -> None:
     value = {"velocity": "20 mm/s", "displacement": "0.5 mm"}[quantity]
     profile = {"frequencies": ["5 Hz", "30 Hz"], quantity: [value, value]}
-    run = MarkedRun(scene(profile=profile, shaker={"kind": "base"}))
-    assert not run.reason and run.of_kind("measure")[0]["outside"] == 0.0
+    result = run(scene(profile=profile, shaker={"kind": "base"}))
+    assert not result.reason and result.fields_of("measure")[0]["outside"] == 0.0
 
 
 @pytest.mark.parametrize(("first", "last"), [("5 Hz", "30 Hz"), ("30 Hz", "5 Hz")])
 def test_body_is_held_through_resonance(first: str, last: str) -> None:
     settings = scene(control={"channels": ["unit"]}, duration="240 s", **{"from": first, "to": last})
-    run = MarkedRun(settings)
-    assert not run.reason and not run.of_kind("tolerance")
+    result = run(settings)
+    assert not result.reason and not result.fields_of("tolerance")
 
 
 def test_dampers_in_flight_are_controlled() -> None:
     dampers = [{"body": 2, "mass_ratio": 0.06, "clearance": "1 mm", "contact": {"duration": "4 ms"}}]
     profile = {"frequencies": ["5 Hz", "30 Hz"], "acceleration": ["0.2 g", "0.2 g"]}
-    run = MarkedRun(scene(dampers=dampers, profile=profile, limits=[LIMIT | {"acceleration": ["1.3 g", "1.3 g"]}]))
-    assert not run.reason and run.of_kind("notch")
+    result = run(scene(dampers=dampers, profile=profile, limits=[LIMIT | {"acceleration": ["1.3 g", "1.3 g"]}]))
+    assert not result.reason and result.fields_of("notch")
 
 
 def test_electrodynamic_shaker_is_controlled() -> None:
     shaker = {"kind": "electrodynamic", "body": 1, "spring": "6.6 kN/m"}
-    run = MarkedRun(scene(shaker=shaker, control={"channels": ["table"]}, duration="120 s", abort="20 dB"))
-    assert not run.reason and run.of_kind("measure")
+    result = run(scene(shaker=shaker, control={"channels": ["table"]}, duration="120 s", abort="20 dB"))
+    assert not result.reason and result.fields_of("measure")
 
 
 def test_loop_is_stable_at_antiresonance() -> None:
@@ -114,8 +115,8 @@ def test_loop_is_stable_at_antiresonance() -> None:
     band = {"from": "13.3 Hz", "to": "14.6 Hz", "duration": "100 s"}
     settings = scene(shaker=shaker, control={"channels": ["frame"]}, abort="20 dB", **band)
     structure = settings.structure.replace(damping=settings.structure.damping.replace(modal=0.006))
-    run = MarkedRun(settings.replace(structure=structure))
-    assert not run.reason and len(run.of_kind("tolerance")) <= 3
+    result = run(settings.replace(structure=structure))
+    assert not result.reason and len(result.fields_of("tolerance")) <= 3
 
 
 @pytest.mark.parametrize(("spring", "first", "last"), [(10e3, 13.7, 14.5), (30e3, 14.1, 15.0)], ids=["above", "below"])
@@ -123,22 +124,22 @@ def test_loop_is_stable_beside_resonance_outside_band(spring: float, first: floa
     # The antiresonance is at 14.2 Hz; the resonance lies outside the band, 4 % above or 2 % below it.
     settings = scene(control={"channels": ["frame"]}, abort="20 dB", duration="100 s", **{"from": first, "to": last})
     structure = settings.structure.replace(masses=[2.0, 0.1], springs=[spring, 800.0], damping={"modal": 0.006})
-    run = MarkedRun(settings.replace(structure=structure))
-    assert not run.reason and len(run.of_kind("tolerance")) <= 3
+    result = run(settings.replace(structure=structure))
+    assert not result.reason and len(result.fields_of("tolerance")) <= 3
 
 
 @pytest.mark.parametrize("queued", [0, 20])
 def test_device_gives_same_markers(queued: int) -> None:
-    expected, markers = MarkedRun(scene()).markers, run_device(scene(), queued)
+    expected, markers = run(scene()).marks, run_device(scene(), queued)
     assert [kind for kind, *_ in markers] == [marker[0] for marker in expected]
     assert markers[-1][3] == pytest.approx(expected[-1][3])
 
 
 def test_fast_sweep_is_named_before_the_test() -> None:
-    run = MarkedRun(scene(control={"channels": ["unit"]}, duration="20 s", abort="30 dB"))
-    warning = run.warnings[0]
+    result = run(scene(control={"channels": ["unit"]}, duration="20 s", abort="30 dB"))
+    warning = result.warnings[0]
     assert "(damping 2.8 %)" in warning and "the sweep exceeds the tolerance of 3 dB above" in warning
-    assert not any("oct/min" in text for text in MarkedRun(scene()).warnings)
+    assert not any("oct/min" in text for text in run(scene()).warnings)
 
 
 def test_explain_states_deviation_and_limited_band() -> None:
@@ -154,14 +155,14 @@ def test_explain_warns_of_fast_sweep() -> None:
 
 
 def test_excess_aborts_with_zero_drive() -> None:
-    run = MarkedRun(scene(control={"channels": ["unit"]}, duration="5 s"))
-    assert "aborted at" in run.reason and "dB above the profile. Sweep more slowly, or add a limit" in run.reason
-    assert not run.drives[-1][:, -1].any() and run.drives[-1].shape[1] < 51
+    result = run(scene(control={"channels": ["unit"]}, duration="5 s"))
+    assert "aborted at" in result.reason and "dB above the profile. Sweep more slowly, or add a limit" in result.reason
+    assert not result.drives[-1][:, -1].any() and result.drives[-1].shape[1] < 51
 
 
 def test_too_high_profile_leaves_zero_drive() -> None:
-    run = MarkedRun(scene(shaker={"kind": "base", "output": {"range": "0.15 V"}}))
-    assert "the profile requires a drive of" in run.reason and not run.drives[-1][:, -1].any()
+    result = run(scene(shaker={"kind": "base", "output": {"range": "0.15 V"}}))
+    assert "the profile requires a drive of" in result.reason and not result.drives[-1][:, -1].any()
 
 
 @pytest.mark.parametrize(
@@ -182,7 +183,7 @@ def test_wrong_setting_is_named(changes: dict[str, Any], message: str) -> None:
 
 
 def test_foresight_states_duration() -> None:
-    assert daq.foresee(scene()).seconds == pytest.approx(MarkedRun(scene()).station.now / 512.0, rel=0.2)
+    assert daq.foresee(scene()).seconds == pytest.approx(run(scene()).station.now / 512.0, rel=0.2)
 
 
 def test_profile_and_responses_are_evaluated(recording: Path, tmp_path: Path) -> None:

@@ -1,15 +1,16 @@
 """Run of a test on the virtual bench without a recorder, and an independent estimate of its spring force."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 import rig
 from daq.core.excitation import Excitation, Station, excitation
-from daq.core.virtual_bench.bench import Bench
+from daq.core.measurement.bench_loop import BenchLoop
+from daq.core.virtual_bench.bench import Block
 from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.errors import RunError
 
 
 def scene_with(test: dict[str, Any], **changes: Any) -> rig.Scene:
@@ -17,17 +18,43 @@ def scene_with(test: dict[str, Any], **changes: Any) -> rig.Scene:
     return rig.load("bare-structure").replace(test=test, **changes)
 
 
-@dataclass
-class BenchRun:
-    """Results of a run: drive (inputs, samples), readings (channels, samples) in their units, and messages."""
+class BenchRun(BenchLoop):
+    """A run with its drive, its readings in their units, and messages."""
 
-    bench: Bench
-    drive: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    readings: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    # Kind, first sample, sample after the last, and fields of each mark.
-    marks: list[tuple[str, int, int, dict[str, Any]]] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-    reports: list[tuple[float, str]] = field(default_factory=list)  # completed fraction, message
+    def __init__(self, scene: rig.Scene, max_block: int | None) -> None:
+        super().__init__(scene, max_block)
+        # Kind, first sample, sample after the last, and fields of each mark.
+        self.marks: list[tuple[str, int, int, dict[str, Any]]] = []
+        self.reports: list[tuple[float, str]] = []  # completed fraction, message
+        self.drives: list[Array] = []  # windows, shape (inputs, samples)
+        self.blocks: list[Array] = []  # readings, shape (channels, samples)
+        self.reason = ""  # message of a test that gave up
+
+    def mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
+        self.marks.append((kind, first, stop, fields))
+
+    def report(self, fraction: float, message: str) -> None:
+        self.reports.append((fraction, message))
+
+    def on_block(self, block: Block, readings: Array) -> None:
+        self.blocks.append(readings)
+
+    def on_window(self, first: int, drive: Array, overload: Any) -> None:
+        self.drives.append(drive)
+
+    @property
+    def drive(self) -> Array:
+        """The whole drive, shape (inputs, samples)."""
+        return np.concatenate(self.drives, axis=1)
+
+    @property
+    def readings(self) -> Array:
+        """All readings, shape (channels, samples)."""
+        return np.concatenate(self.blocks, axis=1)
+
+    def fields_of(self, kind: str) -> list[dict[str, Any]]:
+        """Return the fields of the marks of a kind."""
+        return [fields for *_, fields in self.marks_of(kind)]
 
     def marks_of(self, kind: str) -> list[tuple[int, int, dict[str, Any]]]:
         """Return the marks of a kind as (first, stop, fields)."""
@@ -64,37 +91,13 @@ class BenchRun:
 
 
 def run(
-    scene: rig.Scene,
-    max_block: int | None = None,
-    make_excitation: Callable[[Station], Excitation] = excitation,
+    scene: rig.Scene, max_block: int | None = None, make_excitation: Callable[[Station], Excitation] = excitation
 ) -> BenchRun:
     """Run a scene's test, or another excitation, on its bench; acquire at most `max_block` samples at a time."""
-    bench = Bench(scene)
-    result = BenchRun(bench)
-    station = Station(
-        scene,
-        bench.channels,
-        bench.inputs,
-        bench.rate,
-        mark=lambda kind, first, stop, **fields: result.marks.append((kind, first, stop, fields)),
-        report=lambda fraction, message: result.reports.append((fraction, message)),
-        warn=result.warnings.append,
-    )
-    drives, readings = [], []
-    test = make_excitation(station)
-    drive = next(test)
-    while True:
-        block = drive.shape[1] if max_block is None else max_block
-        blocks = [
-            bench.to_units(bench.acquire(drive[:, start : start + block]).samples)
-            for start in range(0, drive.shape[1], block)
-        ]
-        station.now += drive.shape[1]
-        drives.append(drive)
-        readings.append(np.concatenate(blocks, axis=1))
-        try:
-            drive = test.send(readings[-1])
-        except StopIteration:
-            result.drive = np.concatenate(drives, axis=1)
-            result.readings = np.concatenate(readings, axis=1)
-            return result
+    result = BenchRun(scene, max_block)
+    test = make_excitation(result.station)
+    try:
+        result.run_test(test, next(test))
+    except RunError as error:
+        result.reason = str(error)
+    return result

@@ -10,7 +10,6 @@ import daq
 from daq.commands.cli import app
 from rig.core.base.errors import RecordingError
 from tests.daq.importing.files import RATE, make_scene, write_npz
-from tests.daq.importing.test_import_files import import_recording
 
 # Digital filter from force (N) to acceleration (m/s^2): a mode of 1 kg at 40 Hz with 3 % damping.
 OMEGA = 2 * np.pi * 40.0
@@ -43,53 +42,50 @@ def step_marks(recording: daq.Recording) -> list:
 
 
 @pytest.mark.parametrize("level", ["1 N", "[0.5 N, 2 N]"])
-def test_unmarked_dwells_give_the_response_of_the_mode(level, tmp_path):
+def test_unmarked_dwells_give_the_response_of_the_mode(level, tmp_path, imported):
     frequencies = np.linspace(36.0, 44.0, 5)
     levels = (1.0,) if level == "1 N" else (0.5, 2.0)
     write_npz(tmp_path / "a.npz", stepped_sine_samples(frequencies, levels))
     scene = make_scene(f"{{kind: stepped_sine, from: 30 Hz, to: 50 Hz, points: 5, force: {level}}}")
-    recording, messages = import_recording(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
-    with recording:
-        steps = step_marks(recording)
-        np.testing.assert_allclose(
-            [mark.fields["frequency"] for mark in steps], np.tile(frequencies, len(levels)), rtol=1e-6
-        )
-        assert [mark.fields["level"] for mark in steps] == np.repeat(levels, 5).tolist()
-        assert {mark.fields["direction"] for mark in steps} == {"up"}
-        for number, mark in enumerate(steps):
-            # Each step is 3 s at its frequency, then 0.1 s of transition. The transient of the mode takes up to 2.4 s.
-            begin = round(number * 3.1 * RATE)
-            assert begin < mark.first_sample and mark.end < begin + 3.02 * RATE
-            assert mark.end - mark.first_sample > 0.6 * RATE and mark.fields["settled"]
-        groups = analysis.frequency_responses(recording, motion="acceleration")
-        assert len(groups) == len(levels)
-        for curve in [curve for group in groups for curve in group]:
-            factor = 1.0 if curve.response == "body1" else 2.0
-            truth = factor * signal.freqz(*MODE_FILTER, curve.frequency, fs=RATE)[1]
-            assert np.all(abs(curve.value - truth) < curve.bound()) and np.all(curve.bound() < 0.02 * abs(truth))
+    recording, messages = imported(tmp_path / "a.npz", scene)
+    steps = step_marks(recording)
+    np.testing.assert_allclose(
+        [mark.fields["frequency"] for mark in steps], np.tile(frequencies, len(levels)), rtol=1e-6
+    )
+    assert [mark.fields["level"] for mark in steps] == np.repeat(levels, 5).tolist()
+    assert {mark.fields["direction"] for mark in steps} == {"up"}
+    for number, mark in enumerate(steps):
+        # Each step is 3 s at its frequency, then 0.1 s of transition. The transient of the mode takes up to 2.4 s.
+        begin = round(number * 3.1 * RATE)
+        assert begin < mark.first_sample and mark.end < begin + 3.02 * RATE
+        assert mark.end - mark.first_sample > 0.6 * RATE and mark.fields["settled"]
+    groups = analysis.frequency_responses(recording, motion="acceleration")
+    assert len(groups) == len(levels)
+    for curve in [curve for group in groups for curve in group]:
+        factor = 1.0 if curve.response == "body1" else 2.0
+        truth = factor * signal.freqz(*MODE_FILTER, curve.frequency, fs=RATE)[1]
+        assert np.all(abs(curve.value - truth) < curve.bound()) and np.all(curve.bound() < 0.02 * abs(truth))
     assert not messages
 
 
-def test_dwells_up_and_down_are_two_sweeps(tmp_path):
+def test_dwells_up_and_down_are_two_sweeps(tmp_path, imported):
     rising = [20.0, 25.0, 31.0]
     write_npz(tmp_path / "a.npz", stepped_sine_samples([*rising, *rising[::-1]], hold_s=2.0))
     scene = make_scene("{kind: stepped_sine, from: 20 Hz, to: 31 Hz, points: 3, force: 1 N, direction: both}")
-    recording, _ = import_recording(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
-    with recording:
-        steps = [(round(mark.fields["frequency"], 3), mark.fields["direction"]) for mark in step_marks(recording)]
+    recording, _ = imported(tmp_path / "a.npz", scene)
+    steps = [(round(mark.fields["frequency"], 3), mark.fields["direction"]) for mark in step_marks(recording)]
     # The highest frequency is held longer, so that it is a single step.
     assert steps == [(20.0, "up"), (25.0, "up"), (31.0, "up"), (25.0, "down"), (20.0, "down")]
 
 
-def test_tone_after_silence_is_one_step(tmp_path):
+def test_tone_after_silence_is_one_step(tmp_path, imported):
     tone = np.zeros(round(20 * RATE))
     tone[round(6 * RATE) :] = np.sin(2 * np.pi * 17.3 * np.arange(round(14 * RATE)) / RATE)
     write_npz(tmp_path / "a.npz", samples_of(tone))
     scene = make_scene("{kind: sine, frequency: 17 Hz, force: 1 N}")
-    recording, messages = import_recording(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
-    with recording:
-        [mark] = step_marks(recording)
-        assert abs(mark.fields["frequency"] - 17.3) < 1e-5 and mark.first_sample > 6 * RATE
+    recording, messages = imported(tmp_path / "a.npz", scene)
+    [mark] = step_marks(recording)
+    assert abs(mark.fields["frequency"] - 17.3) < 1e-5 and mark.first_sample > 6 * RATE
     assert not messages
 
 
@@ -118,14 +114,13 @@ def forces_without_steps() -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("kind", forces_without_steps())
-def test_no_dwells_are_detected_in_other_tests(kind, tmp_path):
+def test_no_dwells_are_detected_in_other_tests(kind, tmp_path, imported):
     write_npz(tmp_path / "a.npz", samples_of(forces_without_steps()[kind]))
     scene = make_scene("{kind: stepped_sine, from: 10 Hz, to: 60 Hz, points: 5, force: 1 N}")
-    recording, messages = import_recording(tmp_path / "a.npz", scene, tmp_path / "r.mcap")
-    with recording:
-        assert not step_marks(recording)
-        with pytest.raises(RecordingError, match="no dwell was detected"):
-            analysis.frequency_responses(recording)
+    recording, messages = imported(tmp_path / "a.npz", scene)
+    assert not step_marks(recording)
+    with pytest.raises(RecordingError, match="no dwell was detected"):
+        analysis.frequency_responses(recording)
     assert any("no dwell was detected" in each for each in messages)
 
 

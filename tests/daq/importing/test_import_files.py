@@ -1,6 +1,5 @@
 """Import of foreign files: samples, rate, units, clock, overloads, gaps, channel tables and `daq import`."""
 
-import warnings
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -40,35 +39,26 @@ WAV_TABLE = {
 }
 
 
-def import_recording(files, scene, path, **options) -> tuple[daq.Recording, list[str]]:
-    """Import files; return the opened recording and the warnings."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        recording = daq.open(daq.import_files(files, scene, path, **options))
-    return recording, [str(warning.message) for warning in caught]
-
-
 @pytest.mark.parametrize("form", WRITERS)
-def test_foreign_file_gives_its_samples_and_rate(form, tmp_path):
+def test_foreign_file_gives_its_samples_and_rate(form, tmp_path, imported):
     ending, write, error = WRITERS[form]
     rows = random_samples()
     write(tmp_path / f"a{ending}", rows)
     table = WAV_TABLE if form in ("wav", "w64", "flac") else None
-    recording, messages = import_recording(tmp_path / f"a{ending}", make_scene(), tmp_path / "r.mcap", table=table)
-    with recording:
-        assert recording.rate == RATE and not messages
-        samples = np.array([recording.read(name) for name in NAMES])
-        expected = rows * SI_PER_UNIT
-        np.testing.assert_allclose(samples, expected, rtol=0, atol=max(error, 1e-15) * abs(expected).max())
-        assert [marker.kind for marker in recording.markers] == ["measure"]
-        # The source shows that drive and converter are not those of the virtual rig.
-        assert recording.source == f"a{ending}"
-        assert recording.markers[0].fields == {"from": 5.0, "to": 400.0}
-        assert recording.scene.channels == make_scene().channels and recording.scene.converter.rate == RATE
+    recording, messages = imported(tmp_path / f"a{ending}", table=table)
+    assert recording.rate == RATE and not messages
+    samples = np.array([recording.read(name) for name in NAMES])
+    expected = rows * SI_PER_UNIT
+    np.testing.assert_allclose(samples, expected, rtol=0, atol=max(error, 1e-15) * abs(expected).max())
+    assert [marker.kind for marker in recording.markers] == ["measure"]
+    # The source shows that drive and converter are not those of the virtual rig.
+    assert recording.source == f"a{ending}"
+    assert recording.markers[0].fields == {"from": 5.0, "to": 400.0}
+    assert recording.scene.channels == make_scene().channels and recording.scene.converter.rate == RATE
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.int16, "int24", np.int32, np.float32, np.float64])
-def test_wav_full_scale_is_the_converter_range(kind, tmp_path):
+def test_wav_full_scale_is_the_converter_range(kind, tmp_path, imported):
     rows = np.random.default_rng(3).uniform(-0.9, 0.9, (2, 3000))
     path = tmp_path / "a.wav"
     if kind == "int24":
@@ -82,14 +72,13 @@ def test_wav_full_scale_is_the_converter_range(kind, tmp_path):
     table = {"body1": Column("1", sensitivity="100 mV/g"), "body2": Column("2", unit="2 V", sign=-1)}
     if np.dtype(kind if kind != "int24" else "i4").kind == "f":
         table["body1"] = Column("1", unit="5 V", sensitivity="100 mV/g")
-    recording, _ = import_recording(path, scene, tmp_path / "r.mcap", table=table)
-    with recording:
-        # One count of 8 or 16 bits, as a ratio to full scale; 2^-22 for the finer formats.
-        tolerance = 2.0 ** (-7 if kind is np.uint8 else -15 if kind is np.int16 else -22)
-        # Sensitivity of 100 mV/g in the table, 10 mV/g in the scene.
-        volts1, volts2 = recording.read("body1") * 0.1 / 9.80665, recording.read("body2") * 0.01 / 9.80665
-        assert np.abs(volts1 / 5.0 - rows[0]).max() <= tolerance
-        assert np.abs(volts2 / -2.0 - rows[1]).max() <= tolerance
+    recording, _ = imported(path, scene, table=table)
+    # One count of 8 or 16 bits, as a ratio to full scale; 2^-22 for the finer formats.
+    tolerance = 2.0 ** (-7 if kind is np.uint8 else -15 if kind is np.int16 else -22)
+    # Sensitivity of 100 mV/g in the table, 10 mV/g in the scene.
+    volts1, volts2 = recording.read("body1") * 0.1 / 9.80665, recording.read("body2") * 0.01 / 9.80665
+    assert np.abs(volts1 / 5.0 - rows[0]).max() <= tolerance
+    assert np.abs(volts2 / -2.0 - rows[1]).max() <= tolerance
 
 
 def _write_24_bits(path, rows):
@@ -105,7 +94,7 @@ def _write_24_bits(path, rows):
     path.write_bytes(b"RIFF" + np.array([4 + len(chunk)], "<u4").tobytes() + b"WAVE" + chunk)
 
 
-def test_unmarked_hits_are_detected(tmp_path):
+def test_unmarked_hits_are_detected(tmp_path, imported):
     rows = 1e-3 * random_samples(12000)
     pulse = np.sin(np.pi * np.arange(1, 9) / 9)
     # The pulse at 1060 is a bounce: it follows the hit at 1000 after less than 0.2 s.
@@ -113,15 +102,13 @@ def test_unmarked_hits_are_detected(tmp_path):
         rows[2, index : index + 8] -= amplitude * pulse
     write_csv(tmp_path / "a.csv", rows)
     scene = make_scene("{kind: impulse, body: 2, peak: 50 N, width: 4 ms}")
-    recording, messages = import_recording(tmp_path / "a.csv", scene, tmp_path / "r.mcap")
-    with recording:
-        hits = [marker for marker in recording.markers if marker.kind == "hit"]
-        assert [round(hit.first_sample, -2) for hit in hits] == [1000, 5000, 9000]
-        assert all(
-            hit.first_sample < index and hit.end >= index + 7
-            for hit, index in zip(hits, (1000, 5000, 9000), strict=True)
-        )
-        assert [hit.fields["double"] for hit in hits] == [True, False, False]
+    recording, messages = imported(tmp_path / "a.csv", scene)
+    hits = [marker for marker in recording.markers if marker.kind == "hit"]
+    assert [round(hit.first_sample, -2) for hit in hits] == [1000, 5000, 9000]
+    assert all(
+        hit.first_sample < index and hit.end >= index + 7 for hit, index in zip(hits, (1000, 5000, 9000), strict=True)
+    )
+    assert [hit.fields["double"] for hit in hits] == [True, False, False]
     assert messages == ["impact 1: double (a second pulse of the force follows)"]
 
 
@@ -144,53 +131,49 @@ def test_detected_hits_are_compared_with_test_repeats(repeats, expected, tmp_pat
     assert expected in result.output, result.output
 
 
-def test_hits_without_motion_channel_suggest_no_analysis(tmp_path):
+def test_hits_without_motion_channel_suggest_no_analysis(tmp_path, imported):
     rows = 1e-3 * random_samples(4000)
     rows[2, 1000:1008] += 80.0
     write_csv(tmp_path / "a.csv", rows)
     scene = make_scene("{kind: impulse, body: 2, peak: 50 N, width: 4 ms}")
     force_alone = scene.replace(channels=scene.channels[2:])
     for bench, commands in ((scene, ["decay", "frf", "modes"]), (force_alone, [])):
-        path = tmp_path / f"{len(commands)}.mcap"
-        import_recording(tmp_path / "a.csv", bench, path)[0].close()
+        path = imported(tmp_path / "a.csv", bench)[0].path
         analyses = [f"analysis {command} {path}" for command in commands]
         assert daq.info(path).next_steps == (*analyses, f"daq replay {path}")
 
 
-def test_clipped_and_lost_samples_are_marked(tmp_path):
+def test_clipped_and_lost_samples_are_marked(tmp_path, imported):
     rows = 20.0 * np.sin(0.05 * np.arange(4000)) + np.zeros((3, 1))
     rows += 0.1 * random_samples(4000)
     rows[1] = np.clip(rows[1], -15.0, 15.0)
     rows[0, 700:720] = np.nan
     write_csv(tmp_path / "a.csv", rows)
-    recording, messages = import_recording(tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap")
-    with recording:
-        clipped = np.zeros(4000, bool)
-        for marker in recording.overloads:
-            assert marker.fields["channel"] == "body2"
-            clipped[marker.first_sample : marker.stop] = True
-        clipped_samples = np.flatnonzero(abs(rows[1]) == 15.0)
-        assert clipped[clipped_samples].mean() > 0.95 and clipped.sum() < 1.2 * clipped_samples.size
-        (gap,) = recording.gaps
-        assert (gap.first_sample, gap.last_sample, gap.channels) == (700, 719, ("body1",))
-        assert np.array_equal(np.isnan(recording.read("body1")), np.isnan(rows[0]))
+    recording, messages = imported(tmp_path / "a.csv")
+    clipped = np.zeros(4000, bool)
+    for marker in recording.overloads:
+        assert marker.fields["channel"] == "body2"
+        clipped[marker.first_sample : marker.stop] = True
+    clipped_samples = np.flatnonzero(abs(rows[1]) == 15.0)
+    assert clipped[clipped_samples].mean() > 0.95 and clipped.sum() < 1.2 * clipped_samples.size
+    (gap,) = recording.gaps
+    assert (gap.first_sample, gap.last_sample, gap.channels) == (700, 719, ("body1",))
+    assert np.array_equal(np.isnan(recording.read("body1")), np.isnan(rows[0]))
     assert any("clipped" in note for note in messages) and any("lost" in note for note in messages)
 
 
-def test_equal_peaks_of_coarse_samples_are_not_overloads(tmp_path):
+def test_equal_peaks_of_coarse_samples_are_not_overloads(tmp_path, imported):
     rows = np.round(40.0 * np.sin(0.003 * np.arange(20000))) + np.zeros((3, 1))
     write_csv(tmp_path / "a.csv", rows)
-    recording, _ = import_recording(tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap")
-    with recording:
-        assert not recording.overloads
+    recording, _ = imported(tmp_path / "a.csv")
+    assert not recording.overloads
 
 
-def test_file_of_several_blocks_is_imported_completely(tmp_path):
+def test_file_of_several_blocks_is_imported_completely(tmp_path, imported):
     rows = random_samples(200_000)
     write_tdms(tmp_path / "a.tdms", rows)
-    recording, _ = import_recording(tmp_path / "a.tdms", make_scene(), tmp_path / "r.mcap")
-    with recording:
-        np.testing.assert_allclose(recording.read("force"), rows[2], rtol=1e-15)
+    recording, _ = imported(tmp_path / "a.tdms")
+    np.testing.assert_allclose(recording.read("force"), rows[2], rtol=1e-15)
 
 
 def test_fields_of_structured_array_are_signals(tmp_path):
@@ -202,25 +185,22 @@ def test_fields_of_structured_array_are_signals(tmp_path):
         np.testing.assert_array_equal(signal.read(0, 100), force)
 
 
-def test_two_files_become_one_recording(tmp_path):
+def test_two_files_become_one_recording(tmp_path, imported):
     rows = random_samples()
     write_tdms(tmp_path / "a.tdms", rows)
     write_csv(tmp_path / "b.csv", rows[:, :4000])
     table = {"body1": Column("body1"), "force": Column("force", file="b.csv")}
     with pytest.raises(SceneError, match=r"several signals are called 'body1': a.tdms .* b.csv"):
-        import_recording([tmp_path / "a.tdms", tmp_path / "b.csv"], make_scene(), tmp_path / "r.mcap", table=table)
+        imported([tmp_path / "a.tdms", tmp_path / "b.csv"], table=table)
     table["body1"] = Column("body1", file="a")
     table["body2"] = Column("body2", file="a")
-    recording, messages = import_recording(
-        [tmp_path / "a.tdms", tmp_path / "b.csv"], make_scene(), tmp_path / "r.mcap", table=table
-    )
-    with recording:
-        assert recording.samples == 5000 and recording.gaps[0].first_sample == 4000
+    recording, messages = imported([tmp_path / "a.tdms", tmp_path / "b.csv"], table=table)
+    assert recording.samples == 5000 and recording.gaps[0].first_sample == 4000
     assert any("force (4000)" in note for note in messages)
 
 
 @pytest.mark.parametrize("form", ["csv", "tdms"])
-def test_late_release_is_reported_and_can_be_cut(form, tmp_path):
+def test_late_release_is_reported_and_can_be_cut(form, tmp_path, imported):
     time = np.arange(6000) / RATE - 1.5
     rows = np.where(time < 0, 0.0, np.exp(-time) * np.cos(60.0 * time)) + 1e-4 * random_samples(6000)
     ending, write, _ = WRITERS[form]
@@ -228,19 +208,15 @@ def test_late_release_is_reported_and_can_be_cut(form, tmp_path):
     scene = make_scene().replace(
         test={"kind": "free", "mode": 1, "amplitude": 1e-3}, shaker=None, channels=make_scene().channels[:2]
     )
-    recording, messages = import_recording(tmp_path / f"a{ending}", scene, tmp_path / "r.mcap")
-    recording.close()
+    _, messages = imported(tmp_path / f"a{ending}", scene)
     assert any("moves most at 1.5 s" in note for note in messages)
-    recording, messages = import_recording(
-        tmp_path / f"a{ending}", scene, tmp_path / "r.mcap", from_s=1.5, to_s=2.5, overwrite=True
-    )
-    with recording:
-        assert recording.samples == 2048 and not any("moves most" in note for note in messages)
-        np.testing.assert_allclose(recording.read("body2"), rows[1, 3072:5120], rtol=1e-8, atol=1e-9)
+    recording, messages = imported(tmp_path / f"a{ending}", scene, from_s=1.5, to_s=2.5)
+    assert recording.samples == 2048 and not any("moves most" in note for note in messages)
+    np.testing.assert_allclose(recording.read("body2"), rows[1, 3072:5120], rtol=1e-8, atol=1e-9)
 
 
 @pytest.mark.parametrize("spacing", [0, 1])
-def test_universal_file_may_have_times_in_milliseconds(spacing, tmp_path):
+def test_universal_file_may_have_times_in_milliseconds(spacing, tmp_path, imported):
     file, row = pyuff.UFF(str(tmp_path / "a.uff")), random_samples(600)[0]
     file.write_sets(
         {
@@ -250,21 +226,19 @@ def test_universal_file_may_have_times_in_milliseconds(spacing, tmp_path):
             "x": 1e3 * np.arange(row.size) / RATE,
         },
     )  # fmt: skip
-    recording, _ = import_recording(tmp_path / "a.uff", make_scene(), tmp_path / "r.mcap")
-    with recording:
-        assert recording.rate == RATE
+    recording, _ = imported(tmp_path / "a.uff")
+    assert recording.rate == RATE
 
 
-def test_range_applies_to_voltages_with_their_offset(tmp_path):
+def test_range_applies_to_voltages_with_their_offset(tmp_path, imported):
     rows = 3.0 + 0.3 * random_samples(2000)
     # Single samples at either end of the range of 5 V.
     rows[0, 300], rows[0, 1500] = -5.0, 5.0
     write_csv(tmp_path / "a.csv", rows)
     table = {"body1": Column("body1", unit="V", offset=3.0)}
     scene = make_scene(converter="converter: {range: 5 V}")
-    recording, messages = import_recording(tmp_path / "a.csv", scene, tmp_path / "r.mcap", table=table)
-    with recording:
-        overloads = [(marker.first_sample, marker.stop, marker.fields) for marker in recording.overloads]
+    recording, messages = imported(tmp_path / "a.csv", scene, table=table)
+    overloads = [(marker.first_sample, marker.stop, marker.fields) for marker in recording.overloads]
     assert overloads == [(k, k + 1, {"channel": "body1"}) for k in (300, 1500)]
     assert not any("above the converter's range" in note for note in messages)
 
@@ -275,7 +249,7 @@ def test_reversed_times_are_rejected(tmp_path):
         daq.import_files(tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap", from_s=0.2, to_s=0.1)
 
 
-def test_yaml_and_csv_tables_agree(tmp_path):
+def test_yaml_and_csv_tables_agree(tmp_path, imported):
     write_csv(tmp_path / "a.csv", random_samples(600))
     (tmp_path / "t.yaml").write_text(
         "body1: 2\nbody2: {column: body1, unit: 2 m/s^2, sign: -1, offset: 0.5, delay: 1 ms}\n"
@@ -283,12 +257,9 @@ def test_yaml_and_csv_tables_agree(tmp_path):
     (tmp_path / "t.csv").write_text("channel,column,unit,sign,offset,delay\nbody1,2\nbody2,body1,2 m/s^2,-1,0.5,1 ms\n")
     samples = []
     for name in ("t.yaml", "t.csv"):
-        recording, _ = import_recording(
-            tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap", table=tmp_path / name, overwrite=True
-        )
-        with recording:
-            assert recording.channels["body2"].delay == 1e-3
-            samples.append([recording.read(channel) for channel in NAMES])
+        recording, _ = imported(tmp_path / "a.csv", table=tmp_path / name)
+        assert recording.channels["body2"].delay == 1e-3
+        samples.append([recording.read(channel) for channel in NAMES])
     np.testing.assert_array_equal(*samples)
     np.testing.assert_allclose(samples[0][1], -2.0 * (random_samples(600)[0] - 0.5), rtol=0, atol=1e-7)
 
@@ -302,7 +273,7 @@ END_OF_HEADER = "***End_of_Header***\t\n"
 
 @pytest.mark.parametrize("columns", ["No", "One", "Multi"])
 @pytest.mark.parametrize(("separator", "point"), [("\t", "."), ("\t", ","), (",", ".")])
-def test_labview_text_has_names_units_and_clock(columns, separator, point, tmp_path):
+def test_labview_text_has_names_units_and_clock(columns, separator, point, tmp_path, imported):
     rows = random_samples(400)
     name = "Tab" if separator == "\t" else "Comma"
 
@@ -341,15 +312,14 @@ def test_labview_text_has_names_units_and_clock(columns, separator, point, tmp_p
         )
         lines.append(line([*cells, "lost contact"] if k % 7 == 0 else cells))
     (tmp_path / "a.lvm").write_text(heading + "".join(lines))
-    recording, messages = import_recording(tmp_path / "a.lvm", make_scene(), tmp_path / "r.mcap")
-    with recording:
-        assert recording.rate == RATE and not messages
-        np.testing.assert_allclose(recording.read("force"), rows[2], rtol=0, atol=1e-6)
-        np.testing.assert_allclose(recording.read("body2"), 9.80665 * rows[1], rtol=0, atol=1e-5)
+    recording, messages = imported(tmp_path / "a.lvm")
+    assert recording.rate == RATE and not messages
+    np.testing.assert_allclose(recording.read("force"), rows[2], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(recording.read("body2"), 9.80665 * rows[1], rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("form", ["text", "array"])
-def test_unnamed_evenly_rising_column_is_time(form, tmp_path):
+def test_unnamed_evenly_rising_column_is_time(form, tmp_path, imported):
     rows = np.vstack([np.arange(400) / RATE - 0.01, random_samples(400)])
     if form == "text":
         np.savetxt(tmp_path / "a.txt", rows.T, fmt="%.9e")
@@ -357,50 +327,45 @@ def test_unnamed_evenly_rising_column_is_time(form, tmp_path):
         np.savez(tmp_path / "a.npz", measured=rows.T)
     file = next(tmp_path.glob("a.*"))
     table = {name: Column(str(k), unit="m/s^2" if name != "force" else "N") for k, name in enumerate(NAMES, 1)}
-    recording, messages = import_recording(file, make_scene(), tmp_path / "r.mcap", table=table)
-    with recording:
-        assert recording.rate == RATE
-        np.testing.assert_allclose(recording.read("body1"), rows[1], rtol=1e-6)
+    recording, messages = imported(file, table=table)
+    assert recording.rate == RATE
+    np.testing.assert_allclose(recording.read("body1"), rows[1], rtol=1e-6)
     assert any("rises evenly" in text and "is used as times" in text for text in messages)
 
 
-def test_column_of_line_numbers_is_not_time(tmp_path):
+def test_column_of_line_numbers_is_not_time(tmp_path, imported):
     np.savetxt(tmp_path / "a.txt", np.vstack([np.arange(1, 401), random_samples(400)]).T)
     table = {"body1": Column("2", unit="m/s^2")}
     with pytest.raises(SceneError, match="sample rate is not stated"):
-        import_recording(tmp_path / "a.txt", make_scene(), tmp_path / "r.mcap", table=table)
+        imported(tmp_path / "a.txt", table=table)
 
 
-def test_uneven_times_are_reported(tmp_path):
+def test_uneven_times_are_reported(tmp_path, imported):
     rows = random_samples(400)
     jitter = np.random.default_rng(2).uniform(-0.2, 0.2, 400)
     for name, times in {"even": np.arange(400.0), "uneven": np.arange(400) + jitter}.items():
         np.savez(tmp_path / f"{name}.npz", time=times / RATE, body1=rows[0])
         table = {"body1": Column("body1", unit="g")}
-        _, messages = import_recording(tmp_path / f"{name}.npz", make_scene(), tmp_path / f"{name}.mcap", table=table)
+        _, messages = imported(tmp_path / f"{name}.npz", table=table)
         assert any("from even spacing by up to" in text for text in messages) == (name == "uneven")
 
 
-def test_missing_value_in_first_line_keeps_its_column(tmp_path):
+def test_missing_value_in_first_line_keeps_its_column(tmp_path, imported):
     lines = [f"{k / RATE:.9g},{k % 7},{'' if k == 0 else k % 5}" for k in range(400)]
     (tmp_path / "a.csv").write_text("\n".join(["time [s],body1 [g],body2 [g]", *lines]))
-    recording, _ = import_recording(tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap")
-    with recording:
-        assert np.isnan(recording.read("body2")[0])
-        np.testing.assert_allclose(recording.read("body2")[1:], 9.80665 * (np.arange(1, 400) % 5), rtol=1e-12)
+    recording, _ = imported(tmp_path / "a.csv")
+    assert np.isnan(recording.read("body2")[0])
+    np.testing.assert_allclose(recording.read("body2")[1:], 9.80665 * (np.arange(1, 400) % 5), rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["Fs", "sampling_frequency", "samplerate", "sr", "f_s", "sampling_rate_Hz"])
-def test_sample_rate_is_known_by_any_name(name, tmp_path):
+def test_sample_rate_is_known_by_any_name(name, tmp_path, imported):
     np.savez(tmp_path / "a.npz", **{name: RATE}, body1=random_samples(400)[0])
-    recording, _ = import_recording(
-        tmp_path / "a.npz", make_scene(), tmp_path / "r.mcap", table={"body1": Column("body1", unit="g")}
-    )
-    with recording:
-        assert recording.rate == RATE
+    recording, _ = imported(tmp_path / "a.npz", table={"body1": Column("body1", unit="g")})
+    assert recording.rate == RATE
 
 
-def test_error_locates_second_labview_segment(tmp_path):
+def test_error_locates_second_labview_segment(tmp_path, imported):
     heading = LABVIEW_HEAD.format(name="Tab", point=".", columns="No")
     segment = (
         "Channels\t1\nY_Unit_Label\tg\nX0\t0\nDelta_X\t0.001\n"
@@ -409,17 +374,16 @@ def test_error_locates_second_labview_segment(tmp_path):
     )
     (tmp_path / "a.lvm").write_text(heading + 2 * segment)
     with pytest.raises(RecordingError, match=r"a.lvm, line 16: a second segment"):
-        import_recording(tmp_path / "a.lvm", make_scene(), tmp_path / "r.mcap")
+        imported(tmp_path / "a.lvm")
 
 
-def test_uncertain_labview_clock_is_reported(tmp_path):
+def test_uncertain_labview_clock_is_reported(tmp_path, imported):
     heading = LABVIEW_HEAD.format(name="Tab", point=".", columns="No")
     heading += (
         "Channels\t1\nSamples\t9\nY_Unit_Label\tg\nX0\t0\nDelta_X\t0.000977\n" + END_OF_HEADER + "X_Value\tbody1\n"
     )
     (tmp_path / "a.lvm").write_text(heading + "".join(f"\t{value}\n" for value in (0.1, -0.1, 0.2)))
-    recording, messages = import_recording(tmp_path / "a.lvm", make_scene(), tmp_path / "r.mcap")
-    recording.close()
+    _, messages = imported(tmp_path / "a.lvm")
     assert any("9 samples, but the table has only 3" in text for text in messages)
     assert any("1023.02 to 1024.07 Hz" in text for text in messages)
 
@@ -448,54 +412,49 @@ WRONG_TABLES = {
 
 
 @pytest.mark.parametrize("text", WRONG_TABLES)
-def test_wrong_table_is_rejected_with_message(text, tmp_path):
+def test_wrong_table_is_rejected_with_message(text, tmp_path, imported):
     write_csv(tmp_path / "a.csv", random_samples(100))
     (tmp_path / "t.yaml").write_text(text)
     with pytest.raises(SceneError, match=WRONG_TABLES[text]):
-        import_recording(tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap", table=tmp_path / "t.yaml")
+        imported(tmp_path / "a.csv", table=tmp_path / "t.yaml")
     assert not (tmp_path / "r.mcap").exists()
 
 
-def test_contradicting_rates_name_the_remedy(tmp_path):
+def test_contradicting_rates_name_the_remedy(tmp_path, imported):
     write_csv(tmp_path / "a.csv", random_samples(100))
     with pytest.raises(
         SceneError,
         match=r"files state 2048 Hz.*5120 Hz\. If the files are right, set converter\.rate of the scene to 2048 Hz",
     ):
-        import_recording(tmp_path / "a.csv", make_scene(converter="converter: {rate: 5120 Hz}"), tmp_path / "r.mcap")
+        imported(tmp_path / "a.csv", make_scene(converter="converter: {rate: 5120 Hz}"))
     table = {name: Column(name, rate=5120.0) for name in NAMES}
-    recording, _ = import_recording(
-        tmp_path / "a.csv", make_scene(converter="converter: {rate: 5120 Hz}"), tmp_path / "r.mcap", table=table
-    )
-    with recording:
-        assert recording.rate == 5120.0
+    recording, _ = imported(tmp_path / "a.csv", make_scene(converter="converter: {rate: 5120 Hz}"), table=table)
+    assert recording.rate == 5120.0
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6)])
-def test_unstated_unit_of_times_is_named(unit, factor, tmp_path):
+def test_unstated_unit_of_times_is_named(unit, factor, tmp_path, imported):
     times = factor * np.arange(100) / RATE
     table = np.vstack([times, random_samples(100)]).T
     scene = make_scene(converter="converter: {rate: 2048 Hz}")
     heading = ",".join(["time", *(f"{name} [{of}]" for name, of in zip(NAMES, UNITS, strict=True))])
     np.savetxt(tmp_path / "a.csv", table, "%.12g", ",", header=heading, comments="")
     with pytest.raises(SceneError, match=r"If the first column is in ([mu]s), name it `time \[\1\]`") as error:
-        import_recording(tmp_path / "a.csv", scene, tmp_path / "r.mcap")
+        imported(tmp_path / "a.csv", scene)
     assert f"[{unit}]" in str(error.value) and "converter.rate=" not in str(error.value)
     corrected = heading.replace("time", f"time [{unit}]")
     np.savetxt(tmp_path / "a.csv", table, "%.12g", ",", header=corrected, comments="")
-    recording, _ = import_recording(tmp_path / "a.csv", scene, tmp_path / "r.mcap")
-    with recording:
-        assert recording.rate == RATE
+    recording, _ = imported(tmp_path / "a.csv", scene)
+    assert recording.rate == RATE
 
 
 @pytest.mark.parametrize(("heading", "factor"), [("time [ms]", 1.0), ("time [s]", 1e3), ("time [s]", 1.0)])
-def test_implausible_unit_of_times_is_reported(heading, factor, tmp_path):
+def test_implausible_unit_of_times_is_reported(heading, factor, tmp_path, imported):
     times = factor * np.arange(4000) / RATE
     names = (f"{name} [{unit}]" for name, unit in zip(NAMES, UNITS, strict=True))
     table = np.vstack([times, random_samples(4000)]).T
     np.savetxt(tmp_path / "a.csv", table, "%.12g", ",", header=",".join([heading, *names]), comments="")
-    recording, notes = import_recording(tmp_path / "a.csv", make_scene().replace(test=None), tmp_path / "r.mcap")
-    recording.close()
+    _, notes = imported(tmp_path / "a.csv", make_scene().replace(test=None))
     is_right = heading == "time [s]" and factor == 1.0
     assert any("Check the unit of the times" in note for note in notes) is not is_right
 
@@ -524,7 +483,7 @@ def test_import_command_lists_signals_without_overwriting(tmp_path, monkeypatch)
     assert "b.csv: no such file" in str(no_file.exception)
 
 
-def test_unit_that_contradicts_file_is_reported(tmp_path):
+def test_unit_that_contradicts_file_is_reported(tmp_path, imported):
     write_csv(tmp_path / "a.csv", random_samples(3000))
     # 1 / 9.80665 = 0.102; the file is in g.
     for unit, expected_message in (("m/s^2", "0.102 times"), ("mm", "displacement instead of acceleration"), ("g", "")):
@@ -533,10 +492,7 @@ def test_unit_that_contradicts_file_is_reported(tmp_path):
             body1, *others = scene.channels
             scene = scene.replace(channels=[body1.replace(accelerometer=None), *others])
         table = {"body1": Column("body1", unit=unit)}
-        recording, messages = import_recording(
-            tmp_path / "a.csv", scene, tmp_path / f"{expected_message}.mcap", table=table
-        )
-        recording.close()
+        _, messages = imported(tmp_path / "a.csv", scene, table=table)
         assert any(expected_message in message for message in messages) if expected_message else not messages
 
 
@@ -578,49 +534,46 @@ def hammer_scene() -> rig.Scene:
     return rig.load("bare-structure", {"test": HIT_TEST, "channels": channels, "converter": None})
 
 
-def test_files_of_one_hit_are_joined(tmp_path):
+def test_files_of_one_hit_are_joined(tmp_path, imported):
     files = [tmp_path / f"hit{number}.csv" for number in (1, 2)]
     for file, peak in zip(files, (80.0, 100.0), strict=True):
         write_hit(file, peak)
-    recording, notes = import_recording(files, hammer_scene(), tmp_path / "r.mcap")
-    with recording:
-        hits = [marker for marker in recording.markers if marker.kind == "hit"]
-        assert [round(hit.fields["peak"]) for hit in hits] == [80, 100]
-        assert {marker.first_sample for marker in recording.markers if marker.kind == "lost"} == {2048}
+    recording, notes = imported(files, hammer_scene())
+    hits = [marker for marker in recording.markers if marker.kind == "hit"]
+    assert [round(hit.fields["peak"]) for hit in hits] == [80, 100]
+    assert {marker.first_sample for marker in recording.markers if marker.kind == "lost"} == {2048}
     assert any("2 files with the same signals are joined as impacts of one test" in note for note in notes)
     assert not any("no number" in note for note in notes)
 
 
-def test_misspelled_force_of_hammer_is_an_error(tmp_path):
+def test_misspelled_force_of_hammer_is_an_error(tmp_path, imported):
     write_hit(tmp_path / "a.csv", 80.0)
     text = (tmp_path / "a.csv").read_text()
     (tmp_path / "a.csv").write_text(text.replace("hit [N]", "hti [N]"))
     with pytest.raises(SceneError, match=r"no channel measures a force(.|\n)*hit \(Did you mean 'hti'\?\)"):
-        import_recording(tmp_path / "a.csv", hammer_scene(), tmp_path / "r.mcap")
+        imported(tmp_path / "a.csv", hammer_scene())
     assert not (tmp_path / "r.mcap").exists()
 
 
-def test_import_warns_of_missing_force_reference(tmp_path):
+def test_import_warns_of_missing_force_reference(tmp_path, imported):
     write_csv(tmp_path / "a.csv", random_samples(3000))
     text = (tmp_path / "a.csv").read_text()
     (tmp_path / "a.csv").write_text(text.replace("force", "forse"))
-    recording, notes = import_recording(tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap")
-    recording.close()
+    _, notes = imported(tmp_path / "a.csv")
     assert any("force (Did you mean 'forse'?)" in note for note in notes)
     assert any("no channel measures the force on the structure" in note for note in notes)
 
 
 @pytest.mark.filterwarnings("ignore:.*has no heading")
-def test_force_and_response_may_have_separate_files(tmp_path):
+def test_force_and_response_may_have_separate_files(tmp_path, imported):
     times = np.arange(2048) / 2048.0
     force = np.where(times < 4e-3, 50.0 * np.sin(np.pi * times / 4e-3), 0.0)
     for name, values in (("force", force), ("response", np.exp(-20.0 * times) * np.sin(300.0 * times))):
         np.savetxt(tmp_path / f"{name}.txt", np.column_stack([times, values]))
     table = {"hit": Column("column 2", file="force", unit="N"), "body1": Column("column 2", file="response", unit="g")}
     files = [tmp_path / "force.txt", tmp_path / "response.txt"]
-    recording, _ = import_recording(files, hammer_scene(), tmp_path / "r.mcap", table=table)
-    with recording:
-        np.testing.assert_allclose(recording.read("hit"), force, rtol=0, atol=1e-6)
+    recording, _ = imported(files, hammer_scene(), table=table)
+    np.testing.assert_allclose(recording.read("hit"), force, rtol=0, atol=1e-6)
 
 
 @pytest.mark.filterwarnings("ignore:.*has no heading")

@@ -1,6 +1,5 @@
 """Missing rows of a file become lost samples; an incomplete last line is ignored."""
 
-import warnings
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -9,12 +8,11 @@ import numpy as np
 import pytest
 import pyuff
 
-import daq
 from daq.extras.importing.channel_table import Column
 from daq.extras.importing.clock import clock_of_times, missing_rows
 from daq.extras.importing.text_table import BLOCK_LINES, text_signals
 from rig.core.base.errors import RecordingError, RunWarning
-from tests.daq.importing.files import NAMES, SI_PER_UNIT, UNITS, make_scene, random_samples
+from tests.daq.importing.files import NAMES, SI_PER_UNIT, UNITS, random_samples
 
 RATE = 2560.0  # Hz
 SAMPLES = random_samples(4000)
@@ -62,30 +60,22 @@ def write_npz(path: Path, times: np.ndarray, channels: np.ndarray) -> None:
     np.savez(path, time=times, **dict(zip(NAMES, channels, strict=True)))
 
 
-def import_recording(path: Path, target: Path) -> tuple[daq.Recording, list[str]]:
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        recording = daq.open(daq.import_files(path, make_scene(), target, table=TABLE))
-    return recording, [str(warning.message) for warning in caught]
-
-
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize(
     ("ending", "write_file"),
     [("csv", write_text), ("lvm", write_labview), ("tdms", write_tdms), ("uff", write_uff), ("npz", write_npz)],
 )
-def test_missing_rows_are_imported_as_lost_samples(ending, write_file, tmp_path):
+def test_missing_rows_are_imported_as_lost_samples(ending, write_file, tmp_path, imported):
     path = tmp_path / f"a.{ending}"
     write_file(path, np.arange(4000)[PRESENT] / RATE, SAMPLES[:, PRESENT])
-    recording, messages = import_recording(path, tmp_path / "r.mcap")
-    with recording:
-        assert recording.rate == RATE and recording.samples == 4000
-        for name, channel in zip(NAMES, SAMPLES * SI_PER_UNIT, strict=True):
-            samples = recording.read(name)
-            assert np.array_equal(np.isfinite(samples), PRESENT)
-            np.testing.assert_allclose(samples[PRESENT], channel[PRESENT], rtol=1e-6)
-            gaps = [gap for gap in recording.gaps if name in gap.channels]
-            assert [(gap.first_sample, gap.last_sample + 1) for gap in gaps] == MISSING
+    recording, messages = imported(path, table=TABLE)
+    assert recording.rate == RATE and recording.samples == 4000
+    for name, channel in zip(NAMES, SAMPLES * SI_PER_UNIT, strict=True):
+        samples = recording.read(name)
+        assert np.array_equal(np.isfinite(samples), PRESENT)
+        np.testing.assert_allclose(samples[PRESENT], channel[PRESENT], rtol=1e-6)
+        gaps = [gap for gap in recording.gaps if name in gap.channels]
+        assert [(gap.first_sample, gap.last_sample + 1) for gap in gaps] == MISSING
     assert any("gaps in 3 places" in message and "1004 samples are missing" in message for message in messages)
 
 
@@ -116,15 +106,14 @@ def test_no_gaps_in_unevenly_spaced_times(times):
 
 
 @pytest.mark.parametrize("cut_bytes", [1, 4, 10, 20, 40, 48])
-def test_truncated_last_line_is_omitted(cut_bytes, tmp_path):
+def test_truncated_last_line_is_omitted(cut_bytes, tmp_path, imported):
     path = tmp_path / "a.csv"
     write_text(path, np.arange(4000) / RATE, SAMPLES)
     data = path.read_bytes()
     path.write_bytes(data[: -1 - cut_bytes])
-    recording, messages = import_recording(path, tmp_path / "r.mcap")
-    with recording:
-        assert recording.samples == 3999
-        np.testing.assert_allclose(recording.read("force"), SAMPLES[2, :3999], rtol=1e-9)
+    recording, messages = imported(path, table=TABLE)
+    assert recording.samples == 3999
+    np.testing.assert_allclose(recording.read("force"), SAMPLES[2, :3999], rtol=1e-9)
     assert any("last line is truncated, and is not imported" in message for message in messages)
 
 
@@ -136,10 +125,10 @@ def test_complete_last_line_without_end_is_read(tmp_path):
         assert text_signals(path, stack)[0].read(0, 41)[-1] == 1.5
 
 
-def test_truncated_inner_line_is_rejected(tmp_path):
+def test_truncated_inner_line_is_rejected(tmp_path, imported):
     path = tmp_path / "a.csv"
     write_text(path, np.arange(4000) / RATE, SAMPLES)
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join([*lines[:2000], lines[2000][:9] + "\n", *lines[2001:]]))
     with pytest.raises(RecordingError, match="line 2001: 2 columns"):
-        import_recording(path, tmp_path / "r.mcap")
+        imported(path, table=TABLE)

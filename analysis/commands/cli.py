@@ -21,6 +21,10 @@ app = create_application("Curves, modes and reports from recordings.")
 Recordings = Annotated[list[Path], "FILE...: Recordings (.mcap)."]
 Curves = Annotated[list[Path], "FILE...: Recordings (.mcap), or responses from other programs (.uff, .csv)."]
 Compared = Annotated[list[Path], "FILE...: Recordings (.mcap). The first is the baseline of the comparison."]
+Reported = Annotated[
+    list[Path],
+    "FILE...: Recordings (.mcap). The baseline is the first without moving dampers, otherwise the first.",
+]
 Folder = Annotated[Path | None, "DIR: Folder to write to. Default: the folder of the first FILE."]
 Table = Annotated[Path, "FILE: CSV table of results. Points in this table are not computed again."]
 
@@ -83,7 +87,7 @@ def profile(files: Recordings, output: Folder = None, overwrite: Overwrite = Fal
 
 @app.command(example="analysis backbone resonance.mcap")
 def backbone(files: Recordings, output: Folder = None, overwrite: Overwrite = False) -> None:
-    """Estimate frequency and damping against amplitude."""
+    """Estimate frequency and damping as functions of amplitude."""
     from analysis.commands.presentation.backbone_findings import present_backbone
 
     with allow_overwriting(overwrite):
@@ -111,7 +115,7 @@ def surface(
     force: Annotated[list[float] | None, "N: Draw the response at this force amplitude in N. May be repeated."] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Draw the force over frequency and held amplitude."""
+    """Draw the force as a function of frequency and amplitude."""
     from analysis.commands.presentation.surface_findings import present_surface
 
     with allow_overwriting(overwrite):
@@ -131,8 +135,8 @@ def modes(
     ] = None,
     roving: Annotated[
         bool,
-        "Each FILE contains impacts at another point, with the same fixed sensor. Identify the modes of all points at "
-        "once, by reciprocity.",
+        "Each FILE contains impacts at a different point, with the same fixed sensor. Identify the modes of all "
+        "points at once, by reciprocity.",
     ] = False,
     overwrite: Overwrite = False,
     **options: Any,
@@ -190,7 +194,7 @@ def fit(
 
 @app.command(example="analysis report without.mcap with.mcap -o report.html")
 def report(
-    files: Compared,
+    files: Reported,
     output: Annotated[
         Path | None, "DIR|FILE.html: Folder or page to write. Default: the folder of the first FILE."
     ] = None,
@@ -293,9 +297,9 @@ def paper(
     cluster: Cluster = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Repeat and check the paper of Inoue, Yokomichi, Hiraki (2011).
+    """Reproduce the paper of Inoue, Yokomichi, Hiraki (2011).
 
-    The figures are drawn, and each claim is assessed. A repeated command computes only the missing parts.
+    The figures are drawn, and each claim is checked. A repeated command computes only the missing parts.
     """
     from analysis.studies.paper.reproduce import reproduce
 

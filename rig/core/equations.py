@@ -1,7 +1,7 @@
 """The linear equations of motion of a structure and its shakers during their assembly, M q'' + C q' + K q = f.
 
-The coordinates are the bodies of the structure, and the tables (heads) of shakers. M, C and K are physical and
-symmetric. Springs and dashpots to ground act on x - r z, with the motion z of the ground and the *influence vector* r,
+The coordinates are the bodies of the structure, and the tables (heads) of shakers. M, C and K are symmetric and in
+SI units. Springs and dashpots to ground act on x - r z, with the motion z of the ground and the *influence vector* r,
 the displacement of each body per static displacement of the ground. By default the ground is at rest; a shaker can
 replace it with a coordinate.
 """
@@ -24,7 +24,7 @@ class Ground(NamedTuple):
 
 
 class Current(NamedTuple):
-    """The current of a coil with a voltage amplifier, L i' + R i + force factor * velocity = gain * drive, a state."""
+    """The state of a coil driven by a voltage amplifier, L i' + R i + force factor * velocity = gain * drive."""
 
     row: int  # coordinate on which the coil acts
     column: int  # input that is the drive
@@ -99,7 +99,7 @@ class Equations:
         self.stiffness[[first, second], [second, first]] -= stiffness
 
     def support(self, row: int, stiffness: float, damping: float) -> None:
-        """Add a spring [N/m] and a dashpot [N s/m] between a coordinate and the floor, which is always at rest."""
+        """Add a spring [N/m] and a dashpot [N s/m] between a coordinate and the laboratory floor, which never moves."""
         self.stiffness[row, row] += stiffness
         self.damping[row, row] += damping
 
@@ -129,8 +129,8 @@ class Equations:
         pairs = ((damping, self.damping), (stiffness, self.stiffness))
         if not any((abs(column) > 1e-12 * abs(matrix).max()).any() for column, matrix in pairs):
             raise SceneError(
-                "structure: nothing connects it to the ground, so that the table does not move it. Give the spring of "
-                "body 1, or matrices with a support."
+                "structure: nothing connects the structure to the ground, so the table does not move it. Give the "
+                "spring of body 1, or matrices with a support."
             )
         bodies = len(influence)
         for matrix, column in ((self.damping, damping), (self.stiffness, stiffness)):

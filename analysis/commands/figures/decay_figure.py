@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from analysis.core.decays.modal_decay import ModalDecay
 
 
-# Modes of different recordings share a panel if their frequencies differ by less than this fraction.
+# Modes of different recordings share a panel if their frequencies differ by less than this fraction; dampers shift
+# them.
 _MAX_FREQUENCY_DIFFERENCE = 0.15
 
 
@@ -63,13 +64,14 @@ def decay_figure(decays: Sequence[Decay], title: str, styles: Sequence[CurveStyl
         if waveform_axes.get_legend_handles_labels()[0]:
             waveform_axes.legend(loc="upper right")
         set_log_scale(envelope_axes.yaxis, 5)
+        # At most three decades: below, the envelope is mostly noise.
         envelope_axes.set_ylim(max(0.6 * lowest, 1e-3 * highest), 1.6 * highest)
         envelope_axes.axhline(gravity, color="#777777", lw=0.8, ls=":")
         envelope_axes.set_ylabel("envelope / (m/s²)")
         envelope_axes.set_xlabel("time / s")
         add_caption(
-            figure, "Envelope: largest acceleration from half a period of the lowest mode before to half a period "
-                "after each instant.",
+            figure, "Envelope at each instant: largest acceleration within half a period of the lowest mode on either "
+                "side.",
             "Dashed: square root of the backward-integrated (Schroeder) energy, scaled to the start of the envelope. "
             "Dotted: 1 g.",
             *(["Bands: 95 % interval of the damping ratio; a band down to the axis includes zero."] if modes else []),
@@ -147,6 +149,6 @@ def group_modes(decays: Sequence[Decay]) -> list[list[tuple[int, ModalDecay]]]:
 
 
 def _relevant_duration(decay: Decay) -> float:
-    """Return the time after which the acceleration stays below 2 % of its maximum, otherwise the duration, s."""
+    """Return the time in s after which the acceleration stays below 2 % of its maximum, or the whole duration."""
     end = decay.time_below(0.02 * float(abs(decay.acceleration).max()))
     return float(decay.time[-1]) if np.isnan(end) or end <= 0 else end

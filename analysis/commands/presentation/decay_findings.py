@@ -19,8 +19,8 @@ from analysis.commands.presentation.outputs import (
 from analysis.core.decays.free_decay import INITIAL_DECAY_DB, Decay, decay
 from analysis.core.recordings.names import (
     OpenRecordings,
+    baseline_label,
     full_test_text,
-    reference_label,
     relabel,
     scene_labels,
     with_recordings,
@@ -79,7 +79,7 @@ def present_decay(
     title = f"Free decay of {first.channel}{f' after impact {hit}' if has_hits else ''}"
     if excitations[0] and len(set(excitations)) == 1:
         title += f" ({excitations[0]})"
-    reference = reference_label(moving)
+    reference = baseline_label(moving)
     styles = recording_styles([name == reference for name in moving]) if reference else place_styles(places)
     files = save_figure(decay_figure(decays, title, styles), stem)
     files += [envelope_table(envelopes, decays), damping_table(dampings, decays)]

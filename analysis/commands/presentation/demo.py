@@ -26,8 +26,8 @@ IMPACT_TESTS = ("fig10b-no-damper", "fig10b-three-dampers")
 
 # Coarse frequency grid over the band, Hz.
 _COARSE_HZ = np.linspace(8.0, 60.0, 34)
-# Fine grids around the resonances, Hz. They include the lower resonances with dampers at rest, which act as added
-# masses.
+# Fine grids around the resonances, Hz. Riding dampers add mass and lower the resonances; the grids
+# cover the lowered resonances, too.
 _FINE_HZ = (np.linspace(11.8, 13.6, 14), np.linspace(32.0, 35.6, 13), np.linspace(45.5, 51.0, 12))
 
 
@@ -60,7 +60,7 @@ def demonstrate(
     for name, path, frequencies_hz in jobs:
         if path.exists() and not (overwrite or is_recorded(_scene(name, frequencies_hz), path)):
             raise SceneError(
-                f"{path}: exists and is not a recording of the demonstration. Choose another folder with --output, or "
+                f"{path} exists and is not a recording of the demonstration. Choose another folder with --output, or "
                 "pass --overwrite."
             )
     with Workers() as workers:
@@ -69,18 +69,21 @@ def demonstrate(
             print_line(f"  {jobs[number][1]}: {seconds:.0f} s of test, recorded {elapsed:.0f} s after the start")
     files = list(recordings.values())
     print_line("Estimating compliance, decay and modes from the recordings alone ...")
-    stepped_sines, impacts = [recordings[name] for name in STEPPED_SINES], [recordings[name] for name in IMPACT_TESTS]
+    stepped_sines, impact_tests = (
+        [recordings[name] for name in STEPPED_SINES],
+        [recordings[name] for name in IMPACT_TESTS],
+    )
     with allow_overwriting(True):
         results = (
             present_frf(stepped_sines, folder, theory=True),
-            present_decay(impacts, folder, "body3"),
+            present_decay(impact_tests, folder, "body3"),
             present_modes(stepped_sines[:1], folder),
         )
     for result in results:
         for line in result.lines:
             print_line(f"  {line}")
         for warning in result.warnings:
-            print_line(f"  note: {warning}")
+            print_line(f"  warning: {warning}")
         files += result.files
     print_line(f"Done in {time.monotonic() - start:.0f} s. Written:")
     for path in files:
@@ -103,6 +106,7 @@ def _scene(name: str, sweep_hz: tuple[float, ...]) -> Scene:
     scene = rig.load(name)
     if name not in STEPPED_SINES:
         return scene
+    # The force is that of Fig. 8; after 20 s even the slowest transient of the structure has decayed.
     test = {"kind": "stepped_sine", "frequencies": sweep_hz, "force": 2.6, "settle": {"longest": 20.0}}
     return scene.replace(test=test)
 

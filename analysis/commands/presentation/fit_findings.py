@@ -73,10 +73,10 @@ def describe(result: Fit) -> list[str]:
     levels = [("sweep", "dampers", "largest acceleration / (m/s²)", "damping")]
     for level in result.damping:
         damping = ", ".join(
-            "undetermined" if isnan(value) else format_interval(value, bound)
-            for value, bound in zip(level.value, level.bound, strict=True)
+            "undetermined" if isnan(value) else format_interval(value, expanded)
+            for value, expanded in zip(level.value, level.expanded, strict=True)
         )
-        levels.append((level.label, "in place" if level.damped else "none", f"{level.acceleration:.3g}", damping))
+        levels.append((level.label, "in place" if level.dampers_move else "none", f"{level.acceleration:.3g}", damping))
     residuals = [("recording", "residual / % of the curves, rms")] + [
         (comparison.curves.label, f"{100 * comparison.relative:.2g}") for comparison in result.compared
     ]

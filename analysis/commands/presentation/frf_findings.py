@@ -23,9 +23,9 @@ from analysis.core.damper_motion.comparison import is_next_to_omitted, resonance
 from analysis.core.recordings.names import (
     OpenRecordings,
     acquisition_text,
+    baseline_label,
     belongs_to,
     excitation_text,
-    reference_label,
     relabel,
     with_recordings,
     without_common_direction,
@@ -106,7 +106,7 @@ def present_frf(
             from analysis.commands.presentation.theory import linear_theory
 
             theory_curves += [linear_theory(rec, frf) for frf in groups[0]]
-    files = _draw_figures(curves, theory_curves, stem, reference_label(moving), excitations, acquisitions)
+    files = _draw_figures(curves, theory_curves, stem, baseline_label(moving), excitations, acquisitions)
     files.append(frf_table(table, curves))
     return CommandOutput(tuple(files), (*describe_frfs(curves), *dict.fromkeys(tolerance_remarks)), tuple(warnings))
 

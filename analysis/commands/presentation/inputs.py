@@ -1,6 +1,7 @@
-"""Input files of an `analysis` command: their labels, and checks that the command and its options suit them.
+"""Input files of an `analysis` command: labels, and checks of the files and options.
 
-The message of a failed check names a suitable command or option.
+A command must be able to analyze its files, and each option must have an effect. The message of a failed check names a
+suitable command or option.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ def check_recording(rec: Recording, path: Path, command: str) -> None:
         )
     if command in ("frf", "modes", "dampers") and not test.drives:
         raise RecordingError(
-            f"{path}: {test.name} has no driving force, from which responses are computed. Use `analysis decay {file}`."
+            f"{path}: {test.name} has no driving force, which frequency responses need. Use `analysis decay {file}`."
         )
     if command == "dampers":
         if not rec.scene.dampers and not rec.scene.joints:
@@ -86,7 +87,7 @@ def check_inputs(
     theory: bool = False,
     unit: str | None = None,
 ) -> list[str]:
-    """Raise an error for files that do not suit a command and for options without effect on any file.
+    """Raise an error for files that a command cannot analyze and for options without effect on any file.
 
     Returns warnings about files given twice, and about options without effect on some of the files, with the reason.
     """

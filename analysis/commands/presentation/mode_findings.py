@@ -42,8 +42,8 @@ if TYPE_CHECKING:
 #: Two mode shapes with at least this modal assurance criterion (MAC) are usually considered the same.
 MIN_SAME_SHAPE_MAC = 0.9
 # A mode is compared with the nearest mode of the scene, and with all modes whose frequency ratio to it is below this
-# value. The spacing of close modes may be smaller than the error of the scene's values. If a channel has the wrong
-# sign, a measured shape can resemble that of a distant mode.
+# value: with the nearest mode alone, two close modes could be exchanged, because their spacing may be smaller than the
+# error of the scene's values. Distant modes are left out, because a channel of wrong sign can resemble their shapes.
 _MAX_FREQUENCY_RATIO = 1.25
 # Largest order (sum of the factors) of a combination of natural frequencies.
 _MAX_COMBINATION_ORDER = 5
@@ -133,16 +133,16 @@ def _sweeps(
 
 
 def describe_modes(modes: Modes, theory: TheoreticalModes | None = None) -> list[str]:
-    """Return a table of natural frequency, damping ratio, shape and MAC with `theory` of each mode."""
+    """Return a table of natural frequency, damping ratio, shape, and MAC with the scene (`theory`) of each mode."""
     count = modes.frequency.size
     bodies = modes.of_bodies()
-    rows = [("frequency / Hz", "damping ratio / %", "MAC with theory", *(f"at {name}" for name in bodies.names))]
+    rows = [("frequency / Hz", "damping ratio / %", "MAC with scene", *(f"at {name}" for name in bodies.names))]
     mac_texts = [""] * count if theory is None else [f"{mac_value:.4f}" for mac_value in nearest_mac(modes, theory)]
     for i, frequency in enumerate(modes.frequency):
         elements = zip(bodies.shapes[:, i].real, expand(bodies.errors[:, i]), strict=True)
         ratio = modes.damping_text(i).strip("(%) ")
         cells = (format_interval(frequency, float(expand(modes.frequency_error[i]))), ratio, mac_texts[i])
-        rows.append((*cells, *(format_interval(value, bound) for value, bound in elements)))
+        rows.append((*cells, *(format_interval(value, expanded) for value, expanded in elements)))
     reference = f", {modes.input}" if modes.input else ""
     heading = f"{modes.label}{reference}: {count} mode{'s' * (count != 1)}{modes.uncertain_count_text()}"
     lines = table_lines(rows, ">" * len(rows[0])) if count else []
@@ -186,8 +186,8 @@ def theory_warnings(modes: Modes, theory: TheoreticalModes | None) -> list[str]:
     warnings = []
     if combined:
         warnings.append(
-            f"{', '.join(combined)}: probably combination frequencies of a nonlinear response, because the shape "
-            "matches no mode of the scene's structure. Measure at a lower level."
+            f"{', '.join(combined)}: probably harmonics or combination frequencies of a nonlinear response, because "
+            "the shape matches no mode of the scene's structure. Measure at a lower level."
         )
     if others:
         warnings.append(
@@ -199,9 +199,9 @@ def theory_warnings(modes: Modes, theory: TheoreticalModes | None) -> list[str]:
 
 
 def combination_of(frequency: float, natural: Sequence[float]) -> str:
-    """Return the sum or difference of multiples of natural frequencies that is close to a frequency; "" if none is.
+    """Return the harmonic or combination of natural frequencies that is close to a frequency; "" if there is none.
 
-    The response of a nonlinear structure contains such frequencies. The combination of lowest order is returned.
+    The response of a nonlinear structure contains these frequencies. The combination of lowest order is returned.
 
     >>> [combination_of(frequency, [80.0, 140.0]) for frequency in (240.0, 299.8, 60.2, 110.0)]
     ['3 x 80 Hz', '140 + 2 x 80 Hz', '140 - 80 Hz', '']

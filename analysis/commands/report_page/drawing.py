@@ -35,14 +35,14 @@ _MARGIN = 15
 # Size of a body in a mode shape, px.
 _SHAPE_WIDTH = 90
 _SHAPE_HEIGHT = 26
-# Width of a mode shape with the values at the right of its bodies, in the larger font of a phone, px.
+# Width of a mode shape including the values right of the bodies, which have a larger font on phones, px.
 _SHAPE_VIEW = 228
 # Distance between two bodies in a mode shape, px.
 _SHAPE_SPACING = 36
 # Amplitude of the largest element of an animated mode shape, px. It is so small that two bodies in antiphase do not
 # meet.
 _MAX_AMPLITUDE = 0.45 * _SHAPE_SPACING
-# Number of zigzag corners of a drawn spring.
+# Zigzag corners of a drawn spring.
 _COILS = 8
 
 
@@ -171,39 +171,39 @@ def _channels(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
     tables, other_channels = dict(scene.tables), []
     for channel in scene.channels or ():
         names_at.setdefault(channel.at, []).append(channel.name)
-    for place, names in names_at.items():
-        color = place_style(place).color
-        carries_structure = place in tables and tables[place].carries_structure
-        if place.startswith("body ") or carries_structure:
-            number = 0 if carries_structure else int(place.removeprefix("body "))
+    for location, names in names_at.items():
+        color = place_style(location).color
+        carries_structure = location in tables and tables[location].carries_structure
+        if location.startswith("body ") or carries_structure:
+            number = 0 if carries_structure else int(location.removeprefix("body "))
             y = tops[number - 1] + _BODY_HEIGHT / 2 if number else tops[0] + _BODY_HEIGHT + _SPACING + 7
             x = _LEFT + _BODY_WIDTH
             yield (
                 f'<path stroke="{color}" d="M{x} {y:g}h14"/><rect x="{x + 14}" y="{y - 6:g}" width="12" height="12" '
                 f'fill="{color}"/><text x="{x + 32}" y="{y + 4:g}">{escape_html(", ".join(names))}</text>'
             )
-        elif place in tables:
-            y = tops[tables[place].first_body - 1] + _BODY_HEIGHT / 2
+        elif location in tables:
+            y = tops[tables[location].first_body - 1] + _BODY_HEIGHT / 2
             yield (
                 f'<rect x="{_DRIVE - 6}" y="{y + 41:g}" width="12" height="12" fill="{color}"/>'
                 f'<text x="{_DRIVE + 26}" y="{y + 51:g}">{escape_html(", ".join(names))}</text>'
             )
-        elif place != "hammer":
-            other_channels.append(f"{', '.join(names)} ({place})")
+        elif location != "hammer":
+            other_channels.append(f"{', '.join(names)} ({location})")
     if other_channels:
         yield f'<text x="4" y="12">Other channels: {escape_html("; ".join(other_channels))}</text>'
 
 
-def mode_drawing(shapes: BodyShapes, places: Sequence[str], mode: int, title: str) -> str:
+def mode_drawing(shapes: BodyShapes, locations: Sequence[str], mode: int, title: str) -> str:
     """Draw one mode shape: each body moves by its element of the shape; dashed outlines show the bodies at rest.
 
-    `places`: locations of the elements, which determine their colors.
+    `locations`: locations of the elements, which determine their colors.
     """
     count, bounds = len(shapes.names), expand(shapes.errors[:, mode])
     opacity = 1.0 if is_known_shape(bounds) else 0.4
     height = count * (_SHAPE_HEIGHT + _SHAPE_SPACING)
     parts = []
-    for k, (name, style) in enumerate(zip(shapes.names, place_styles(places), strict=True)):
+    for k, (name, style) in enumerate(zip(shapes.names, place_styles(locations), strict=True)):
         y = height - _SHAPE_SPACING // 2 - k * (_SHAPE_HEIGHT + _SHAPE_SPACING) - _SHAPE_HEIGHT
         element, bound = float(shapes.shapes[k, mode].real), float(bounds[k])
         bar = _MAX_AMPLITUDE * min(bound, 1.0)

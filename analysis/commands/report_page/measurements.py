@@ -28,7 +28,7 @@ from analysis.core.decays.free_decay import Decay, decay
 from analysis.core.modal.identification import identify
 from analysis.core.modal.mode_warnings import extrapolates_damping
 from analysis.core.modal.modes import Modes
-from analysis.core.recordings.names import OpenRecordings, reference_label, relabel, scene_labels, sweep_name
+from analysis.core.recordings.names import OpenRecordings, baseline_label, relabel, scene_labels, sweep_name
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import response_channels
 from analysis.core.signals.profile_check import ProfileCheck, profile
@@ -55,7 +55,7 @@ _TRACKED: dict[ControlledTones, Callable[[Recording], AmplitudeCurve | Backbone]
 
 @dataclass(frozen=True)
 class SweepResults:
-    """Results of one sweep, or of another test.
+    """Results of one sweep; a test without sweeps counts as one.
 
     Attributes
     ----------
@@ -95,19 +95,19 @@ class SweepResults:
 
 
 class SweepChange(NamedTuple):
-    """Change of one peak from the first sweep of the first recording to a sweep of another recording."""
+    """Change of one peak from the first sweep of the baseline to a sweep of a different recording."""
 
-    before: str  # label of the first sweep
-    after: str  # label of the other sweep
-    recording: str  # label of the other recording
+    baseline: str  # label of the first sweep of the baseline
+    compared: str  # label of the compared sweep
+    recording: str  # label of its recording
     change: PeakChange
-    modes: tuple[float, ...] = ()  # natural frequencies of all modes of the first sweep, Hz
+    modes: tuple[float, ...] = ()  # natural frequencies of all modes of the baseline, Hz
     shown_in: tuple[str, float] = ("µm/N", 1e6)  # unit of the peaks, and the factor from SI to this unit
 
     @property
     def level(self) -> str:
-        """Level and direction of the other sweep; empty if its recording has a single sweep."""
-        return sweep_name(self.after, self.recording)
+        """Level and direction of the compared sweep; empty if its recording has a single sweep."""
+        return sweep_name(self.compared, self.recording)
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ class Measurement:
     dampers: tuple[Dampers, ...] = ()
     decay: Decay | None = None
     profile: ProfileCheck | None = None
-    # Followed curves and resonances have points at frequencies that the controller chose, and no sweeps.
+    # Curve of a continuation or phase-resonance test. The controller chooses the frequencies, so there is no sweep.
     tracked: AmplitudeCurve | Backbone | None = None
     # Shock response spectra of the control channel and of the bodies, for the first shock.
     spectra: tuple[ShockSpectrum, ...] = ()
@@ -150,22 +150,25 @@ class Measurements:
         self._open.close()
 
     @property
-    def reference(self) -> Measurement:
-        """The recording with which the others are compared: the first without moving dampers, otherwise the first."""
-        label = reference_label({result.label: not result.rec.scene.is_linear for result in self.results})
+    def baseline(self) -> Measurement:
+        """Recording with which the others are compared: the first without moving dampers, otherwise the first.
+
+        Without moving dampers the response is linear, so its peaks do not depend on the level.
+        """
+        label = baseline_label({result.label: not result.rec.scene.is_linear for result in self.results})
         return next((result for result in self.results if result.label == label), self.results[0])
 
     def changes(self) -> list[SweepChange]:
-        """Compute the change of each resonance peak from the reference to every other recording."""
-        first = self.reference
-        others = [result for result in self.results if result is not first]
-        if not first.sweeps or first.sweeps[0].modes is None:
+        """Compute the change of each resonance peak from the baseline to every other recording."""
+        baseline = self.baseline
+        others = [result for result in self.results if result is not baseline]
+        if not baseline.sweeps or baseline.sweeps[0].modes is None:
             return []
         return [
             change
             for other in others
             if other.sweeps
-            for change in self._attempt(other.path, "Comparison", _peak_changes, first, other) or ()
+            for change in self._attempt(other.path, "Comparison", _peak_changes, baseline, other) or ()
         ]
 
     def _measure(self, path: Path, label: str, rec: Recording) -> Measurement:
@@ -173,7 +176,7 @@ class Measurements:
         spectra: Sequence[ShockSpectrum] = ()
         tracking = next((analysis for tones, analysis in _TRACKED.items() if tones.measured(rec.markers)), None)
         if tracking is not None:
-            tracked = self._attempt(path, "Controlled motion", tracking, rec)
+            tracked = self._attempt(path, "Tracked curve", tracking, rec)
             if tracked is not None:
                 tracked = relabel(tracked, rec.scene.name, f"“{label}”")
         elif shocks_of(rec.markers):
@@ -197,7 +200,7 @@ class Measurements:
                 self._warn(path, free_decay.warnings)
         check = None
         if rec.scene.test is not None and rec.scene.test.prescription is not None:
-            check = self._attempt(path, "Controlled motion", profile, rec)
+            check = self._attempt(path, "Profile", profile, rec)
         if check is not None:
             check = replace(check, label=f"“{label}”")
         return Measurement(path, label, rec, sweeps, tuple(dampers or ()), free_decay, check, tracked, tuple(spectra))
@@ -277,13 +280,15 @@ def force_deviation(measurement: Measurement, frf: Response) -> NDArray[np.float
     return np.asarray(abs(force[:, None] / np.array(scene.test.levels) - 1.0).min(axis=1))
 
 
-def _peak_changes(first: Measurement, other: Measurement) -> list[SweepChange]:
-    """Return the change of each peak between two recordings."""
-    before = first.sweeps[0]
+def _peak_changes(baseline: Measurement, other: Measurement) -> list[SweepChange]:
+    """Return the change of each peak from the baseline to a different recording."""
+    before = baseline.sweeps[0]
     assert before.modes is not None
-    points, first_points = (MeasurementPoints.of(measurement.path, measurement.rec) for measurement in (other, first))
-    points.comparable_with(first_points)
-    same_sensors, modes = points.same_sensors(first_points), tuple(before.modes.frequency.tolist())
+    points, baseline_points = (
+        MeasurementPoints.of(measurement.path, measurement.rec) for measurement in (other, baseline)
+    )
+    points.comparable_with(baseline_points)
+    same_sensors, modes = points.same_sensors(baseline_points), tuple(before.modes.frequency.tolist())
     return [
         SweepChange(before.label, after.label, other.label, change, modes, before.frfs[0].shown_in)
         for after in other.sweeps

@@ -52,9 +52,9 @@ def write_report(
 ) -> CommandOutput:
     """Write one self-contained HTML report about recordings.
 
-    `paths`: recordings; the first without moving dampers, otherwise the first, is the reference of the comparisons.
+    `paths`: recordings; the first without moving dampers, otherwise the first, is the baseline of the comparisons.
     `output`: folder for the page, or its file name if it ends in .html; default: the folder of the first recording.
-    `note`: text below the summary. Returns the page, the sentences of its summary, and the warnings. Raises
+    `note`: text below the summary. Returns the page, its summary, and the warnings. Raises
     `RecordingError` if a file is not a recording. Raises `SceneError` if the page exists and may not be replaced.
     """
     if not paths:
@@ -62,7 +62,7 @@ def write_report(
     target = _page(paths, output)
     check_outputs(paths, target)
     with Measurements(paths, progress) as measurements:
-        sentences, body = _body(measurements, paths, note)
+        summary, body = _body(measurements, paths, note)
     title = page_title(measurements)
     templates = files("analysis.commands.report_page") / "browser"
 
@@ -84,7 +84,7 @@ def write_report(
             file.write(part)
             file.write("\n")
         file.write(after)
-    return CommandOutput((target,), tuple(sentences), tuple(measurements.warnings))
+    return CommandOutput((target,), tuple(summary), tuple(measurements.warnings))
 
 
 def page_title(measurements: Measurements) -> str:
@@ -112,31 +112,32 @@ def _page(paths: Sequence[Path], output: Path | None) -> Path:
 
 
 def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple[list[str], list[str]]:
-    """Return the sentences of the summary, and the parts of all sections of the page as HTML."""
+    """Return the summary, and the parts of all sections of the page as HTML."""
     results, charts = measurements.results, ChartWriter()
-    changes, first = measurements.changes(), measurements.reference
-    sentences = summarize(results, changes)
-    warnings = [f"<li>{typeset(note)}</li>" for note in measurements.warnings]
+    changes, baseline = measurements.changes(), measurements.baseline
+    summary = summarize(results, changes)
+    warnings = [f"<li>{typeset(warning)}</li>" for warning in measurements.warnings]
     counts = {"Warnings": f" ({len(warnings)})"}
     # The drawing shows the dampers whose effect is compared.
-    drawn = next((each for each in results if each is not first), first)
-    # Title and content of each section; a section without content is omitted.
+    drawn = next((each for each in results if each is not baseline), baseline)
+    # Title and content of each section; a section without content is omitted. The warnings stand between the curves and
+    # the results computed from them, because they limit both.
     sections = {
         "Levels": [level_table(results)],
         "Controlled motion": [charts.write(chart) for each in results for chart in control_charts(each)],
         "Frequency responses": [
             charts.write(chart)
-            for chart in (*response_charts(results, first.label), *force_charts(results, first.label))
+            for chart in (*response_charts(results, baseline.label), *force_charts(results, baseline.label))
         ],
         "Warnings": [f'<ul class="warnings">{"".join(warnings)}</ul>'] if warnings else [],
-        "Results": [changes_table(changes), resonances(results, first), decays(results)],
-        "Mode shapes": [*_modes(results), *_macs(results, first)],
+        "Results": [changes_table(changes), resonances(results, baseline), decays(results)],
+        "Mode shapes": [*_modes(results), *_macs(results, baseline)],
         "Stabilization diagrams": [charts.write(chart) for chart in stabilization_charts(results)],
         "Dampers": [charts.write(chart) for each in results for chart in damper_charts(each)],
-        "Free decays": [charts.write(chart) for chart in decay_charts(results, first.label)],
+        "Free decays": [charts.write(chart) for chart in decay_charts(results, baseline.label)],
         "Uncertainty": _budgets(results),
         **{f"Recording {each.path.name}": _recording(each, charts, each is not drawn) for each in results},
-        "How to repeat this": _commands(paths, results),
+        "How to reproduce this report": _commands(paths, results),
     }
     filled = {title: list(filter(None, parts)) for title, parts in sections.items() if any(parts)}
     anchors = {title: f"section-{number}" for number, title in enumerate(filled, 1)}
@@ -155,7 +156,7 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
         tests,
         '<div class="first"><div>',
         '<section class="answer">',
-        *map(_answer, sentences),
+        *map(_summary_html, summary),
         *(f'<p class="limitation">{typeset(text)}</p>' for text in limitations(results)),
         "</section>",
         f'<p class="test">{escape_html(note)}</p>' if note else "",
@@ -164,11 +165,11 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
     ]
     for title, parts in filled.items():
         body += [f'<h2 id="{anchors[title]}">{escape_html(title)}</h2>', *parts]
-    return sentences, body
+    return summary, body
 
 
-def _answer(text: str) -> str:
-    """Write a text of the summary as HTML: its lines below the first are rows of a name and a result."""
+def _summary_html(text: str) -> str:
+    """Write a text of the summary as HTML: later lines, `name: result`, become rows."""
     first, *lines = text.split("\n")
     rows = ""
     for name, separator, result in (line.partition(": ") for line in lines):

@@ -20,7 +20,7 @@ from daq.core.recording.recorded_test import deviation_unit, shocks_of
 from rig.core.results import format_decimals, format_frequencies, format_limited, format_percent
 from rig.core.scene.excitation import FORCE_TOLERANCE
 
-# Number of texts in the summary.
+# A reader takes in three statements; the tables contain the rest.
 _MAX_TEXTS = 3
 
 
@@ -107,11 +107,11 @@ def _control_texts(measurement: Measurement) -> list[str]:
 def _change_texts(changes: Sequence[SweepChange]) -> list[str]:
     """List, for each other recording and level, the change of the highest peak of each mode."""
     texts = []
-    for recording in dict.fromkeys(sweep.recording for sweep in changes):
-        of_recording = [sweep for sweep in changes if sweep.recording == recording]
+    for recording in dict.fromkeys(change.recording for change in changes):
+        of_recording = [change for change in changes if change.recording == recording]
         first, *others = (
-            [sweep for sweep in of_recording if sweep.after == label]
-            for label in dict.fromkeys(sweep.after for sweep in of_recording)
+            [change for change in of_recording if change.compared == label]
+            for label in dict.fromkeys(change.compared for change in of_recording)
         )
         levels = [f"{level[0].level}: {_change_line(_best_determined(level)[0])}" for level in others]
         texts.append("\n".join([_change_text(first), *levels]))
@@ -121,39 +121,44 @@ def _change_texts(changes: Sequence[SweepChange]) -> list[str]:
 def _best_determined(changes: Sequence[SweepChange]) -> list[SweepChange]:
     """Return the change of the highest peak of each mode, the best determined first, unbounded changes last."""
     highest: dict[float, SweepChange] = {}
-    for sweep in sorted(changes, key=_initial_height):
-        highest[sweep.change.mode] = sweep
+    for each in sorted(changes, key=_baseline_height):
+        highest[each.change.mode] = each
 
-    def width(sweep: SweepChange) -> tuple[bool, float]:
-        _, low, high = sweep.change.decibel
-        return not (isfinite(low) and isfinite(high)), high - low if isfinite(high - low) else -_initial_height(sweep)
+    def rank(each: SweepChange) -> tuple[bool, float]:
+        _, low, high = each.change.decibel
+        # Of the unbounded changes, the highest peak is first.
+        return not (isfinite(low) and isfinite(high)), high - low if isfinite(high - low) else -_baseline_height(each)
 
-    return sorted(highest.values(), key=width)
+    return sorted(highest.values(), key=rank)
 
 
 def _change_text(changes: Sequence[SweepChange]) -> str:
-    """Describe the changes at one level: a line for each mode of the reference."""
-    lines = [f"“{changes[0].after}” compared with “{changes[0].before}”, highest peak of each mode (95 % interval):"]
-    compared = {sweep.change.mode: _change_line(sweep) for sweep in _best_determined(changes)}
+    """Describe the changes at one level: a line for each mode of the baseline."""
+    lines = [
+        f"“{changes[0].compared}” compared with “{changes[0].baseline}”, highest peak of each mode (95 % interval):"
+    ]
+    compared = {each.change.mode: _change_line(each) for each in _best_determined(changes)}
     not_compared = "Hz: not compared, because its peak is not inside the common band"
     for mode in sorted({*compared, *changes[0].modes}):
         lines.append(compared.get(mode) or f"{format_decimals(mode, 2)} {not_compared}")
-    if not any(isfinite(limit) for sweep in changes for limit in sweep.change.decibel[1:]):
-        lines.append("Measure around the peaks with a smaller frequency step, in both directions, without overloads.")
+    if not any(isfinite(limit) for each in changes for limit in each.change.decibel[1:]):
+        lines.append(
+            "Measure around the peaks with a smaller frequency spacing, in both directions, without overloads."
+        )
     return "\n".join(lines)
 
 
-def _change_line(sweep: SweepChange) -> str:
+def _change_line(described: SweepChange) -> str:
     """Describe the change of one peak, with its heights if both are known."""
-    change, (unit, factor) = sweep.change, sweep.shown_in
+    change, (unit, factor) = described.change, described.shown_in
     text = f"{format_decimals(change.mode, 2)} Hz ({change.response}): {change_text(change)}"
     text += ", not significant" * (change.significance == "no")
     return f"{text}, {' → '.join(change.height_texts(factor))} {unit}"
 
 
-def _initial_height(sweep: SweepChange) -> float:
-    """Return the height of the peak in the first recording, m/N."""
-    return sweep.change.bare.value
+def _baseline_height(change: SweepChange) -> float:
+    """Return the height of the peak in the baseline, m/N."""
+    return change.change.bare.value
 
 
 def _response_texts(measurement: Measurement) -> list[str]:
@@ -213,18 +218,18 @@ def _largest_share(result: Dampers) -> str:
     frequency, energy = result.sweep.lines.frequency, result.energy
     if energy is None:
         return ""
-    share, bound = energy.dampers / energy.supplied, energy.bound / energy.supplied
-    largest = int(np.argmax(np.where(energy.supplied > 0, share - bound, -np.inf)))
-    if not share[largest] > bound[largest] > 0:
+    share, expanded = energy.dampers / energy.supplied, energy.bound / energy.supplied
+    largest = int(np.argmax(np.where(energy.supplied > 0, share - expanded, -np.inf)))
+    if not share[largest] > expanded[largest] > 0:
         return ""
     # The chart shows whole percents.
-    percent, percent_bound = 100.0 * float(share[largest]), 100.0 * float(bound[largest])
-    value = f"{percent:.0f}" if percent_bound < 0.5 else format_limited(percent, percent_bound, 100.0)
+    percent, percent_expanded = 100.0 * float(share[largest]), 100.0 * float(expanded[largest])
+    value = f"{percent:.0f}" if percent_expanded < 0.5 else format_limited(percent, percent_expanded, 100.0)
     return f"; the dampers dissipate up to {value} % of the supplied energy (at {frequency[largest]:.4g} Hz)"
 
 
 def _decay_texts(measurements: Sequence[Measurement]) -> list[str]:
-    """Compare the times in which free decays fall below 1 g and by 6 dB."""
+    """Compare the times after which free decays are below 1 g, where no damper leaves its floor, and 6 dB lower."""
     decays = {each.label: each.decay for each in measurements if each.decay is not None}
     if not decays:
         return []

@@ -31,9 +31,10 @@ if TYPE_CHECKING:
     from rig.core.scene.damper import Damper
     from rig.core.scene.scene import Scene
 
-# A hyphen that is a minus sign, and a space inside a quantity (number and unit).
+# A hyphen that is a minus sign.
 _HYPHEN = re.compile(r"(?<![\w.-])-(?=\d)")
-_BREAK = re.compile(
+# Spaces at which a line must not break, such as that between number and unit.
+_NO_BREAK = re.compile(
     r"(?<=[\d)]) (?=(?:%|[kM]?Hz|[kmµ]?N|dB|g|kg|m?s|[mµ]?m|m?V|µm/N|m/s²|k?N/m|mm/s)(?![\w/]))| (?=±)|(?<=±) "
     r"|(?<=\d) (?=→)|(?<=→) (?=\d)|(?<=Δf) |(?<=\d) (?=to [+\u2212]?\d)"
     r"|(?<=\d to) (?=[+\u2212]?\d)|(?<=least) (?=\d)|(?<=at) (?=least)|(?<=≥) "
@@ -42,7 +43,7 @@ _CODE = re.compile("`([^`]+)`")
 # Modes of two recordings are the same mode if their frequencies differ by less than this fraction; dampers shift the
 # frequencies.
 MODE_SHIFT = 0.15
-# Maximum number of overloads or gaps that are listed individually.
+# Overloads or gaps that are listed individually; a longer list would hide the other rows.
 _MAX_LISTED = 5
 
 
@@ -52,7 +53,7 @@ def typeset(text: str) -> str:
     >>> typeset("-0.5 Hz (<1 ± 2 %), a-1").replace(chr(160), "_")
     '−0.5_Hz (&lt;1_±_2_%), a-1'
     """
-    return _CODE.sub(r"<code>\1</code>", escape_html(_BREAK.sub("\u00a0", _HYPHEN.sub("\u2212", text))))
+    return _CODE.sub(r"<code>\1</code>", escape_html(_NO_BREAK.sub("\u00a0", _HYPHEN.sub("\u2212", text))))
 
 
 def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], numbers: int = 0) -> str:
@@ -84,14 +85,14 @@ def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], n
     )
 
 
-def resonances(measurements: Sequence[Measurement], reference: Measurement) -> str:
+def resonances(measurements: Sequence[Measurement], baseline: Measurement) -> str:
     """Return a table of natural frequencies and damping ratios, each with the highest peak near it, as HTML.
 
-    Tests at several levels have a table of their own. `reference`: sweep whose modes are listed for each sweep, even if
-    not identified there.
+    Tests at several levels have a table of their own. `baseline`: its modes are listed for every
+    recording, also where they were not identified.
     """
     rows: list[tuple[str, ...]] = []
-    known = [each.modes.frequency for each in reference.sweeps[:1] if each.modes is not None]
+    known = [each.modes.frequency for each in baseline.sweeps[:1] if each.modes is not None]
     single = (measurement.sweeps[0] for measurement in measurements if len(measurement.sweeps) == 1)
     for sweep in single:
         modes, peaks = sweep.modes, sweep.peaks
@@ -120,15 +121,15 @@ def resonances(measurements: Sequence[Measurement], reference: Measurement) -> s
         ]
     found = (peak for measurement in measurements for sweep in measurement.sweeps for peak in sweep.peaks)
     units = " or ".join(dict.fromkeys(peak[0].shown_in[0] for peak in found if peak is not None)) or "µm/N"
-    heading = ["natural frequency / Hz", "damping ratio", "highest at", f"peak / ({units})"]
+    heading = ["natural frequency / Hz", "damping ratio", "response with the highest peak", f"peak / ({units})"]
     return table("Resonances, with 95 % intervals", heading, rows) if rows else ""
 
 
 def changes_table(changes: Sequence[SweepChange]) -> str:
     """Return the table that `analysis compare` prints, with the changes of each pair of sweeps, as HTML."""
     rows: list[tuple[str, ...]] = []
-    for (before, after), group in groupby(changes, lambda sweep: (sweep.before, sweep.after)):
-        rows += [(f"{before} → {after}",), *change_rows([sweep.change for sweep in group], changes[0].shown_in)]
+    for (baseline, compared), group in groupby(changes, lambda change: (change.baseline, change.compared)):
+        rows += [(f"{baseline} → {compared}",), *change_rows([each.change for each in group], changes[0].shown_in)]
     heading = change_heading(changes[0].shown_in) if changes else ()
     return table("Changes of the resonance peaks", heading, rows, numbers=len(heading) - 1) if rows else ""
 
@@ -175,8 +176,8 @@ def decays(measurements: Sequence[Measurement]) -> str:
             rows += [(f"{measurement.label}, {measurement.decay.channel}",), *decay_rows(measurement.decay)]
     caption = (
         "Free decay of each mode, with 95 % intervals. The frequency is that at the best determined amplitude. "
-        "Dampers that ride on their body add their mass and lower it; dampers in flight do not, so that it depends on "
-        "the amplitude and differs from the resonance frequency of the response"
+        "Riding dampers add mass and lower the frequency; dampers in flight do not. The frequency therefore depends "
+        "on amplitude and differs from the resonance frequency of the response"
     )
     return table(caption, DECAY_HEADING, rows, numbers=5) if rows else ""
 

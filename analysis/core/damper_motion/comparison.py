@@ -42,7 +42,7 @@ _HALF_POWER = sqrt(2.0)
 _UNBOUNDED = 1e100
 # Compared heights are rounded to this fraction at the finest.
 _HEIGHT_RESOLUTION = 0.005
-# If the relative interpolation error at a peak exceeds this value, a smaller frequency step is recommended.
+# If the relative interpolation error at a peak exceeds this value, a smaller frequency spacing is recommended.
 _MAX_INTERPOLATION_ERROR = 0.01
 
 

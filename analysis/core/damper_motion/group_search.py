@@ -2,8 +2,8 @@
 
 Matching pursuit can subtract a jump at a wrong time. The residual then resembles further jumps, and later fits cannot
 correct this. The beam search extends the few best sets of jumps by one jump at a time, until a set explains the
-segment. The number of jumps is chosen by a penalty for each jump (information criterion: G. Schwarz, Ann. Stat. 6
-(1978) 461).
+segment. The number of jumps is chosen by a penalty for each jump. The form is that of the Bayesian information
+criterion (G. Schwarz, Ann. Stat. 6 (1978) 461), with an empirical penalty of ln 5.
 """
 
 from collections.abc import Callable
@@ -12,15 +12,15 @@ import numpy as np
 
 from analysis.core.damper_motion.joint_fit import ITERATIONS, Jump
 
-# Number of sets of jumps that are extended by a further jump.
+# Sets of jumps that are extended by a further jump; the computing time is proportional to this number.
 _BEAM_WIDTH = 3
-# Number of candidates for the further jump of a set that are fitted completely.
+# Candidates for the further jump of a set that are fitted completely; complete fits take most of the time.
 _EXTENSIONS = 4
-# Maximum number of jumps in a set.
+# Largest number of jumps in a set; the computing time increases with its cube.
 MAX_GROUP = 8
-# An additional jump must reduce the residual sum of squares by this factor.
+# An additional jump must reduce the residual sum of squares by this factor, more than noise does by chance.
 _MIN_REDUCTION = 5.0
-# Spacing of the times that are tried for the next jump.
+# Spacing of the times that are tried for the next jump; the joint fit then refines the times.
 _TIME_STEP_SAMPLES = 2.0
 
 

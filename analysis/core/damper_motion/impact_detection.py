@@ -1,7 +1,7 @@
 """Detection of damper impacts in a motion channel.
 
-An impact is an instant velocity jump of the damper's body or, with *finite-duration contact*, the velocity change by a
-force pulse, which ends at the *release*. A *bed* is the filling of a damper, which moves as one mass.
+An impact is an instantaneous velocity jump of the damper's body or, with *finite-duration contact*, the velocity change
+by a force pulse, which ends at the *release*.
 """
 
 from dataclasses import dataclass, replace
@@ -30,7 +30,8 @@ from rig.core.base.errors import RecordingError
 from rig.core.numerics.runs import runs_of
 from rig.core.results.response import MOTIONS
 
-# At least this fraction of the samples in a segment must be valid.
+# At least this fraction of the samples in a segment must be valid; with fewer, more than half of the impacts would be
+# missed.
 _MIN_VALID_RATIO = 0.5
 # A contact is released at most this number of nominal contact durations after the first contact; gravity on the bed
 # delays the release.
@@ -40,26 +41,26 @@ _MAX_RELEASE_RATIO = 0.5
 # A jump below this fraction of a finite-duration impact may be the residual of the fit of this impact, while the sensor
 # rings.
 _CONTACT_RESIDUAL_RATIO = 0.15
-# Model error of a finite-duration impact, relative to the largest impact near it.
-_CONTACT_JUMP_ERROR = 0.03
-# Uncertainty of the time due to the largest impact nearby, relative to the time to 90 % of the pulse.
-_CONTACT_TIME_ERROR = 0.04
-# Additional uncertainty of the time due to the same impact, relative to a sample interval.
-_CONTACT_SAMPLE_ERROR = 0.05
-# Number of samples until 90 % of an impact pulse; samples at a higher rate are averaged to this number.
+# Standard uncertainty of a finite-duration jump due to the model, relative to the largest impact near it.
+_CONTACT_JUMP_UNCERTAINTY = 0.03
+# Standard uncertainty of the time due to the largest impact nearby, relative to the time to 90 % of the pulse.
+_CONTACT_TIME_UNCERTAINTY = 0.04
+# Additional standard uncertainty of the time due to the same impact, relative to a sample interval.
+_CONTACT_SAMPLE_UNCERTAINTY = 0.05
+# Samples until 90 % of an impact pulse; faster samples are averaged, because more do not improve the fit.
 _PULSE_SAMPLES = 8
-# Lowest frequency of the band in which the motion of a body is determined.
+# Lowest frequency of the band in which the motion of a body is determined, below the modes of most structures.
 _LOW_HZ = 2.0
-# Highest frequency of this band, relative to the sample rate.
+# Highest frequency of this band, relative to the sample rate: below the transition band of converters.
 _HIGH_RATE_RATIO = 0.4
 # Time on either side of an impact whose samples determine the polynomial for the acceleration at the impact.
 _SIDE_TIME_S = 2e-3
-# Minimum number of these samples on either side.
+# Fewest samples on either side: two for each coefficient of the polynomial.
 _MIN_SIDE_SAMPLES = 8
-# After the impact, this number of decay times of the sensor resonance is skipped.
-_DECAY_TIMES = 4.0
 # Order of the polynomial.
 _SIDE_ORDER = 3
+# After the impact, this number of decay times of the sensor resonance is skipped: it has decayed to exp(-4) = 2 %.
+_DECAY_TIMES = 4.0
 # If no jump exceeds this multiple of the noise, frequent impacts may have raised the noise estimate.
 _UNCERTAIN_SIGMAS = 40.0
 # Quantile of the jump filter's output from which the noise is then estimated again.
@@ -97,13 +98,13 @@ class Impacts:
     threshold: float
     """Detection limit: smallest jump that is reliably detected, m/s; higher near a larger impact (see `ringing`)."""
     contact_duration: float
-    """Duration of contact in an impact, s; 0: instant. A jump after a finite-duration impact may be the release of this
-    impact.
+    """Duration of contact in an impact, s; 0: instantaneous. A jump after a finite-duration impact may be the release
+    of this impact.
     """
     searched_duration: float
     """Duration of the segment without its ends and without `unsearched`, s."""
     unsearched: Array
-    """Begin and end of intervals without detection, s; shape (m, 2): samples are lost or overloaded, or impacts are
+    """Start and end of intervals without detection, s; shape (m, 2): samples are lost or overloaded, or impacts are
     too closely spaced to be resolved."""
 
     @property
@@ -183,7 +184,7 @@ def detect_impacts(
     noise = search.jump_noise
     fitted = [(item.time, item.time_error, item.velocity_jump, item.error) for item in jumps]
     # Positions are in averaged samples here; they are converted to samples below.
-    position, position_error, jump, error = np.array(fitted).reshape(-1, 4).T
+    position, position_uncertainty, jump, error = np.array(fitted).reshape(-1, 4).T
     largest = float(abs(jump).max(initial=0.0))
     threshold = search.detection_limit(noise, largest)
     accepted = abs(jump) > max(DETECTION_SIGMAS * noise, MODEL_ERROR * largest)
@@ -199,17 +200,19 @@ def detect_impacts(
         time = position / rate
         accepted &= ~_is_secondary(time, jump, resolution + RELEASE_DURATIONS * duration, ringing)
         largest_nearby = np.where(abs(time[:, None] - time) < ringing, abs(jump), 0.0).max(axis=1, initial=0.0)
-        error = np.hypot(error, _CONTACT_JUMP_ERROR * largest_nearby)
-        added_error = _CONTACT_TIME_ERROR * pulse.time_to_90_percent * rate + _CONTACT_SAMPLE_ERROR
-        position_error = np.hypot(position_error, added_error * largest_nearby / abs(jump))
-    position, position_error, jump, error = (values[accepted] for values in (position, position_error, jump, error))
+        error = np.hypot(error, _CONTACT_JUMP_UNCERTAINTY * largest_nearby)
+        added_uncertainty = _CONTACT_TIME_UNCERTAINTY * pulse.time_to_90_percent * rate + _CONTACT_SAMPLE_UNCERTAINTY
+        position_uncertainty = np.hypot(position_uncertainty, added_uncertainty * largest_nearby / abs(jump))
+    position, position_uncertainty, jump, error = (
+        values[accepted] for values in (position, position_uncertainty, jump, error)
+    )
     # The time of an average is the time of its last sample.
     position, unresolved = ((values + 1.0) * decimation - 1.0 for values in (position, unresolved))
     unresolved_duration = float(np.sum(unresolved[:, 1] - unresolved[:, 0])) / rec.rate
     return Impacts(
         channel=info.name,
         time=(start + position) / rec.rate - info.delay,
-        time_error=position_error / rate,
+        time_error=position_uncertainty / rate,
         jump=jump,
         jump_error=error,
         acceleration=_acceleration(samples, position, info, duration) if position.size else position,
@@ -239,8 +242,8 @@ def _impact_channel(rec: Recording, channel: str) -> tuple[ChannelInfo, Pulse | 
     between_samples = info.average or info.filter or len(info.poles) > len(info.zeros)
     if decimation == 1 and info.quantity == "acceleration" and not between_samples:
         raise RecordingError(
-            f"{info.name}: the acceleration is sampled at instants (sampling: point), so that impacts between samples "
-            "leave no trace. Set converter.sampling: average, or add a filter, an integrator or a sensor resonance, "
+            f"{info.name}: the acceleration is sampled at instants (sampling: point), so impacts between samples leave "
+            "no trace. Set converter.sampling: average, or add a filter, an integrator or a sensor resonance, "
             "and record again."
         )
     return info, pulse, decimation

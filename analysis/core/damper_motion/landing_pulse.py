@@ -14,13 +14,13 @@ from rig.core.base.errors import RecordingError
 from rig.core.scene.damper import TimedContact, walls_of
 from rig.core.scene.scene import Scene
 
-# An impact is treated as instant up to this duration, in sample intervals.
+# An impact is treated as instantaneous up to this duration, in sample intervals: shorter pulses look the same.
 _MAX_INSTANT_RATIO = 0.25
-# Two pulses are equal if they differ by at most this fraction of the velocity change.
+# Two pulses are equal up to this fraction of the velocity change, which is below the error of an estimated jump.
 _MAX_PULSE_DIFFERENCE = 0.02
 # The closed form is evaluated at least this far from critical damping, where it is singular.
 _CRITICAL_OFFSET = 1e-6
-# Number of times at which pulses are compared.
+# Number of times at which pulses are compared: enough for a smooth half-sine.
 _INSTANTS = 200
 
 
@@ -36,7 +36,7 @@ class Pulse:
     """Natural angular frequency of the mass on the contact, rad/s."""
 
     def velocity_change_ratio(self, time: Array) -> Array:
-        """Return the velocity change of the body until a time after first contact, s, relative to the whole change.
+        """Return the fraction of the whole velocity change that is reached at times [s] after first contact.
 
         >>> half_sine = Pulse(duration=2e-3, damping_ratio=0.0, angular_frequency=np.pi / 2e-3)
         >>> half_sine.velocity_change_ratio(np.array([-1.0, 0.0, 1e-3, 2e-3, 1.0])).round(12).tolist()
@@ -64,11 +64,11 @@ class Pulse:
         return float(np.interp(0.9, self.velocity_change_ratio(time), time))
 
 
-_INSTANT_PULSE = Pulse(duration=1e-9, damping_ratio=0.0, angular_frequency=np.pi / 1e-9)
+_INSTANTANEOUS_PULSE = Pulse(duration=1e-9, damping_ratio=0.0, angular_frequency=np.pi / 1e-9)
 
 
 def landing_pulse(scene: Scene, location: str, rate: float) -> Pulse | None:
-    """Return the common pulse of all impacts in a location such as ``"body 2"``; None if they are instant.
+    """Return the common pulse of all impacts in a location such as ``"body 2"``; None if they are instantaneous.
 
     `rate`: samples per second of the channel.
 
@@ -84,7 +84,7 @@ def landing_pulse(scene: Scene, location: str, rate: float) -> Pulse | None:
     dampers = inside.values()
     if any(damper.grains is not None for damper in dampers):
         raise RecordingError(
-            f"{location}: the grains of a bed hit at different times, so that impacts cannot be detected. Choose a "
+            f"{location}: the grains of a bed hit at different times, so impacts cannot be detected. Choose a "
             "body without grains."
         )
     walls = [wall for damper in dampers for wall in walls_of(damper.contact)]
@@ -95,7 +95,7 @@ def landing_pulse(scene: Scene, location: str, rate: float) -> Pulse | None:
         [j] = np.flatnonzero(system.damper_number == number)
         for wall in (1, 2) if np.isfinite(damper.clearance) else (1,):
             if not system.finite_contact[j]:
-                pulses.append(_INSTANT_PULSE)
+                pulses.append(_INSTANTANEOUS_PULSE)
                 continue
             duration, _ = system.duration_and_restitution(int(j), wall)
             angular_frequency = np.sqrt(system.wall_stiffness[j, wall - 1] / system.reduced_mass[j])
@@ -106,14 +106,14 @@ def landing_pulse(scene: Scene, location: str, rate: float) -> Pulse | None:
     longest_ratio = longest.velocity_change_ratio(time)
     if any(abs(pulse.velocity_change_ratio(time) - longest_ratio).max() > _MAX_PULSE_DIFFERENCE for pulse in pulses):
         raise RecordingError(
-            f"{location}: contact durations or restitutions of floor, ceiling or dampers differ, so that the pulse of "
-            "an impact is not known beforehand. Choose a body with equal contacts."
+            f"{location}: contact durations or restitutions of floor, ceiling or dampers differ, so the pulse of an "
+            "impact is not known beforehand. Choose a body whose walls have the same contact settings."
         )
     return longest
 
 
 def transmissibility(scene: Scene, number: int, frequency: Array) -> NDArray[np.complex128]:
-    """Return the transmissibility from the body to a damper at rest on its floor, shape (frequencies,).
+    """Return the transmissibility from the body to a riding damper, shape (frequencies,).
 
     `number`: number of the damper, from 1; `frequency`: Hz. The damper leaves the floor when its own acceleration falls
     below -g. On a compliant floor this differs from the acceleration of the body.

@@ -1,4 +1,4 @@
-"""Envelope of one mode of a free decay, and its damping ratio and natural frequency against amplitude."""
+"""Envelope of one mode of a free decay, and its damping ratio and natural frequency as functions of amplitude."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 # Two spectral peaks belong to the same mode if their frequencies differ by less than this fraction.
 _SAME_MODE_RATIO = 0.1
-# Maximum relative standard uncertainty, due to noise, of a reported damping ratio.
-MAX_RELATIVE_ERROR = 0.05
+# Largest relative standard uncertainty, due to noise, of a reported damping ratio: 10 % expanded is still useful.
+MAX_RELATIVE_UNCERTAINTY = 0.05
 # The damping ratio at an amplitude is the slope of the logarithmic envelope over a fall by 6 dB around this amplitude.
 # This constant is half of the fall, in nepers. The amplitudes are 1.5 dB apart.
 _HALF_FALL_NEPERS = 3.0 / 20.0 * np.log(10.0)
@@ -33,10 +33,10 @@ _FALL_RATIO = 1.5
 _RESPONSE_BIAS_FACTOR = 2.5
 # If the envelope has a kink in the middle of the fall, the error of the slope is this multiple of the rms residual of
 # the parabola.
-_KINK_ERROR_FACTOR = 8.0
+_KINK_LIMIT_FACTOR = 8.0
 # Number of neighboring amplitudes on either side that a change of damping affects.
 _AFFECTED_LEVELS = 2
-# Maximum number of envelope points in the fit of one damping ratio.
+# Envelope points in the fit of one damping ratio: more do not reduce its uncertainty, because neighbors are correlated.
 _MAX_POINTS = 64
 
 
@@ -54,7 +54,8 @@ class ModalDecay(Result):
     time: Array  # time after the impact, s
     envelope: Array  # amplitude of the acceleration, m/s²
     noise: float  # noise of the band-passed acceleration, rms, m/s²
-    # acceleration amplitudes in descending order, m/s²; noise causes a relative uncertainty below `MAX_RELATIVE_ERROR`
+    # acceleration amplitudes in descending order, m/s²; noise causes a relative uncertainty below
+    # `MAX_RELATIVE_UNCERTAINTY`
     amplitude: Array
     damping: Array  # damping ratio at these amplitudes
     damping_error: Array
@@ -92,7 +93,7 @@ class ModalDecay(Result):
         return format_quantity(self.frequency, float(expand(self.frequency_error)), "Hz")
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the damping ratio against amplitude with its expanded uncertainty."""
+        """Draw the damping ratio as a function of amplitude with its expanded uncertainty."""
         percent, expanded = self.percent
         style = complete_style(style, ms=3, label=self.frequency_text())
         (line,) = ax.semilogx(self.amplitude, percent, "o-", **style)
@@ -106,7 +107,7 @@ class ModalDecay(Result):
         return 2.0 * np.pi * self.damping / np.sqrt(1.0 - np.minimum(self.damping, 0.99) ** 2)
 
     def small_damping(self) -> float:
-        """Return the damping ratio at small amplitudes: median over the lowest third of the levels."""
+        """Return the damping ratio at small amplitudes: median over the lowest third of the amplitudes."""
         count = max(1, self.damping.size // 3)
         return float(np.median(self.damping[-count:])) if self.damping.size else np.nan
 
@@ -146,8 +147,8 @@ def spectral_peaks(acceleration: Array, rate: float, max_peaks: int, low: float,
 def band_width(frequencies: Array, index: int) -> float:
     """Return the standard deviation of the Gaussian band-pass for one of several modes, Hz.
 
-    The width is a quarter of the distance to the nearest other mode, which is then attenuated by a factor of exp(-8),
-    but at most a quarter of the natural frequency.
+    The width is a quarter of the distance to the nearest other mode, which attenuates that mode by a factor of exp(-8),
+    and at most a quarter of the natural frequency.
     """
     others = np.delete(frequencies, index)
     nearest = np.min(abs(others - frequencies[index])) if others.size else np.inf
@@ -163,7 +164,7 @@ def modal_decay(
     amplitudes: Array | None = None,  # m/s²; omitted: every 1.5 dB down to the noise
     clock: float = 0.0,  # limit of the relative error of the sample rate
 ) -> ModalDecay:
-    """Estimate the envelope of one mode, and its damping ratio against amplitude.
+    """Estimate the envelope of one mode, and its damping ratio as a function of amplitude.
 
     A Gaussian band-pass over positive frequencies yields the analytic signal directly. The band-pass multiplies an
     exponential decay by a constant factor. The slope of the envelope is therefore unbiased from three standard
@@ -175,42 +176,45 @@ def modal_decay(
     time = (np.arange(acceleration.size) - begin) / rate
     usable = slice(begin + affected, max(acceleration.size - affected, begin + affected))
     noise = _noise(analytic[usable], rate, frequency, width)
-    levels = _levels(envelope[usable]) if amplitudes is None else np.log(amplitudes)
-    damping, natural, kink_error = _damping(analytic[usable], levels, _HALF_FALL_NEPERS)
+    log_amplitudes = _log_amplitudes(envelope[usable]) if amplitudes is None else np.log(amplitudes)
+    damping, natural, kink_limit = _damping(analytic[usable], log_amplitudes, _HALF_FALL_NEPERS)
     # Half of the noise power is in phase with the signal and changes the envelope. The noise at the two ends of the
     # fall is independent.
-    amplitude = np.exp(levels)
+    amplitude = np.exp(log_amplitudes)
     noise_of_fall = np.hypot(np.exp(-_HALF_FALL_NEPERS), np.exp(_HALF_FALL_NEPERS)) * noise / np.sqrt(2.0)
-    noise_error = noise_of_fall / amplitude / (2.0 * _HALF_FALL_NEPERS)  # relative uncertainty of the damping ratio
+    # Relative uncertainty of the damping ratio.
+    noise_uncertainty = noise_of_fall / amplitude / (2.0 * _HALF_FALL_NEPERS)
     narrower, affected = _band_pass(acceleration, rate, frequency, width / _RESPONSE_RATIO)
     narrower = narrower[begin + affected : max(acceleration.size - affected, begin + affected)]
-    damping_narrower, natural_narrower, _ = _damping(narrower, levels, _HALF_FALL_NEPERS)
-    damping_larger_fall, natural_larger_fall, _ = _damping(analytic[usable], levels, _FALL_RATIO * _HALF_FALL_NEPERS)
+    damping_narrower, natural_narrower, _ = _damping(narrower, log_amplitudes, _HALF_FALL_NEPERS)
+    damping_larger_fall, natural_larger_fall, _ = _damping(
+        analytic[usable], log_amplitudes, _FALL_RATIO * _HALF_FALL_NEPERS
+    )
     # Subtract the residual that noise alone causes.
-    kink_error_of_noise = _KINK_ERROR_FACTOR * np.sqrt(1.5) * noise / amplitude / _HALF_FALL_NEPERS
-    kink_error = np.sqrt(np.maximum(kink_error**2 - kink_error_of_noise**2, 0.0))
-    bias = _bias_bound(damping, damping_narrower, damping_larger_fall, kink_error)
-    error = np.hypot(noise_error * damping, 0.5 * bias)
+    kink_of_noise = _KINK_LIMIT_FACTOR * np.sqrt(1.5) * noise / amplitude / _HALF_FALL_NEPERS
+    kink_limit = np.sqrt(np.maximum(kink_limit**2 - kink_of_noise**2, 0.0))
+    bias = _bias_limit(damping, damping_narrower, damping_larger_fall, kink_limit)
+    uncertainty = np.hypot(noise_uncertainty * damping, 0.5 * bias)
     # Phase (rad) and logarithm of the envelope have the same uncertainty, but the phase changes much more in a decay.
     natural_bias = np.full(natural.size, np.nan)
     # The bias is determined only if both fits are determined.
     if np.isfinite(natural_narrower - natural).any() and np.isfinite(natural_larger_fall - natural).any():
-        natural_bias = _bias_bound(natural, natural_narrower, natural_larger_fall, np.zeros(natural.size))
-    natural_error = np.hypot(np.hypot(noise_error * damping, 0.5 * clock) * natural, 0.5 * natural_bias)
-    reported = np.ones(levels.size, dtype=bool)
+        natural_bias = _bias_limit(natural, natural_narrower, natural_larger_fall, np.zeros(natural.size))
+    natural_uncertainty = np.hypot(np.hypot(noise_uncertainty * damping, 0.5 * clock) * natural, 0.5 * natural_bias)
+    reported = np.ones(log_amplitudes.size, dtype=bool)
     if amplitudes is None:
-        reported = np.isfinite(damping) & (damping > 0) & (noise_error < MAX_RELATIVE_ERROR)
+        reported = np.isfinite(damping) & (damping > 0) & (noise_uncertainty < MAX_RELATIVE_UNCERTAINTY)
     to_hz = rate / (2.0 * np.pi)  # converts rad per sample to Hz
-    natural, natural_error = to_hz * natural[reported], to_hz * natural_error[reported]
+    natural, natural_uncertainty = to_hz * natural[reported], to_hz * natural_uncertainty[reported]
     # At small amplitudes an unresolved neighboring mode with less damping may dominate; its frequency is rejected.
-    plausible = np.flatnonzero(np.isfinite(natural_error) & (abs(natural / frequency - 1.0) < _SAME_MODE_RATIO))
+    plausible = np.flatnonzero(np.isfinite(natural_uncertainty) & (abs(natural / frequency - 1.0) < _SAME_MODE_RATIO))
     frequency_estimate = frequency, float("nan")
     if plausible.size:
-        k = plausible[np.argmin(natural_error[plausible])]
-        frequency_estimate = float(natural[k]), float(natural_error[k])
+        k = plausible[np.argmin(natural_uncertainty[plausible])]
+        frequency_estimate = float(natural[k]), float(natural_uncertainty[k])
     return ModalDecay(
         *frequency_estimate, frequency, time[begin:], envelope[begin:], noise,
-        amplitude[reported], damping[reported], error[reported], bias[reported], natural, natural_error,
+        amplitude[reported], damping[reported], uncertainty[reported], bias[reported], natural, natural_uncertainty,
     )  # fmt: skip
 
 
@@ -244,11 +248,11 @@ def _noise(analytic: ComplexArray, rate: float, frequency: float, width: float) 
 
 
 def _log_decay_envelope(envelope: Array) -> Array:
-    """Return the logarithm of the largest later amplitude; this curve is monotonic, so it crosses each level once."""
+    """Return the logarithm of the largest later amplitude; this curve is monotonic, so it crosses each value once."""
     return np.log(np.maximum(np.maximum.accumulate(envelope[::-1])[::-1], 1e-300))
 
 
-def _levels(envelope: Array) -> Array:
+def _log_amplitudes(envelope: Array) -> Array:
     """Return the logarithms of the amplitudes at which the damping ratio is estimated."""
     if envelope.size < 8 or envelope.max() <= 0:
         return np.empty(0)
@@ -258,30 +262,33 @@ def _levels(envelope: Array) -> Array:
     )
 
 
-def _damping(analytic: ComplexArray, levels: Array, half_fall: float) -> tuple[Array, Array, Array]:
-    """Return damping ratio, natural frequency (rad/sample) and relative error bound due to a kink at each level.
+def _damping(analytic: ComplexArray, log_amplitudes: Array, half_fall: float) -> tuple[Array, Array, Array]:
+    """Return damping ratio, natural frequency (rad/sample) and relative error limit of a kink at each amplitude.
 
-    They are estimated from the fall of the envelope by `half_fall` nepers on either side of the level. Damping ratio
-    and natural frequency are NaN outside the decay.
+    They are estimated from the fall of the envelope by `half_fall` nepers on either side of that amplitude. Damping
+    ratio and natural frequency are NaN outside the decay.
     """
     envelope = np.abs(analytic)
     if envelope.size < 8 or envelope.max() <= 0:
-        undetermined = np.full(levels.size, np.nan)
-        return undetermined, undetermined, np.zeros(levels.size)
+        undetermined = np.full(log_amplitudes.size, np.nan)
+        return undetermined, undetermined, np.zeros(log_amplitudes.size)
     log_envelope = _log_decay_envelope(envelope)
-    first, last = _crossings(log_envelope, levels + half_fall), _crossings(log_envelope, levels - half_fall)
+    first, last = (
+        _crossings(log_envelope, log_amplitudes + half_fall),
+        _crossings(log_envelope, log_amplitudes - half_fall),
+    )
     logarithm, phase = np.log(np.maximum(envelope, 1e-300)), np.unwrap(np.angle(analytic))
     sample = np.arange(envelope.size)
     phase_change = np.interp(last, sample, phase) - np.interp(first, sample, phase)
-    rates = [_decay_rate(logarithm, *fall) for fall in zip(first, last, levels, strict=True)]
+    rates = [_decay_rate(logarithm, *fall) for fall in zip(first, last, log_amplitudes, strict=True)]
     decay_rate, residual = np.array(rates).reshape(-1, 2).T
     with np.errstate(divide="ignore", invalid="ignore"):
         natural = np.hypot(phase_change / (last - first), decay_rate)
-        return np.asarray(decay_rate / natural), natural, _KINK_ERROR_FACTOR * residual / half_fall
+        return np.asarray(decay_rate / natural), natural, _KINK_LIMIT_FACTOR * residual / half_fall
 
 
-def _decay_rate(logarithm: Array, first: float, last: float, level: float) -> tuple[float, float]:
-    """Return the decay rate of a logarithmic envelope at a level, nepers per sample, and the rms residual of the fit.
+def _decay_rate(logarithm: Array, first: float, last: float, log_amplitude: float) -> tuple[float, float]:
+    """Return the decay rate of a logarithmic envelope [nepers per sample] and the rms residual of the fit.
 
     A parabola is fitted between the samples `first` and `last`, because a straight line would yield the mean of a
     varying slope. Beats average out.
@@ -291,9 +298,9 @@ def _decay_rate(logarithm: Array, first: float, last: float, level: float) -> tu
     samples = np.arange(round(first), round(last) + 1, max(1, int((last - first) / _MAX_POINTS)))
     middle, half_length = 0.5 * (first + last), 0.5 * (last - first)
     position = (samples - middle) / half_length
-    curvature, slope, value = np.polyfit(position, logarithm[samples] - level, 2)
-    residual = logarithm[samples] - level - (curvature * position**2 + slope * position + value)
-    # Crossing of the parabola with the level: one Newton step from the crossing of its linear part.
+    curvature, slope, value = np.polyfit(position, logarithm[samples] - log_amplitude, 2)
+    residual = logarithm[samples] - log_amplitude - (curvature * position**2 + slope * position + value)
+    # Crossing of the parabola with `log_amplitude`: one Newton step from the crossing of its linear part.
     crossing = -value / slope if slope < 0 else 0.0
     slope_at_crossing = slope + 2.0 * curvature * crossing
     if slope_at_crossing < 0:
@@ -302,25 +309,25 @@ def _decay_rate(logarithm: Array, first: float, last: float, level: float) -> tu
     return decay_rate, float(np.sqrt(np.mean(residual**2)))
 
 
-def _bias_bound(values: Array, narrower: Array, larger_fall: Array, kink_error: Array) -> Array:
-    """Estimate a limit of the bias at each level from the changes with a narrower band-pass and with a larger fall."""
-    bias = np.nan_to_num(kink_error * values)
+def _bias_limit(values: Array, narrower: Array, larger_fall: Array, kink_limit: Array) -> Array:
+    """Estimate a limit of the bias at each amplitude from the change with a narrower band-pass and a larger fall."""
+    bias = np.nan_to_num(kink_limit * values)
     for alternative, factor in ((narrower, _RESPONSE_BIAS_FACTOR), (larger_fall, 1.0)):
         difference = abs(alternative - values)
         determined = np.flatnonzero(np.isfinite(difference))
         if determined.size:
-            # The fits over a larger fall are undetermined at the first and last levels. At these levels, the difference
-            # at the nearest level is used.
+            # The fits over a larger fall are undetermined at the first and last amplitudes. At these
+            # amplitudes, the difference at the nearest amplitude is used.
             bias += factor * np.interp(np.arange(difference.size), determined, difference[determined])
     return np.asarray(scipy.ndimage.maximum_filter1d(bias, 2 * _AFFECTED_LEVELS + 1) if bias.size else bias)
 
 
-def _crossings(curve: Array, levels: Array) -> Array:
+def _crossings(curve: Array, log_amplitudes: Array) -> Array:
     """Interpolate the sample index at which a falling curve crosses each level; NaN without a crossing."""
-    after = curve.size - np.searchsorted(curve[::-1], levels, side="left")
+    after = curve.size - np.searchsorted(curve[::-1], log_amplitudes, side="left")
     inside = (after > 0) & (after < curve.size)
     after = np.clip(after, 1, curve.size - 1)
     high, low = curve[after - 1], curve[after]
-    fraction = np.divide(high - levels, high - low, out=np.zeros(levels.shape), where=high > low)
-    at_start = abs(levels - curve[0]) <= 1e-9
+    fraction = np.divide(high - log_amplitudes, high - low, out=np.zeros(log_amplitudes.shape), where=high > low)
+    at_start = abs(log_amplitudes - curve[0]) <= 1e-9
     return np.where(inside, after - 1 + fraction, np.where(at_start, 0.0, np.nan))

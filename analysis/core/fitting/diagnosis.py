@@ -37,19 +37,19 @@ _SCALE_MISTAKES = {
     1.0 / 9.80665: "g read as m/s²",
     1000.0: "a factor of 1000, such as mV instead of V or mm instead of m",
     0.001: "a factor of 1/1000, such as V instead of mV or m instead of mm",
-    39.3701: "inches instead of metres",
-    0.0254: "metres instead of inches",
-    25.4: "millimetres instead of inches",
-    1.0 / 25.4: "inches instead of millimetres",
-    2.0: "peak-to-peak value instead of amplitude, or a factor of 2 in the sensitivity",
-    0.5: "amplitude instead of peak-to-peak value, or a factor of 1/2 in the sensitivity",
-    np.sqrt(2.0): "amplitude instead of rms value",
-    np.sqrt(0.5): "rms value instead of amplitude",
+    39.3701: "values in inches, declared as m",
+    0.0254: "values in m, declared as inches",
+    25.4: "values in mm, declared as inches",
+    1.0 / 25.4: "values in inches, declared as mm",
+    2.0: "peak-to-peak values, declared as amplitudes, or a factor of 2 in the sensitivity",
+    0.5: "amplitudes, declared as peak-to-peak values, or a factor of 1/2 in the sensitivity",
+    np.sqrt(2.0): "amplitudes, declared as rms values",
+    np.sqrt(0.5): "rms values, declared as amplitudes",
 }
 # Common mistakes in a force channel: the ratio of its reading to the true value, and the cause.
 _FORCE_MISTAKES = {
-    4.44822: "newtons instead of pounds",
-    1.0 / 4.44822: "pounds instead of newtons",
+    4.44822: "values in N, declared as pounds-force",
+    1.0 / 4.44822: "values in pounds-force, declared as N",
 }
 # Number of time derivatives between the stated quantity and the quantity of the reading, and the cause.
 _DERIVATIVE_MISTAKES = {
@@ -61,11 +61,11 @@ _DERIVATIVE_MISTAKES = {
 # Of the mistakes of a sensor and of the swapped pairs, only this number are fitted: those with the smallest initial
 # cost.
 _MAX_FITTED_MISTAKES = 4
-# Model error in the initial cost, as a fraction of the local peak.
+# Model error in the initial cost, relative to the local peak: initial values do not fit the curves yet.
 _MODEL_ERROR = 0.1
-# Upper limit of a squared residual in the initial cost.
+# Limit of a squared residual in the initial cost, 30 standard deviations: a few outliers must not decide.
 _MAX_SQUARE = 900.0
-# The structure is fitted several times, with these model errors in turn.
+# The structure is fitted with each of these model errors in turn: larger errors smooth the cost far from the solution.
 _MODEL_ERRORS = (0.1, 0.01, 0.0)
 # An explanation is nearly as likely as the best one if its sum of squares exceeds the smallest by at most this number
 # of mean squares: a likelihood ratio of 90. A free factor adds an unknown, so it is preferred only if its sum of
@@ -86,7 +86,7 @@ _MIN_DELAY = 5e-6
 _FREE_TOLERANCE = 1e4
 # A unit is probably wrong if fitted and initial masses differ by more than this factor.
 _MAX_MASS_RATIO = 2.5
-# Maximum number of pairs of channels tested for a swap.
+# Largest number of pairs of channels tested for a swap: all pairs of six channels; each pair takes a fit.
 _MAX_PAIRS = 15
 # At least this number of responses must remain without the omitted sensor, because a fit to fewer always succeeds.
 _MIN_RESPONSES = 2
@@ -102,7 +102,7 @@ def find_cause(problem: Problem, x: Array) -> tuple[bool, str]:
         return False, (
             "All recordings have moving dampers. Add a recording without dampers, which determines the structure."
         )
-    uncorrected = _Refit(problem, x).moved(linear_curves).solved((0.0,))
+    uncorrected = _Refit(problem, x).with_curves(linear_curves).solved((0.0,))
     if uncorrected.fits:
         return False, (
             "The recordings without moving dampers fit, so the dampers of the scene differ from those of the rig. "
@@ -124,13 +124,13 @@ def find_cause(problem: Problem, x: Array) -> tuple[bool, str]:
     ]
     if len(contradicting) == 1:
         return True, (
-            f"{contradicting[0]} contradicts the other channels: it may be delayed, loose, or mounted at another "
-            "location than in the scene. Without this channel, the scene fits. Check its mounting and settings."
+            f"{contradicting[0]} contradicts the other channels: it may be delayed, loose, or mounted at a location "
+            "that differs from the scene. Without this channel, the scene fits. Check its mounting and settings."
         )
     return False, (
-        "No single mistake explains the misfit: neither a channel's sign, unit or delay, nor two swapped channels, nor "
-        "the form of damping. Check the number of bodies, the driven body and the springs of the scene. The figure "
-        "shows the frequencies with the largest residuals."
+        "No single mistake explains the misfit: neither the sign, the unit or the delay of a channel, nor two swapped "
+        "channels, nor the form of damping. Check the number of bodies, the driven body and the springs of the scene. "
+        "The figure shows the frequencies with the largest residuals."
     )
 
 
@@ -191,7 +191,7 @@ def _most_likely(explanations: list[_Explanation]) -> tuple[bool, str]:
     limit = best.square + best.margin
     close = [other.text for other in others if other.is_known_mistake and other.square < limit]
     if close:
-        text += f" Nearly as probable: {close[0]}."
+        text += f" Nearly as likely: {close[0]}."
     return best.is_known_mistake, text
 
 
@@ -234,7 +234,7 @@ def _try_channels(uncorrected: _Refit, linear_curves: list[Curves]) -> _Explanat
         starts = []
         for mistake in _mistakes(sensor in force_sensors):
             corrected = _corrected(linear_curves, sensor, mistake)
-            start = others.moved(corrected) if others else _start(uncorrected, corrected)
+            start = others.with_curves(corrected) if others else _start(uncorrected, corrected)
             starts.append((start.cost, mistake.factor, _Explanation(start, mistake.text.format(sensor.name))))
         yield from _fit_best([explanation for _, _, explanation in starts])
         _, factor, nearest = min(starts, key=lambda start: start[0])
@@ -247,7 +247,7 @@ def _mistakes(is_force: bool) -> list[_Mistake]:
     return [
         _Mistake(-1.0, 0, "The sign of {} is reversed"),
         *(
-            _Mistake(factor, 0, f"{{}} reads {factor:.4g} times the value that fits ({cause})")
+            _Mistake(factor, 0, f"{{}} reads {factor:.4g} times what the scene predicts ({cause})")
             for factor, cause in factors.items()
         ),
         *(_Mistake(1.0, order, f"{{}}: {cause}") for order, cause in _DERIVATIVE_MISTAKES.items()),
@@ -275,18 +275,18 @@ def _free_factor(start: _Refit, linear_curves: list[Curves], sensor: Sensor, fac
         )
         for curves in _corrected(linear_curves, sensor, _Mistake(factor, 0, ""))
     ]
-    refit = start.moved(freed).solved()
+    refit = start.with_curves(freed).solved()
     factor *= 1.0 + refit.problem.deviation(refit.x, freed_sensor)
-    return _Explanation(refit, f"{sensor.name} reads {factor:.4g} times the value that fits{_NO_UNIT_ERROR}", False)
+    return _Explanation(refit, f"{sensor.name} reads {factor:.4g} times what the scene predicts{_NO_UNIT_ERROR}", False)
 
 
 def _try_damping(uncorrected: _Refit, linear_curves: list[Curves]) -> _Explanations:
     """Try dashpots instead of modal damping, or the reverse, on a chain of masses and springs."""
     problem = uncorrected.problem
-    structure = problem.model.structure
+    structure = problem.initial_scene.structure
     if structure.masses is None or structure.springs is None:
         return
-    modes = structural_model(problem.model).modes
+    modes = structural_model(problem.initial_scene).modes
     form: ModalDamping | Dashpots
     if isinstance(structure.damping, ModalDamping):
         per_stiffness = 2.0 * float(modes.damping_ratio.mean()) / modes.omega[0]
@@ -295,7 +295,7 @@ def _try_damping(uncorrected: _Refit, linear_curves: list[Curves]) -> _Explanati
     else:
         form = ModalDamping(modal=tuple(float(max(ratio, 1e-4)) for ratio in modes.damping_ratio))
         text = "a ratio for each mode fits: give structure.damping: {modal: [...]}"
-    model = problem.model.replace(structure=structure.replace(damping=form))
+    model = problem.initial_scene.replace(structure=structure.replace(damping=form))
     # The values of the new form of damping are free too.
     free_keys = {parameter.key for parameter in problem.parameters}
     parameters = [
@@ -345,8 +345,8 @@ def _multiply(curves: Curves, factor: float | ComplexArray | Array) -> Curves:
         curves,
         value=curves.value * factors,
         whitening=curves.whitening / factors.T[:, None],
-        line_bound=curves.line_bound * abs(factors),
-        correlated_bound=curves.correlated_bound * abs(factors),
+        line_limit=curves.line_limit * abs(factors),
+        correlated_limit=curves.correlated_limit * abs(factors),
         correction=curves.correction * factors,
     )
 
@@ -387,7 +387,7 @@ def _omit_sensor(linear_curves: list[Curves], sensor: Sensor) -> list[Curves]:
         root = np.linalg.inv(curves.whitening)
         covariance = (root @ root.conj().swapaxes(1, 2))[:, rows][:, :, rows]
         remaining: dict[str, Any] = {
-            name: getattr(curves, name)[rows] for name in ("value", "line_bound", "correlated_bound", "correction")
+            name: getattr(curves, name)[rows] for name in ("value", "line_limit", "correlated_limit", "correction")
         }
         for name in ("sensors", "bodies", "frfs"):
             remaining[name] = tuple(getattr(curves, name)[k] for k in rows)
@@ -411,7 +411,7 @@ def list_omitted_points(curves: Curves, is_fitted: NDArray[np.bool_], uncovered:
         if k in uncovered:
             reason = f"{uncovered[k]}, which a fit cannot compute (contact: {{duration: ...}} avoids this)"
         else:
-            reason = "the motion of the rig is irregular, or has another type than the motion of the model"
+            reason = "the motion of the rig is irregular, or its type differs from that of the predicted motion"
         reasons.setdefault(reason, []).append(f"{curves.frequency[k]:.4g}")
     return [
         f"{curves.label}: omitted {', '.join(frequencies)} Hz, where {reason}."
@@ -449,22 +449,22 @@ class _Refit:
 
     @property
     def fits(self) -> bool:
-        """Whether stated errors explain the residuals (chi-squared test), and tolerances the errors of sensors."""
+        """Whether stated errors explain the residuals (chi-square test), and tolerances the errors of sensors."""
         problem, count = self.problem, self.residual.size - self.problem.size
         limit = _MAX_NOISE_VARIANCE * float(scipy.stats.chi2.isf(_NOISE_PROBABILITY, count)) / count
         return self.mean_square < limit and not problem.implausible_sensors(self.x)
 
-    def moved(self, curves: list[Curves]) -> _Refit:
-        """Return the same structure, errors of sensors and clock, as initial values for other curves."""
+    def with_curves(self, curves: list[Curves]) -> _Refit:
+        """Return a refit of other curves that starts from these values of structure, sensors and clock."""
         parameters = {k: value for k, value in enumerate(self.problem.parameters) if value.key_path[0] != "dampers"}
-        moved = Problem(self.problem.model, list(parameters.values()), curves)
-        deviations = [self.problem.deviation(self.x, sensor) for sensor in moved.sensors]
-        clock = self.x[self.x.size - (moved.clock_tolerance > 0.0) :]
-        return _Refit(moved, np.concatenate([self.x[list(parameters)], deviations, clock]))
+        problem = Problem(self.problem.initial_scene, list(parameters.values()), curves)
+        deviations = [self.problem.deviation(self.x, sensor) for sensor in problem.sensors]
+        clock = self.x[self.x.size - (problem.clock_tolerance > 0.0) :]
+        return _Refit(problem, np.concatenate([self.x[list(parameters)], deviations, clock]))
 
     def refit(self, curves: list[Curves]) -> _Refit:
         """Fit slightly different curves, starting from these values."""
-        return self.moved(curves).solved((0.0,), max_evaluations=5)
+        return self.with_curves(curves).solved((0.0,), max_evaluations=5)
 
     def solved(self, model_errors: tuple[float, ...] = _MODEL_ERRORS, max_evaluations: int = 15) -> _Refit:
         """Fit the structure from these initial values, with these model errors in turn."""
@@ -476,8 +476,8 @@ class _Refit:
 
 def _start(uncorrected: _Refit, curves: list[Curves]) -> _Refit:
     """Return initial values of the structure from the modes of curves, or from the uncorrected fit if better."""
-    moved = uncorrected.moved(curves)
-    return min(_start_from_modes(moved.problem), moved, key=lambda start: start.cost)
+    restarted = uncorrected.with_curves(curves)
+    return min(_start_from_modes(restarted.problem), restarted, key=lambda start: start.cost)
 
 
 def _start_from_modes(problem: Problem) -> _Refit:

@@ -299,12 +299,12 @@ def _systematic_errors(group: Group) -> Iterator[Array]:
     for k in range(len(curves.sensors)):
         errors = np.zeros_like(curves.value)
         magnitude = np.maximum(abs(curves.value[k]), 1e-300)
-        errors[k] = standard_of_limit(curves.correlated_bound[k]) * curves.value[k] / magnitude
+        errors[k] = standard_of_limit(curves.correlated_limit[k]) * curves.value[k] / magnitude
         whitened = whiten(errors)
         yield np.concatenate([whitened.real, whitened.imag])
         yield np.concatenate([-whitened.imag, whitened.real])
     # Noise adds to the power of the reference. All responses are therefore too small, but have no phase error.
-    whitened = whiten(standard_of_limit(curves.reference_noise_bound) * curves.value)
+    whitened = whiten(standard_of_limit(curves.reference_noise_limit) * curves.value)
     yield np.concatenate([whitened.real, whitened.imag])
 
 
@@ -316,7 +316,7 @@ def _score_covariance(group: Group, jacobian: Array) -> Array:
         return np.asarray(curves.errors.shared * (jacobian.T @ jacobian))
     real, imaginary = jacobian.reshape(2, int(is_fitted.sum()), len(curves.sensors), -1)
     weights = np.einsum("nij,nip->njp", curves.whitening[is_fitted].conj(), real + 1j * imaginary)
-    deviation = standard_of_limit(curves.line_bound[:, is_fitted].T[..., None])
+    deviation = standard_of_limit(curves.line_limit[:, is_fitted].T[..., None])
     line_errors = (deviation * weights).reshape(-1, weights.shape[2])
     errors = curves.errors.at(is_fitted)
     n_shared = max(frf.uncertainty.shared for frf in curves.frfs)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from analysis.core.fitting.diagnosis import find_cause, list_omitted_points, mass_scale_error
 from analysis.core.fitting.estimate import Estimate, Report, estimate
-from analysis.core.fitting.identifiability import LevelDamping, coupled_values, damping_by_level
+from analysis.core.fitting.identifiability import LevelDamping, damping_by_level, describe_coupled_values
 from analysis.core.fitting.measured import Curves, measured_curves
 from analysis.core.fitting.parameters import Parameter, free_parameters, with_ratio_per_mode
 from analysis.core.fitting.problem import Group, Problem
@@ -296,7 +296,9 @@ def _result(problem: Problem, estimated: Estimate, report: Report) -> Fit:
         compared=compared,
         variance=estimated.variance,
         misfit=misfit,
-        together=coupled_values(problem, estimated, [value.status for value in fitted], {} if misfit else largest_gaps),
+        together=describe_coupled_values(
+            problem, estimated, [value.status for value in fitted], {} if misfit else largest_gaps
+        ),
         warnings=(*warnings, *_missing_clock_tolerance(problem, modes)),
     )
 

@@ -26,11 +26,11 @@ class LevelDamping:
     """Damping of the structure without its dampers, estimated from one sweep."""
 
     label: str  # recording and level
-    damped: bool  # whether dampers could move in the sweep
+    dampers_move: bool  # whether dampers could move in the sweep
     acceleration: float  # largest acceleration of a measured body, m/s²
     keys: tuple[str, ...]  # keys of the damping in the scene
     value: Array  # in SI; NaN where the sweep does not determine it, shape (keys,)
-    bound: Array  # half-width of the 95 % interval, shape (keys,)
+    expanded: Array  # expanded uncertainty, shape (keys,)
 
 
 def damping_by_level(problem: Problem, estimated: Estimate) -> tuple[LevelDamping, ...]:
@@ -53,14 +53,14 @@ def damping_by_level(problem: Problem, estimated: Estimate) -> tuple[LevelDampin
         half_width = COVERAGE_FACTOR * np.sqrt(variance) * np.linalg.norm(inverse_r, axis=1)
         value, is_determined = problem.values(x)[active], half_width < _MAX_HALF_WIDTH
         acceleration = float(((2.0 * np.pi * curves.frequency) ** 2 * curves.level * abs(curves.value)).max())
-        value, bound = np.where(is_determined, value, np.nan), np.where(is_determined, value * half_width, np.nan)
-        by_level.append(LevelDamping(curves.label, group.orbits is not None, acceleration, keys, value, bound))
+        value, expanded = (np.where(is_determined, each, np.nan) for each in (value, value * half_width))
+        by_level.append(LevelDamping(curves.label, group.orbits is not None, acceleration, keys, value, expanded))
     # This evaluation restores the orbits of the estimate.
     problem.residual(estimated.x, problem.groups)
     return tuple(by_level)
 
 
-def coupled_values(
+def describe_coupled_values(
     problem: Problem, estimated: Estimate, statuses: Sequence[str], largest_gaps: Mapping[int, float]
 ) -> tuple[str, ...]:
     """Describe the values that the data do not determine, then the poorly determined combinations, the worst first.

@@ -27,17 +27,18 @@ from rig.core.results.response import Response, stack
 from rig.core.results.uncertainty import CLOCK, SENSITIVITY, Covariance, standard_of_limit
 from rig.core.scene.scene import Scene
 
-# The standard deviation of a point is at least this fraction of the value.
-_MIN_RELATIVE_STD = 2e-5
-# The standard deviation of a point is at least this fraction of the largest value of its curve.
-_MIN_STD_RELATIVE_TO_PEAK = 1e-7
+# Lower limit of the standard uncertainty of a point, relative to its value: a few quiet points must not decide the fit.
+_MIN_RELATIVE_UNCERTAINTY = 2e-5
+# Lower limit of the standard uncertainty of a point, relative to the peak of its curve: points near a zero of the
+# response must not decide the fit.
+_MIN_UNCERTAINTY_RELATIVE_TO_PEAK = 1e-7
 # The noise power of the reference has this relative uncertainty if it is estimated from several responses.
 _REFERENCE_NOISE_UNCERTAINTY = 0.5
 # Systematic errors that are unknowns of the fit.
 _FITTED_ERRORS = (SENSITIVITY, CLOCK)
-# Systematic errors that `Curves.correlated_bound` does not include.
+# Systematic errors that `Curves.correlated_limit` does not include.
 _EXCLUDED_FROM_CORRELATED = (*_FITTED_ERRORS, REFERENCE_NOISE, *IRREGULAR)
-# Minimum number of points of a fit.
+# Fewest points of a fit, with two real values each: a single mode has four unknowns.
 _MIN_POINTS = 8
 
 
@@ -55,10 +56,10 @@ class Sensor:
 class Curves:
     """Responses of one sweep or test over one reference, at n frequencies.
 
-    Limits of systematic errors: `line_bound` is the limit of errors that vary irregularly from line to line.
-    `correlated_bound` is the limit of all other errors, except reference noise (see `reference_noise_bound`) and the
+    Limits of systematic errors: `line_limit` is the limit of errors that vary irregularly from line to line.
+    `correlated_limit` is the limit of all other errors, except reference noise (see `reference_noise_limit`) and the
     tolerances of sensors and clock, which are unknowns of the fit. If the reference noise is not estimated
-    (`errors.reference` is None), `correlated_bound` includes the reference noise and the errors of `line_bound`.
+    (`errors.reference` is None), `correlated_limit` includes the reference noise and the errors of `line_limit`.
     """
 
     label: str  # recording, and its level or part if there are several
@@ -68,9 +69,9 @@ class Curves:
     # matrices that convert errors to uncorrelated real and imaginary parts of variance 1, (n, responses, responses)
     whitening: ComplexArray
     errors: Covariance  # covariance of the random errors
-    line_bound: Array  # shape (responses, n)
-    correlated_bound: Array  # shape (responses, n)
-    reference_noise_bound: Array  # limit of the relative error of all responses due to reference noise, shape (n,)
+    line_limit: Array  # shape (responses, n)
+    correlated_limit: Array  # shape (responses, n)
+    reference_noise_limit: Array  # limit of the relative error of all responses due to reference noise, shape (n,)
     sensors: tuple[Sensor, ...]  # sensor of each response
     reference_sensor: Sensor
     bodies: tuple[int, ...]  # body of each response, counted from 0
@@ -78,7 +79,7 @@ class Curves:
     level: Array | None  # amplitude of the reference for steady tones, N or m, shape (n,)
     clock_tolerance: float  # largest relative deviation of the sample clock
     frfs: tuple[Response, ...]  # responses as measured
-    correction: ComplexArray  # ratio of `value` to the measured responses, of a supposed mistake; shape (responses, n)
+    correction: ComplexArray  # factors that correct a supposed mistake, (responses, n)
     warnings: tuple[str, ...]  # warnings of the estimation
 
     @property
@@ -92,7 +93,7 @@ def measured_curves(rec: Recording, name: str) -> list[Curves]:
 
     With a coil spring the reference is the displacement of the table: the responses describe the structure with the
     spring to ground. The spring force is not used, because it is a small difference of two readings. If a table carries
-    the structure, the displacement of the table is the reference, too.
+    the structure, the displacement of the table is also the reference.
 
     Raises `RecordingError` if the recording contains no responses, or moving dampers without steady tones.
     """
@@ -109,9 +110,7 @@ def measured_curves(rec: Recording, name: str) -> list[Curves]:
         )
     names = response_channels(rec)
     if not names:
-        raise RecordingError(
-            f"{name}: no channel on a body, so that there is no response to fit. Mount a sensor on a body."
-        )
+        raise RecordingError(f"{name}: no channel on a body, so there is no response to fit. Mount a sensor on a body.")
     spring = None if scene.driven_shaker is None else scene.driven_shaker.coil_spring
     has_table = spring is not None or default_reference(rec) == "table"
     reference = "table" if has_table and not rec.test.kind.hammered else "force"
@@ -166,7 +165,7 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
     sensors = tuple(_sensor(rec, frf.response) for frf in frfs)
     errors = stack(frfs).covariance().at(is_valid)
     frfs = [frf.at(is_valid) for frf in frfs]
-    relative_bias, reference_noise_bound = _reference_noise(frfs, errors)
+    relative_bias, reference_noise_limit = _reference_noise(frfs, errors)
     return Curves(
         label=label,
         scene=rec.scene,
@@ -174,11 +173,11 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
         value=value[:, is_valid] * (1.0 + relative_bias),
         whitening=_whitening(frfs, errors),
         errors=errors,
-        line_bound=_bounds(frfs, IRREGULAR),
-        correlated_bound=_bounds(
+        line_limit=_bounds(frfs, IRREGULAR),
+        correlated_limit=_bounds(
             frfs, without=_FITTED_ERRORS if errors.reference is None else _EXCLUDED_FROM_CORRELATED
         ),
-        reference_noise_bound=reference_noise_bound,
+        reference_noise_limit=reference_noise_limit,
         sensors=sensors,
         reference_sensor=_sensor(rec, reference_of(rec, reference).channels[0]),
         bodies=tuple(rec.channels[sensor.name].body - 1 for sensor in sensors),
@@ -227,7 +226,9 @@ def _whitening(frfs: Sequence[Response], errors: Covariance) -> ComplexArray:
     # A single average determines no variance; a standard deviation of 1 % of the median magnitude is assumed.
     quadrature_covariance[~np.isfinite(quadrature_covariance).all(axis=(1, 2))] = 0.0
     variance = np.where(np.isfinite(variance), variance, (0.01 * np.median(magnitude, axis=0)) ** 2)
-    variance_floor = (_MIN_RELATIVE_STD * magnitude) ** 2 + (_MIN_STD_RELATIVE_TO_PEAK * magnitude.max(axis=0)) ** 2
+    variance_floor = (_MIN_RELATIVE_UNCERTAINTY * magnitude) ** 2 + (
+        _MIN_UNCERTAINTY_RELATIVE_TO_PEAK * magnitude.max(axis=0)
+    ) ** 2
     # A variance from few degrees of freedom is multiplied by the variance of Student's t distribution, at most by 2.
     inflation, systematic = np.ones(variance.shape), _bounds(frfs, IRREGULAR)
     if errors.reference is None:

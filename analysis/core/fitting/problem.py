@@ -24,20 +24,20 @@ from rig.core.scene.scene import Scene
 
 # Prior standard deviation of the unknown of a parameter. The prior is so wide that it affects only undetermined values.
 PRIOR_SD = 1.0
-# The unknown of a parameter changes by at most this from its initial value.
+# Largest change of the unknown of a parameter: a factor of exp(6) = 400 is no longer an error of the scene.
 _MAX_CHANGE = 6.0
 # Step of an unknown for finite differences of orbits, which are accurate to about 1e-13.
 _UNKNOWN_STEP = 1e-6
 # Relative step of a parameter for derivatives of the matrices. The matrices are linear in all parameters, except that
 # modal damping depends on masses and springs.
 _PARAMETER_STEP = 1e-6
-# Residual assigned to a point where the model has no periodic solution, in standard deviations.
+# Residual of a point where the scene has no periodic solution, in standard deviations: far above the limit of outliers.
 _FAILED_RESIDUAL = 30.0
 # A point is an outlier above this residual, in standard deviations or, if larger, in medians of the residuals.
 _OUTLIER_LIMIT = 6.0
 # A fitted sensitivity is plausible if it deviates from the data sheet by at most this multiple of the tolerance.
 _MAX_SENSOR_DEVIATION = 2.0
-# Points are neighbors if the ratio of their frequencies is at most this.
+# Points are neighbors up to this frequency ratio: wider than a resonance, narrower than the spacing of most modes.
 _NEIGHBOR_FREQUENCY_RATIO = 1.15
 
 
@@ -54,7 +54,7 @@ def _sweep_orbits(curves: Curves) -> SweepOrbits:
 
 @dataclass
 class Group:
-    """Responses of one sweep or test, and the orbits that the model has at their frequencies."""
+    """Responses of one sweep or test, and the orbits of the scene at their frequencies."""
 
     curves: Curves
     orbits: SweepOrbits | None
@@ -64,9 +64,7 @@ class Group:
     local_peak: Array
     """Largest magnitude near each point, in standard deviations of that point, shape (n, responses)."""
     cached: tuple[tuple[float, ...], bool, ComplexArray] | None = field(default=None, repr=False)
-    """Last predicted displacement / reference, the unknowns for which it was computed, and whether orbits were
-    searched.
-    """
+    """Last prediction: unknowns, whether orbits were searched, displacement / reference. None before the first."""
 
     def orbit_state(self) -> OrbitState:
         """Return the orbits and the fitted points, for `restore`."""
@@ -84,7 +82,8 @@ class Group:
     def replace_outlier_orbits(self, problem: Problem, x: Array, scene: Scene) -> bool:
         """Replace the orbit at each outlier with a better orbit, and exclude the remaining outliers.
 
-        `x`: unknowns; `scene`: the model with their values. Returns whether an orbit or a fitted point changed.
+        `x`: unknowns; `scene`: the scene to fit, with the values of the unknowns. Returns whether an orbit or a fitted
+        point changed.
         """
         assert self.orbits is not None
         self.orbits.failed.clear()
@@ -119,10 +118,10 @@ class Problem:
 
     Attributes
     ----------
-    model : Scene
+    initial_scene : Scene
         The scene to fit, with one damping ratio for each mode.
     parameters : list of Parameter
-        Free values of the model.
+        Free values of the scene.
     groups : list of Group
         Measured curves of each sweep or test.
     sensors : list of Sensor
@@ -133,8 +132,8 @@ class Problem:
         Prior mean, which is the initial value, and prior standard deviation.
     """
 
-    def __init__(self, model: Scene, parameters: Sequence[Parameter], curves: Sequence[Curves]) -> None:
-        self.model, self.parameters = model, list(parameters)
+    def __init__(self, initial_scene: Scene, parameters: Sequence[Parameter], curves: Sequence[Curves]) -> None:
+        self.initial_scene, self.parameters = initial_scene, list(parameters)
         self.groups = [
             Group(
                 measured,
@@ -163,9 +162,9 @@ class Problem:
         return np.array([parameter.value(value) for parameter, value in zip(self.parameters, limited, strict=False)])
 
     def scene(self, x: Array) -> Scene:
-        """Return the model with the values of the unknowns."""
+        """Return the scene with the values of the unknowns."""
         key_paths = [parameter.key_path for parameter in self.parameters]
-        return with_values(self.model, dict(zip(key_paths, self.values(x).tolist(), strict=True)))
+        return with_values(self.initial_scene, dict(zip(key_paths, self.values(x).tolist(), strict=True)))
 
     def deviation(self, x: Array, sensor: Sensor) -> float:
         """Return the relative deviation of a sensor's sensitivity."""
@@ -197,7 +196,7 @@ class Problem:
         """Return the largest gap of a damper in m, a lower bound of its clearance; 0 with ceiling impacts."""
         scene, largest = self.scene(x), 0.0
         assert parameter.damper is not None
-        body = self.model.dampers[parameter.damper].body
+        body = self.initial_scene.dampers[parameter.damper].body
         for group in self.groups:
             if group.orbits is None:
                 continue
@@ -259,9 +258,10 @@ class Problem:
     def jacobian(
         self, x: Array, groups: Sequence[Group], model_error: float = 0.0, active: Sequence[int] | None = None
     ) -> Array:
-        """Differentiate `residual` with respect to the active unknowns (indices; default all), (residuals, active).
+        """Return the Jacobian of `residual`, shape (residuals, active).
 
-        Derivatives are in closed form where the rig is linear, and finite differences of refined orbits elsewhere.
+        `active`: indices of the unknowns to vary; default: all. Derivatives are in closed form where the rig is linear,
+        and finite differences of refined orbits elsewhere.
         """
         indices = list(range(self.size)) if active is None else list(active)
         scene = self.scene(x)
@@ -309,14 +309,17 @@ class Problem:
     ) -> ComplexArray:
         """Differentiate the residuals of a group in which no damper moves; shape (fitted, responses, indices)."""
         curves, is_fitted, count = group.curves, group.is_fitted, len(self.parameters)
-        # Only the masses of dampers at rest on their floors have an effect; tuned mass dampers have further keys with
-        # an effect.
-        own_keys = ("mass", "mass_ratio", "spring", "damping")
+        # With no damper in flight the response depends only on the mass of a riding damper, and on mass, spring and
+        # damping of a tuned mass damper; the derivatives by all other keys of dampers are 0.
+        linear_damper_keys = ("mass", "mass_ratio", "spring", "damping")
         effective = [
             k
             for k in indices
             if k < count
-            and (self.parameters[k].damper is None or self.parameters[k].key_path[2:] in [(key,) for key in own_keys])
+            and (
+                self.parameters[k].damper is None
+                or self.parameters[k].key_path[2:] in [(key,) for key in linear_damper_keys]
+            )
         ]
         values, (channel_gains, reference_gain) = self.values(x), self.gains(x, curves)
         changed_scenes = [self._changed_scene(k, float(values[k]), scene, curves) for k in effective]
@@ -344,7 +347,7 @@ class Problem:
     def _changed_scene(self, k: int, value: float, scene: Scene, curves: Curves) -> tuple[Scene, float]:
         """Return the scene of a test with a slightly larger value of parameter k, and the change of the value.
 
-        `scene`: the model, in which the parameter has this `value`.
+        `scene`: the scene in which the parameter has this `value`.
         """
         changed = value * (1.0 + _PARAMETER_STEP)
         return scene_of_test(with_values(scene, {self.parameters[k].key_path: changed}), curves), changed - value

@@ -160,7 +160,7 @@ def rejections(found: IdentifiedPoles) -> Iterator[str]:
         yield (
             f"Uncertain modes: {', '.join(each.frequency_text() for each in found.uncertain)}. Parts of the lines do "
             "not confirm them. Leakage, double impacts, spikes of single lines and a nonlinear structure cause such "
-            "poles. Measure with a smaller frequency step or more averages to identify modes there."
+            "poles. Measure with a smaller frequency spacing or more averages to identify modes there."
         )
 
 

@@ -125,12 +125,12 @@ def scene_labels(recordings: OpenRecordings, paths: Sequence[Path]) -> list[str]
     return distinct_names([recordings.of(path).scene.name for path in paths], paths)
 
 
-def reference_label(recordings: Mapping[str, bool]) -> str:
-    """Return the label of the reference of a comparison: the first recording without moving dampers, or the first.
+def baseline_label(recordings: Mapping[str, bool]) -> str:
+    """Return the label of the baseline of a comparison: the first recording without moving dampers, or the first.
 
     `recordings`: whether dampers can move, by label. A single recording is not compared, and its label is "".
 
-    >>> reference_label({"three": True, "none": False}), reference_label({"a": True, "b": True}), reference_label({})
+    >>> baseline_label({"three": True, "none": False}), baseline_label({"a": True, "b": True}), baseline_label({})
     ('none', 'a', '')
     """
     if len(recordings) < 2:

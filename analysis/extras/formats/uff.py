@@ -13,9 +13,9 @@ from rig.core.base.errors import SceneError
 from rig.core.base.output_files import temporary_folder
 from rig.core.results.universal_file import QUANTITY_NUMBERS, text_line, universal_file, write_set
 
-# Maximum number of samples of a channel: 340 MB of text.
+# Most samples of a channel: 340 MB of text.
 MAX_TEXT_SAMPLES = 1 << 24
-# Number of samples of a channel in memory at a time, at 200 bytes per sample; a line of text has four samples.
+# Samples of a channel in memory at a time, at 200 bytes per sample; a multiple of 4, because a line has four samples.
 _PIECE_SAMPLES = 1 << 14
 
 
@@ -80,6 +80,7 @@ def _write_pieces(file: BinaryIO, fields: dict[str, Any], count: int, pieces: It
     # The ninth line begins with the data type and the number of samples, in ten columns each.
     lines[8] = b"%b%10d%b" % (lines[8][:10], count, lines[8][20:])
     file.writelines(lines)
+    # The line ending that pyuff wrote: the rest of the delimiter "    -1".
     line_end = delimiter.lstrip(b" -1")
     for samples in pieces:
         full, rest = divmod(samples.size, 4)
@@ -91,7 +92,7 @@ def _write_pieces(file: BinaryIO, fields: dict[str, Any], count: int, pieces: It
 def write_modes(modes: Modes, path: Path, nodes: Sequence[int]) -> None:
     """Write a UFF text file with a data set 55 (complex eigenvalue) for each mode: pole in rad/s, shape along +Z.
 
-    The largest element of each shape is scaled to 1.
+    The largest element of each shape is scaled to 1, because UFF 55 states no scaling.
     """
     file = universal_file(path, modes.label, nodes)
     for number, (pole, shape) in enumerate(zip(modes.poles, modes.shapes.T, strict=True), start=1):

@@ -25,7 +25,7 @@ from daq.extras.importing.dwell_detection import DwellDetector
 from daq.extras.importing.files import signals_of
 from daq.extras.importing.force_pulses import ForcePulses
 from daq.extras.importing.joined_files import GAP, are_repetitions, join_repetitions
-from daq.extras.importing.overloads import Overloads
+from daq.extras.importing.overloads import ClippingDetector
 from daq.extras.importing.signal import Signal
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, RunWarning, SceneError
@@ -332,7 +332,7 @@ class _RecordingWriter:
             if assignment.signal.full_scale is not None:
                 full_scales[row] = abs(assignment.signal.full_scale * assignment.factor)
         offsets = [assignment.column.offset * assignment.factor for assignment in assigned]
-        self._overloads = list(map(Overloads, full_scales, offsets))
+        self._overloads = list(map(ClippingDetector, full_scales, offsets))
         force_rows = [row for row, info in enumerate(self._infos) if info.quantity == "force"]
         self._detection = _detection(scene)
         self._force_pulses = {row: ForcePulses() for row in force_rows if self._detection == "hits"}
@@ -451,7 +451,7 @@ class _RecordingWriter:
             recorder.mark("measure", 0, self._n_samples - 1, **fields)
 
 
-def _implausible_readings(where: str, assignment: AssignedSignal, overloads: Overloads) -> Iterator[str]:
+def _implausible_readings(where: str, assignment: AssignedSignal, overloads: ClippingDetector) -> Iterator[str]:
     """Yield warnings about readings that suggest a dead sensor, or a wrong unit, sensitivity or range."""
     peak, unit = overloads.peak / abs(assignment.info.sensitivity), assignment.info.unit
     if not np.isfinite(peak):

@@ -14,7 +14,7 @@ _MIN_RISE_COUNTS = 4.0
 _CLIPPED_RATIO = 0.9999
 # Samples above this multiple of the stated full scale indicate that the full scale is wrong.
 _WRONG_SCALE_RATIO = 1.05
-# Maximum number of stored runs.
+# Most runs that are stored, in some 15 MB; a signal that clips more often cannot be used anyway.
 _MAX_STORED = 100_000
 
 
@@ -63,14 +63,15 @@ class _FlatTops:
     def runs(self, stop: int, min_length: int, min_drop: float) -> list[tuple[int, int]]:
         """Return the runs [first, stop) of at least `min_length` samples at the largest value.
 
-        On at least one side, the next sample is lower by more than `min_drop`. `stop` is the number of all samples.
+        A run is returned only if the sample before or after it is lower by more than `min_drop`. `stop`: number of all
+        samples.
         """
         if self._open_run is not None:
             self._close_run(stop, np.nan)
         return [(a, b) for a, b, run_drop in self._runs if b - a >= min_length and run_drop > min_drop]
 
 
-class Overloads:
+class ClippingDetector:
     """Detects clipping of one signal; `full_scale` is the largest magnitude of a sample, None if not known.
 
     `offset` is the output of the converter where the signal is zero.

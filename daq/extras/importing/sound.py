@@ -8,7 +8,7 @@ from daq.extras.importing.signal import Signal
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, RunError
 
-# Number of bits of the integer formats; their largest value is the full scale of the converter.
+# Bits of the integer formats; the largest integer is the full scale of the converter.
 _INTEGER_BITS = {"PCM_S8": 8, "PCM_U8": 8, "PCM_16": 16, "PCM_24": 24, "PCM_32": 32}
 _EXACT_FORMATS = {*_INTEGER_BITS, "FLOAT", "DOUBLE"}
 # Text in the reader's log about a header that states more samples than the file contains.
@@ -16,7 +16,7 @@ _TRUNCATED = "should be"
 
 
 def sound_signals(path: Path, stack: ExitStack) -> list[Signal]:
-    """List the tracks of a sound file as signals without a unit, whose full scale is 1; `stack` closes the file.
+    """List the tracks of a sound file as signals in fractions of full scale; `stack` closes the file.
 
     Raises `RecordingError` if the file is damaged or its samples are compressed with loss.
     """
@@ -34,9 +34,12 @@ def sound_signals(path: Path, stack: ExitStack) -> list[Signal]:
             "32 bits, or floats of 32 or 64 bits."
         )
     if _TRUNCATED in file.extra_info:
-        raise RecordingError(f"{path} is truncated: its header states more samples than it contains. Export it again.")
+        raise RecordingError(
+            f"{path} is truncated: its header states more samples than the file contains. Export it again."
+        )
     bits = _INTEGER_BITS.get(file.subtype)
 
+    # All tracks of a piece are read together; the cache serves the other tracks.
     @lru_cache(maxsize=1)
     def read_all(start: int, stop: int) -> Array:
         try:
@@ -52,6 +55,7 @@ def sound_signals(path: Path, stack: ExitStack) -> list[Signal]:
         def read(start: int, stop: int) -> Array:
             return read_all(start, stop)[:, number].copy()
 
+        # The largest value of a two's complement integer, as a fraction of its negative end.
         full_scale = None if bits is None else 1.0 - 2.0 ** (1 - bits)
         name = f"track {number + 1}"
         return Signal(path.name, number + 1, name, "", file.frames, float(file.samplerate), read, full_scale=full_scale)

@@ -1,14 +1,14 @@
 """The exact flow: tables for each configuration, computed when the configuration is first visited.
 
-The configuration specifies which forces act in the elements (`HybridSystem.strides`). Its table index counts the
-configurations in the order of their first visit. The state z includes the drive and obeys z' = A z + b, so the matrix
-exponential gives
+A configuration is one choice of contact force for every element (damper or joint), coded as an integer by
+`HybridSystem.strides`. Its table index counts the configurations in the order of their first visit. The state z
+includes the drive and obeys z' = A z + b, so the matrix exponential gives
 
     z(t + tau h) = sum_k tau^k (A h)^k / k! z(t) + terms of b
 
 The series converges to rounding error at degree `rig.core.numerics.bernstein.DEGREE`, because the product of the step h
 and the largest rate of the system is at most `MAX_RATE_TIMES_STEP`. Neither eigenvectors nor a particular solution are
-needed, so that repeated, zero and critically damped eigenvalues, and a drive at exact resonance, are not special cases.
+needed, so repeated, zero and critically damped eigenvalues, and a drive at exact resonance, are not special cases.
 
 The number of states and of possible configurations determines which tables are computed. For a small system all matrix
 powers are tabulated. For a larger system the matrix of a full step is tabulated; where a contact may change, the series
@@ -17,7 +17,7 @@ with many dampers is propagated by this series only.
 
 A *signal* is a gap or a force, whose limits are events (`rig.core.engine.law_tables`). Further tables bound the signals
 within a step (`rig.core.engine.screening`): bounds of the fourth derivative, sums of the magnitudes of the terms, and
-the *margin*, the largest approach to a limit within a step beyond the values at both ends.
+the *margin*: how much closer to its limit a signal can come within a step than at the ends of the step.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from rig.core.numerics.complementarity import ROUNDING
 from rig.core.numerics.simd import SUMS, aligned_zeros, padded_length
 from rig.core.system.hybrid_system import Drive, HybridSystem, hold_coordinates
 
-#: The product of step length (s) and largest rate (rad/s) is at most this; 0.7^16 / 16! is below the rounding of
-#: float64.
+#: The product of step length (s) and largest rate (rad/s) is at most this; 0.7^16 / 16! = 1.6e-16 is below the
+#: machine epsilon of float64, 2.2e-16.
 MAX_RATE_TIMES_STEP = 0.7
 #: Matrix powers are tabulated up to this number of states, including the drive.
 MAX_TABULATED_STATES = 16
@@ -265,7 +265,7 @@ class FlowTables:
         self._link_neighbors(table_index, configuration)
 
     def _link_neighbors(self, table_index: int, configuration: int) -> None:
-        """Fill `Flow.after` for the changes of one element to and from a configuration."""
+        """Enter in `Flow.after` where each change of one element leads, for a configuration and its known neighbors."""
         laws, after = self.model.laws, self.flow.after
         for j, present in enumerate(self.system.force_indices(np.array(configuration)).tolist()):
             modes = laws.elements.first_mode[j] + np.arange(len(self.system.elements[j].law.modes))

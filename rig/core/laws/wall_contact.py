@@ -1,9 +1,9 @@
-"""Finite-duration contact of a mass with floor and ceiling, which are springs with dashpots, without adhesion.
+"""Contact law of finite duration: floor and ceiling are springs with dashpots, without adhesion.
 
-While the mass overlaps a wall and the force points away from the wall, the force on it is -k (g - g_w) - c g', with
-the wall at the gap g_w. The wall releases the mass when the force falls to zero; with a dashpot the mass then still
-overlaps the wall. It is in a mode named *recovers* until the overlap is zero; if the force becomes positive again
-before, it touches the wall again.
+While the mass penetrates a wall at the gap g_w, the wall pushes it away with the force -k (g - g_w) - c g'. The wall
+releases the mass when this force falls to zero; with a dashpot the mass then still penetrates the wall. The contact is
+in a state named *recovers* until the penetration is zero. If the wall pushes the mass away again before that, the
+contact resumes.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ def wall_contact(
 ) -> Law:
     """Declare the law for stiffness [N/m] and damping [N s/m] of floor and ceiling.
 
-    `clearance`, `floor_gap`: gaps at the ceiling and at the floor, m; infinite without this wall.
+    `clearance`, `floor_gap`: gaps at the ceiling and at the floor, m; infinite if there is no such wall.
     """
     has_ceiling, has_floor = clearance < inf, floor_gap > -inf
     floor = Row(gap=-stiffness[0], speed=-damping[0], rest=floor_gap if has_floor else 0.0)

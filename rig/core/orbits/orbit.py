@@ -69,7 +69,7 @@ class Orbit(Result):
     setting : OperatingPoint
         Operating point: frequency [Hz], level of the drive, and, if varied, clearance and mass ratio.
     repetition : int
-        Length in periods of the drive.
+        Number of drive periods after which the motion repeats.
     frf : ndarray of complex, shape (bodies,)
         First harmonic of each displacement, divided by that of the reference [m/N, or m/m].
     reference_amplitude : float
@@ -78,7 +78,7 @@ class Orbit(Result):
         Half the peak-to-peak value of each displacement [m].
     margin : float
         Distance to the nearest border, beyond which the sequence of events is impossible: gaps in g/w^2,
-        accelerations in g, times in 1/w. At most 1, negative beyond the border.
+        accelerations in g, times in 1/w, with w = 2 pi frequency. Distances above 1 count as 1.
     residual : float
         Relative difference between the states at the start and the end of the orbit.
     closing : ndarray, shape (events,)
@@ -112,7 +112,7 @@ class Orbit(Result):
 
     def summary(self) -> str:
         """Return the type of motion, its operating point, and its stability in words."""
-        stable = "stable" if self.stable else "not stable"
+        stable = "stable" if self.stable else "unstable"
         return (
             f"{self.motion_type}, {self.frequency:.6g} Hz, {len(self.events)} events in {self.repetition} "
             f"period{'s' * (self.repetition > 1)}, {stable} (largest multiplier {np.abs(self.multipliers).max():.4g}), "
@@ -207,7 +207,7 @@ class Orbit(Result):
 
     @property
     def stable(self) -> bool:
-        """Return whether every Floquet multiplier lies inside the unit circle."""
+        """Whether every Floquet multiplier lies inside the unit circle."""
         return bool((np.abs(self.multipliers) < 1).all())
 
     @property
@@ -308,6 +308,7 @@ class OrbitFamily:
         equations, derivatives = self.equations(float(x[-1]))
         shooting = shoot(equations, derivatives, self.plan.sequence, x[:-1])
         distances = evaluate_motion(equations, self.plan.sequence, shooting, self.plan.instants(x[:-1]))[2]
+        # A margin that is zero but for rounding is not yet beyond the border.
         return distances + MARGIN_ROUNDING, self.plan.borders
 
     def multipliers(self, x: Array) -> NDArray[np.complex128]:
@@ -320,8 +321,8 @@ class OrbitFamily:
             return monodromy(shooting, len(self.plan.sequence.kind), self.scale[:-1], self.residual_scale)
         except np.linalg.LinAlgError:
             raise RunError(
-                f"orbit with events [{self.plan.label}]: an event touches its threshold without crossing it, so that "
-                "the stability is not determined. Choose other bounds."
+                f"orbit with events [{self.plan.label}]: an event touches its threshold without crossing it, so the "
+                "stability is not determined. Choose other bounds."
             ) from None
 
     def make_orbit(

@@ -1,7 +1,8 @@
 """Base class of all settings: a frozen pydantic model that reports all its problems together.
 
-Modules with settings have no `from __future__ import annotations`: pydantic would compile the annotations of a class
-again for each of its subclasses. For the same reason, pydantic builds the validator of a class when it is first used.
+Imports must be fast. `defer_build` therefore postpones the validator of a class to its first use, and modules with
+settings have no `from __future__ import annotations`, with which pydantic would compile inherited annotations again for
+each subclass.
 """
 
 import ast
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 else:
 
     class _RaisesSceneError(type(BaseModel)):
-        """Metaclass: settings created in Python raise the same error as a scene file."""
+        """Metaclass: invalid settings created in Python raise the same error as an invalid scene file."""
 
         def __call__(cls, *args: Any, **fields: Any) -> Any:
             try:
@@ -93,7 +94,7 @@ class Settings(_Model):
 
     @classmethod
     def kinds_from_other_keys(cls, content: Mapping[str, Any]) -> Mapping[KeyPath, Kind]:
-        """Return the required kind of the quantities whose kind depends on other keys, by key path."""
+        """Return the required physical kind of the quantities whose kind depends on other keys, by key path."""
         return {}
 
     def discard_notation(self) -> None:
@@ -123,7 +124,7 @@ class Settings(_Model):
 
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        """Add to pydantic's schema: mutually exclusive keys, the required kind, and bounds."""
+        """Add to pydantic's schema: groups of alternative keys, the mandatory key `kind`, and field descriptions."""
         reference = handler(schema)
         class_schema = handler.resolve_ref_schema(reference)
         class_schema["description"] = str(cls.__doc__).split("\n\n")[0]
@@ -155,7 +156,8 @@ class Settings(_Model):
         except ValidationError as error:
             problems = problems_of(error)
             raise combined_error(
-                cls.__name__, [Problem(cls.key_path_as_given(item.key_path, data), item.message) for item in problems]
+                cls.__name__,
+                [Problem(cls.key_path_as_given(problem.key_path, data), problem.message) for problem in problems],
             ) from None
         texts = {name: prepared.get(key, prepared.get(name)) for name, key in _quantities(cls).items()}
         settings.__dict__["written"] = {name: text for name, text in texts.items() if _is_text(text)}
@@ -163,19 +165,19 @@ class Settings(_Model):
 
     @classmethod
     def _validate_all(cls, data: Any, handler: Callable[[Any], Self], problems: list[Problem]) -> Self:
-        known_paths = {item.key_path for item in problems}
+        known_paths = {problem.key_path for problem in problems}
         settings = None
         try:
             settings = handler(data)
         except ValidationError as error:
-            items = [item for item in error.errors(include_url=False) if not _is_consequence(item)]
-            unknown_keys = [str(item["loc"][0]) for item in items if item["type"] == "extra_forbidden"]
+            details = [detail for detail in error.errors(include_url=False) if not _is_consequence(detail)]
+            unknown_keys = [str(detail["loc"][0]) for detail in details if detail["type"] == "extra_forbidden"]
             intended = {nearest_key(key, cls.keys()) for key in unknown_keys if key}
-            new_problems = [cls._explain(item) for item in items if not _is_misspelled(item, intended)]
-            problems = problems + [item for item in new_problems if item.key_path not in known_paths]
+            new_problems = [cls._explain(detail) for detail in details if not _is_misspelled(detail, intended)]
+            problems = problems + [problem for problem in new_problems if problem.key_path not in known_paths]
         if isinstance(data, Mapping):
             problems = problems + list(cls._check_groups(data))
-            problems = problems + list(cls._check_kinds(data, {item.key_path for item in problems}))
+            problems = problems + list(cls._check_kinds(data, {problem.key_path for problem in problems}))
         if settings is not None and not problems:
             problems = list(settings.check_consistency())
         if problems or settings is None:
@@ -188,18 +190,18 @@ class Settings(_Model):
         return [field.alias or name for name, field in cls.model_fields.items()]
 
     @classmethod
-    def _explain(cls, item: Any) -> Problem:
-        """Convert a pydantic error to a `Problem` with a message of this package."""
-        key_path, value = item["loc"], item["input"]
-        if item["type"] == "extra_forbidden" and len(key_path) == 1:
+    def _explain(cls, detail: Any) -> Problem:
+        """Convert an error of pydantic to a `Problem` with a message of this package."""
+        key_path, value = detail["loc"], detail["input"]
+        if detail["type"] == "extra_forbidden" and len(key_path) == 1:
             return Problem(key_path, unknown_key_message(str(key_path[0]), cls.keys()))
-        if item["type"] == "missing" and len(key_path) == 1:
+        if detail["type"] == "missing" and len(key_path) == 1:
             return Problem(key_path, f"missing; expected {cls._expected_value(str(key_path[0]))}")
-        if item["type"] == "model_type" and not key_path:
+        if detail["type"] == "model_type" and not key_path:
             return Problem(key_path, unexpected_value_message(value, f"keys such as {', '.join(cls.keys()[:4])}"))
-        if item["type"] == "string_pattern_mismatch" and len(key_path) == 1:
+        if detail["type"] == "string_pattern_mismatch" and len(key_path) == 1:
             return Problem(key_path, unexpected_value_message(value, cls._expected_value(str(key_path[0]))))
-        return Problem(key_path, message_of(item))
+        return Problem(key_path, message_of(detail))
 
     @classmethod
     def _expected_value(cls, key: str) -> str:
@@ -301,16 +303,16 @@ def _is_text(value: Any) -> bool:
     return any(isinstance(item, str) for item in items)
 
 
-def _is_misspelled(item: Any, intended: set[str | None]) -> bool:
+def _is_misspelled(detail: Any, intended: set[str | None]) -> bool:
     """Return whether a key is missing only because it is misspelled; the misspelled key is reported.
 
     `intended` are the keys that are nearest to unknown keys.
     """
-    if item["type"] == "missing" and len(item["loc"]) == 1:
-        return item["loc"][0] in intended
-    return item.get("ctx", {}).get("absent", "") in intended
+    if detail["type"] == "missing" and len(detail["loc"]) == 1:
+        return detail["loc"][0] in intended
+    return detail.get("ctx", {}).get("absent", "") in intended
 
 
-def _is_consequence(item: Any) -> bool:
+def _is_consequence(detail: Any) -> bool:
     """Return whether an error is only a consequence: a list is too short because its items are invalid."""
-    return item["type"] == "too_short" and len(item["input"]) >= item["ctx"]["min_length"]
+    return detail["type"] == "too_short" and len(detail["input"]) >= detail["ctx"]["min_length"]

@@ -56,13 +56,13 @@ def read_checkpoint(path: Path, settings: Mapping[str, Any]) -> GrainsState | No
     # A damaged file can cause an exception of almost any type in the reader.
     except Exception:
         raise RunError(
-            f"{path}: is not an interrupted run with grains that this version of shotrig can continue. Delete the file "
+            f"{path} is not an interrupted run with grains that this version of shotrig can continue. Delete the file "
             "to start again, or choose another name with -o."
         ) from None
     if different:
         raise RunError(
-            f"{path}: contains an interrupted run with another {', '.join(different)}. Restore the previous values to "
-            "continue it, or delete the file to start again."
+            f"{path} contains an interrupted run that was started with a different {', '.join(different)}. Restore "
+            "the previous values to continue it, or delete the file to start again."
         )
     return state
 

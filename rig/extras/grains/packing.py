@@ -1,9 +1,9 @@
 """The settled bed: initial positions of the grains at rest on the floor, as dense as after long shaking.
 
 The grains fall into the cavity without friction. The ceiling is then lowered until its force equals the bed's weight;
-this levels the grains, like the screw that closes a real cavity. Without friction the contact forces follow from the
-positions alone: a run begins in exact equilibrium, with the whole weight on the floor. The computation takes longer
-than many periods of motion, so the result is stored in the user's cache.
+this flattens the bed, like the screw that closes a real cavity. Without friction the contact forces follow from the
+positions alone: a run begins in exact equilibrium, with the whole weight on the floor. The computation takes more
+CPU time than the simulation of many periods, so the result is stored in the user's cache.
 """
 
 import hashlib
@@ -25,28 +25,30 @@ from rig.extras.grains.lammps_library import lammps_version
 
 #: Time step of packing, relative to Rayleigh's time (`rayleigh_time`).
 _STEP_RATIO = 0.1
-#: While grains fall and are leveled, Young's modulus is at most this, Pa. With this limit the arrangement and its
-#: computing time do not depend on the modulus of stiff grains.
+#: While grains fall and the bed is flattened, Young's modulus is at most this, Pa. With this limit the arrangement and
+#: its computing time do not depend on the modulus of stiff grains.
 _MAX_PACKING_MODULUS = 1e7
 #: Time constant of the drag on falling grains, s.
 _DRAG_TIME = 10e-3
-#: The fall ends when the wall force deviates from the weight of the bed by less than this fraction ...
+#: The fall ends when the wall force deviates from the weight of the bed by less than this fraction, because the last
+#: grains still bounce.
 _FALLEN_FORCE_RATIO = 0.1
-#: ... and the kinetic energy is below this fraction of weight times grain diameter.
+#: The fall also requires a kinetic energy below this fraction of weight times grain diameter.
 _FALLEN_ENERGY_RATIO = 1e-3
-#: The bed is at rest when the floor force deviates from its weight by less than this fraction ...
+#: The bed is at rest when the floor force deviates from its weight by less than this fraction, far below the forces of
+#: a test.
 _REST_FORCE_RATIO = 3e-4
-#: ... and the last peak of its kinetic energy was below this fraction of weight times grain diameter.
+#: Rest also requires that the last peak of the kinetic energy is below this fraction of weight times grain diameter.
 _REST_ENERGY_RATIO = 1e-6
-#: Speed of the ceiling that levels the grains, m/s.
+#: Speed of the ceiling that flattens the bed, m/s: slow against the fall of a grain over its own diameter.
 _CEILING_SPEED = 5e-3
-#: Steps between checks of a falling bed.
+#: Steps between checks of a falling bed; the fall takes many thousands of steps.
 _FALL_STEPS = 500
-#: Maximum number of checks of a falling bed.
+#: Limit of the checks of a falling bed: an error is better than a simulation without end.
 _MAX_FALL_CHECKS = 400
 #: Steps between checks of a bed that comes to rest: much shorter than the time between peaks of its kinetic energy.
 _REST_STEPS = 20
-#: Maximum number of checks of a bed that comes to rest.
+#: Limit of the checks of a bed that comes to rest: an error is better than a simulation without end.
 _MAX_REST_CHECKS = 40_000
 
 
@@ -71,12 +73,12 @@ def settled_positions(spheres: Spheres) -> Array:
 
 
 def _pack(spheres: Spheres) -> Array:
-    """Compute the positions: the grains fall, are leveled by the ceiling, and come to rest."""
+    """Compute the positions: the grains fall, the ceiling flattens the bed, and the bed comes to rest."""
     frictionless = spheres.settings.replace(friction=0.0, side_friction=None)
     # Grains of limited modulus, which allow longer time steps.
     soft = replace(spheres, settings=frictionless.replace(modulus=min(frictionless.modulus, _MAX_PACKING_MODULUS)))
-    leveled = _level(soft, _drop(soft))
-    return _settle(replace(spheres, settings=frictionless), leveled)
+    flat = _flatten(soft, _drop(soft))
+    return _settle(replace(spheres, settings=frictionless), flat)
 
 
 def bed_top(spheres: Spheres, positions: Array) -> float:
@@ -104,7 +106,7 @@ def _drop(spheres: Spheres) -> Array:
     raise _not_at_rest(bed, _FALL_STEPS * _MAX_FALL_CHECKS)
 
 
-def _level(spheres: Spheres, fallen: Array) -> Array:
+def _flatten(spheres: Spheres, fallen: Array) -> Array:
     """Return the positions under a ceiling that was lowered until its force equals the bed's weight."""
     bed = _new_bed(spheres, fallen, bed_top(spheres, fallen))
     bed.add_drag(_DRAG_TIME)
@@ -116,13 +118,13 @@ def _level(spheres: Spheres, fallen: Array) -> Array:
     return bed.positions
 
 
-def _settle(spheres: Spheres, leveled: Array) -> Array:
+def _settle(spheres: Spheres, flat: Array) -> Array:
     """Bring the grains to rest by kinetic damping: all grains are stopped at each peak of their kinetic energy.
 
     Viscous drag, as during the fall, would overdamp the slow motions of a bed without friction, so the grains would
     creep.
     """
-    bed = _new_bed(spheres, leveled, np.inf)
+    bed = _new_bed(spheres, flat, np.inf)
     weight = spheres.mass * STANDARD_GRAVITY
     max_energy = _REST_ENERGY_RATIO * weight * spheres.settings.diameter
     peak_energy = 0.0

@@ -19,11 +19,11 @@ from rig.studies.cost.motion_study import MIN_REFERENCE_MARGIN, Point, failure_r
 from rig.studies.single_mode.approximate_response import approximate_response
 from rig.studies.single_mode.reduction import Weighting
 
-#: Model of `bed_models` with another packing of the grains. Errors below its deviation are not significant.
+#: Model of `bed_models` with a different packing of the grains. Errors below its deviation are not significant.
 OTHER_PACKING = "grains, other packing"
 #: Tolerances of time integration to steady state.
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
-#: If the motion is irregular, periodic motion is searched at frequencies with these relative offsets.
+#: If the motion is irregular, periodic motion is searched at frequencies with these relative offsets, small ones first.
 FREQUENCY_OFFSETS = (0.0, 0.01, -0.01, 0.02, -0.02, 0.03, -0.03, 0.05, -0.05, 0.08, -0.08)
 #: Relative half-width of the band of the approximate method around the frequency.
 BAND_HALF_WIDTH = 0.04
@@ -68,15 +68,15 @@ def steady_study(scene: Scene, frequency: float, progress: Callable[[str], None]
     report("approximate method")
     points.append(_approximate(scene, frequency, reference))
     all_dampers = tuple(range(1, len(scene.dampers) + 1))
-    for setting, dampers in (("dampers at rest", all_dampers), ("no dampers", ())):
+    for case, dampers in (("riding dampers", all_dampers), ("no dampers", ())):
         cpu, linear = timed(partial(receptance, scene, [frequency], riding=dampers))
-        points.append(Point("linear", setting, cpu, reference.error(linear[:, 0]), is_correct=False))
+        points.append(Point("linear", case, cpu, reference.error(linear[:, 0]), is_correct=False))
     smallest_error = min((point.error for point in points if point.error > 0.0), default=np.inf)
     margin = smallest_error / max(reference.agreement, 10.0**-DIGITS)
     if margin < MIN_REFERENCE_MARGIN:
         raise RunError(
-            "the reference of the steady state is less than a thousand times more accurate than the best method. "
-            "Please report this as a bug, and attach the scene."
+            "the reference of the steady state must be a thousand times more accurate than the best method, but is "
+            "not. Please report this as a bug, and attach the scene."
         )
     return SteadyStudy(
         tuple(points),

@@ -16,7 +16,7 @@ from analysis.commands.presentation.fit_findings import describe
 from analysis.core.fitting.diagnosis import _start_from_modes, _try_channels, find_cause
 from analysis.core.fitting.estimate import Estimate, estimate_structure
 from analysis.core.fitting.fit import Comparison, Fit, Fitted, Mode, _misfit, _missing_clock_tolerance
-from analysis.core.fitting.identifiability import LevelDamping, coupled_values
+from analysis.core.fitting.identifiability import LevelDamping, describe_coupled_values
 from analysis.core.fitting.measured import measured_curves
 from analysis.core.fitting.parameters import free_parameters, with_ratio_per_mode, with_values
 from analysis.core.fitting.problem import Problem
@@ -153,7 +153,7 @@ def test_error_above_tolerance_gives_misfit(noisy_sweep):
         # The analysis divides by the gain, so that the signal becomes too small by this factor.
         ("0.02", {"body2": {"gain": 9.80665}}, ["body2 reads 0.102 times", "(g read as m/s²)"]),
         ("0.02", {"body3": {"gain": 1 / 9.80665}}, ["body3 reads 9.807 times", "(m/s² read as g)"]),
-        ("0", {"body1": {"gain": 2**0.5}}, ["body1 reads 0.7071 times", "(rms value instead of amplitude)"]),
+        ("0", {"body1": {"gain": 2**0.5}}, ["body1 reads 0.7071 times", "(rms values, declared as amplitudes)"]),
         ("0.02", {"body2": {"quantity": "velocity"}}, ["body2: it is the integral of the stated quantity"]),
         ("0.02", {"body2": {"delay": 4e-3}}, ["body2 reads 4000 µs early"]),
         ("0.02", {"body2": {"delay": 9e-3}}, ["body2 contradicts the other channels"]),
@@ -184,7 +184,7 @@ def test_factor_is_named_among_two_responses(name, noisy_sweep):
     model = initial_scene()
     problem = Problem(model, free_parameters(model), curves)
     _, text = find_cause(problem, estimate_structure(problem, problem.groups))
-    assert f"{name} reads 9.807 times the value that fits (m/s² read as g)" in text
+    assert f"{name} reads 9.807 times what the scene predicts (m/s² read as g)" in text
 
 
 def test_unit_of_force_is_named(tmp_path):
@@ -195,7 +195,7 @@ def test_unit_of_force_is_named(tmp_path):
     model = with_ratio_per_mode(synthetic.scene().replace(shaker=None, test=None))
     problem = Problem(model, free_parameters(model, ["structure.springs", "structure.damping"]), curves)
     explained = min(_try_channels(_start_from_modes(problem), curves), key=lambda explanation: explanation.square)
-    assert explained.text == "hammer reads 0.2248 times the value that fits (pounds instead of newtons)"
+    assert explained.text == "hammer reads 0.2248 times what the scene predicts (values in pounds-force, declared as N)"
 
 
 def test_dead_channel_is_omitted(tmp_path):
@@ -320,6 +320,6 @@ def test_mass_of_named_body_has_name_and_number():
 def test_clearance_without_ceiling_impacts_has_one_line():
     clearances = [SimpleNamespace(key=f"dampers[{k}].clearance", damper=k) for k in range(2)]
     problem = SimpleNamespace(parameters=clearances, groups=[SimpleNamespace(orbits=object())])
-    limited, unlimited = coupled_values(problem, None, ["undetermined"] * 2, {0: 1.5e-3})
+    limited, unlimited = describe_coupled_values(problem, None, ["undetermined"] * 2, {0: 1.5e-3})
     assert "dampers[0].clearance is at least 1.5 mm" in limited
     assert "dampers[1].clearance is not determined" in unlimited

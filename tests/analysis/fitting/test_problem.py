@@ -10,7 +10,7 @@ import analysis
 import daq
 import rig
 from analysis.core.fitting.estimate import Estimate
-from analysis.core.fitting.identifiability import coupled_values
+from analysis.core.fitting.identifiability import describe_coupled_values
 from analysis.core.fitting.measured import measured_curves
 from analysis.core.fitting.parameters import free_parameters, with_ratio_per_mode
 from analysis.core.fitting.problem import Problem
@@ -60,5 +60,5 @@ def test_combination_of_few_parameters_is_reported():
     estimate = Estimate(np.zeros(9), np.stack([0.03 * common_axis, 0.029 * opposite_axis], axis=1), 1.0, 2)
     parameters = [SimpleNamespace(key=f"mass {k}", damper=None) for k in range(9)]
     problem = SimpleNamespace(parameters=parameters, groups=[], sensors=[])
-    [text] = coupled_values(problem, estimate, ["determined"] * 9, {})  # type: ignore[arg-type]
+    [text] = describe_coupled_values(problem, estimate, ["determined"] * 9, {})  # type: ignore[arg-type]
     assert text.startswith("mass 0, mass 1 can change in opposite directions")

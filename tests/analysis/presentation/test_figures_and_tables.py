@@ -27,7 +27,7 @@ from analysis.commands.presentation.tables import modes_table
 from analysis.commands.presentation.theory import theoretical_modes
 from analysis.core.modal.lscf import ChartPole
 from analysis.core.modal.modes import Modes, UncertainMode
-from analysis.core.recordings.names import belongs_to, excitation_text, reference_label
+from analysis.core.recordings.names import baseline_label, belongs_to, excitation_text
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import BODIES, REFERENCE, faded, recording_styles
 from rig.core.results.response import Response
@@ -288,7 +288,7 @@ def test_levels_of_one_recording_are_short_in_legend(tmp_path):
 def test_reference_is_gray_in_any_order(folder):
     [responses] = analysis.frf(folder / "one.mcap")
     curve = replace(responses.curves()[0], label="with")
-    reference = reference_label({"with": True, "without": False})
+    reference = baseline_label({"with": True, "without": False})
     curves = [curve, replace(curve, label="without")]
     styles = recording_styles([belongs_to(curve.label, reference) for curve in curves])
     axes = frf_figure(curves, "Compliance", styles=styles).axes[0]
@@ -429,7 +429,7 @@ def test_combination_frequency_is_no_swapped_channel():
     (linear,) = theory_warnings(combined, other_shape)
     (nonlinear,) = theory_warnings(replace(combined, model_error=0.1), other_shape)
     assert "channels are swapped" in linear
-    assert nonlinear.startswith("47.81 Hz (about 13.04 + 34.78 Hz): probably combination frequencies")
+    assert nonlinear.startswith("47.81 Hz (about 13.04 + 34.78 Hz): probably harmonics or combination frequencies")
 
 
 def test_curve_that_folds_back_has_no_line() -> None:

@@ -96,7 +96,7 @@ def record(
 )
 def import_recording(
     files: Annotated[
-        list[Path], "FILE...: Time histories: .tdms .uff .wav .csv .txt .npz .mat, or .mcap of another program."
+        list[Path], "FILE...: Time histories: .tdms .uff .wav .csv .txt .npz .mat .h5, or .mcap of another program."
     ],
     scene: Annotated[
         str | None, "SCENE: Scene of the bench and its channels. Without a scene, the contents of FILE are listed."

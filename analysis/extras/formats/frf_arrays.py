@@ -16,7 +16,9 @@ from rig.core.base.errors import RecordingError
 # Names of scalars: sample rate in Hz, number of samples of a block, and spacing of the lines in Hz.
 _RATE = re.compile(r"(.*[._])?(fs|rate|sample_?rate|sampling_?(rate|frequency)|freq|frequency)", re.IGNORECASE)
 _BLOCK = re.compile(r"(.*[._])?(npts|n_?fft|n_?samples|block(_?(size|length))?)", re.IGNORECASE)
-_SPACING = re.compile(r"(.*[._])?(df|delta_?f|resolution)", re.IGNORECASE)
+_SPACING = re.compile(r"(.*[._])?(df|delta_?f|resolution|x_values\.increment)", re.IGNORECASE)
+# Name of the frequency of the first line, Hz, in files of Testlab.
+_START = re.compile(r"(.*\.)?x_values\.start_value")
 # Minimum number of complex values of a response.
 _MIN_LINES = 4
 
@@ -96,13 +98,13 @@ def _frequencies(path: Path, arrays: Mapping[str, NDArray[Any]], lines: int) -> 
             f"{path}: the frequencies of the {lines} lines are not stated. Add an array 'frequency' in Hz, or the "
             "scalar 'df' in Hz."
         )
-    return np.arange(lines, dtype=np.float64) * spacing
+    return (_only(scalars, _START) or 0.0) + np.arange(lines, dtype=np.float64) * spacing
 
 
 def _only(scalars: Mapping[str, float], names: re.Pattern[str]) -> float | None:
-    """Return the only scalar with one of the names; None if there is no such scalar, or several."""
-    found = [value for name, value in scalars.items() if names.fullmatch(name)]
-    return found[0] if len(found) == 1 else None
+    """Return the value of the scalars with one of the names; None without such a scalar, or for several values."""
+    found = {value for name, value in scalars.items() if names.fullmatch(name)}
+    return found.pop() if len(found) == 1 else None
 
 
 def _text(array: NDArray[Any] | None) -> str:

@@ -29,11 +29,11 @@ from rig.core.results.uncertainty import SYSTEMATIC
 from rig.core.results.universal_file import BOUND_LINE, DEVIATION_LINE, FRF, GENERAL, RESOLUTION_LINE
 from rig.core.settings.quantities import FREQUENCY
 
-_ARRAY_ENDINGS = (".mat", ".npz", ".npy")
+_ARRAY_ENDINGS = (".mat", ".h5", ".hdf5", ".npz", ".npy")
 ENDINGS = (".uff", ".unv", ".csv", ".txt", ".tsv", ".asc", ".dat", *_ARRAY_ENDINGS)
 # Heading of a column: name of the response, component, and unit of the phase.
 _COLUMN_NAME = re.compile(
-    r"(.*?)[\s_.:,|-]*\b(real|re|imaginary|imag|im|magnitude|mag|amplitude|ampl|amp|abs|phase|pha|arg"
+    r"(.*?)[\s_.:,|-]*(?<![^\W_])(real|re|imaginary|imag|im|magnitude|mag|amplitude|ampl|amp|abs|phase|pha|arg"
     r"|realteil|imaginärteil|betrag|coherence|coh|kohärenz)"
     r"[\s_.]*(deg|rad|degrees|°)?",
     re.IGNORECASE,
@@ -112,19 +112,15 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
         raise RecordingError(f"{file}: no such file. Check the path.")
     if file.suffix.lower() in (".uff", ".unv"):
         return _checked(_from_uff(file, reference, unit))
-    if file.suffix.lower() in ENDINGS:
-        if reference is not None:
-            raise SceneError(
-                f"{file}: this file has no references to choose from. Leave out the reference {reference!r}."
-            )
-        if file.suffix.lower() in _ARRAY_ENDINGS:
-            return _checked(_from_arrays(file, unit))
-        try:
-            curves = _from_long_table(file, unit)
-        except csv.Error as error:
-            raise RecordingError(f"{file}: not readable as a CSV table ({error}). Export it again.") from None
-        return _checked(curves or _from_table(file, unit))
-    raise RecordingError(f"{file}: unknown file type; expected one of {', '.join(ENDINGS)}")
+    if reference is not None:
+        raise SceneError(f"{file}: this file has no references to choose from. Leave out the reference {reference!r}.")
+    if file.suffix.lower() in _ARRAY_ENDINGS:
+        return _checked(_from_arrays(file, unit))
+    try:
+        curves = _from_long_table(file, unit)
+    except csv.Error as error:
+        raise RecordingError(f"{file}: not readable as a CSV table ({error}). Export it again.") from None
+    return _checked(curves or _from_table(file, unit))
 
 
 def _checked(curves: Sequence[Response]) -> Response:

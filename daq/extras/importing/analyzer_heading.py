@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 # Keywords, in small letters without blanks and punctuation. If several occur in a file, the first is used.
 _NAMES = ("yaxisdofs", "pointid", "channelname", "channel", "signalname", "signal", "name", "measurementlabel", "title")
-_UNITS = ("yaxisunits", "yaxisunit", "amplitudeunit", "channelunit", "units", "unit")
+_UNITS = ("yaxisunits", "yaxisunit", "amplitudeunit", "channelunit", "units", "unit", "verticalunits")
 _ABSCISSA_UNITS = ("xaxisunits", "xaxisunit")
 # Keywords of the kind of data. Complex data have two columns for each function.
 _KINDS = ("datatype", "yaxistype", "functionclass", "measurementtype")

@@ -1,4 +1,4 @@
-"""Signals from files of named arrays: numpy's .npz and .npy, MATLAB's .mat.
+"""Signals from files of named arrays: numpy's .npz and .npy, MATLAB's .mat, and HDF5.
 
 An array contains samples, times, or a setting such as the sample rate, according to its size and its name.
 """
@@ -43,7 +43,8 @@ def arrays_of(path: Path) -> dict[str, Any]:
 
     Raises `RecordingError` for a damaged file and for arrays of Python objects.
     """
-    return dict(_flatten(matlab_arrays(path))) if path.suffix.lower() == ".mat" else _numpy_arrays(path)
+    is_numpy = path.suffix.lower() in (".npz", ".npy")
+    return _numpy_arrays(path) if is_numpy else dict(_flatten(matlab_arrays(path)))
 
 
 def _numpy_arrays(path: Path) -> dict[str, Any]:

@@ -29,6 +29,8 @@ READERS = {
     ".npz": _ARRAYS,
     ".npy": _ARRAYS,
     ".mat": _ARRAYS,
+    ".h5": _ARRAYS,
+    ".hdf5": _ARRAYS,
     ".mcap": ("float_topics", "mcap_signals"),
 }
 
@@ -42,11 +44,8 @@ def signals_of(path: Path, stack: ExitStack) -> list[Signal]:
         raise RecordingError(f"{path}: no such file. Check the path.")
     if not path.is_file():
         raise RecordingError(f"{path} is not a file. Give the path of each file to import.")
-    if path.suffix.lower() not in READERS:
-        raise RecordingError(
-            f"{path}: this type of file cannot be imported. Export the data as one of {', '.join(READERS)}."
-        )
-    module, function = READERS[path.suffix.lower()]
+    # Programs give text tables many suffixes.
+    module, function = READERS.get(path.suffix.lower(), _TEXT)
     read: Callable[[Path, ExitStack], list[Signal]] = getattr(import_module(f"daq.extras.importing.{module}"), function)
     try:
         signals = [signal for signal in read(path, stack) if signal.samples > 1]

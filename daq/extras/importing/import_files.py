@@ -82,8 +82,8 @@ def import_files(
     Parameters
     ----------
     files : path or sequence of paths
-        TDMS (.tdms), Universal File (.uff, .unv), WAV, text (.csv, .txt, .tsv, .lvm, .asc), numpy (.npz, .npy), MATLAB
-        (.mat) or another program's MCAP.
+        TDMS (.tdms), Universal File (.uff, .unv), WAV, text (.lvm, .csv, .txt or any other suffix), numpy (.npz, .npy),
+        MATLAB (.mat), HDF5 (.h5) or another program's MCAP.
     scene : Scene, str, Path or mapping
         The bench: structure, dampers, shaker, test, and channels with their sensors.
     path : str or Path

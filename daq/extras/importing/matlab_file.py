@@ -1,4 +1,4 @@
-"""Reader of MATLAB files in a child process, because a damaged file can crash scipy's reader.
+"""Reader of MATLAB and HDF5 files in a child process, because a damaged file can crash a reader.
 
 This module is also the program of the child process: it writes the variables of the file to standard output, pickled.
 Its arguments are the file and the allowed memory in bytes.
@@ -46,7 +46,7 @@ def matlab_arrays(path: Path) -> dict[str, Any]:
             ) from None
     if content == _H5PY_MISSING:
         raise RunError(
-            f"{path} is a MATLAB file of version 7.3 (HDF5), which needs the package h5py. Install it: "
+            f"{path} is an HDF5 file, as MATLAB writes from version 7.3 on, which needs the package h5py. Install it: "
             "pip install 'shotrig[matlab]', or save the file in MATLAB with save(name, ..., '-v7')."
         )
     if content == _MEMORY_MISSING:
@@ -70,15 +70,18 @@ def _read_variables(file_name: str, max_bytes: int) -> dict[str, Any] | str:
         _, hard = resource.getrlimit(resource.RLIMIT_DATA)
         resource.setrlimit(resource.RLIMIT_DATA, (max_bytes, hard))
     try:
-        try:
-            content = loadmat(file_name, squeeze_me=True, struct_as_record=True, chars_as_strings=True)
-        except NotImplementedError:
-            import h5py
+        with suppress(NotImplementedError):
+            if file_name.endswith(".mat"):
+                content = loadmat(file_name, squeeze_me=True, struct_as_record=True, chars_as_strings=True)
+                return {key: value for key, value in content.items() if key[:2] != "__"}
+        import h5py
 
-            with h5py.File(file_name, "r") as file:
-                hdf_reader = _HdfReader(file)
-                # MATLAB stores the targets of references in cells and structures under names with #.
-                return {key: hdf_reader.value(file[key]) for key in file if not key.startswith("#")}
+        with h5py.File(file_name, "r") as file:
+            hdf_reader = _HdfReader(file)
+            # MATLAB stores the targets of references in cells and structures under names with #.
+            variables = {key: hdf_reader.value(file[key]) for key in file if not key.startswith("#")}
+            # Programs in Python state the sample rate as an attribute.
+            return {**file.attrs, **variables}
     except ImportError:
         return _H5PY_MISSING
     except MemoryError:
@@ -87,8 +90,7 @@ def _read_variables(file_name: str, max_bytes: int) -> dict[str, Any] | str:
         return str(error)
     except Exception as error:
         # A damaged file can cause any exception in the reader.
-        return f"cannot be read as a MATLAB file ({type(error).__name__}: {error!s:.200}). Save it again."
-    return {key: value for key, value in content.items() if key[:2] != "__"}
+        return f"cannot be read as a MATLAB or HDF5 file ({type(error).__name__}: {error!s:.200}). Save it again."
 
 
 class _HdfReader:

@@ -9,6 +9,7 @@ import csv
 import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from itertools import takewhile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,19 +17,23 @@ from daq.extras.importing.analyzer_heading import keyed_heading
 from daq.extras.importing.clock import TIME_NAMES, rate_of_interval
 from rig.core.base.errors import RecordingError
 from rig.core.base.escaping import unescape_cell
+from rig.core.settings.quantities import is_unit
 
 # Maximum number of lines before the first line of numbers.
 _MAX_HEADING_LINES = 200
-# A unit in brackets after a name; the unit may contain parentheses.
-_UNIT_IN_BRACKETS = re.compile(r"(.*?)\s*[\[(]([^\[\]()]*(?:\([^\[\]()]*\)[^\[\]()]*)?)[\])]\s*")
+# A unit in brackets after a name; the unit may contain parentheses. A number before the unit is a range or a scale:
+# ``X (100g)`` is the 100 g sensor of a logger.
+_UNIT_IN_BRACKETS = re.compile(r"(.*?)\s*[\[(](?!\d)([^\[\]()]*(?:\([^\[\]()]*\)[^\[\]()]*)?)[\])]\s*")
 # A unit after an underscore, as `analysis export` writes it.
-_UNIT_AFTER_UNDERSCORE = re.compile(r"(.+)_(m/s\^2|m/s²|m/s|m|N|V|g|s|ms)")
-# A unit after a slash between blanks (ISO 80000-1): ``f / kHz``.
-_UNIT_AFTER_SLASH = re.compile(r"(.+?) / (\S+(?: re .+)?)")
+_UNIT_AFTER_UNDERSCORE = re.compile(r"(.+)_(m/s\^2|m/s²|m/s|m|N|V|g|s|ms|k?Hz)")
+# A unit after a slash between blanks (ISO 80000-1), or after "in": ``f / kHz``, ``force in N``.
+_UNIT_AFTER_SLASH = re.compile(r"(.+?) (?:/|in) (\S+(?: re .+)?)")
+# Units that are not products of powers of other units.
+_ANGLE_OR_DECIBEL = re.compile(r"deg(rees?)?|°|rad(ians?)?|grad|dB\b.*", re.IGNORECASE)
 # Name of a column of line numbers; the abscissa is the next column.
 _LINE_NUMBER = re.compile(r"(#|no|nr|n|line|index|idx|sample|point|row)\.?( ?(#|no|nr|number)\.?)?", re.IGNORECASE)
 #: Units of time: the first cell of a line of units is one of them, or empty.
-TIME_UNITS = ("s", "ms", "us", "sec", "Seconds")
+TIME_UNITS = ("s", "ms", "us", "sec", "second", "Seconds")
 # Units of time or of frequency.
 _ABSCISSA_UNITS = ("", *TIME_UNITS, "Hz", "kHz")
 # Length of the longest unit, characters.
@@ -41,6 +46,18 @@ _COMPLEX_CELL = re.compile(r"\(?[-+]?[\d.]+(?:e[-+]?\d+)?[-+][\d.]+(?:e[-+]?\d+)
 _FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[-+]\d+$)")
 # A number with dots between thousands and a decimal comma.
 _GROUPED_NUMBER = re.compile(r"[-+]?\d{1,3}(?:\.\d{3})+,\d*")
+# The sample rate in a line of a heading: ``Sample rate: 51.2 kHz``, ``Sampling frequency [Hz]\t51200``.
+_STATED_RATE = re.compile(
+    r"\W*(?:sampl\w*|scan|abtast|mess)[ _-]?(?:rate|freq\w*)\W*(k?Hz|k?S/s)?\W*"
+    r"(\d[\d.,]*(?:e[-+]?\d+)?)\W*(k?Hz|k?S/s)?\b.*",
+    re.IGNORECASE,
+)
+# Last cells of the heading of an oscilloscope, above the time of the first sample and the sample interval.
+_START_AND_INTERVAL = ("Start", "Increment")
+# A time of day with the date before it; the day is first unless the parts are separated by slashes.
+_DATED_TIME = re.compile(r"(\d\d?)([./])(\d\d?)[./](\d{4})[ T](.+)")
+# A time of day in the first or in the second half of the day.
+_TWELVE_HOURS = re.compile(r"(.*?)\b(\d\d?)(:\d\d:\d\d\S*) ?([AP])M", re.IGNORECASE)
 # Decimal digits of the seconds in a time of day.
 _SECOND_FRACTION = re.compile(r":\d\d[.,](\d+)")
 # A date or time of day is read to microseconds.
@@ -66,6 +83,7 @@ class Layout(NamedTuple):
     names: list[str]
     units: list[str]
     cells: tuple[int, ...] | None = None  # positions of the cells of a line that are read; None: all
+    rate: float | None = None  # sample rate that the heading states, Hz
 
 
 def read_beginning(path: Path) -> tuple[list[str], str]:
@@ -74,7 +92,7 @@ def read_beginning(path: Path) -> tuple[list[str], str]:
         head = binary.read(1 << 18)
     is_utf16 = head.startswith((b"\xff\xfe", b"\xfe\xff"))
     if b"\0" in head and not is_utf16:
-        raise RecordingError(f"{path} is not a text file. Export the data as a table of numbers.")
+        raise RecordingError(f"{path}: this type of file cannot be read. Export the data as CSV, TDMS or UFF.")
     encoding = "utf-16" if is_utf16 else "utf-8-sig"
     try:
         text = head.decode(encoding)
@@ -87,56 +105,140 @@ def read_beginning(path: Path) -> tuple[list[str], str]:
 
 def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
     """Return the layout of a table from its first lines; raise `RecordingError` if no line has only numbers."""
-    for heading, line in enumerate(lines):
+    for number, line in enumerate(lines):
         for delimiter in ("\t", ";", ",", None):
-            row = split_cells(line, delimiter)
+            cells = split_cells(line, delimiter)
             decimal_comma = delimiter != "," and "," in line
-            values = [parse_number(cell, decimal_comma) for cell in row]
-            if len(values) > 1 and values[0] is None:
-                values[0] = stamp_seconds(row[0])
-            # Empty cells are NaN; a line of empty cells alone has no numbers.
-            has_numbers = None not in values and any(value == value for value in values)
-            if len(row) < (1 if delimiter is None else 2) or not has_numbers:
-                continue
-            rows_above = [
-                split_cells(text_line.lstrip("#%").strip() if text_line[:1] in "#%" else text_line, delimiter)
-                for text_line in lines[:heading]
-                if text_line.strip()
-            ]
-            column_count, read_cells = len(row), None
-            if column_count > 2 and not row[-1] and rows_above and not "".join(rows_above[-1][column_count - 1 :]):
-                # Each line ends with a delimiter.
-                column_count, read_cells = column_count - 1, tuple(range(column_count - 1))
-                rows_above = [row_above[:column_count] for row_above in rows_above]
-            names, units = _names_and_units(rows_above, column_count)
-            if not any(units) and (keyed := keyed_heading(rows_above, column_count)) is not None:
-                names, units = keyed.names, keyed.units
-                read_cells = tuple(range(keyed.first_column, column_count)) if keyed.first_column else read_cells
-            if column_count > 2 and _LINE_NUMBER.fullmatch(names[0]) and _is_abscissa(names[1], units[1]):
-                names, units, read_cells = names[1:], units[1:], (read_cells or tuple(range(column_count)))[1:]
-            return Layout(encoding, delimiter, decimal_comma, heading, names, units, read_cells)
+            counts = {_settings_count(split_cells(each, delimiter), decimal_comma) for each in lines[:2]}
+            first_cell = counts.pop() if number == 0 and len(counts) == 1 else 0
+            if len(cells) >= (1 if delimiter is None else 2) and _are_numbers(cells[first_cell:], decimal_comma):
+                layout = Layout(encoding, delimiter, decimal_comma, number, [], [])
+                return _with_columns(layout, lines[:number], cells, first_cell)
     remedy = "Export the data as a table of numbers."
     if any(_COMPLEX_CELL.fullmatch(cell) for line in lines for cell in split_cells(line, ",")):
         remedy = "Write complex numbers as two columns: real and imaginary part."
     raise RecordingError(f"{path}: no line of numbers among the first {len(lines)} lines. {remedy}")
 
 
+def _settings_count(cells: Sequence[str], decimal_comma: bool) -> int:
+    """Return the number of cells to the left of the first samples, in which oscilloscopes write their settings.
+
+    >>> _settings_count(["Source", "CH1", "", "-0.1", "0.5", ""], False), _settings_count(["x", "1"], False)
+    (3, 0)
+    """
+    stop = len(cells) - (cells[-1:] == [""])
+    first = stop
+    while first and cells[first - 1] and parse_number(cells[first - 1], decimal_comma) is not None:
+        first -= 1
+    # A name and its value, then at least a time and a sample.
+    return first if 2 <= first <= stop - 2 else 0
+
+
+def _are_numbers(cells: Sequence[str], decimal_comma: bool) -> bool:
+    """Return whether cells are numbers or empty; one of the first two of several cells may be a time of day."""
+    values = [parse_number(cell, decimal_comma) for cell in cells]
+    for position in range(min(len(cells) - 1, 2)):
+        if values[position] is None:
+            values[position] = stamp_seconds(cells[position])
+    # Empty cells are NaN; a line of empty cells alone has no numbers.
+    return None not in values and any(value == value for value in values)
+
+
+def _with_columns(layout: Layout, heading: Sequence[str], cells: Sequence[str], first_cell: int) -> Layout:
+    """Add the columns to a layout: their names, units and positions, from the heading and the first line of numbers."""
+    rows_above = [
+        split_cells(line.lstrip("#%").strip() if line[:1] in "#%" else line, layout.delimiter)
+        for line in heading
+        if line.strip()
+    ]
+    rows_above, interval = _without_interval(rows_above)
+    stop = len(cells)
+    if stop > 2 and not cells[-1] and rows_above and not "".join(rows_above[-1][stop - 1 :]):
+        # Each line ends with a delimiter.
+        stop -= 1
+        rows_above = [row[:stop] for row in rows_above]
+    names, units = _names_and_units(rows_above, stop - first_cell)
+    if not any(units) and (keyed := keyed_heading(rows_above, stop)) is not None:
+        first_cell = keyed.first_column
+        names = [name or other for name, other in zip(keyed.names, names[first_cell:], strict=True)]
+        units = keyed.units
+    is_numbered = _LINE_NUMBER.fullmatch(names[0]) or names[0] == UNNAMED.format(1)
+    if interval or (len(names) > 2 and is_numbered and _is_abscissa(names[1], units[1])):
+        first_cell, names, units = first_cell + 1, names[1:], units[1:]
+    positions = None if (first_cell, stop) == (0, len(cells)) else tuple(range(first_cell, stop))
+    rate = 1.0 / interval if interval else _stated_rate(heading, layout.decimal_comma)
+    return layout._replace(names=names, units=units, cells=positions, rate=rate)
+
+
+def _without_interval(rows_above: list[list[str]]) -> tuple[list[list[str]], float | None]:
+    """Remove the cells of an oscilloscope's start and sample interval, s, from a heading; return the interval.
+
+    >>> _without_interval([["X", "CH1", "Start", "Increment"], ["Sequence", "Volt", "-0.1", "1e-3"]])
+    ([['X', 'CH1'], ['', 'Volt']], 0.001)
+    """
+    names, units = ([], [], *rows_above)[-2:]
+    count = len(names) - names[::-1].index(_START_AND_INTERVAL[1]) - 1 if _START_AND_INTERVAL[1] in names else 0
+    interval = parse_number(units[count], decimal_comma=False) if 0 < count < len(units) else None
+    if not interval or names[count - 1] != _START_AND_INTERVAL[0]:
+        return rows_above, None
+    return [*rows_above[:-2], names[: count - 1], ["", *units[1 : count - 1]]], interval
+
+
+def _stated_rate(heading: Sequence[str], decimal_comma: bool) -> float | None:
+    r"""Return the sample rate that a line of a heading states, Hz.
+
+    >>> _stated_rate(["Sample rate: 51,2 kHz"], True), _stated_rate(["Sampling frequency [Hz]\t51200"], False)
+    (51200.0, 51200.0)
+    """
+    for match in filter(None, map(_STATED_RATE.fullmatch, heading)):
+        if rate := parse_number(match[2], decimal_comma):
+            return rate * (1e3 if (match[1] or match[3] or "")[:1] == "k" else 1.0)
+    return None
+
+
 def _names_and_units(rows_above: list[list[str]], column_count: int) -> tuple[list[str], list[str]]:
-    """Return names and units of the columns, from the lines above the numbers."""
-    rows = [[unescape_cell(cell.strip(" ,;")) for cell in row] for row in rows_above[-2:] if len(row) == column_count]
-    if not rows or len(rows_above[-1]) != column_count:
+    """Return names and units of the columns, from the lowest line above the numbers that states units.
+
+    Programs write comments, such as types of sensors, between the units and the numbers.
+    """
+    adjacent = takewhile(lambda row: len(row) == column_count, reversed(rows_above))
+    rows = [[unescape_cell(cell.strip(" ,;")) for cell in row] for row in adjacent]
+    if not rows:
         return [UNNAMED.format(number) for number in range(1, column_count + 1)], [""] * column_count
-    names, units = rows[-1], [""] * column_count
-    are_units = all(len(_without_brackets(cell)) <= _MAX_UNIT_LENGTH for cell in rows[-1])
-    are_units &= _without_brackets(rows[-1][0]) in _ABSCISSA_UNITS
-    if len(rows) == 2 and not any(map(_UNIT_IN_BRACKETS.fullmatch, rows[0])) and are_units:
-        names, units = rows[0], [_without_brackets(cell) for cell in rows[1]]
-    else:
-        for position, cell in enumerate(names):
-            patterns = _UNIT_IN_BRACKETS, _UNIT_AFTER_UNDERSCORE, _UNIT_AFTER_SLASH
-            if match := next(filter(None, (pattern.fullmatch(cell) for pattern in patterns)), None):
-                names[position], units[position] = match[1], match[2].strip()
+    names, units = rows[0], [""] * column_count
+    for number, row in enumerate(rows):
+        row_names, row_units = map(list, zip(*map(_name_and_unit, row), strict=True))
+        above = rows[number + 1] if number + 1 < len(rows) else None
+        if above is not None and _are_units(row, above):
+            row_names, row_units = above, [_without_brackets(cell) for cell in row]
+        # Comments above the names may contain brackets, too.
+        if any(row_units) and (number == 0 or _is_abscissa(row_names[0], row_units[0])):
+            names, units = row_names, row_units
+            break
     return [name or UNNAMED.format(k) for k, name in enumerate(names, 1)], units
+
+
+def _are_units(row: Sequence[str], above: Sequence[str]) -> bool:
+    """Return whether a line of a heading contains the units of the names in the line above."""
+    units = [_without_brackets(cell) for cell in row]
+    if units[0] not in _ABSCISSA_UNITS or max(map(len, units)) > _MAX_UNIT_LENGTH:
+        return False
+    in_brackets = all(unit != cell for unit, cell in zip(units, row, strict=True))
+    return in_brackets or not any(map(_UNIT_IN_BRACKETS.fullmatch, above))
+
+
+def _name_and_unit(cell: str) -> tuple[str, str]:
+    """Split a name with a unit; the unit is empty if the name states none.
+
+    >>> _name_and_unit("tip (m/s²)"), _name_and_unit("force / N"), _name_and_unit("left / right")
+    (('tip', 'm/s²'), ('force', 'N'), ('left / right', ''))
+    """
+    for pattern in (_UNIT_IN_BRACKETS, _UNIT_AFTER_UNDERSCORE, _UNIT_AFTER_SLASH):
+        if match := pattern.fullmatch(cell):
+            unit = match[2].strip()
+            is_known = pattern is not _UNIT_AFTER_SLASH or _ANGLE_OR_DECIBEL.fullmatch(unit) or is_unit(unit)
+            return (match[1], unit) if is_known else (cell, "")
+    return cell, ""
 
 
 def _is_abscissa(name: str, unit: str) -> bool:
@@ -179,26 +281,32 @@ def parse_number(cell: str, decimal_comma: bool) -> float | None:
         cell = cell.replace(".", "")
     cell = _FORTRAN_EXPONENT.sub("E", cell)
     try:
-        return float(cell.replace(",", ".") if decimal_comma else cell)
+        # Oscilloscopes write ∞ for values beyond their range.
+        return float((cell.replace(",", ".") if decimal_comma else cell).replace("∞", "inf"))
     except ValueError:
         return None
 
 
 def stamp_seconds(cell: str) -> float | None:
-    """Return a time of day (ISO 8601), with or without a date, in s since 1970; None if the cell is something else.
+    """Return a time of day, with or without a date, in s since 1970; None if the cell is something else.
 
     A time without a zone is taken as UTC, because only differences of times are used.
 
     >>> stamp_seconds("1970-01-02 00:00:00.25"), stamp_seconds("1970-01-01T00:00:01Z"), stamp_seconds("1.5")
     (86400.25, 1.0, None)
-    >>> stamp_seconds("00:01:00.5")
-    60.5
+    >>> stamp_seconds("00:01:00.5"), stamp_seconds("02.01.1970 0:00:01,5"), stamp_seconds("1/2/1970 12:00:01 AM")
+    (60.5, 86401.5, 86401.0)
     """
     if ":" not in cell:
         return None
+    if dated := _DATED_TIME.fullmatch(cell):
+        day, month = (dated[3], dated[1]) if dated[2] == "/" and int(dated[1]) <= 12 else (dated[1], dated[3])
+        cell = f"{dated[4]}-{month:0>2}-{day:0>2} {dated[5]}"
+    if twelve := _TWELVE_HOURS.fullmatch(cell):
+        cell = f"{twelve[1]}{int(twelve[2]) % 12 + 12 * (twelve[4] in 'Pp'):02}{twelve[3]}"
     date_and_time = cell if re.match(r"\d{4}-?\d\d", cell) else f"1970-01-01T{cell}"
     try:
-        stamp = datetime.fromisoformat(date_and_time)
+        stamp = datetime.fromisoformat(re.sub(r"(?<=[ T])(?=\d:)", "0", date_and_time))
     except ValueError:
         return None
     return (stamp if stamp.tzinfo else stamp.replace(tzinfo=UTC)).timestamp()

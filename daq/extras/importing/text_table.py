@@ -75,6 +75,9 @@ def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
     are_named_times = TIME_NAMES.fullmatch(layout.names[0]) is not None or layout.units[0] in TIME_UNITS
     if len(columns) > 1 and (are_named_times or table.has_times_of_day or table.first_column_can_only_be_times()):
         clock, first_data_column = table.estimate_clock(layout.units[0]), 1
+    elif layout.rate:
+        clock = Clock(layout.rate)
+        warn(f"{path}: the table has no times; the sample rate of its heading, {layout.rate:.6g} Hz, is used")
     if not table.rows:
         raise RecordingError(f"{path} contains no line of numbers. Export time histories as columns of numbers.")
     numbered = list(enumerate(columns))[first_data_column:]
@@ -149,6 +152,7 @@ class _Table:
         self._file: IO[str] = stack.enter_context(path.open(encoding=layout.encoding, errors="replace", newline=""))
         self._time_column: tuple[Clock, float, float] | None = None  # clock, resolution and unit of the times, s
         self._examined_lines: list[str] = []  # the first lines, and the last line
+        self._repeated_times: list[int] = []  # further columns with the times of the first column
         self.rows = 0
         previous_line, last_line = "", (0, "")
         for numbered_line in self._lines():
@@ -201,13 +205,17 @@ class _Table:
         """Return whether a column contains the times of the first column; raise an error if it has other times."""
         if not _FURTHER_TIMES.fullmatch(name):
             return False
-        values = np.array([self._parse_line(0, line) for line in self._examined_lines])
+        self._require_same_times(column, np.array([self._parse_line(0, line) for line in self._examined_lines]))
+        self._repeated_times.append(column)
+        return True
+
+    def _require_same_times(self, column: int, values: Array) -> None:
+        """Raise `RecordingError` if a column of a block has other times than the first column."""
         if not np.array_equal(values[:, column], values[:, 0]):
             raise RecordingError(
-                f"{self._path}: the times of column {name!r} differ from those of the first column. Export signals "
-                "with different times to separate files."
+                f"{self._path}: the times of column {self._layout.names[column]!r} differ from those of the first "
+                "column. Export signals with different times to separate files."
             )
-        return True
 
     def estimate_clock(self, unit: str) -> Clock:
         """Estimate the clock from the first column, which contains times in `unit`."""
@@ -283,6 +291,8 @@ class _Table:
             numbers = sample_numbers(np.arange(start, start + len(values)), missing)
             where = f"{self._path}: the times in its first column"
             require_even(values[:, 0] * scale, numbers, first, rate or 0.0, resolution, where)
+        for column in self._repeated_times:
+            self._require_same_times(column, values)
         self._cached_block = start, stop, values
         return values
 

@@ -464,6 +464,14 @@ def pint_factor(unit: str, kind: Kind) -> Fraction:
     raise ValueError(f"{unit!r} is not a unit of {kind.noun.split(' ', 1)[1]}")
 
 
+def is_unit(text: str) -> bool:
+    """Return whether a text is a unit, or a product of powers of units."""
+    try:
+        return _conversion(notation := _pint_notation(text), notation) is not None
+    except ValueError:
+        return False
+
+
 def _pint_notation(unit: str) -> str:
     """Convert a unit to Pint's notation, and reject text that is not a product of powers."""
     notation = unit.replace("µ", "u").replace("μ", "u").replace("·", "*").replace("²", "^2").replace("³", "^3")

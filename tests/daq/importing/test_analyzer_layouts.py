@@ -3,10 +3,13 @@
 from contextlib import ExitStack
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
+import scipy
 
 import analysis
+from daq.extras.importing.files import signals_of
 from daq.extras.importing.text_table import text_signals
 from daq.extras.importing.units import quantity_and_scale
 from rig.core.base.errors import RecordingError, SceneError
@@ -58,6 +61,11 @@ def write(path: Path, heading: str, rows: np.ndarray, comma: bool = False) -> Pa
         ("Frequency (Hz)\ttip Magnitude (dB re 1 m/s²/N)\ttip Phase (deg)\n", DECIBELS, "tip"),
         ("Frequenz [Hz]\t|H1| [dB re 1 m/s²/N]\tPhase [°]\n", DECIBELS, "H1"),
         ("f / kHz\tBetrag / m/s²/N\tPhase / Grad\n", POLAR * [1e-3, 1.0, 1.0], "response"),
+        (
+            "\tfrequency_Hz\ttip_real [m/s²/N]\ttip_imag [m/s²/N]\n",
+            np.insert(REAL_IMAG, 0, np.arange(199), axis=1),
+            "tip",
+        ),
         ("Line\tFreq[Hz]\tMag[(m/s²)/N]\tPha[deg]\n", np.insert(POLAR, 0, np.arange(1, 200), axis=1), "response"),
     ],
 )
@@ -140,6 +148,7 @@ def test_sound_pressure_is_refused_with_remedy() -> None:
 SIGNALS = ["force", "tip"]
 
 
+@pytest.mark.filterwarnings("ignore:.*the sample rate of its heading, 1024 Hz, is used")
 @pytest.mark.parametrize(
     ("heading", "row"),
     [
@@ -147,6 +156,14 @@ SIGNALS = ["force", "tip"]
         ("Time 1 (s);force (N);Time 2 (s);tip (g)", "{time:.8f};{force:.6f};{time:.8f};{tip:.6f}"),
         ("Time (ms);force (N);tip (g);", "{ms:.5f};{force:.6f};{tip:.6f};"),
         ("% exported;by Fortran\nTime (s);force (N);tip (g)", "{time:.8f};{force:.6f};{fortran}"),
+        (";time;force;tip", "{number};{time:.8f};{force:.6f};{tip:.6f}"),
+        ("x-axis;force;tip\nsecond;N;Volt", "{time:+.8E};{force:+.6E};{tip:+.6E}"),
+        ("X;force;tip;Start;Increment;\nSequence;N;g;-0.1;9.765625E-4;", "{number};{force:.6f};{tip:.6f};"),
+        ("Time [s];force [N];tip [g]\n1 kHz;1 kHz;1 kHz\nMX840 1;MX840 2;MX840 3", "{time:.8f};{force:.6f};{tip:.6f}"),
+        ("Time;force;tip\ns;N;g\nStart: 30.11.2026;;", "{time:.8f};{force:.6f};{tip:.6f}"),
+        ("Zeit;force in N;tip in m/s²", "30.11.2026 10:15:0{time:.6f};{force:.6f};{tip:.6f}"),
+        ("Sample Number;Date/Time;force (N);tip (g)", "{number};11/30/2026 9:15:0{time:.6f} PM;{force:.6f};{tip:.6f}"),
+        ("Sampling rate [Hz]:;1024\nforce (N);tip (g)", "{force:.6f};{tip:.6f}"),
     ],
 )
 def test_columns_without_signals_are_omitted(heading: str, row: str, tmp_path: Path) -> None:
@@ -156,19 +173,67 @@ def test_columns_without_signals_are_omitted(heading: str, row: str, tmp_path: P
         )
         for number, (time, force, tip) in enumerate(SAMPLES)
     ]
-    (tmp_path / "a.csv").write_text("\n".join([heading, *rows]), encoding="utf-8")
+    (tmp_path / "a.prn").write_text("\n".join([heading, *rows]), encoding="utf-8")
     with ExitStack() as stack:
-        signals = text_signals(tmp_path / "a.csv", stack)
-        assert [signal.name for signal in signals] == SIGNALS
+        signals = signals_of(tmp_path / "a.prn", stack)
+        assert [signal.name for signal in signals] == ["force", "tip"]
         assert [signal.rate for signal in signals] == [1024.0, 1024.0]
         np.testing.assert_allclose(signals[1].read(0, 300), SAMPLES[:, 2], atol=1e-6)
 
 
-def test_columns_of_other_times_are_refused(tmp_path: Path) -> None:
-    rows = [f"{time:.8f};{force:.6f};{2 * time:.8f};{tip:.6f}" for time, force, tip in SAMPLES]
-    (tmp_path / "a.csv").write_text("\n".join(["Time 1 (s);force (N);Time 2 (s);tip (g)", *rows]), encoding="utf-8")
+@pytest.mark.parametrize("changed", [0, 200])
+def test_columns_of_other_times_are_refused(changed: int, tmp_path: Path) -> None:
+    rows = [
+        f"{time:.8f};{force:.6f};{time * (1 + (number >= changed)):.8f};{tip:.6f}"
+        for number, (time, force, tip) in enumerate(SAMPLES)
+    ]
+    (tmp_path / "a.csv").write_text("\n".join(["Time 1 (s);force (N);Time 2 (s);tip (g)", *rows, ""]), encoding="utf-8")
     with ExitStack() as stack, pytest.raises(RecordingError, match=r"the times of column 'Time 2' differ"):
-        text_signals(tmp_path / "a.csv", stack)
+        text_signals(tmp_path / "a.csv", stack)[0].read(0, 300)
+
+
+@pytest.mark.filterwarnings("ignore:.*its first column rises evenly")
+def test_settings_of_oscilloscope_are_omitted(tmp_path: Path) -> None:
+    settings = ["Record Length,300,Points", "Source,CH1,", "Vertical Units,V,", *[",,"] * 297]
+    rows = [f"{text},{time - 0.1:.8f},{tip:.6f},\n" for text, (time, _, tip) in zip(settings, SAMPLES, strict=True)]
+    (tmp_path / "a.csv").write_text("".join(rows), encoding="utf-8")
+    with ExitStack() as stack:
+        signal = text_signals(tmp_path / "a.csv", stack)[0]
+        assert signal.rate == 1024.0
+        np.testing.assert_allclose(signal.read(0, 300), SAMPLES[:, 2], atol=1e-6)
+
+
+def test_values_beyond_range_are_infinite(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("Time,tip\n(ms),(g)\n\n0,1\n1,∞\n2,-∞\n", encoding="utf-8")
+    with ExitStack() as stack:
+        assert text_signals(tmp_path / "a.csv", stack)[0].read(0, 3).tolist() == [1.0, np.inf, -np.inf]
+
+
+def test_number_before_unit_is_no_scale(tmp_path: Path) -> None:
+    rows = [f"{time:.8f},{tip:.6f}" for time, _, tip in SAMPLES]
+    (tmp_path / "a.csv").write_text("\n".join(["Time (s),X (100g)", *rows]), encoding="utf-8")
+    with ExitStack() as stack:
+        [signal] = text_signals(tmp_path / "a.csv", stack)
+        assert (signal.name, signal.unit) == ("X (100g)", "")
+
+
+def test_arrays_of_hdf5_have_their_rate(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["test/force"], file["test/tip"] = SAMPLES[:, 1], SAMPLES[:, 2]
+        file.attrs["fs"] = 1024.0
+    with ExitStack() as stack:
+        signals = signals_of(tmp_path / "a.h5", stack)
+        assert [(signal.name, signal.rate) for signal in signals] == [("test.force", 1024.0), ("test.tip", 1024.0)]
+        np.testing.assert_array_equal(signals[1].read(0, 300), SAMPLES[:, 2])
+
+
+def test_testlab_structure_states_frequencies(tmp_path: Path) -> None:
+    axis = {"start_value": 0.25, "increment": 0.25, "number_of_values": FREQUENCY.size}
+    content = {"FRF_1": {"x_values": axis, "y_values": {"values": ACCELERANCE[:, None]}}}
+    scipy.io.savemat(tmp_path / "a.mat", content)
+    [curve] = analysis.read_frfs(tmp_path / "a.mat", unit="m/s^2/N")
+    np.testing.assert_allclose(curve.frequency, FREQUENCY)
+    np.testing.assert_allclose(curve.value, ACCELERANCE)
 
 
 def test_exponents_of_fortran_are_read(tmp_path: Path) -> None:

@@ -2,8 +2,8 @@
 
 Each set of curves is that of a free structure; its lines far below and far above the modes contain noise only. Modes
 are identified in a band, with either limit changed by 20 %, from every second line, and from all lines. Printed are the
-modes that another result does not even list as uncertain, and those that differ by more than their expanded
-uncertainties. Exit code 1: too many differ.
+modes that another result does not even list as uncertain, those that differ by more than their expanded uncertainties,
+and clear peaks that are not confirmed as modes. Exit code 1: too many differ, or a clear peak is not confirmed.
 """
 
 import argparse
@@ -24,6 +24,10 @@ from rig.core.results.uncertainty import expand
 MIN_AGREEMENT = 0.95
 # Modes closer to a limit of the band than this fraction of their frequency are not compared.
 _MARGIN = 0.03
+# A clear peak rises above the valleys on both sides by at least this ratio, 10 dB, and this number of lines exceed half
+# of its power.
+_MIN_PROMINENCE = 10.0**0.5
+_MIN_PEAK_LINES = 3
 
 
 @dataclass(frozen=True)
@@ -87,20 +91,53 @@ def select(curves: list[Response], low: float, high: float, step: int = 1) -> li
     return [curve.at(lines) for curve in curves]
 
 
-def compare(curves: list[Response], low: float, high: float) -> list[tuple[str, list[str]]]:
-    """Identify modes in a band; return the name of each change of the band and the differences that it causes."""
-    reference = analysis.identify(select(curves, low, high))
-    spacing = float(np.diff(curves[0].frequency[:2])[0])
-    results = []
+def compare(drawn: RandomCurves) -> list[tuple[str, list[str], list[str]]]:
+    """Identify modes in changed bands; return each change, its differences, and the clear peaks without a mode."""
+    low, high = drawn.band
+    lines = select(drawn.curves, low, high)
+    reference = analysis.identify(lines)
+    spacing = float(np.diff(lines[0].frequency[:2])[0])
+    results, peaks = [], unconfirmed_peaks(reference, drawn, lines)
     for name, first, last, step in changed_bands(low, high):
+        lines = select(drawn.curves, first, last, step)
         try:
-            modes = analysis.identify(select(curves, first, last, step))
+            modes = analysis.identify(lines)
         except RecordingError:
             # A part of the band may contain no mode.
             modes = replace(reference, frequency=np.zeros(0), uncertain=())
         limits = max(low, first), min(high, last)
-        results.append((name, differences(reference, modes, *limits, step * spacing)))
+        texts = differences(reference, modes, *limits, step * spacing)
+        results.append((name, texts, unconfirmed_peaks(modes, drawn, lines)))
+    results.append(("modes of the structure", false_modes(modes, drawn), peaks))
     return results
+
+
+def unconfirmed_peaks(modes: Modes, drawn: RandomCurves, curves: list[Response]) -> list[str]:
+    """Describe the modes of a structure with a clear peak in a curve that are not among the identified modes."""
+    texts = []
+    for natural, damping in zip(drawn.frequency, drawn.damping, strict=True):
+        half_width = damping * natural
+        if any(is_clear_peak(curve, natural, half_width) for curve in curves) and not np.any(
+            abs(modes.frequency - natural) < half_width
+        ):
+            texts.append(f"{natural:.5g} Hz is a clear peak")
+    return texts
+
+
+def is_clear_peak(curve: Response, natural: float, half_width: float) -> bool:
+    """Return whether a curve has a clear peak within a half-width of a natural frequency, Hz."""
+    magnitude, frequency = abs(curve.value), curve.frequency
+    near = np.flatnonzero(abs(frequency - natural) < half_width)
+    if not near.size or not (1.0 + _MARGIN) * frequency[0] < natural < (1.0 - _MARGIN) * frequency[-1]:
+        return False
+    peak = near[np.argmax(magnitude[near])]
+    rises = []
+    for step in (-1, 1):
+        flank = magnitude[peak::step]
+        higher = np.flatnonzero(flank > flank[0])
+        rises.append(flank[0] / flank[: higher[0] if higher.size else None].min())
+    around = magnitude[max(peak - _MIN_PEAK_LINES + 1, 0) : peak + _MIN_PEAK_LINES]
+    return bool(min(rises) >= _MIN_PROMINENCE and (around > magnitude[peak] * 0.5**0.5).sum() >= _MIN_PEAK_LINES)
 
 
 def differences(first: Modes, second: Modes, low: float, high: float, spacing: float) -> list[str]:
@@ -151,20 +188,14 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, help="number of the first set (default: 0)")
     parser.add_argument("--seed", type=int, default=1, help="another seed draws other curves")
     options = parser.parse_args()
-    agreeing = total = n_modes = n_uncertain = 0
+    agreeing = total = n_unconfirmed = 0
     for number in range(options.first, options.first + options.sets):
-        drawn = draw_curves(options.seed, number)
-        results = compare(drawn.curves, *drawn.band)
-        modes = analysis.identify(drawn.curves)
-        n_modes, n_uncertain = n_modes + modes.frequency.size, n_uncertain + len(modes.uncertain)
-        results.append(("modes of the structure", false_modes(modes, drawn)))
-        total += len(results)
-        agreeing += sum(not texts for _, texts in results)
-        for name, texts in results:
-            if texts:
-                print(f"{number} {name}: {'; '.join(texts)}")
-    print(f"{agreeing} of {total} agree; {n_modes} modes and {n_uncertain} uncertain modes in all lines")
-    return int(agreeing < MIN_AGREEMENT * total)
+        for name, texts, peaks in compare(draw_curves(options.seed, number)):
+            total, agreeing, n_unconfirmed = total + 1, agreeing + (not texts), n_unconfirmed + len(peaks)
+            if texts or peaks:
+                print(f"{number} {name}: {'; '.join(texts + peaks)}")
+    print(f"{agreeing} of {total} agree; {n_unconfirmed} clear peaks are not confirmed as modes")
+    return int(agreeing < MIN_AGREEMENT * total or n_unconfirmed > 0)
 
 
 if __name__ == "__main__":

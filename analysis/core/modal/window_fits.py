@@ -3,8 +3,8 @@
 Such curves have errors of unknown size (leakage, double impacts, a nonlinear structure). In a model of the whole band
 these errors change every mode, so the result depends on the limits of the band. A model of the lines around a peak is
 independent of the other lines; residual terms represent the other modes. A pole is a mode if it contributes an
-essential part of a curve at its frequency, and if each of four parts of the lines confirms it (see `band_choice`). The
-other poles are uncertain modes, which are listed with their values and the reason.
+essential part of a curve at its frequency, if its frequency is determined, and if each of four parts of the lines
+confirms it (see `band_choice`). The other poles are uncertain modes, which are listed with their values and the reason.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from analysis.core.modal.band_choice import Part, band_choice, end_parts, half_parts
 from analysis.core.modal.line_choice import reduce_lines
 from analysis.core.modal.modal_fit import MODEL_ERRORS, FittedModes, fit_modes, remove_unbounded
-from analysis.core.modal.modes import MAX_RELATIVE_UNCERTAINTY, UncertainMode
+from analysis.core.modal.modes import UncertainMode
 from analysis.core.modal.order_selection import are_in_band, are_narrower_than_resolution, half_width
 from analysis.core.modal.peak_windows import Window, peak_windows
 from analysis.core.modal.pole_errors import pole_errors, systematic_pole_errors
@@ -40,7 +40,7 @@ _MIN_UNCERTAINTY = 1e-3
 # represents a part of the noise or of an error of the curves. Tuned on measured curves of a milling tool and of a ruler
 # and two simulated sets: modes had ratios up to 0.59, computational poles from 0.7 on.
 _MAX_FREQUENCY_RATIO = 0.6
-_UNDETERMINED = "frequency or damping is uncertain"
+_UNDETERMINED = "frequency is uncertain"
 # Maximum number of fitted lines of a window, about 80 per half-width. If a window has more, every second, third, ...
 # line is fitted.
 _MAX_LINES = 1000
@@ -163,9 +163,7 @@ def _confirm(window: _WindowFit, halves: Sequence[Part]) -> IdentifiedPoles:
     smallest = -_MIN_UNCERTAINTY * poles.real / np.stack([np.full(poles.size, 2 * np.pi), abs(poles)])
     errors = np.linalg.norm([pole_errors(fitted.weighted, fitted.model), systematic, of_choice, smallest], axis=0)
     natural, damping = abs(poles) / (2 * np.pi), -poles.real / abs(poles)
-    is_determined = (errors[1] < MAX_RELATIVE_UNCERTAINTY * damping) & (
-        expand(errors[0]) < _MAX_FREQUENCY_RATIO * half_width(poles)
-    )
+    is_determined = expand(errors[0]) < _MAX_FREQUENCY_RATIO * half_width(poles)
     is_determined |= are_narrower_than_resolution(fitted.weighted, poles)
     reasons = [
         f"not identified {' or '.join(missing)}" if missing else "" if determined else _UNDETERMINED

@@ -29,6 +29,7 @@ from daq.extras.ni_device.engines.acquisition import Acquisition, InputPlan
 from daq.extras.ni_device.engines.generation import Generation, OutputBuffer, OutputPlan
 from daq.extras.ni_device.engines.triggers import AnalogSource, OtherTask
 from daq.extras.ni_device.errors import Code, DaqError
+from daq.extras.ni_device.events import Events
 from rig.core.base.errors import RunError, ShotrigError, unexpected_text
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ class Runner(Protocol):
     """Interface of a task to the chassis."""
 
     name: str
+    events: Events
 
     @property
     def device(self) -> str:

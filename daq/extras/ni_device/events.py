@@ -37,6 +37,11 @@ class Events:
         self._end_listeners: list[Callable[[None], None]] = []
         self.begin()
 
+    @property
+    def are_registered(self) -> bool:
+        """Whether the task has a listener to its samples, its end or its signals."""
+        return bool(self._every_n_samples or self._done or self._signals)
+
     def listen_every(
         self, event_type: int, n_samples: int, listener: Listener | None, has_outputs: bool = False
     ) -> None:

@@ -33,6 +33,8 @@ from rig.core.scene.yaml_reader import Document, read_yaml
 DEFAULT_MODULES = ("NI 9234", "NI 9263")
 # Wall-clock time of a sleep while the bench is in use, s. In this time, other threads of the program can finish a call.
 _YIELD_S = 0.002
+# Wall-clock time after which a program that calls no task waits for a callback, s.
+_IDLE_S = 0.05
 BenchLike = Scene | str | Path | Mapping[str, Any] | Sequence[str]
 
 
@@ -58,6 +60,9 @@ class NidaqmxBench:
         chassis.transfer_listeners.append(self.transfers.add)
         self.grpc_options = Connection(chassis, Limits())
         self.address = self.grpc_options.address
+        self._is_closed = threading.Event()
+        if not self.follows_wall_clock:
+            threading.Thread(target=self._keep_callbacks_coming, daemon=True).start()
 
     @property
     def follows_wall_clock(self) -> bool:
@@ -114,8 +119,18 @@ class NidaqmxBench:
         finally:
             task.close()
 
+    def _keep_callbacks_coming(self) -> None:
+        """Let time pass at the speed of the wall clock while the program only waits for the callback of a task."""
+        position = -1
+        while not self._is_closed.wait(_IDLE_S):
+            has_callback = any(task.events.are_registered for task in list(self._chassis.tasks.values()))
+            if has_callback and position == self._chassis.position and self._chassis.is_in_use:
+                self._chassis.pass_time(_IDLE_S)
+            position = self._chassis.position
+
     def close(self) -> None:
         """Close the bench and all its tasks."""
+        self._is_closed.set()
         self.grpc_options.close(grace=None)
 
     def __enter__(self) -> Self:
@@ -147,7 +162,8 @@ def open_bench(
         Voltage at inputs without a wire: {"ai1": "0.5 V"}, or {"ai1": {"amplitude": "1 V", "frequency": "50 Hz"}}, or a
         function that returns the voltages, V, at an array of times, s; only for modules.
     clock : {'fast', 'real'} or Clock, optional
-        With 'fast', time passes only during calls of tasks and in `time.sleep`, as fast as the machine computes.
+        With 'fast', time passes only during calls of tasks and in `time.sleep`, as fast as the machine computes, and
+        at the speed of the wall clock while the program waits for a callback.
 
     Raises
     ------

@@ -1,5 +1,7 @@
 """Benches for tests: wires, sources, modules, transfers and faults, through NI's client."""
 
+import threading
+
 import nidaqmx
 import numpy as np
 import pytest
@@ -48,6 +50,22 @@ def continuous(bench, channels="cDAQ1Mod1/ai0", **timing):
     task.ai_channels.add_ai_voltage_chan(channels)
     task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS, **timing)
     return task
+
+
+def test_callback_arrives_while_program_waits(open_for_test):
+    counts, has_three = [], threading.Event()
+    with continuous(open_for_test(TWO_MODULES), samps_per_chan=10_000) as task:
+
+        def read_block(_task, _event, n_samples, _data):
+            counts.append(len(task.read(n_samples)))
+            if len(counts) == 3:
+                has_three.set()
+            return 0
+
+        task.register_every_n_samples_acquired_into_buffer_event(500, read_block)
+        task.start()
+        assert has_three.wait(30.0)
+    assert counts[:3] == [500, 500, 500]
 
 
 @pytest.mark.parametrize("rate", [5120.0, 51200.0, 51200.0 / 7])

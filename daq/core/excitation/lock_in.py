@@ -61,10 +61,10 @@ def whole_periods(frequency: float, rate: float, shortest_s: float) -> int:
     """
     min_periods = math.ceil(min_samples([frequency], rate) * frequency / rate - 1e-9)
     min_n_periods = max(min_periods, math.ceil(shortest_s * frequency - 1e-9))
-    n_periods = np.arange(min_n_periods, min_n_periods + max(1, min_n_periods // 3) + 1)
-    samples = n_periods * rate / frequency
-    deviation = abs(samples - np.round(samples)) / samples
-    return round(float(samples[np.argmin(np.round(deviation, 9))]))
+    n_periods = range(min_n_periods, min_n_periods + max(1, min_n_periods // 3) + 1)
+    lengths = [count * rate / frequency for count in n_periods]
+    deviations = [round(abs(length - round(length)) / length, 9) for length in lengths]
+    return round(lengths[deviations.index(min(deviations))])
 
 
 # Cached, because a test uses only a few window lengths per frequency.
@@ -79,6 +79,19 @@ def lock_in_weights(frequencies: tuple[float, ...], rate: float, samples: int) -
     # use einsum: for matrices of this size, BLAS threads would only add overhead.
     normal = np.einsum("in,jn->ij", model, model)
     return np.einsum("ki,in->kn", np.linalg.inv(normal)[: 2 * len(frequencies)], model)
+
+
+def lock_in_of_signals(frequency: float, rate: float, signals: ComplexArray) -> tuple[ComplexArray, float]:
+    """Return the amplitudes of one tone that the lock-in estimates in a window of complex signals, and its noise gain.
+
+    `signals`: shape (samples, signals). The noise gain is the ratio of the standard deviation of the amplitude to that
+    of white noise in each sample, where the variance of the amplitude is the sum over real and imaginary part.
+    """
+    n_samples = len(signals)
+    model = _model((frequency,), rate, n_samples, 0, n_samples)
+    inverse = np.linalg.inv(model @ model.T)[:2]
+    real, imaginary = inverse @ (model @ signals.view(float)).view(complex)
+    return np.asarray(real + 1j * imaginary), math.sqrt(inverse[0, 0] + inverse[1, 1])
 
 
 def _fitted_harmonics(frequencies: Sequence[float], rate: float, samples: int) -> list[tuple[int, int]]:
@@ -99,7 +112,8 @@ def _fitted_harmonics(frequencies: Sequence[float], rate: float, samples: int) -
 def _model(frequencies: Sequence[float], rate: float, samples: int, first: int, stop: int) -> Array:
     """Return the tones, a drift, and the harmonics at samples [first, stop) of a window; shape (terms, n)."""
     harmonics, tones = _fitted_harmonics(frequencies, rate, samples), 2 * len(frequencies)
-    phases = 2 * np.pi * np.fmod(np.outer(np.divide(frequencies, rate), np.arange(first, stop)), 1.0)
+    periods = np.outer(np.divide(frequencies, rate), np.arange(first, stop))
+    phases = 2 * np.pi * (periods - np.trunc(periods))
     model = np.empty((tones + 4 + 2 * len(harmonics), stop - first))
     np.cos(phases, out=model[:tones:2])
     np.negative(np.sin(phases), out=model[1:tones:2])

@@ -7,7 +7,6 @@ computed in closed form instead of from samples. Random noise is added according
 
 from __future__ import annotations
 
-import cmath
 import math
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from daq.core.excitation.controlled import controlled
-from daq.core.excitation.lock_in import lock_in_weights
+from daq.core.excitation.lock_in import lock_in_of_signals
 from daq.core.excitation.station import Station
 from daq.core.excitation.stepped_sine import excite, expected_wait
 from daq.core.excitation.tones.steady_tone import SteadyTone
@@ -26,11 +25,12 @@ from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
 from rig.core.scene.excitation.stepped_sine import SteppedTest
 from rig.core.scene.scene import Scene
+from rig.core.system.assembly import force_row
 from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.open_loop_drive import riding_equations, riding_response
 
-# The tones are represented by at most this number of samples per period of the highest frequency.
-_SAMPLES_PER_PERIOD = 32
+# Tones and transients are represented by at most this number of points per period of the highest frequency.
+_POINTS_PER_PERIOD = 32
 # Largest condition number of the matrix of mode shapes; above it, the waits follow from the slowest mode alone.
 _MAX_CONDITION = 1e13
 # A prediction ends after this number of measuring windows, about 1 s of CPU time.
@@ -42,6 +42,8 @@ _REPEATED_WINDOWS = 2000
 _MIN_REPEATED_WINDOWS = 500
 # Number of windows whose noise is drawn at once.
 _DRAWN_AT_ONCE = 256
+# Number of windows whose amplitudes are computed at once: about as many as between two changes of the drive.
+_WINDOWS_AT_ONCE = 16
 # Weights of Durand's rule at both ends of an interval, for the integral of equally spaced values.
 _DURAND = np.array([5.0, 13.0]) / 12.0
 
@@ -87,7 +89,7 @@ def _run(
     """Run the test up to a number of windows, with noise of a given seed; return the waits, s, and the windows used."""
     test = scene.test
     assert isinstance(test, SteppedTest)
-    rate = min(scene.converter.true_rate, _SAMPLES_PER_PERIOD * max(test.order))
+    rate = scene.converter.true_rate
     waits: list[float] = []
 
     def mark(kind: str, first: int, stop: int, **fields: Any) -> None:
@@ -140,44 +142,66 @@ class _PredictedTone(SteadyTone):
     def __init__(self, station: Station, system: HybridSystem, modes: _RidingModes, number: int) -> None:
         super().__init__(station, next(iter(modes.rows)), controlled(station))
         scene, self.windows = station.scene, 0
+        # Windows and transitions have the samples of the test, but their response is computed at fewer points.
+        self.rate = min(station.rate, _POINTS_PER_PERIOD * max(modes.rows))
         self._modes, self._random = modes, station.generator(f"predicted noise {number}")
-        # Modal coordinates of the transient, relative to the steady state of the present tone.
+        # Modal coordinates of the transient, relative to the steady state of the present tone: after the last change of
+        # the drive, or before the computed windows if that is later.
         self._transient = np.zeros(modes.poles.size, dtype=complex)
         self._decay = np.zeros((0, modes.poles.size), dtype=complex)
-        self._drawn: list[ComplexArray] = []
-        self._observed: tuple[float, int] | None = None
-        motions = [info for info in station.channels if info.quantity not in ("force", "voltage")]
-        # Row vectors that yield the displacements of the motion channels from the states.
-        self._motions = np.array([np.eye(system.states)[system.points.index(info.at)] for info in motions])
-        # Row vectors that yield the observed quantities from these displacements: the controlled force, and each
-        # displacement.
-        places, force = [info.at for info in motions], np.zeros((0 if self._controlled is None else 1, len(motions)))
-        for place, factor in scene.controlled_terms.items():
-            force[0, places.index(place)] = factor
-        self._quantities = np.concatenate([force, np.eye(len(motions))])
+        # Frequency of the present windows, Hz, their samples, and their duration, s.
+        self._window: tuple[float, int] | None = None
+        self._window_s = 0.0
+        # Amplitudes in the windows that are computed but not yet observed, the last window first, and the number of
+        # windows that have been observed since they were computed.
+        self._computed: list[ComplexArray] = []
+        self._n_observed = 0
+        # The controlled quantity and the displacement of each motion channel are weighted sums of displacements and
+        # forces at the channels that are used.
+        control = [] if self._controlled is None else [self._controlled]
+        used = sorted({*self._motion_rows, *(row for each in control for row in each.rows)})
+        self._sums = np.zeros((len(control) + len(self._motion_rows), len(used)))
+        for weights, each in zip(self._sums, control, strict=False):
+            weights[[used.index(row) for row in each.rows]] = each.factors
+        self._sums[range(len(control), len(self._sums)), [used.index(row) for row in self._motion_rows]] = 1.0
+        infos = [station.channels[row] for row in used]
+        # Row vectors that yield these displacements and forces from the states.
+        self._rows = np.zeros((len(used), system.states))
+        for states_row, info in zip(self._rows, infos, strict=True):
+            if info.quantity == "force":
+                states_row[:] = force_row(scene, system)
+            else:
+                states_row[system.points.index(info.at)] = 1.0
         settings, tones = {channel.name: channel for channel in scene.channels or ()}, np.array(list(modes.rows))
-        self._densities = np.empty((tones.size, len(motions)))
-        for row, info in zip(self._densities.T, motions, strict=True):
+        self._drawn = np.zeros((0, len(used)), dtype=complex)  # noise in the next windows, (windows, used channels)
+        self._densities = np.empty((tones.size, len(used)))
+        for row, info in zip(self._densities.T, infos, strict=True):
             gain = abs(info.response(tones)) * (2.0 * np.pi * tones) ** (info.derivative or 0)
             row[:] = noise_density(scene, settings.get(info.name), info, tones) / gain
 
     def transition(self, samples: int, frequency: float, amplitude: float) -> Array:
-        """Generate a transition between drives, and compute the transient after it."""
+        """Compute the transient after a transition between drives; return zeros, because the drive is not used."""
+        self._let_decay(0.0)
         start = self._transient + self._steady_coordinates()
-        wave = super().transition(samples, frequency, amplitude)
+        points = self._points(samples)
+        wave = super().transition(points, frequency, amplitude)
         values = np.append(wave, amplitude * np.sin(self.phase)) / self.rate
         values[[0, -1]] *= _DURAND[0]
         values[[1, -2]] *= _DURAND[1]
-        decay = self._decay_over(samples)
+        decay = self._decay_over(points)
         end = decay[-1] * start + self._modes.participation * (values[::-1] @ decay)
         self._transient = end - self._steady_coordinates()
-        return wave
+        return np.zeros(samples)
 
-    def _decay_over(self, samples: int) -> ComplexArray:
-        """Return the factors by which the transient of each mode decays in 0 to `samples` samples."""
-        if self._decay.shape[0] <= samples:
-            self._decay = np.exp(np.outer(np.arange(samples + 1) / self.rate, self._modes.poles))
-        return self._decay[: samples + 1]
+    def _points(self, samples: int) -> int:
+        """Return the number of points that represent a number of samples."""
+        return round(samples * self.rate / self.station.rate)
+
+    def _decay_over(self, points: int) -> ComplexArray:
+        """Return the factors by which the transient of each mode decays in 0 to `points` intervals of the points."""
+        if self._decay.shape[0] <= points:
+            self._decay = np.exp(np.outer(np.arange(points + 1) / self.rate, self._modes.poles))
+        return self._decay[: points + 1]
 
     def _steady_coordinates(self) -> ComplexArray:
         """Return the modal coordinates of the steady state at the present phase."""
@@ -190,45 +214,64 @@ class _PredictedTone(SteadyTone):
     def observe(self, samples: int) -> Generator[Array, Array, ComplexArray]:
         """Return the amplitudes in a window, without computing its samples."""
         self.windows += 1
-        if self._observed != (self.frequency, samples):
-            self._set_window(samples)
-        relative = self._transient * cmath.exp(-1j * self.phase)
-        amplitudes = self.amplitude * self._steady + self._transient_gain @ relative + self._scatter @ self._noise()
-        self._transient = self._transient * self._decay_in_window
+        if not self._computed:
+            self._compute_windows(samples)
+        self._n_observed += 1
         self._advance_phase(samples)
-        return amplitudes[None]
+        return self._computed.pop()
         yield
+
+    def _compute_windows(self, samples: int) -> None:
+        """Compute the amplitudes in the next windows, as long as the drive is not changed."""
+        self._let_decay(0.0)
+        if self._window != (self.frequency, samples):
+            self._set_window(samples)
+        relative = self._relative_decay * (self._transient * np.exp(-1j * self.phase))
+        amplitudes = self.amplitude * self._steady + relative @ self._transient_gain + self._noise() @ self._scatter
+        self._computed = list(amplitudes[::-1, None])
+
+    def _let_decay(self, seconds: float) -> None:
+        """Let the transient decay in the observed windows and for a further time in s; discard the other windows."""
+        self._transient = self._transient * np.exp(self._modes.poles * (self._n_observed * self._window_s + seconds))
+        self._drawn = self._drawn[self._n_observed :]
+        self._computed, self._n_observed = [], 0
 
     def _set_window(self, samples: int) -> None:
         """Prepare windows of a given number of samples at the present frequency."""
-        self._observed = self.frequency, samples
-        decay = self._decay_over(samples)
-        self._decay_in_window = decay[-1]
-        weights = lock_in_weights((self.frequency,), self.rate, samples)
-        lock_in_gain = (weights[0] + 1j * weights[1]) @ decay[:-1]
+        self._window, self._window_s = (self.frequency, samples), samples / self.station.rate
+        # Ratio of the transient before each of the next windows to the present transient, relative to the phase.
+        exponents = (self._modes.poles - 2j * math.pi * self.frequency) * self._window_s
+        self._relative_decay = np.exp(np.outer(np.arange(_WINDOWS_AT_ONCE), exponents))
+        lock_in_gain, noise_gain = lock_in_of_signals(
+            self.frequency, self.rate, self._decay_over(self._points(samples))[:-1]
+        )
         row = self._modes.rows[self.frequency]
-        self._steady = -1j * (self._quantities @ self._motions @ self._modes.steady[row])
-        gains = self._quantities @ self._motions @ self._modes.shapes
-        self._transient_gain = gains * lock_in_gain
+        self._steady = -1j * (self._sums @ self._rows @ self._modes.steady[row])
+        gains = self._sums @ self._rows @ self._modes.shapes
+        self._transient_gain = (gains * lock_in_gain).T
         # Standard deviation of real and imaginary part for white noise up to half the sample rate; the weights of both
         # parts have about the same norm.
-        noise_gain = np.linalg.norm(weights) * math.sqrt(self.rate) / 2.0
-        self._scatter = self._quantities * self._densities[row] * noise_gain
+        deviation = noise_gain * math.sqrt(self.rate) / 2.0
+        self._scatter = (self._sums * self._densities[row] * deviation).T
 
     def _noise(self) -> ComplexArray:
-        """Return one complex random number for each motion channel; real and imaginary part have a variance of 1."""
-        if not self._drawn:
-            self._drawn = list(self._random.standard_normal((_DRAWN_AT_ONCE, 2 * len(self._motions))).view(complex))
-        return self._drawn.pop()
+        """Return complex random numbers for the next windows, shape (windows, used channels).
+
+        Real and imaginary part have a variance of 1.
+        """
+        if len(self._drawn) < _WINDOWS_AT_ONCE:
+            drawn = self._random.standard_normal((_DRAWN_AT_ONCE, 2 * len(self._rows))).view(complex)
+            self._drawn = np.concatenate([self._drawn, drawn[::-1]])
+        return self._drawn[:_WINDOWS_AT_ONCE]
 
     def measure(self, samples: int, settled: bool, fields: dict[str, Any]) -> Generator[Array, Array, None]:
         """Let the transient decay during a measurement."""
-        self._transient = self._transient * np.exp(self._modes.poles * (samples / self.rate))
+        self._let_decay(samples / self.station.rate)
         self._advance_phase(samples)
         return
         yield
 
     def _advance_phase(self, samples: int) -> None:
         """Hold the tone for a number of samples."""
-        self.phase = (self.phase + 2.0 * math.pi * self.frequency * samples / self.rate) % (2.0 * math.pi)
+        self.phase = (self.phase + 2.0 * math.pi * self.frequency * samples / self.station.rate) % (2.0 * math.pi)
         self.station.now += samples

@@ -426,6 +426,26 @@ def test_predicted_waits_are_those_of_the_procedure(noise: str, tolerance: float
     assert waits.expected.sum() == pytest.approx(taken, rel=tolerance)
 
 
+@pytest.mark.parametrize(
+    ("shaker", "places"),
+    [
+        ({"kind": "force"}, ["shaker", "body 1"]),
+        ({"kind": "force"}, ["drive"]),
+        ({"kind": "table", "spring": "5 kN/m"}, ["drive", "shaker"]),
+        ({"kind": "electrodynamic", "preset": "LDS V203", "spring": "500 kN/m"}, ["body 1", "shaker", "table"]),
+        ({"kind": "electrodynamic", "preset": "LDS V203", "spring": "500 kN/m"}, ["table", "body 1", "drive"]),
+    ],
+)
+def test_waits_are_predicted_for_each_sensor_place(shaker: dict[str, Any], places: list[str]) -> None:
+    steps = {"kind": "stepped_sine", "from": "10 Hz", "to": "40 Hz", "points": 31, "force": "10 mN"}
+    channels = [{"name": f"c{number}", "at": place} for number, place in enumerate(places)]
+    scene = one_body(steps, shaker={"body": 1, **shaker}, channels=channels)
+    rehearsal = Rehearsal(scene).run(np.inf)
+    taken = sum(step.stop - step.first for step in rehearsal.steps[::2]) / rehearsal.rate
+    waits = linear_waits(scene, assemble(scene), Bench(scene).channels)
+    assert waits.expected.sum() == pytest.approx(taken, rel=0.1)
+
+
 def test_complete_rehearsal_gives_exact_duration() -> None:
     scene = rig.load("held-response")
     foresight = daq.foresee(scene, cpu_seconds=20.0)

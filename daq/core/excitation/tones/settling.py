@@ -28,6 +28,8 @@ _MIN_COHERENCE = 0.8
 _NOISE_OBSERVATIONS = 24
 # The observations are noise if the scatter in the second half exceeds this fraction of the scatter in the first half.
 _MIN_SCATTER_RATIO = 0.75
+# Number of observations for which memory is allocated at once.
+_NEW_ROWS = 3 * _NOISE_OBSERVATIONS
 # If the scatter is below this multiple of the tolerance, half of `_NOISE_OBSERVATIONS` is sufficient, because the
 # measurement averages such small beats.
 _SCATTER_FOR_HALF = 3.0
@@ -152,15 +154,18 @@ def _is_noise(values: ComplexArray, count: int, max_scatter: float, min_differen
 
 
 @unfused_kernel
-def _evaluate(observations: ComplexArray, tolerance: float) -> tuple[bool, TransientLaw, complex]:
-    """Return whether all quantities are steady; the law and the predicted final amplitude of the first quantity."""
+def _evaluate(observations: ComplexArray, tolerance: float) -> tuple[bool, bool, complex, complex]:
+    """Return whether all quantities are steady, and results for the first quantity.
+
+    These are whether its changes follow the law, the decay factor, and the predicted final amplitude.
+    """
     values = observations[:, 0]
     law = _transient_law(values)
     steady = _is_steady(values, law, tolerance)
     for number in range(1, observations.shape[1]):
         values = observations[:, number]
         steady = steady and _is_steady(values, _transient_law(values), tolerance)
-    return steady, law, _final_amplitude(observations[:, 0], law)
+    return steady, law.coherent, law.factor, _final_amplitude(observations[:, 0], law)
 
 
 class Settling:
@@ -186,12 +191,14 @@ class Settling:
 
     def __init__(self, tolerance: float) -> None:
         self.tolerance = tolerance
-        # Latest observations since the restart, in order of time.
+        # Latest observations since the restart, in order of time: the last of the stored rows.
         self._observations: ComplexArray = np.zeros((0, 0), dtype=complex)
+        self._stored, self._stored_rows = self._observations, 0
         self.count = 0
         # Predicted final amplitudes of the first quantity.
         self._predictions: list[complex] = []
-        self._law: TransientLaw | None = None
+        # Decay factor of the first quantity's changes, and whether they follow the law.
+        self._factor, self._is_coherent = 0.0j, False
         self._was_steady = False
         self.settled = False
 
@@ -199,7 +206,7 @@ class Settling:
         """Discard all observations: the drive has changed."""
         self.count = 0
         self._predictions.clear()
-        self._law = None
+        self._is_coherent = False
         self._was_steady = self.settled = False
 
     @property
@@ -214,15 +221,21 @@ class Settling:
 
     def add(self, amplitudes: ComplexArray) -> None:
         """Add the next observation: complex amplitudes, shape (quantities,)."""
-        stored = self._observations[len(self._observations) - min(self.count, _NOISE_OBSERVATIONS) :]
-        self._observations = np.concatenate([stored, amplitudes[None]]) if self.count else amplitudes[None]
+        if self._stored_rows == len(self._stored):
+            new_rows = np.empty((_NEW_ROWS, amplitudes.size), dtype=complex)
+            self._stored_rows = len(self._observations)
+            self._stored = np.concatenate([self._observations, new_rows]) if self._stored_rows else new_rows
+        self._stored[self._stored_rows] = amplitudes
+        self._stored_rows += 1
         self.count += 1
+        latest = min(self.count, _NOISE_OBSERVATIONS)
+        self._observations = self._stored[self._stored_rows - latest : self._stored_rows]
         if self.count < MIN_OBSERVATIONS or not amplitudes.size:
             # Without force control and motion channels there is no quantity.
             self._predictions.extend(amplitudes[:1])
             is_steady = self.count >= MIN_OBSERVATIONS
         else:
-            is_steady, self._law, prediction = _evaluate(self._observations, self.tolerance)
+            is_steady, self._is_coherent, self._factor, prediction = _evaluate(self._observations, self.tolerance)
             self._predictions.append(prediction)
         # Two successive observations must be steady, because one observation may pass by chance at the turning point of
         # a beat.
@@ -242,9 +255,9 @@ class Settling:
 
         The result is infinite if no law was determined.
         """
-        if self._law is None or not self._law.coherent:
+        if not self._is_coherent:
             return math.inf
-        return max(abs(cmath.phase(self._law.factor)), 1e-9)  # never 0, because it is a divisor
+        return max(abs(cmath.phase(self._factor)), 1e-9)  # never 0, because it is a divisor
 
     def standard_error(self) -> float:
         """Relative standard uncertainty of `predicted_final`, from the scatter of the observations.

@@ -88,7 +88,7 @@ class Tone:
 
 def _phases(periods: Array) -> Array:
     """Return the phases, rad, that correspond to numbers of periods; whole periods are removed."""
-    return 2 * np.pi * np.fmod(periods, 1.0)
+    return 2 * np.pi * (periods - np.trunc(periods))
 
 
 # Cached, because most transitions have one of a few lengths.
@@ -224,12 +224,11 @@ class SteadyTones:
         """Change frequencies and drives, and wait for the steady state; return whether it was reached at the level.
 
         `drives`: amplitude of the drive at each frequency in Hz after the transition; `tolerance`: permitted remaining
-        relative change of any amplitude. Raises `SceneError` as `check_spacing`.
+        relative change of any amplitude.
         """
         station, observed = self.station, [(tone, Settling(tolerance)) for tone in self.tones]
         end = station.now + station.samples(max_wait_s)
         window = _window([*drives], station.rate, WINDOW_S)
-        check_spacing([*drives], max_wait_s)
         for tone in self.tones:
             if tone.control is not None:
                 tone.control.restart()
@@ -237,17 +236,17 @@ class SteadyTones:
         while station.now + window <= end:
             for (_, detector), amplitudes in zip(observed, (yield from self.observe(window)), strict=True):
                 detector.add(amplitudes)
-            new_drives = {tone.frequency: _new_drive(tone, detector) for tone, detector in observed}
-            if any(new_drives[tone.frequency] != tone.amplitude for tone in self.tones):
+            new_drives = [_new_drive(tone, detector) for tone, detector in observed]
+            if new_drives != [tone.amplitude for tone in self.tones]:
                 samples = window
-                for tone, detector in observed:
-                    if abs(np.log(new_drives[tone.frequency] / tone.amplitude)) >= _MAX_SUDDEN_CHANGE:
+                for (tone, detector), new_drive in zip(observed, new_drives, strict=True):
+                    if abs(math.log(new_drive / tone.amplitude)) >= _MAX_SUDDEN_CHANGE:
                         # The transient of a mode beats with the drive. A transition of two beat periods hardly excites
                         # the mode.
                         two_beats = round(window * 4 * np.pi / detector.phase_change())
                         samples = max(samples, min(station.samples(_MAX_TRANSITION_S), two_beats))
                     detector.restart()
-                yield self._transition(samples, new_drives)
+                yield self._transition(samples, dict(zip(drives, new_drives, strict=True)))
             elif all(detector.settled for _, detector in observed):
                 return all(
                     tone.control is None

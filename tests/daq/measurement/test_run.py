@@ -41,12 +41,22 @@ def limited_scene(**limits: str) -> rig.Scene:
     return hit_scene(channels=[{"name": "b1", "at": "body 1", **limits}], converter={"rate": "5120 Hz"})
 
 
+BROADBAND: dict[str, dict[str, Any]] = {
+    "random": {"duration": "2 s"},
+    "multisine": {"period": "1 s", "realisations": 1},
+    "swept_sine": {"duration": "1.5 s"},
+}
+SCENES = {"hit": hit_scene(), "steps": steps_scene(), "truth": hit_scene(recording={"truth": True})} | {
+    kind: rig.load("fig8-three-dampers").replace(
+        test={"kind": kind, "from": "8 Hz", "to": "60 Hz", "force": "2.6 N", **keys}
+    )
+    for kind, keys in BROADBAND.items()
+}
+
+
 @pytest.mark.thorough
-@pytest.mark.parametrize(
-    "scene",
-    [hit_scene(), steps_scene(), hit_scene(recording={"truth": True})],
-    ids=["hit", "steps", "truth"],
-)
+@pytest.mark.filterwarnings("ignore::daq.RunWarning")
+@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
 def test_block_size_does_not_change_file(scene: rig.Scene, tmp_path: Path) -> None:
     files = [
         daq.record(scene, tmp_path / f"{number}.mcap", block=block).read_bytes()

@@ -4,7 +4,6 @@ A break is an instant at which a velocity or an acceleration jumps: an impact or
 before and after each break. The contact of a damper is FLIGHT, FLOOR or CEILING.
 """
 
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

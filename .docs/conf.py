@@ -32,6 +32,7 @@ html_title = f"shotrig {release}"
 html_logo = html_favicon = "static/logo.svg"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
+html_js_files = [("site.js", {"defer": "defer"})]
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 # Two hyphens of an option are not a dash.
 smartquotes = False

@@ -9,7 +9,7 @@ the same manner.
 """
 
 # %%
-# One tone near the second resonance is measured over 40, 160 and 640 periods, each twelve times with different noise.
+# A weak tone on a bracket, measured with a noisy accelerometer.
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -17,30 +17,38 @@ import analysis
 import daq
 import rig
 
-tone = {
-    "test": {"kind": "stepped_sine", "frequencies": ["34 Hz"], "force": "0.05 N", "settle": {"tolerance": "0.01 %"}},
-    "converter.rate": "800 Hz",
-}
-exact = rig.frequency_response(rig.load("fig8-no-damper", tone), ["34 Hz"]).compliance[2, 0]
-periods = [40, 160, 640]
-seconds, errors = [], []
-for count in periods:
-    values = []
-    for seed in range(12):
-        scene = rig.load("fig8-no-damper", {**tone, "test.measure": {"periods": count}, "seed": seed})
-        with daq.open(daq.record(scene, "tone.mcap", overwrite=True)) as recording:
-            values.append(analysis.frfs(recording)["body3"].value[0])
-    seconds.append(count / 34.0)
-    errors.append(float(np.sqrt(np.mean(abs(np.array(values) / exact - 1.0) ** 2))))
-    print(f"{count} periods, {seconds[-1]:.1f} s: error {100 * errors[-1]:.3g} %")
+BRACKET = """
+name: bracket
+structure: {masses: [4.2 kg, 1.1 kg], springs: [839 kN/m, 964 kN/m], damping: {modal: 0.7 %}}
+shaker: {kind: force, body: 1}
+test:
+  {kind: stepped_sine, frequencies: [100 Hz], force: 0.2 N, settle: {tolerance: 0.01 %}, measure: {periods: PERIODS}}
+channels:
+  - {name: arm, at: body 2, accelerometer: {sensitivity: 100 mV/g, noise: 100 ug/sqrt(Hz)}}
+  - {name: force, at: shaker, hammer: {sensitivity: 11 mV/N}}
+converter: {rate: 2560 Hz, bits: 24, range: 5 V}
+seed: SEED
+"""
+
+
+def measured(periods: int, seed: int) -> complex:
+    """Return the compliance of the arm at 100 Hz from a test with one realization of the noise, m/N."""
+    scene = rig.loads(BRACKET.replace("PERIODS", str(periods)).replace("SEED", str(seed)))
+    with daq.open(daq.record(scene, "tone.mcap", overwrite=True)) as recording:
+        return complex(analysis.frfs(recording)["arm"].value[0])
+
 
 # %%
-# The sensors integrate acceleration to displacement, so that most of the noise lies near 1 Hz, far below the tone.
-# Its leakage to the tone falls with 1 / duration (dotted). White noise would fall with 1 / √duration (dashed).
+# The error of twelve tests of each duration (root mean square). The noise is white, so that the error falls with
+# 1 / √duration.
+scene = rig.loads(BRACKET.replace("PERIODS", "40").replace("SEED", "0"))
+exact = rig.frequency_response(scene, ["100 Hz"]).compliance[1, 0]
+periods = np.array([40, 160, 640, 2560])
+errors = [np.sqrt(np.mean([abs(measured(count, seed) / exact - 1.0) ** 2 for seed in range(12)])) for count in periods]
+for count, error in zip(periods, errors, strict=True):
+    print(f"{count} periods, {count / 100.0:.1f} s: error {100.0 * error:.2g} %")
 axes = plt.subplots(layout="constrained")[1]
-axes.loglog(seconds, errors, "o-", label="measured")
-shorter = seconds[0] / np.array(seconds)
-axes.loglog(seconds, errors[0] * shorter, "k:", label="1 / duration")
-axes.loglog(seconds, errors[0] * np.sqrt(shorter), "k--", label="1 / √duration (white noise)")
+axes.loglog(periods / 100.0, errors, "o-", label="measured")
+axes.loglog(periods / 100.0, errors[0] * np.sqrt(periods[0] / periods), "k:", label="1 / √duration")
 axes.set(xlabel="duration of the measurement / s", ylabel="relative error of the compliance")
 axes.legend()

@@ -16,6 +16,7 @@ from rig.core.base.figure_style import add_legend_below, add_title, frequency_ax
 from rig.core.base.palette import CurveStyle, faded, place_style, place_styles
 from rig.core.results.resonances import Resonance
 from rig.core.results.response import MOTIONS, Response
+from rig.core.results.uncertainty import SENSITIVITY, SYSTEMATIC
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -55,6 +56,9 @@ _MIN_PEAK_COHERENCE = 0.9
 _PEAK_RANGE = 0.05
 # Length of the dashes of a curve with many lines, relative to the dashes of other curves.
 _DASH_SCALE = 0.5
+#: Peaks of two recordings are of the same mode if their frequencies differ by less than this fraction; dampers shift
+#: the frequencies.
+MODE_SHIFT = 0.15
 #: Symbols of marked peaks, with their explanation.
 PEAK_SYMBOLS = {
     "circles": "Circles: peaks of the local model between the points.",
@@ -63,9 +67,12 @@ PEAK_SYMBOLS = {
 }
 # Width of the label of a peak, relative to the axes.
 _LABEL_WIDTH = 0.06
-# The axis includes this multiple of a marked value.
-_MARK_SPACE = 2.0
+# The axis includes this multiple of a marked value, for an arrow and the labels.
+_MARK_SPACE = 2.5
 _MARKERS = {"circles": "o", "diamonds": "D"}
+_LABEL_COLOR = "#555555"
+# Height of the label of a peak, points.
+_LABEL_POINTS = 9.0
 _THEORY_COLOR = "#222222"
 _NOISE_COLOR = "#c4c4c4"
 
@@ -73,7 +80,7 @@ _NOISE_COLOR = "#c4c4c4"
 class PeakMark(NamedTuple):
     """A marked peak of a curve."""
 
-    symbol: str  # key of `PEAK_SYMBOLS`
+    symbol: str  # key of `PEAK_SYMBOLS`, or "points" at a point that needs no symbol
     frequency: float  # Hz
     height: float  # in the SI unit of the curve
     peak: Peak
@@ -132,7 +139,9 @@ def frf_figure(
         )
         for axes, last in ((magnitude_axes, False), (phase_axes, False), (coherence_axes, True)):
             frequency_axis(axes, low, high, last)
-        _label_peaks([mark for marked in marked_peaks for mark in marked], frfs[0].shown_in[1], magnitude_axes)
+        colors = [style.color if several else _LABEL_COLOR for style in styles]
+        labels = [(mark, color) for marked, color in zip(marked_peaks, colors, strict=True) for mark in marked]
+        _label_peaks(labels, frfs[0].shown_in[1], magnitude_axes)
         name = escape_figure(frfs[0].name)
         magnitude_axes.set_ylabel(f"|{name}| / ({unit})" if "/" in unit else name)
         add_title(magnitude_axes, title)
@@ -287,7 +296,7 @@ def folds_back(frequency: Array) -> bool:
 
 
 def peak_marks(frf: Response, resonances: Iterable[tuple[Resonance, Peak]]) -> list[PeakMark]:
-    """Return the marked peaks of a curve: those between its points, and those that may be higher than its points.
+    """Return the peaks of a curve with their symbols: between its points, and those that may be higher than its points.
 
     Peaks in an undetermined or rough range, and at an end of the band, are not marked. `resonances`: from
     `resonance_peaks`.
@@ -311,8 +320,12 @@ def peak_marks(frf: Response, resonances: Iterable[tuple[Resonance, Peak]]) -> l
         is_around = abs(frf.frequency / line_frequency - 1.0) < _PEAK_RANGE
         is_around[max(line - 2, 0) : line + 3] = True
         is_highest = height >= np.nanmax(abs(frf.value[is_around]))
-        if is_near and is_highest and height > (1.0 + _MIN_PEAK_EXCESS) * point and not is_noise:
+        if is_noise or not is_highest:
+            continue
+        if is_near and height > (1.0 + _MIN_PEAK_EXCESS) * point:
             marks.append(PeakMark("diamonds" if peak.is_extrapolated else "circles", peak.frequency, height, peak))
+        else:
+            marks.append(PeakMark("points", line_frequency, point, peak))
     return marks
 
 
@@ -322,31 +335,45 @@ def _draw_marks(marks: Iterable[PeakMark], factor: float, color: str, axes: Axes
     for symbol, frequency, height, _ in marks:
         # An arrow or a label is above the mark.
         heights.append(_MARK_SPACE * factor * height)
-        if symbol != "arrows":
+        if symbol in _MARKERS:
             style: dict[str, Any] = {"mfc": "white", "mec": color, "mew": 1.0, "ms": 4.5, "zorder": 5}
             axes.plot(frequency, factor * height, _MARKERS[symbol], **style)
-            continue
-        axes.annotate(
-            "", (frequency, factor * height), xytext=(0, 17), textcoords="offset points",
-            arrowprops={"arrowstyle": "<-", "color": color, "lw": 1.0, "shrinkB": 1}, zorder=5,
-        )  # fmt: skip
+        elif symbol == "arrows":
+            axes.annotate(
+                "", (frequency, factor * height), xytext=(0, 17), textcoords="offset points",
+                arrowprops={"arrowstyle": "<-", "color": color, "lw": 1.0, "shrinkB": 1}, zorder=5,
+            )  # fmt: skip
     return heights
 
 
-def _label_peaks(marks: Iterable[PeakMark], factor: float, axes: Axes) -> None:
-    """Write the frequency above the highest of the marked peaks around it."""
+def _label_peaks(marks: Sequence[tuple[PeakMark, str]], factor: float, axes: Axes) -> None:
+    """Write the frequency above the highest of the peaks around it; above it, those of other curves in their colors.
+
+    `marks`: peaks with the colors of their labels.
+    """
     from matplotlib.patheffects import withStroke
 
-    labeled: list[float] = []
-    for symbol, frequency, height, _ in sorted(marks, key=lambda mark: -mark.height):
-        position = axes.transAxes.inverted().transform(axes.transData.transform((frequency, factor * height)))[0]
-        if symbol != "arrows" and all(abs(position - other) > _LABEL_WIDTH for other in labeled):
-            labeled.append(position)
-            axes.annotate(
-                f"{frequency:.4g} Hz", (frequency, factor * height), xytext=(0, 5), textcoords="offset points",
-                ha="center", fontsize=7.5, color="#555555", zorder=5,
-                path_effects=[withStroke(linewidth=2.0, foreground="white")],
-            )  # fmt: skip
+    to_axes = axes.transData + axes.transAxes.inverted()
+    groups: list[tuple[float, PeakMark, list[str]]] = []
+    for mark, color in sorted(marks, key=lambda pair: (pair[0].symbol not in PEAK_SYMBOLS, -pair[0].height)):
+        position = to_axes.transform((mark.frequency, factor * mark.height))[0]
+        highest, labeled = next(
+            ((each, colors) for at, each, colors in groups if abs(position - at) <= _LABEL_WIDTH), (mark, [])
+        )
+        is_same = abs(mark.frequency / highest.frequency - 1.0) < MODE_SHIFT
+        # A peak at a point may be noise; it is labeled next to a marked peak, for comparison.
+        if color in labeled or not is_same or not (labeled or mark.symbol in PEAK_SYMBOLS):
+            continue
+        if not labeled:
+            groups.append((position, mark, labeled))
+        digits = 4 if mark.symbol in _MARKERS else 3
+        axes.annotate(
+            f"{mark.frequency:.{digits}g} Hz", (highest.frequency, factor * highest.height),
+            xytext=(0, (17 if highest.symbol == "arrows" else 5) + _LABEL_POINTS * len(labeled)),
+            textcoords="offset points", ha="center", fontsize=7.5, color=color, zorder=5,
+            path_effects=[withStroke(linewidth=2.0, foreground="white")],
+        )  # fmt: skip
+        labeled.append(color)
 
 
 def with_local_models(
@@ -357,7 +384,7 @@ def with_local_models(
     `frequency`, `magnitude`: the curve, Hz and the unit of `frf`.
     """
     for mark in marks:
-        if mark.symbol == "arrows":
+        if mark.symbol not in _MARKERS:
             continue
         at, height = local_model(frf, mark.peak)
         height = height * (2.0 * np.pi * at) ** MOTIONS.index(frf.motion)
@@ -391,6 +418,18 @@ def visible_systematic_errors(frfs: Sequence[Response]) -> list[str]:
             if np.any(ratio > _MIN_VISIBLE_RATIO):
                 ratios[name] = max(ratios.get(name, 0.0), float(np.nanmedian(ratio)))
     return sorted(ratios, key=ratios.__getitem__, reverse=True)
+
+
+def includes_sensors(frfs: Sequence[Response]) -> bool:
+    """Return whether the uncertainties of all responses contain tolerances of their sensors."""
+    return all(any(name in frf.limits for name in (SENSITIVITY, SYSTEMATIC)) for frf in frfs)
+
+
+def intervals_text(frfs: Sequence[Response]) -> str:
+    """Write which errors the intervals of results contain, for a caption."""
+    return "95 % intervals" + " (without calibration and clock, whose tolerances are not stated)" * (
+        not includes_sensors(frfs)
+    )
 
 
 def _visible_edges(frf: Response) -> Array:

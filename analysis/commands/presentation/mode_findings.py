@@ -138,22 +138,13 @@ def describe_modes(modes: Modes, theory: TheoreticalModes | None = None) -> list
     bodies = modes.of_bodies()
     rows = [("frequency / Hz", "damping ratio / %", "MAC with scene", *(f"at {name}" for name in bodies.names))]
     mac_texts = [""] * count if theory is None else [f"{mac_value:.4f}" for mac_value in nearest_mac(modes, theory)]
-    for i, frequency in enumerate(modes.frequency):
+    for i in range(count):
         elements = zip(bodies.shapes[:, i].real, expand(bodies.errors[:, i]), strict=True)
-        ratio = modes.damping_text(i).strip("(%) ")
-        cells = (format_interval(frequency, float(expand(modes.frequency_error[i]))), ratio, mac_texts[i])
-        rows.append((*cells, *(format_interval(value, expanded) for value, expanded in elements)))
+        rows.append((*modes.cells(i), mac_texts[i], *(format_interval(*element) for element in elements)))
     reference = f", {modes.input}" if modes.input else ""
     heading = f"{modes.label}{reference}: {count} mode{'s' * (count != 1)}{modes.uncertain_count_text()}"
     lines = table_lines(rows, ">" * len(rows[0])) if count else []
-    uncertain = [
-        (
-            format_interval(each.frequency, float(expand(each.frequency_error))),
-            each.damping_text().strip("(%) "),
-            each.reason,
-        )
-        for each in modes.uncertain
-    ]
+    uncertain = [(*each.cells(), each.reason) for each in modes.uncertain]
     if uncertain:
         lines += table_lines([("uncertain mode / Hz", "damping ratio / %", "reason"), *uncertain], ">><")
     return [heading, *(f"  {line}" for line in lines)]

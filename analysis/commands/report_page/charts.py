@@ -62,12 +62,15 @@ class Curve:
 
 
 class Mark(NamedTuple):
-    """A label above the axes, joined to a value by a dotted line."""
+    """A label above the axes, joined to a value by a dotted line.
+
+    Labels that would overlap are in rows, the first labels in the lowest.
+    """
 
     x: float
     y: float
     label: str
-    color: str = ""  # default: that of text; a narrow screen shows only labels of the first curve
+    color: str = ""  # default: that of text
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,7 @@ class Panel:
     limits: tuple[float, float] | None = None  # limits of the vertical axis
     ticks: Sequence[float] | None = None  # ticks of the vertical axis
     image: dict[str, Any] | None = None  # image from `level_image`
-    marks: Sequence[Mark] = ()  # ascending
+    marks: Sequence[Mark] = ()
     strips: Sequence[tuple[float, float]] = ()  # ranges of the abscissa without a determined value
 
 

@@ -31,7 +31,7 @@ _DRIVE = 44
 # Width of the drawing, px.
 _WIDTH = 400
 # Margin above and below the drawing, px.
-_MARGIN = 15
+_MARGIN = 22
 # Size of a body in a mode shape, px.
 _SHAPE_WIDTH = 90
 _SHAPE_HEIGHT = 26

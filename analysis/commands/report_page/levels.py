@@ -6,8 +6,9 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from analysis.commands.figures.frf_figure import MODE_SHIFT, intervals_text
 from analysis.commands.report_page.measurements import Measurement, SweepResults
-from analysis.commands.report_page.tables import MODE_SHIFT, table
+from analysis.commands.report_page.tables import table
 from analysis.core.damper_motion.dampers import Dampers
 from analysis.core.modal.mode_warnings import extrapolates_damping
 from analysis.core.recordings.names import sweep_name, without_common_direction
@@ -15,11 +16,12 @@ from analysis.core.tracking.body_motion import LevelPoint, level_rows, quantity_
 from rig.core.results import format_decimals, format_limited, format_number
 from rig.core.results.uncertainty import expand
 
-_CAPTION = "Results at each level, with 95 % intervals"
+# Quantities that the headline does not repeat.
+_ONLY_IN_TABLE = ("excitation frequency", "phase deviation")
 _MODE_CAPTION = (
     "Natural frequency and damping ratio are those of the mode; the "
-    "excitation frequency is that of the highest measured point, to which amplitude and energy belong. The two "
-    "differ where other modes contribute to the motion, and by up to the distance of the measured frequencies."
+    "excitation frequency is that of {}, to which amplitude and energy belong. The two "
+    "differ where other modes contribute to the motion{}."
 )
 
 
@@ -60,7 +62,7 @@ def level_headline(measurement: Measurement, groups: Mapping[str, Sequence[Level
         ranges = quantity_ranges(points)
         if title:
             ranges = {title: "; ".join(f"{name} {ranges[name]}" for name in list(ranges)[:2])}
-        lines += [f"{name}: {text}" for name, text in ranges.items() if name != "excitation frequency"]
+        lines += [f"{name}: {text}" for name, text in ranges.items() if name not in _ONLY_IN_TABLE]
     remarks = [f"{point.level}: {point.note}" for points in groups.values() for point in points if point.note]
     return "\n".join([*lines, *remarks])
 
@@ -75,7 +77,14 @@ def level_table(measurements: Sequence[Measurement]) -> str:
         for title, group in groups.items():
             rows += [(", ".join(filter(None, (label, title))),)] if len(measurements) > 1 or title else []
             rows += level_rows(group, keys)
-    caption = ". ".join([_CAPTION, _MODE_CAPTION] if "natural frequency / Hz" in keys else [_CAPTION])
+    curves = [frf for measurement in measurements for sweep in measurement.sweeps for frf in sweep.frfs]
+    caption = f"Results at each level, with {intervals_text(curves)}"
+    if "phase deviation / °" in keys:
+        caption += ". " + _MODE_CAPTION.format("phase resonance", "")
+    elif "natural frequency / Hz" in keys:
+        caption += ". " + _MODE_CAPTION.format(
+            "the highest measured point", ", and by up to the distance of the measured frequencies"
+        )
     return table(caption, ["level", *keys, "remark"], rows) if rows else ""
 
 

@@ -83,10 +83,14 @@ class SweepResults:
         return tuple(max(inside, key=lambda pair: pair[1].value, default=None) for inside in self.found)
 
     def damping_text(self, mode: int) -> str:
-        """Write a damping ratio with its 95 % interval; add "extrapolated" if no line resolves its peak."""
+        """Write a damping ratio with its 95 % interval, and its note."""
         assert self.modes is not None
-        is_extrapolated = extrapolates_damping(self.modes, self.frfs)[mode]
-        return f"{self.modes.damping_text(mode)}{', extrapolated' if is_extrapolated else ''}"
+        return self.modes.damping_text(mode) + self.damping_note(mode)
+
+    def damping_note(self, mode: int) -> str:
+        """Return ", extrapolated" if no line resolves the peak of a mode, otherwise an empty text."""
+        assert self.modes is not None
+        return ", extrapolated" * bool(extrapolates_damping(self.modes, self.frfs)[mode])
 
     @property
     def label(self) -> str:
@@ -133,13 +137,15 @@ class Measurements:
 
     paths: Sequence[Path]
     progress: CountProgress | None = None
+    subject: str = ""  # common beginning of the names of all recordings, which their labels omit
     results: list[Measurement] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     _open: ExitStack = field(default_factory=ExitStack)
 
     def __enter__(self) -> Self:
         with OpenRecordings() as recordings:
-            for path, label in zip(self.paths, scene_labels(recordings, self.paths), strict=True):
+            self.subject, labels = _without_common_beginning(scene_labels(recordings, self.paths))
+            for path, label in zip(self.paths, labels, strict=True):
                 self.results.append(self._measure(path, label, recordings.of(path)))
             self._open = recordings.pop_all()
         return self
@@ -238,6 +244,17 @@ class Measurements:
 
     def _warn(self, path: Path, texts: Sequence[str]) -> None:
         self.warnings += [text for text in with_recording_name(path, texts) if text not in self.warnings]
+
+
+def _without_common_beginning(names: Sequence[str]) -> tuple[str, list[str]]:
+    """Split names at their last comma, if the parts before it are equal.
+
+    >>> _without_common_beginning(["Fig 8, no damper", "Fig 8, dampers"])
+    ('Fig 8', ['no damper', 'dampers'])
+    """
+    beginnings = {name.rpartition(", ")[0] for name in names}
+    subject = beginnings.pop() if len(beginnings) == 1 and len(names) > 1 else ""
+    return subject, [name.removeprefix(f"{subject}, ") if subject else name for name in names]
 
 
 def _shock_spectra(rec: Recording) -> list[ShockSpectrum]:

@@ -92,7 +92,8 @@ def page_title(measurements: Measurements) -> str:
     simulated = [not each.rec.source for each in measurements.results]
     test = "Vibration test" if not any(simulated) else "Simulated vibration test"
     partly = " (partly measured)" * (any(simulated) and not all(simulated))
-    return f"{test}{partly}: {' · '.join(dict.fromkeys(each.label for each in measurements.results))}"
+    labels = " · ".join(dict.fromkeys(each.label for each in measurements.results))
+    return f"{test}{partly}: {', '.join(filter(None, [measurements.subject, labels]))}"
 
 
 def _footer(paths: Sequence[Path]) -> str:
@@ -131,7 +132,7 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
         ],
         "Warnings": [f'<ul class="warnings">{"".join(warnings)}</ul>'] if warnings else [],
         "Results": [changes_table(changes), resonances(results, baseline), decays(results)],
-        "Mode shapes": [*_modes(results), *_macs(results, baseline)],
+        "Mode shapes": [*_modes(results, baseline), *_macs(results, baseline)],
         "Stabilization diagrams": [charts.write(chart) for chart in stabilization_charts(results)],
         "Dampers": [charts.write(chart) for each in results for chart in damper_charts(each)],
         "Free decays": [charts.write(chart) for chart in decay_charts(results, baseline.label)],
@@ -205,9 +206,13 @@ def _test_description(measurement: Measurement) -> str:
     )
 
 
-def _modes(results: Sequence[Measurement]) -> list[str]:
-    """Draw the mode shapes of the first sweep of each recording that has two bodies or more, as HTML."""
+def _modes(results: Sequence[Measurement], first: Measurement) -> list[str]:
+    """Draw the mode shapes of the first sweep of each recording that has two bodies or more, as HTML.
+
+    The signs are those of the most similar shapes of the reference, `first`.
+    """
     sections = []
+    reference = next((sweep.modes.of_bodies() for sweep in first.sweeps[:1] if sweep.modes is not None), None)
     for measurement in results:
         for sweep in measurement.sweeps[:1]:
             modes = sweep.modes
@@ -216,6 +221,8 @@ def _modes(results: Sequence[Measurement]) -> list[str]:
             bodies = modes.of_bodies()
             if len(bodies.names) < 2 or not modes.frequency.size:
                 continue
+            if reference is not None:
+                bodies = bodies.with_signs_of(reference)
             drawings = [
                 mode_drawing(
                     bodies, bodies.places, k, f"{modes.frequency_text(k)}, damping ratio {sweep.damping_text(k)}"
@@ -226,7 +233,7 @@ def _modes(results: Sequence[Measurement]) -> list[str]:
                 f"<h3>{escape_html(modes.label)}</h3>",
                 f'<div class="shapes">{"".join(drawings)}</div>',
             ]
-    scale = '<p class="test">Each shape is scaled so that its largest element is +1.</p>'
+    scale = '<p class="test">The largest element of each shape is ±1, with the signs of the reference.</p>'
     return [scale, *sections] if sections else []
 
 

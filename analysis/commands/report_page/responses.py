@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from analysis.commands.figures.decay_figure import frequency_title, group_modes
 from analysis.commands.figures.frf_figure import (
     MAX_POINTS,
+    MODE_SHIFT,
     PEAK_SYMBOLS,
     PeakMark,
     break_at_wraps,
@@ -118,22 +119,31 @@ def _mode_marks(
     frfs: Sequence[Response],
     styles: Sequence[CurveStyle] | None,
 ) -> list[Mark]:
-    """Label each mode of the sweeps in a chart; the labels of several sweeps have the colors of their curves.
+    """Label modes and other marked peaks of the sweeps in a chart, in the colors of their curves if there are several.
 
-    The height is that of the mode's highest peak in the chart.
+    The height is that of the mode's highest peak in the chart. The labels of the first curve are first.
     """
-    marks = []
+    marks = list[tuple[int, Mark]]()
     for sweep in sweeps if styles else [baseline]:
-        found = zip([] if sweep.modes is None else sweep.modes.frequency.tolist(), sweep.found, strict=True)
-        for frequency, peaks in found:
+        natural = np.empty(0) if sweep.modes is None else sweep.modes.frequency
+        labeled = [
+            (float(frequency), format_decimals(frequency, 2), [(frf, peak.value) for frf, peak in peaks])
+            for frequency, peaks in zip(natural, sweep.found, strict=True)
+        ] + [
+            (mark.frequency, f"{mark.frequency:.3g}", [(frf, mark.height)])
+            for frf, marked in sweep.marked
+            for mark in marked
+            if mark.symbol in PEAK_SYMBOLS and not (abs(natural / mark.frequency - 1.0) < MODE_SHIFT).any()
+        ]
+        for frequency, text, heights in labeled:
             drawn = [
-                (frf.shown_in[1] * peak.value, k) for frf, peak in peaks for k, each in enumerate(frfs) if frf is each
+                (frf.shown_in[1] * height, k) for frf, height in heights for k, each in enumerate(frfs) if frf is each
             ]
             if drawn:
                 height, curve = max(drawn)
                 color = styles[curve].color if styles else ""
-                marks.append(Mark(frequency, height, f"{format_decimals(frequency, 2)} Hz", color))
-    return sorted(marks)
+                marks.append((curve * bool(styles), Mark(frequency, height, f"{text} Hz", color)))
+    return [mark for _, mark in sorted(marks)]
 
 
 def response_chart(
@@ -222,6 +232,7 @@ def response_chart(
         "Bands and U: 95 % intervals.",
         "Thin: local model through the points, with gaps where they do not determine it." * ("points" in symbols),
         *(text for symbol, text in PEAK_SYMBOLS.items() if symbol in symbols),
+        "Labels: natural frequencies of the modes; other peaks." * bool(marks),
         "Crosses: steady state not reached." * ("crosses" in symbols),
         "Gray, with a strip at the axis: undetermined (noise, or bound above 100 %)." * bool(strips),
     ]

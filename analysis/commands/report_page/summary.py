@@ -9,10 +9,11 @@ from operator import le
 
 import numpy as np
 
+from analysis.commands.figures.frf_figure import includes_sensors
 from analysis.commands.presentation.damper_findings import detection_limits
 from analysis.commands.report_page.levels import level_headline, level_points
 from analysis.commands.report_page.measurements import Measurement, SweepChange, SweepResults, force_deviation
-from analysis.commands.report_page.tables import change_text, includes_sensors
+from analysis.commands.report_page.tables import change_text
 from analysis.core.damper_motion.dampers import Dampers
 from analysis.core.modal.mode_warnings import MAX_LINEAR_RESIDUAL
 from daq.core.recording.markers import faults_of_hits, hits_of
@@ -72,7 +73,7 @@ def limitations(measurements: Sequence[Measurement]) -> list[str]:
         if any(faults):
             texts.append(f"“{measurement.label}”: {'; '.join(dict.fromkeys(filter(None, faults)))}.")
     curves = [frf for measurement in measurements for sweep in measurement.sweeps for frf in sweep.frfs]
-    if curves and not all(map(includes_sensors, curves)):
+    if not includes_sensors(curves):
         texts.append(
             "The intervals do not include calibration errors, because no tolerance of the sensors' "
             "sensitivity is stated."

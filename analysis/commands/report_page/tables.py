@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.commands.figures.frf_figure import MODE_SHIFT, includes_sensors, intervals_text
 from analysis.commands.presentation.comparison import change_heading, change_rows
 from analysis.commands.presentation.decay_findings import DECAY_HEADING, decay_rows
 from analysis.commands.report_page.measurements import Measurement, SweepChange
@@ -24,7 +25,6 @@ from rig.core.results import (
     format_percent,
 )
 from rig.core.results.response import Response
-from rig.core.results.uncertainty import SENSITIVITY, SYSTEMATIC, expand
 
 if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
@@ -38,11 +38,9 @@ _NO_BREAK = re.compile(
     r"(?<=[\d)]) (?=(?:%|[kM]?Hz|[kmµ]?N|dB|g|kg|m?s|[mµ]?m|m?V|µm/N|m/s²|k?N/m|mm/s)(?![\w/]))| (?=±)|(?<=±) "
     r"|(?<=\d) (?=→)|(?<=→) (?=\d)|(?<=Δf) |(?<=\d) (?=to [+\u2212]?\d)"
     r"|(?<=\d to) (?=[+\u2212]?\d)|(?<=least) (?=\d)|(?<=at) (?=least)|(?<=≥) "
+    r"|(?<=\bat) (?=\d)| (?=at [\d.]+ \w+(?: →|$))|(?<=\bbody) (?=\d)"
 )
 _CODE = re.compile("`([^`]+)`")
-# Modes of two recordings are the same mode if their frequencies differ by less than this fraction; dampers shift the
-# frequencies.
-MODE_SHIFT = 0.15
 # Overloads or gaps that are listed individually; a longer list would hide the other rows.
 _MAX_LISTED = 5
 
@@ -100,20 +98,12 @@ def resonances(measurements: Sequence[Measurement], baseline: Measurement) -> st
             continue
         rows.append((modes.label,))
         for k, highest in enumerate(peaks):
-            frequency = format_interval(float(modes.frequency[k]), float(expand(modes.frequency_error[k])))
             location, height = (
                 ("", "") if highest is None else (highest[0].ratio, highest[1].height_text(highest[0].shown_in[1]))
             )
-            rows.append((frequency, sweep.damping_text(k), location, height))
-        rows += [
-            (
-                format_interval(each.frequency, float(expand(each.frequency_error))),
-                each.damping_text(),
-                f"uncertain: {each.reason}",
-                "",
-            )
-            for each in modes.uncertain
-        ]
+            frequency, damping = modes.cells(k)
+            rows.append((frequency, damping + sweep.damping_note(k), location, height))
+        rows += [(*each.cells(), f"uncertain: {each.reason}", "") for each in modes.uncertain]
         rows += [
             (f"mode of {format_decimals(frequency, 2)} Hz", "not determined", "", "")
             for frequency in np.concatenate([*known, []]).tolist()
@@ -121,8 +111,9 @@ def resonances(measurements: Sequence[Measurement], baseline: Measurement) -> st
         ]
     found = (peak for measurement in measurements for sweep in measurement.sweeps for peak in sweep.peaks)
     units = " or ".join(dict.fromkeys(peak[0].shown_in[0] for peak in found if peak is not None)) or "µm/N"
-    heading = ["natural frequency / Hz", "damping ratio", "response with the highest peak", f"peak / ({units})"]
-    return table("Resonances, with 95 % intervals", heading, rows) if rows else ""
+    heading = ["natural frequency / Hz", "damping ratio / %", "response with the highest peak", f"peak / ({units})"]
+    curves = [frf for measurement in measurements for sweep in measurement.sweeps for frf in sweep.frfs]
+    return table(f"Resonances, with {intervals_text(curves)}", heading, rows) if rows else ""
 
 
 def changes_table(changes: Sequence[SweepChange]) -> str:
@@ -199,17 +190,12 @@ def budget(curve: Response, highest: Peak) -> str:
         ["contribution", "type (GUM)", f"standard uncertainty / ({result.unit})", "share of the variance"],
         [
             *rows,
-            *([] if includes_sensors(curve) else [("sensors' sensitivity", "B", "not included", "–")]),
+            *([] if includes_sensors([curve]) else [("sensors' sensitivity", "B", "not included", "–")]),
             ("combined, u", "", format_number(float(f"{result.combined:.2g}")), ""),
             (f"expanded, U = k u, k = {factor:.2f}", "", format_number(float(f"{result.expanded:.2g}")), ""),
         ],
         numbers=2,
     )
-
-
-def includes_sensors(curve: Response) -> bool:
-    """Return whether the uncertainty of a response contains tolerances of its sensors."""
-    return any(name in curve.limits for name in (SENSITIVITY, SYSTEMATIC))
 
 
 def test_sentence(scene: Scene) -> str:

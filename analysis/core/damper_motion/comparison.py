@@ -112,6 +112,8 @@ class Peak:
     def height_text(self, factor: float, unit: str = "") -> str:
         """Write the height times a factor with its interval, or only the lower end if the upper end is infinite.
 
+        With a unit, the text is part of a sentence; without a unit, it is the cell of a table.
+
         >>> Peak(1e-3, 2e-3, 10.0, 9.9, 10.1).height_text(1e6)
         'not determined'
         >>> Peak(211e-6, 34e-6, 33.6, 33.3, 33.9, lower_limit=209e-6).height_text(1e6)
@@ -121,7 +123,7 @@ class Peak:
         """
         ending = f" {unit}" * bool(unit)
         if isinf(self.bound):
-            return f"at least {factor * self.low:.4g}{ending}"
+            return f"{'at least' if unit else '≥'} {factor * self.low:.4g}{ending}"
         if self.bound > self.value:
             return "not determined"
         low, value, high = (factor * each for each in (self.low, self.value, self.value + self.bound))

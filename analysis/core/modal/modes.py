@@ -14,7 +14,7 @@ from analysis.core.modal.lscf import ChartPole
 from analysis.core.modal.pole_residue import modal_receptance
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
-from rig.core.results import Result, complete_style, format_percent, format_quantity
+from rig.core.results import Result, complete_style, format_interval, format_percent, format_quantity
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import expand
 
@@ -40,6 +40,14 @@ class BodyShapes(NamedTuple):
     errors: Array  # shape (bodies, modes)
     places: tuple[str, ...] = ()  # locations of the sensors: "body 2"
 
+    def with_signs_of(self, reference: BodyShapes) -> BodyShapes:
+        """Return the shapes with the signs of the most similar shapes of the same bodies in a reference."""
+        if self.names != reference.names or not reference.shapes.size:
+            return self
+        similar = reference.shapes[:, mac(self.shapes, reference.shapes).argmax(axis=1)]
+        is_opposite = np.sum(self.shapes.conj() * similar, axis=0).real < 0.0
+        return self._replace(shapes=self.shapes * np.where(is_opposite, -1.0, 1.0))
+
 
 class UncertainMode(NamedTuple):
     """A pole that may be a mode or may represent an error of the curves, with standard uncertainties."""
@@ -57,6 +65,10 @@ class UncertainMode(NamedTuple):
     def damping_text(self) -> str:
         """Write the damping ratio with its expanded uncertainty (95 %), or an upper limit."""
         return _damping_text(self.damping, self.damping_error)
+
+    def cells(self) -> tuple[str, str]:
+        """Write natural frequency, Hz, and damping ratio, %, without their units, for a table."""
+        return _cells(self.frequency, self.frequency_error, self.damping_text())
 
     def without_exponential_window(self, time_constant: float) -> UncertainMode:
         """Remove the damping of an exponential window, see `Modes.without_exponential_window`."""
@@ -145,6 +157,10 @@ class Modes(Result):
     def damping_text(self, mode: int) -> str:
         """Write a damping ratio with its expanded uncertainty (95 %), or an upper limit if it is poorly determined."""
         return _damping_text(self.damping[mode], self.damping_error[mode])
+
+    def cells(self, mode: int) -> tuple[str, str]:
+        """Write natural frequency, Hz, and damping ratio, %, without their units, for a table."""
+        return _cells(self.frequency[mode], self.frequency_error[mode], self.damping_text(mode))
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return frequency, damping ratio, and the shape at each response, with standard uncertainties."""
@@ -333,6 +349,10 @@ def _frequency_text(frequency: float, error: float) -> str:
     if np.isnan(error):
         return f"{frequency:.6g} Hz"
     return format_quantity(frequency, float(expand(error)), "Hz")
+
+
+def _cells(frequency: float, error: float, damping_text: str) -> tuple[str, str]:
+    return format_interval(frequency, float(expand(error))), damping_text.strip("(%) ")
 
 
 def _damping_text(damping: float, error: float) -> str:

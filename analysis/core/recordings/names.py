@@ -177,8 +177,13 @@ def acquisition_text(rec: Recording, frf: Response | None = None, estimate: str 
     """Describe number of averages or points, line spacing, estimate and sample rate: 3 impacts of 4 ms, Δf 0.33 Hz."""
     test = rec.scene.test
     details = () if test is None else (*test.details, test.duration_text)
-    spacing = "" if frf is None else line_spacing(frf)
-    return ", ".join(filter(None, [*details, spacing, estimate, f"sampled at {rec.rate:g} Hz"]))
+    spacing = freedom = ""
+    if frf is not None:
+        spacing = line_spacing(frf)
+        # Impacts and periods are averages; a continuous test has equivalent averages.
+        if test is not None and test.duration_text and frf.degrees_of_freedom.any():
+            freedom = f"{np.median(frf.degrees_of_freedom):.0f} degrees of freedom per line"
+    return ", ".join(filter(None, [*details, spacing, estimate, freedom, f"sampled at {rec.rate:g} Hz"]))
 
 
 def full_test_text(rec: Recording) -> str:

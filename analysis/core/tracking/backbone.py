@@ -63,6 +63,8 @@ class Backbone(Result):
     frequency, frequency_bound : ndarray, shape (n,)
         Frequency of phase resonance and half of its 95 % interval, Hz. The interval includes the effect of the
         remaining phase deviation.
+    phase_deviation, phase_deviation_bound : ndarray, shape (n,)
+        Phase of the body relative to that of phase resonance, and half of its 95 % interval, rad.
     natural_frequency, natural_frequency_bound : ndarray, shape (n,)
         Natural frequency of the mode without the contributions of other modes to the phase of the body, and half of its
         95 % interval, Hz.
@@ -81,6 +83,8 @@ class Backbone(Result):
     force: Array
     frequency: Array
     frequency_bound: Array
+    phase_deviation: Array
+    phase_deviation_bound: Array
     natural_frequency: Array
     natural_frequency_bound: Array
     amplitude: Array
@@ -105,6 +109,10 @@ class Backbone(Result):
             "natural frequency / Hz": (self.natural_frequency, self.natural_frequency_bound),
             "damping ratio / %": (100.0 * self.damping, 100.0 * self.damping_bound),
             "excitation frequency / Hz": (self.frequency, self.frequency_bound),
+            "phase deviation / °": (
+                np.degrees(abs(self.phase_deviation)),
+                np.degrees(self.phase_deviation_bound),
+            ),
             f"amplitude of {self.body} / mm": (1e3 * self.amplitude, 1e3 * self.amplitude_bound),
         }
         points = []
@@ -133,6 +141,8 @@ class Backbone(Result):
             "force_N": self.force,
             "frequency_Hz": self.frequency,
             "frequency_bound_Hz": self.frequency_bound,
+            "phase_deviation_rad": self.phase_deviation,
+            "phase_deviation_bound_rad": self.phase_deviation_bound,
             "natural_frequency_Hz": self.natural_frequency,
             "natural_frequency_bound_Hz": self.natural_frequency_bound,
             "amplitude_m": self.amplitude,
@@ -220,6 +230,8 @@ def backbone(rec: Recording) -> Backbone:
             "force": force,
             "frequency": response.frequency[line],
             "frequency_bound": abs(mode.damping) * omega / turn * tangent,
+            "phase_deviation": phase_error,
+            "phase_deviation_bound": rotation,
             **mode._asdict(),
             "amplitude": amplitude,
             "amplitude_bound": relative * amplitude,

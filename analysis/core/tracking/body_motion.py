@@ -34,7 +34,8 @@ class LevelPoint(NamedTuple):
 def level_rows(points: Sequence[LevelPoint], names: Collection[str]) -> list[tuple[str, ...]]:
     """Return a row for each level: level, text of each named quantity, and note."""
     return [
-        (point.level, *(point.quantities.get(name, (0.0, ""))[1] for name in names), point.note) for point in points
+        (point.level, *(point.quantities.get(name, (0.0, "not determined"))[1] for name in names), point.note)
+        for point in points
     ]
 
 

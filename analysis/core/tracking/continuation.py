@@ -133,7 +133,7 @@ class AmplitudeCurve(Result):
             if folds:
                 note = f"fold{'s' * (len(folds) > 1)} at {', '.join(folds)}"
             elif self.settled[chosen].any():
-                note = f"no fold; one narrower than {self.resolution(level):.2g} Hz can be missed"
+                note = f"no fold detected; a fold narrower than {self.resolution(level):.2g} Hz can be missed"
             else:
                 note = "no steady state"
             largest = format_limited(*peak)

@@ -25,8 +25,8 @@ _SCATTER_LINES = 25
 _MIN_WIDTH_LINES = 3.0
 # A peak with a smaller coherence has no damping: the sweep is too fast for it, or it is noise.
 _MIN_COHERENCE = 0.7
-# Peaks of several channels belong to one resonance if their frequencies differ by less than this fraction.
-_SAME_PEAK = 0.03
+# Peaks belong to one resonance if their frequencies differ by less than this fraction; dampers split its peak.
+_SAME_PEAK = 0.05
 
 
 def largest_peaks(curves: LiveCurves, count: int) -> list[tuple[str, float, float, float | None, str]]:

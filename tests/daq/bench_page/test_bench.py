@@ -140,7 +140,7 @@ def test_recorded_sweep_has_the_resonance(bench):
     bench.controller.start()
     assert bench.controller.running
     pass_time(bench, 25.0)
-    assert not bench.controller.running and bench.controller.message == "ready"
+    assert not bench.controller.running and bench.controller.message == "sweep test completed"
     live = bench.monitor.frf.curves()
     bench.close()
     (path,) = bench.recordings.paths

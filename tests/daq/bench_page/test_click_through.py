@@ -133,7 +133,7 @@ def test_sweep_is_displayed_recorded_and_analyzed(bench, browser, tmp_path):
     element(browser, "start").click()
     # The file is named from the start of the sweep on, which may have ended before a busy machine looks again.
     wait_for(browser, lambda: "test.mcap" in element(browser, "file").text)
-    wait_for(browser, lambda: element(browser, "state").text == "ready")
+    wait_for(browser, lambda: element(browser, "state").text == "sweep test completed")
     assert any(" Hz" in state for state in browser.execute_script("return window.states"))
     wait_for(browser, lambda: browser.execute_script(CURVE, "arm"))
     frequency, magnitude = np.array(browser.execute_script(CURVE, "arm"), float)

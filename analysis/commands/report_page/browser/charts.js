@@ -12,6 +12,7 @@
   const MIN_CONTRAST = 6; // of curves on a dark page: they are thinner than text, for which WCAG requires 4.5
   const MIN_DECADE = 120; // px: a shorter decade has no grid lines between its ends
   const MIN_LABEL = 14; // px between labels of decades
+  const LABEL_ROW = 14, LABEL_ROWS = 2; // px, and the number of rows of labels for which a panel is higher
   const SYMBOLS = ["dots", "crosses", "circles", "diamonds", "arrows", "path"]; // drawn over the series, in any order of the abscissa
   const FONT = "12px system-ui, sans-serif";
   // Anchors of a perceptually uniform color map (viridis), dark to bright.
@@ -44,7 +45,7 @@
 
   // Text of a tick; large and small numbers are powers of ten, which are short.
   function tick(value) {
-    if (value === 0 || (Math.abs(value) < 1e5 && Math.abs(value) >= 1e-3)) return digits(value);
+    if (value === 0 || (Math.abs(value) < 1e5 && Math.abs(value) >= 1e-3)) return digits(value).replace("-", "−");
     const [mantissa, exponent] = value.toExponential().split("e");
     const power = `10${[...String(Number(exponent))].map((sign) => (sign === "-" ? "⁻" : "⁰¹²³⁴⁵⁶⁷⁸⁹"[sign])).join("")}`;
     return mantissa === "1" ? power : `${Number(Number(mantissa).toPrecision(3))}·${power}`;
@@ -112,24 +113,18 @@
     },
   };
 
-  // Centers of labels of these wanted centers (ascending) and widths: labels that would overlap move aside together.
-  function spread(labels, left, right) {
-    const groups = [];
-    for (const [center, width] of labels) {
-      let group = { items: [[0, width]], sum: center, width };
-      for (;;) {
-        group.center = Math.min(Math.max(group.sum / group.items.length, left + group.width / 2), right - group.width / 2);
-        const last = groups[groups.length - 1];
-        if (!last || last.center + last.width / 2 <= group.center - group.width / 2) break;
-        groups.pop();
-        group = {
-          items: [...last.items.map(([at, wide]) => [at - group.width / 2, wide]), ...group.items.map(([at, wide]) => [at + last.width / 2, wide])],
-          sum: last.sum + last.items.length * (group.width / 2) + group.sum - group.items.length * (last.width / 2), width: last.width + group.width,
-        };
-      }
-      groups.push(group);
-    }
-    return groups.flatMap(({ center, items }) => items.map(([at]) => center + at));
+  // The labels of peaks in view, each with its center and row: the lowest row in which it overlaps no label before it.
+  function labelsOf(plot, panel, left, right) {
+    const { min, max } = plot.scales.x, rows = [];
+    measure.font = FONT;
+    return panel.marks.filter(([x]) => x >= min && x <= max).map(([x, y, label, color]) => {
+      const half = measure.measureText(label).width / 2 + 4;
+      const center = Math.min(Math.max(plot.valToPos(x, "x"), half - left), right - half);
+      let row = rows.findIndex((labels) => labels.every((other) => Math.abs(other.center - center) >= other.half + half));
+      if (row < 0) row = rows.push([]) - 1;
+      rows[row].push({ center, half });
+      return { x, y, label, color, center, row };
+    });
   }
 
   // Strips at the axis where the values are undetermined, symbols, and labels of peaks above the axes.
@@ -175,25 +170,24 @@
     context.lineWidth = 0.6 * ratio;
     context.font = `${12 * ratio}px system-ui, sans-serif`;
     context.textAlign = "center";
-    let marks = panel.marks.map(([x, y, label, color]) => [...position(x, y), label, color]).filter(([px]) => px >= left && px <= left + width);
-    const space = (label) => context.measureText(label).width + 8 * ratio;
-    if (marks.reduce((sum, [, , label]) => sum + space(label), 0) > width) marks = marks.filter(([, , , color]) => !color || color === panel.curves[0].color);
-    const places = spread(marks.map(([px, , label]) => [px, space(label)]), left, left + width);
-    marks.forEach(([px, py, label, color], k) => {
-      context.fillStyle = context.strokeStyle = color ? shade(color) : theme("text");
-      context.setLineDash([2 * ratio, 3 * ratio]);
+    const marks = labelsOf(plot, panel, left / ratio, width / ratio).map((mark) => ({ ...mark, base: top - (6 + LABEL_ROW * mark.row) * ratio }));
+    context.setLineDash([2 * ratio, 3 * ratio]);
+    for (const { x, y, color, base } of marks) {
+      const [px, py] = position(x, y);
+      context.strokeStyle = color ? shade(color) : theme("text");
       context.beginPath();
-      context.moveTo(px, top);
+      context.moveTo(px, base);
       context.lineTo(px, Math.max(py - 8 * ratio, top));
       context.stroke();
-      // A label that has moved aside is joined to its line.
-      context.setLineDash([]);
-      context.beginPath();
-      context.moveTo(px, top);
-      context.lineTo(places[k], top - 7 * ratio);
-      context.stroke();
-      context.fillText(label, places[k], top - 11 * ratio);
-    });
+    }
+    // Labels interrupt the lines of the labels above them.
+    for (const { label, color, center, base } of marks) {
+      const half = context.measureText(label).width / 2;
+      context.fillStyle = theme("page");
+      context.fillRect(left + center * ratio - half, base - 11 * ratio, 2 * half, 14 * ratio);
+      context.fillStyle = color ? shade(color) : theme("text");
+      context.fillText(label, left + center * ratio, base);
+    }
     context.restore();
   }
 
@@ -472,7 +466,7 @@
   function height(panel, last) {
     measure.font = FONT;
     const title = measure.measureText(panel.label).width + 10;
-    return Math.max(panel.height * (printing ? PRINT_HEIGHT : 1), title) + (last ? 52 : 6) + (panel.marks.length ? 22 : 0);
+    return Math.max(panel.height * (printing ? PRINT_HEIGHT : 1), title) + (last ? 52 : 6) + (panel.marks.length ? LABEL_ROWS * LABEL_ROW : 0);
   }
 
   function draw(holder, chart, number) {
@@ -486,7 +480,7 @@
       const last = k === chart.panels.length - 1, { shown, bands } = series(panel);
       const canvas = panel.image ? picture(panel.image) : null;
       const plot = new uPlot({
-        width: holder.clientWidth || PRINT_WIDTH, height: height(panel, last), padding: [panel.marks.length ? 28 : 8, 16, 0, 0],
+        width: holder.clientWidth || PRINT_WIDTH, height: height(panel, last), padding: [(u) => 8 + LABEL_ROW * Math.max(0, ...labelsOf(u, panel, 0, Infinity).map(({ row }) => row + 1)), 16, 0, 0],
         scales: {
           x: { time: false, distr: chart.x.log ? 3 : 1, range: (u, low, high) => [low, high] },
           y: { distr: panel.log ? 3 : 1, range: range(panel.log, panel.range) },

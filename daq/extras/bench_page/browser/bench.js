@@ -91,10 +91,12 @@ function panels(kind, x, values, log) {
     for (const limit of new Set(over.map((row) => factor * channels[row].limit))) {
       for (const y of [-limit, limit]) curves.push({ x: [x[0], x[x.length - 1]], y: Float32Array.of(y, y), color: AMBER, width: 1.2, dash: [5, 4] });
     }
-    const label = key === "hammer" ? "hammer / N" : name, panel = { name: label, log, smallest, share: rows.length > 1 ? 2 : 1, curves };
+    // Idle noise, 60 dB below the full scale of a channel, must not fill an axis.
+    const idle = roundUp(Math.max(smallest, ...rows.map((row) => 1e-3 * factor * (channels[row].limit ?? 0))));
+    const label = key === "hammer" ? "hammer / N" : name, panel = { name: label, log, smallest: idle, share: rows.length > 1 ? 2 : 1, curves };
     const [low, high] = limits(panel);
     // A spectrum shows three decades below its highest line, or below the smallest full scale.
-    panel.range = steady(`${kind} ${key}`, log ? [Math.max(high, smallest) * 1e-3, Math.max(high, smallest)] : [low, high]);
+    panel.range = steady(`${kind} ${key}`, log ? [Math.max(high, idle) * 1e-3, Math.max(high, idle)] : [low, high]);
     return inMillimeters(panel);
   });
 }

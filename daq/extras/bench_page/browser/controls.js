@@ -31,7 +31,7 @@ const controls = {
     }
     $("form").addEventListener("submit", (event) => event.preventDefault());
     for (const name of ["start", "stop", "hit"]) $(name).addEventListener("click", () => this.request(name));
-    $("clear").addEventListener("click", () => send("clear"));
+    for (const name of ["clear", "overloads"]) $(name).addEventListener("click", () => send("clear"));
     $("record").addEventListener("change", () => send("record", $("record").checked));
     $("freeze").addEventListener("click", () => freeze());
     $("hit").hidden = $("hit-key").hidden = $("hit-panel").hidden = !hasHammer;

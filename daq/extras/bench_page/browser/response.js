@@ -53,8 +53,10 @@ const response = {
     }
     const averages = this.head?.averages;
     const empty = state.hits.length ? (state.hits[0][4] ? "no accepted impact" : "after this impact") : state.running ? "after settling" : "start a test";
-    const spacing = averages && this.curves ? `, Δf ${digits(this.curves.frequency[1] - this.curves.frequency[0], 2)} Hz${state.details && averages > 1 ? `, ${state.details}` : ""}` : "";
-    return (averages ? (averages > 1 ? `H1, ${averages} averages` : "1 average: no γ²") + spacing : state.frf_reason || empty) + (this.problem ? `; ${this.problem}` : "");
+    this.details = state.details;
+    const [[number, , , , complete] = [0]] = state.hits, impacts = complete ? number : number - 1;
+    const count = impacts > 0 ? `${averages} of ${impacts} impact${impacts > 1 ? "s" : ""} averaged` : `H1, ${averages} average${averages > 1 ? "s" : ""}`;
+    return (averages ? count + (averages > 1 ? "" : ": no γ²") : state.frf_reason || empty) + (this.problem ? `; ${this.problem}` : "");
   },
 
   // The band of the test, or of a pulse: at most DECADES up to the highest excited frequency.
@@ -69,23 +71,23 @@ const response = {
   draw() {
     const micro = (values) => Float32Array.from(values, (value) => 1e6 * value);
     const { curves, previous, theory } = this, magnitude = [], phase = [], coherence = [];
-    $("last").disabled = !previous;
+    $("last").parentNode.hidden = !previous;
     const showsLast = previous && $("last").checked;
     if (showsLast) for (const row of previous.rows) magnitude.push({ x: previous.frequency, y: micro(row.magnitude), color: LAST, width: 1 });
     const isClipped = curves?.rows.some((row) => row.relation.some(Boolean));
-    setText("thin", [isClipped ? "dashed: clipped; arrow: side of the true value" : "", curves ? "thin: uncertain (γ² < 0.7, or phase scatters)" : "", showsLast ? `gray: last test, ${digits(previous.level, 3)} N` : ""].filter(Boolean).join("; "));
+    setText("thin", [curves ? [`Δf ${digits(curves.frequency[1] - curves.frequency[0], 2)} Hz`, this.details].filter(Boolean).join(", ") : "", isClipped ? "dashed: clipped; arrow: side of the true value" : "", curves ? "thin: uncertain (γ² < 0.7, or phase scatters)" : "", showsLast ? `gray: last test, ${digits(previous.level, 3)} N` : ""].filter(Boolean).join("; "));
     if (theory && $("theory").checked) {
       theory.rows.forEach((row, k) => magnitude.push({ x: theory.frequency, y: micro(row), color: this.channels[k].color, dash: [7, 4], width: 1 }));
     }
     for (const row of curves?.rows ?? []) {
       const style = { x: curves.frequency, color: row.color, dots: true };
       const certain = row.determined.map((each, k) => each && !row.relation[k]), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
-      magnitude.push({ ...style, y: micro(row.magnitude), width: 0.6, opacity: 0.6 });
+      magnitude.push({ ...style, y: micro(row.magnitude), width: 0.9, opacity: 0.8 });
       magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => row.relation[k]), width: 1.6, dash: [5, 4] });
       magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => certain[k]), width: 1.8 });
       // The line is interrupted where the phase wraps.
       phase.push({ ...style, y: only(row.phase, (k) => certain[k] && !(Math.abs(row.phase[k] - row.phase[k - 1]) > 180)), width: 1.6 });
-      coherence.push({ ...style, y: row.coherence, width: 0.6, opacity: 0.6 }, { ...style, y: only(row.coherence, (k) => certain[k]) }, { ...style, y: only(row.coherence, (k) => row.relation[k]), dash: [5, 4] });
+      coherence.push({ ...style, y: row.coherence, width: 0.9, opacity: 0.8 }, { ...style, y: only(row.coherence, (k) => certain[k]) }, { ...style, y: only(row.coherence, (k) => row.relation[k]), dash: [5, 4] });
       // Arrows at the highest clipped point show on which sides of it the true value may be.
       const highest = row.magnitude.reduce((best, value, k) => (row.relation[k] && value > (row.magnitude[best] || 0) ? k : best), -1);
       if (highest >= 0) magnitude.push({ x: [curves.frequency[highest]], y: Float32Array.of(1e6 * row.magnitude[highest]), color: AMBER, width: 2, arrows: [[1], [-1], [1, -1]][row.relation[highest] - 1] });

@@ -188,7 +188,8 @@ def _caption(frfs: Sequence[Response], symbols: set[str]) -> list[str]:
     if causes:
         sentences.append(f"Light band: also limits of error (type B): {', '.join(causes)}.")
     if not all(is_determined(frf).all() for frf in frfs):
-        sentences.append("Pale, with a strip at the axis: undetermined (noise, or bound above 100 %); phase not shown.")
+        text = undetermined_text(frfs)
+        sentences.append(f"Pale, with a strip at the axis: undetermined ({text}); phase not shown.")
     if any((is_determined(frf.sorted()) & ~is_smooth(frf.sorted())).any() for frf in frfs):
         sentences.append("No phase where it scatters from line to line.")
     if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
@@ -418,6 +419,18 @@ def visible_systematic_errors(frfs: Sequence[Response]) -> list[str]:
             if np.any(ratio > _MIN_VISIBLE_RATIO):
                 ratios[name] = max(ratios.get(name, 0.0), float(np.nanmedian(ratio)))
     return sorted(ratios, key=ratios.__getitem__, reverse=True)
+
+
+def undetermined_text(frfs: Sequence[Response]) -> str:
+    """Write why lines are undetermined: noise, or the errors that make the bound larger than the value."""
+    causes = set[str]()
+    for frf in frfs:
+        is_bounded = ~is_determined(frf) & exceeds_noise(frf)
+        magnitude = np.maximum(abs(frf.value[is_bounded]), 1e-300)
+        ratios = {name: float(np.max(limit[is_bounded] / magnitude, initial=0.0)) for name, limit in frf.limits.items()}
+        largest = max(ratios, key=ratios.__getitem__, default="")
+        causes |= {largest} if ratios.get(largest, 0.0) > _MAX_ERROR_RATIO else set()
+    return "noise, or bound above 100 %" + f" due to {', '.join(sorted(causes))}" * bool(causes)
 
 
 def includes_sensors(frfs: Sequence[Response]) -> bool:

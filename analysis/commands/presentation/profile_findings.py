@@ -31,8 +31,8 @@ def _draw(result: ProfileCheck, figure: Figure, axes: Axes) -> None:
     sentences = [f"Band: tolerance of {result.tolerance:g} dB."]
     if result.limited:
         sentences.append("Colored strips: a limit of another channel keeps the control channel below the tolerance.")
-    if ((abs(result.deviation) > result.tolerance) & ~result.is_reduced).any():
-        sentences.append("Black strips: outside the tolerance for another reason.")
+    if result.is_outside.any():
+        sentences.append("Black strips: outside the tolerance, where no limit acts.")
     sentences += [f"{text[0].upper()}{text[1:]}." for text in result.excesses()]
     add_legend_below(figure, *sentences)
 

@@ -84,7 +84,8 @@ def present_srs(
             set_log_scale(axis)
         add_title(axes, title)
         signed = " Dashed: positive. Dotted: negative." if len(spectra) == 1 else ""
-        add_legend_below(figure, f"Largest magnitude of the absolute acceleration (maximax).{signed}")
+        part = "the chosen part" if (from_s, to_s) != (None, None) else "the first shock"
+        add_legend_below(figure, f"Largest magnitude of the absolute acceleration (maximax) in {part}.{signed}")
         files = save_figure(figure, stem)
     rows: list[Row] = [
         (label, spectrum.channel, spectrum.unit, spectrum.q, *values)

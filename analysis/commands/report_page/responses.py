@@ -22,6 +22,7 @@ from analysis.commands.figures.frf_figure import (
     is_smooth,
     phase_degrees,
     phase_top,
+    undetermined_text,
     with_local_models,
 )
 from analysis.commands.report_page.charts import (
@@ -234,7 +235,7 @@ def response_chart(
         *(text for symbol, text in PEAK_SYMBOLS.items() if symbol in symbols),
         "Labels: natural frequencies of the modes; other peaks." * bool(marks),
         "Crosses: steady state not reached." * ("crosses" in symbols),
-        "Gray, with a strip at the axis: undetermined (noise, or bound above 100 %)." * bool(strips),
+        f"Gray, with a strip at the axis: undetermined ({undetermined_text(ordered)})." * bool(strips),
     ]
     return Chart(
         f"{quantity.capitalize()} of {outputs} / {ordered[0].input}. {' '.join(filter(None, notes))}",

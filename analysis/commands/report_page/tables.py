@@ -13,6 +13,7 @@ import numpy as np
 from analysis.commands.figures.frf_figure import MODE_SHIFT, includes_sensors, intervals_text
 from analysis.commands.presentation.comparison import change_heading, change_rows
 from analysis.commands.presentation.decay_findings import DECAY_HEADING, decay_rows
+from analysis.commands.presentation.mode_findings import MIN_SAME_SHAPE_MAC
 from analysis.commands.report_page.measurements import Measurement, SweepChange
 from analysis.core.damper_motion.comparison import Peak, PeakChange
 from analysis.core.modal.modes import Modes, mac
@@ -156,7 +157,8 @@ def mac_table(before: Modes, after: Modes) -> str:
     ]
     heading = ["", *(f"{frequency:.2f} Hz" for frequency in after.frequency)]
     pair = before.label if before is after else f"{before.label} (rows) and {after.label} (columns)"
-    return table(f"Modal assurance criterion (MAC): {pair}", heading, rows, numbers=len(after.frequency))
+    caption = f"Modal assurance criterion (MAC; equal shapes above about {MIN_SAME_SHAPE_MAC:g}): {pair}"
+    return table(caption, heading, rows, numbers=len(after.frequency))
 
 
 def decays(measurements: Sequence[Measurement]) -> str:

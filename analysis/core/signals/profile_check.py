@@ -22,7 +22,7 @@ from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import REFERENCE, place_styles
 from rig.core.numerics.runs import runs_of
-from rig.core.results import Result, complete_style
+from rig.core.results import Result, complete_style, format_frequencies
 from rig.core.scene.excitation.kind import Chirp
 from rig.core.scene.excitation.profile import limits_drive
 
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 # A channel limits the drive if its distance from its limit is below this, dB, and the control is below the profile.
 _NOTCH_DB = 1.5
+# An excess below this, dB, is noise.
+_SMALLEST_EXCESS_DB = 0.05
 # Number of periods of a window in which the amplitude of a sweep is estimated.
 _PERIODS = 4.0
 # Independent averages per segment, for half-overlapping segments with a Hann window.
@@ -75,6 +77,8 @@ class ProfileCheck(Result):
         Control channels, and channels with limits.
     tolerance, abort : float
         Tolerance and abort line relative to the profile, dB.
+    freedom : float
+        Degrees of freedom of each line of a density; 0 for amplitudes.
     warnings : tuple of str
         Warnings about lines that do not resolve the response, and about limits that end early.
     """
@@ -88,6 +92,7 @@ class ProfileCheck(Result):
     limited: tuple[Level, ...]
     tolerance: float
     abort: float
+    freedom: float = 0.0
     warnings: tuple[str, ...] = ()
 
     @property
@@ -133,9 +138,14 @@ class ProfileCheck(Result):
                           & (self.deviation < -self.tolerance))  # fmt: skip
 
     @property
+    def is_outside(self) -> NDArray[np.bool_]:
+        """Flags of the frequencies outside the tolerance at which no limit acts."""
+        return np.asarray((abs(self.deviation) > self.tolerance) & ~self.is_reduced)
+
+    @property
     def within(self) -> float:
         """Fraction of the frequencies within the tolerance or reduced by a limit."""
-        return float(np.mean((abs(self.deviation) <= self.tolerance) | self.is_reduced))
+        return float(1.0 - np.mean(self.is_outside))
 
     def notches(self) -> list[tuple[str, float, float]]:
         """Return channel, lowest and highest frequency of each band in which a limit reduces the drive, Hz."""
@@ -170,11 +180,14 @@ class ProfileCheck(Result):
         if self.is_reduced.any():
             parts.append(f"{100 * self.is_reduced.mean():.1f} % below it because of limits")
         if self.within < 1.0:
-            parts.append(f"{100.0 * (1.0 - self.within):.1f} % outside for another reason")
+            places = format_frequencies(self.frequency.tolist(), self.is_outside.tolist())
+            parts.append(f"{100.0 * (1.0 - self.within):.1f} % outside, where no limit acts ({places})")
         if self.is_density:
             rms = [_rms(values, self.frequency) for values in (self.control, self.profile)]
             parts.append(f"rms {rms[0]:.3g} m/s² (profile {rms[1]:.3g} m/s²)")
-        parts.append(f"highest {self.deviation[worst]:+.1f} dB at {self.frequency[worst]:.4g} Hz")
+            parts.append(f"{self.freedom:.0f} degrees of freedom per line")
+        if self.deviation[worst] >= _SMALLEST_EXCESS_DB:
+            parts.append(f"highest {self.deviation[worst]:+.1f} dB at {self.frequency[worst]:.4g} Hz")
         return f"{self.label}: {'; '.join(parts)}"
 
     def columns(self) -> Mapping[str, Array]:
@@ -200,9 +213,8 @@ class ProfileCheck(Result):
             acts = self.is_limited(level) & self.is_reduced
             bottom = ax.get_xaxis_transform()
             ax.fill_between(self.frequency, 0.0, 0.02, where=acts, transform=bottom, color=limiting.color, lw=0)
-        outside = (abs(self.deviation) > self.tolerance) & ~self.is_reduced
         ax.fill_between(
-            self.frequency, 0.0, 0.02, where=outside, transform=ax.get_xaxis_transform(), color="#222222", lw=0
+            self.frequency, 0.0, 0.02, where=self.is_outside, transform=ax.get_xaxis_transform(), color="#222222", lw=0
         )
         density = "acceleration spectral density"
         ax.set(xlabel="frequency / Hz")
@@ -236,7 +248,7 @@ def profile(rec: Recording) -> ProfileCheck:
         raise RecordingError(f"{rec.path}: the test did not reach its full level. `daq info` gives the reason.")
     start, stop = measured[-1].first_sample, measured[-1].end + 1
     has_lines = prescription.resolution is not None
-    frequency, rows = (_densities if has_lines else _amplitudes)(rec, prescription, start, stop)
+    frequency, rows, freedom = (_densities if has_lines else _amplitudes)(rec, prescription, start, stop)
     warnings = tuple(line_warnings(prescription, rec.scene, rec.channels.values())) if has_lines else ()
     bound = prescription.profile.at(frequency)
     channels = [_level(rec, name, bound, rows[name], start, stop) for name in prescription.control.channels]
@@ -250,14 +262,14 @@ def profile(rec: Recording) -> ProfileCheck:
     control = prescription.control.combined(np.array([level.values for level in channels]))
     return ProfileCheck(
         rec.scene.name, unit, frequency, control, bound, tuple(channels), tuple(limited),
-        prescription.tolerance, prescription.abort, warnings,
+        prescription.tolerance, prescription.abort, freedom, warnings,
     )  # fmt: skip
 
 
 def _densities(
     rec: Recording, prescription: Prescription, start: int, stop: int
-) -> tuple[Array, dict[str, tuple[Array, Array, Array]]]:
-    """Return frequencies and, for each channel, its density with its 95 % interval."""
+) -> tuple[Array, dict[str, tuple[Array, Array, Array]], float]:
+    """Return frequencies, the density of each channel with its 95 % interval, and the degrees of freedom."""
     assert prescription.resolution is not None
     size = min(2 * max(2, round(rec.rate / prescription.resolution / 2.0)), stop - start)
     low, high = prescription.profile.frequencies[0], prescription.profile.frequencies[-1]
@@ -271,13 +283,13 @@ def _densities(
         density = signal.welch(_finite(rec, name, start, stop), rec.rate, "hann", size, size // 2)[1][inside]
         values = density * _power_factor(rec.channels[name], lines[inside])
         rows[name] = values, values * quantiles[0], values * quantiles[1]
-    return lines[inside], rows
+    return lines[inside], rows, freedom
 
 
 def _amplitudes(
     rec: Recording, prescription: Prescription, start: int, stop: int
-) -> tuple[Array, dict[str, tuple[Array, Array, Array]]]:
-    """Return frequencies and, for each channel, its amplitude in windows of some periods, without an interval.
+) -> tuple[Array, dict[str, tuple[Array, Array, Array]], float]:
+    """Return frequencies, the amplitude of each channel in windows of some periods without an interval, and 0.
 
     The phase of the tone is computed from the sweep except for a constant, which does not change the amplitude.
     """
@@ -307,7 +319,7 @@ def _amplitudes(
     for name, row in zip(names, values, strict=True):
         amplitude = row * np.sqrt(_power_factor(rec.channels[name], middle))
         rows[name] = amplitude[order], none, none
-    return middle[order], rows
+    return middle[order], rows, 0.0
 
 
 def _rms(density: Array, frequency: Array) -> float:

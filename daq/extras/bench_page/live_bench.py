@@ -358,7 +358,13 @@ class TestController:
         self._mark_hits()
         self._monitor.end_estimate()
         self._recordings.end_test()
-        self.message = f"test ended: {reason}" if reason else "stopped" if self.is_aborted else f"{self.settings.kind} test completed"
+        self.message = (
+            f"test ended: {reason}"
+            if reason
+            else "stopped"
+            if self.is_aborted
+            else f"{self.settings.kind} test completed"
+        )
 
 
 def _zero_drive(station: Station) -> Excitation:

@@ -206,13 +206,13 @@ def _test_description(measurement: Measurement) -> str:
     )
 
 
-def _modes(results: Sequence[Measurement], first: Measurement) -> list[str]:
+def _modes(results: Sequence[Measurement], baseline: Measurement) -> list[str]:
     """Draw the mode shapes of the first sweep of each recording that has two bodies or more, as HTML.
 
-    The signs are those of the most similar shapes of the reference, `first`.
+    The signs are those of the most similar shapes of the baseline.
     """
     sections = []
-    reference = next((sweep.modes.of_bodies() for sweep in first.sweeps[:1] if sweep.modes is not None), None)
+    reference = next((sweep.modes.of_bodies() for sweep in baseline.sweeps[:1] if sweep.modes is not None), None)
     for measurement in results:
         for sweep in measurement.sweeps[:1]:
             modes = sweep.modes
@@ -233,7 +233,7 @@ def _modes(results: Sequence[Measurement], first: Measurement) -> list[str]:
                 f"<h3>{escape_html(modes.label)}</h3>",
                 f'<div class="shapes">{"".join(drawings)}</div>',
             ]
-    scale = '<p class="test">The largest element of each shape is ±1, with the signs of the reference.</p>'
+    scale = '<p class="test">The largest element of each shape is ±1, with the signs of the baseline.</p>'
     return [scale, *sections] if sections else []
 
 

@@ -87,14 +87,18 @@ def check_simulation(scene: rig.Scene, settings: dict[str, Any], requirements: d
     assert len(kinds) > 0 if required_count == "some" else required_count in (None, len(kinds))
     assert requirements.get("kinds", kinds) == kinds
     assert requirements.get("ambiguous", run.ambiguous) == run.ambiguous
+    assert len(set(run.events["damper"])) >= requirements.get("dampers", 0)
     if "first" in requirements:
         assert kinds[0] == requirements["first"]
     if "first_time" in requirements:
         assert run.events["time"][0] == parse(requirements["first_time"], TIME)
     if "simultaneous" in requirements:
-        # Three equal dampers have the same events at the same times, except for rounding.
+        # Three equal oscillators have the same motion, except for rounding.
         simultaneous = run.events[: len(run.events) // 3 * 3].reshape(-1, 3)
-        assert np.ptp(simultaneous["time"], axis=1).max() < 1e-14
+        for name in ("time", "speed"):
+            assert np.ptp(simultaneous[name], axis=1).max() < 1e-14
+        assert (simultaneous["kind"] == simultaneous["kind"][:, :1]).all()
+        assert np.abs(run.displacement - run.displacement[0]).max() < 1e-15
         assert len(run.events) % 3 == 0 and len(run.events) > 0
     if "drift" in requirements:
         after_transient = len(run.time) // 10

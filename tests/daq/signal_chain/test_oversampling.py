@@ -1,7 +1,5 @@
 """Motion at a multiple of the sample rate, before the filter of a converter: aliases, skew, blocks, and its rate."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
@@ -68,28 +66,6 @@ def test_long_skew_with_filter_is_exact():
     # The first channel is sampled 0.7 ms earlier, so that its samples are older.
     assert infos[0].delay - infos[1].delay == pytest.approx(0.7e-3)
     assert lag * rate == pytest.approx((infos[0].delay - infos[1].delay) * rate, abs=1e-3)
-
-
-def test_block_lengths_do_not_change_samples():
-    scene = rig.load("fig8-three-dampers").replace(
-        channels=[
-            {"name": name, "at": at, "accelerometer": {"resonance": "20 kHz", "noise": "20 ug/sqrt(Hz)"}}
-            for name, at in (("first", "body 1"), ("second", "table"))
-        ],
-        converter={"rate": "2 kHz", "filter": "delta_sigma", "skew": "200 us", "jitter": "1 us"},
-    )
-    drive = 2.0 * np.sin(2 * np.pi * 34.0 / 2000.0 * np.arange(1200))[None]
-
-    whole = Bench(scene).acquire(drive)
-    bench = Bench(scene)
-    edges = np.cumsum([0, 0, 1, 7, 128, 1, 0, 500, 563])
-    parts = [bench.acquire(drive[:, first:stop]) for first, stop in pairwise(edges)]
-    assert len(whole.motion.break_sample) > 20  # impacts of the dampers
-    assert np.array_equal(np.concatenate([part.samples for part in parts], axis=1), whole.samples)
-    for name in ("displacement", "gap", "break_offset", "break_sample"):
-        joined = np.concatenate([getattr(part.motion, name) for part in parts], axis=-1)
-        assert np.array_equal(joined, getattr(whole.motion, name))
-    assert [part.first for part in parts] == [0, 0, 1, 8, 136, 137, 137, 637]
 
 
 def test_oversampled_motion_equals_motion_at_samples():

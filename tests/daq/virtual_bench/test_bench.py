@@ -1,5 +1,7 @@
 """The virtual bench converts drive into samples: blocks, counts, overloads and the sample clock."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -14,19 +16,28 @@ def modulated_tone(samples: int, level: float, rate: float = 5120.0) -> np.ndarr
     return level * np.sin(2 * np.pi * 34.8 * time + 3 * np.sin(2 * np.pi * 2 * time))[None]
 
 
-@pytest.mark.parametrize("name", ["fig8-three-dampers", "fig9", "bare-structure", "reference-C"])
-def test_block_size_changes_no_sample(name: str) -> None:
-    scene = rig.load(name)
+SENSOR = {"resonance": "20 kHz", "noise": "20 ug/sqrt(Hz)"}
+SCENES = {name: rig.load(name) for name in ("fig8-three-dampers", "fig9", "bare-structure", "reference-C")}
+SCENES["oversampled"] = SCENES["fig8-three-dampers"].replace(
+    channels=[{"name": at.replace(" ", ""), "at": at, "accelerometer": SENSOR} for at in ("body 1", "table")],
+    converter={"rate": "2 kHz", "filter": "delta_sigma", "skew": "200 us", "jitter": "1 us"},
+)
+
+
+@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
+def test_block_size_changes_no_sample(scene: rig.Scene) -> None:
     level = {"V": 3.0, "m": 2e-3, "N": 10.0}[Bench(scene).drive_units[0]]  # by unit of the drive
     drive = modulated_tone(600, level)
     whole = Bench(scene).acquire(drive)
-    for block_size in (1, 7, 128):
+    for edges in ([*range(601)], [*range(0, 600, 7), 600], [0, 0, 1, 8, 136, 137, 137, 600]):
         bench = Bench(scene)
-        starts = range(0, 600, block_size)
-        blocks = [bench.acquire(drive[:, start : start + block_size]) for start in starts]
-        assert [block.first for block in blocks] == [*starts]
+        blocks = [bench.acquire(drive[:, first:stop]) for first, stop in pairwise(edges)]
+        assert [block.first for block in blocks] == edges[:-1]
         np.testing.assert_array_equal(np.concatenate([block.samples for block in blocks], axis=1), whole.samples)
         np.testing.assert_array_equal(np.concatenate([block.overload for block in blocks], axis=1), whole.overload)
+        for name in ("displacement", "gap", "break_offset", "break_sample"):
+            joined = np.concatenate([getattr(block.motion, name) for block in blocks], axis=-1)
+            np.testing.assert_array_equal(joined, getattr(whole.motion, name))
 
 
 def test_counts_read_as_physical_units() -> None:

@@ -1,4 +1,4 @@
-"""Limits of the engine: simultaneous events, many periods, extreme ratios, free structures, bouncing to rest."""
+"""Limits of the engine with exact results: simultaneous impacts, many periods, extreme ratios, free structures."""
 
 import numpy as np
 import pytest
@@ -36,32 +36,6 @@ def free_chain(masses: list[float], springs: list[float], velocity: list[float],
     )
 
 
-def test_identical_oscillators_have_simultaneous_events() -> None:
-    scene = rig.Scene(
-        structure={
-            "matrices": {
-                "mass": np.eye(3).tolist(),
-                "stiffness": (OMEGA**2 * np.eye(3)).tolist(),
-                "damping": (0.6 * np.eye(3)).tolist(),
-            }
-        },
-        dampers=[{"body": body, "mass": 0.05, "clearance": 2e-3} for body in (1, 2, 3)],
-        shaker={"kind": "force", "body": [1, 2, 3]},
-        test={"kind": "sine", "frequency": 9.5, "force": 5.0},
-    )
-    run = rig.simulate(scene, 10.0, rate=500.0)
-    count = len(run.events) // 3
-    events = run.events[: 3 * count].reshape(count, 3)
-    assert len(run.events) == 3 * count > 300
-    assert set(run.events["kind"]) == {"separation", "floor", "ceiling"}
-    assert (np.sort(events["damper"], axis=1) == [1, 2, 3]).all()
-    assert (events["kind"] == events["kind"][:, :1]).all()
-    assert np.ptp(events["time"], axis=1).max() < 1e-14
-    # Simultaneous contacts are processed one after another, so that speeds may differ due to rounding.
-    assert np.ptp(events["speed"], axis=1).max() < 1e-14
-    assert np.abs(run.displacement - run.displacement[0]).max() < 1e-15
-
-
 @pytest.mark.parametrize(("frequency", "force"), [(9.0, 22.0), (11.0, 20.0), (12.0, 16.0)])
 def test_masses_that_fly_together_land_together(frequency: float, force: float) -> None:
     # Both leave the body at the same instant. If rounding decided on the order of their impacts, the second would be
@@ -72,16 +46,6 @@ def test_masses_that_fly_together_land_together(frequency: float, force: float) 
     landings = events[events["kind"] == "floor"]
     assert len(landings) == 4
     np.testing.assert_allclose(landings["speed"][::2], landings["speed"][1::2], rtol=1e-12)
-
-
-def test_hundred_thousand_periods_do_not_drift() -> None:
-    scene = single_body({"clearance": 1.5e-3}, frequency=8.0)
-    periods_per_sample, periods = 128, 102_400
-    run = rig.simulate(scene, periods / 8.0, rate=8.0 / periods_per_sample)
-    steady = run.displacement[0, len(run.time) // 10 :]
-    assert len(run.events) > 2 * periods
-    # The samples are whole periods apart: in steady state all are equal.
-    assert np.ptp(steady) < 1e-16
 
 
 def test_hundred_thousand_linear_periods_are_exact() -> None:
@@ -109,13 +73,6 @@ def test_very_light_damper_is_inelastic_bouncing_ball() -> None:
     take_off_time = separations[separations < landings[-1]][-1]
     assert (omega * take_off_time + phase) % (2 * np.pi) == pytest.approx(flight.start, abs=1e-7)
     assert omega * (landings[-1] - take_off_time) == pytest.approx(flight.end - flight.start, abs=1e-7)
-
-
-def test_heavy_damper_balances_energy() -> None:
-    scene = single_body({"mass": 10.0, "clearance": 1e-3}, force=120.0, frequency=3.2)
-    run = rig.simulate(scene, 20.0, rate=500.0)
-    assert {"floor", "separation"} <= set(run.events["kind"])
-    assert abs(run.energy.residual) < 1e-12 * (run.energy.dissipated + run.energy.impacts)
 
 
 def test_damper_with_nanometer_clearance_moves_as_locked() -> None:
@@ -162,11 +119,6 @@ def test_extremely_stiff_spring_is_exact() -> None:
     exact = segment.propagate(segment.initial_state(velocities=[0.1, 0.2, -0.1]), segment.gravity * 0 + run.time[-1])
     for body in range(3):
         assert run.displacement[body, -1] == pytest.approx(float(exact[body]), rel=1e-12)
-    scene_with_damper = scene.replace(dampers=[{"body": 2, "mass_ratio": 0.1, "clearance": 1e-3}])
-    motion_with_damper = rig.simulate(scene_with_damper, 0.2, rate=1000.0)
-    initial_energy = motion_with_damper.energy.stored_before
-    assert len(motion_with_damper.events) > 10
-    assert abs(motion_with_damper.energy.residual) < 1e-10 * initial_energy
 
 
 def test_rebounds_end_in_finite_time() -> None:
@@ -186,28 +138,6 @@ def test_rebounds_end_in_finite_time() -> None:
     assert impacts["time"][-1] == pytest.approx(end_time, rel=1e-6)
     assert run.contact[0, -1] == 1
     assert 100 < len(impacts) < 1000
-
-
-@pytest.mark.thorough
-def test_hundred_bodies_balance_energy() -> None:
-    bodies = 100
-    scene = rig.Scene(
-        structure={
-            "masses": [0.7] * bodies,
-            "springs": [22e3] * bodies,
-            "damping": {"rayleigh": {"alpha": 0.5, "beta": 1e-5}},
-        },
-        dampers=[
-            {"body": body, "mass_ratio": 0.1, "clearance": 1e-3 * (1 + 0.01 * body)} for body in range(1, bodies + 1, 5)
-        ],
-        shaker={"kind": "force", "body": [1, 20, 40]},
-        test={"kind": "sine", "start": "settled", "frequency": 40.0, "force": 60.0},
-    )
-    run = rig.simulate(scene, 0.3, rate=1000.0)
-    assert len(scene.dampers) == 20
-    assert len({int(damper) for damper in run.events["damper"]}) > 5
-    exchanged_energy = abs(run.energy.work) + run.energy.dissipated + run.energy.impacts
-    assert abs(run.energy.residual) < 1e-10 * exchanged_energy
 
 
 def test_motion_from_rest_starts_without_gravity() -> None:

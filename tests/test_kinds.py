@@ -15,6 +15,7 @@ from analysis.core.responses.estimator import MODULES, Estimator
 from daq.core.excitation import procedure_of
 from daq.core.excitation.procedure import Procedure
 from daq.core.recording.recorded_test import FOLLOWED_CURVE, HELD_MOTION, HELD_PHASE, TestKind
+from rig.core.base.errors import SceneError
 from rig.core.scene.excitation import KINDS as TESTS
 from rig.core.scene.excitation import KindOfTest
 from rig.core.scene.json_schema import schema_text
@@ -48,6 +49,11 @@ def test_kind_of_test_has_procedure(kind: type[KindOfTest]) -> None:
     procedure = procedure_of(kind)
     is_complete = "excite" in vars(type(procedure)) or kind.wave is not KindOfTest.wave
     assert is_complete, f"daq.core.excitation.{kind.kind_name()}: define excite, or wave in the settings"
+
+
+def test_unknown_detection_is_named() -> None:
+    with pytest.raises(SceneError, match=r"Misspelled\.detection is 'hit'; expected one of hits, dwells"):
+        type("Misspelled", (Procedure,), {"detection": "hit"})
 
 
 @pytest.mark.parametrize("kind", TESTS, ids=lambda kind: kind.kind_name())

@@ -30,7 +30,10 @@ if TYPE_CHECKING:
 # Default limits of the natural frequencies: lowest in Hz, and highest as a fraction of the sample rate.
 _LOWEST_HZ = 5.0
 _HIGHEST_RATIO = 0.2
-# Highest permitted natural frequency, as a fraction of the sample rate, because the band of the signal ends there.
+# Highest permitted natural frequency, as a fraction of the sample rate: up to it, the spectrum of a half sine of 15
+# samples agrees with the closed form within 0.3 %; at 0.4, within 0.6 %.
+_LIMIT_RATIO = 0.3
+# The motion is corrected for the sensor up to this fraction of the sample rate, where the band of the signal ends.
 _BAND_RATIO = 0.4
 # A sensor without response at 0 Hz is corrected down to this fraction of the lowest natural frequency.
 _CORRECTED_RATIO = 0.1
@@ -134,7 +137,7 @@ def srs(
     lowest : float, optional
         Lowest natural frequency, Hz. Default: 5 Hz.
     highest : float, optional
-        Highest natural frequency, Hz. Default: a fifth of the sample rate.
+        Highest natural frequency, at most 0.3 times the sample rate, Hz. Default: a fifth of the sample rate.
     per_octave : int
         Number of natural frequencies per octave.
     from_s : float, optional
@@ -201,14 +204,14 @@ def prescribed_spectrum(rec: Recording, q: float, frequency: Array) -> tuple[Arr
 
 def _check_options(rec: Recording, q: float, lowest: float, highest: float, per_octave: int) -> None:
     """Raise `SceneError` for an option outside of its range."""
-    limit = _BAND_RATIO * rec.rate
+    limit = _LIMIT_RATIO * rec.rate
     if not 0.5 < q < np.inf:
         raise SceneError(f"q: got {q:g}; expected a quality factor above 0.5.")
     if not 0.0 < lowest <= highest:
         raise SceneError(f"lowest: got {lowest:g} Hz; expected a frequency above 0 and up to {highest:g} Hz.")
     if not highest <= limit:
         raise SceneError(
-            f"highest: got {highest:g} Hz; expected at most {limit:g} Hz, {_BAND_RATIO:g} of the sample rate of "
+            f"highest: got {highest:g} Hz; expected at most {limit:g} Hz, {_LIMIT_RATIO:g} of the sample rate of "
             f"{rec.path.name}."
         )
     if not 1 <= per_octave * max(1.0, log2(highest / lowest)) <= _MAX_FREQUENCIES:

@@ -61,6 +61,8 @@ _SHORTEST_TURN = 0.125
 # The frequency changes in a step by at most this fraction of the band, and by half of the fraction before the mode is
 # known.
 _MAX_BAND_RATIO = 0.05
+# The curve begins at the first of these positions in the band, from 0 to 1, where the motion repeats.
+_STARTS = 0.0, 0.05, 0.1, 0.2
 # Without feedback, a response that changes by more than this factor has jumped to another branch.
 _JUMP_RATIO = 2.0
 # A motion that has not jumped returns to the last point with a deviation of ln(amplitude) below this value.
@@ -71,6 +73,9 @@ _LEAPS = 1.0, 2.0, 4.0
 _CORNER_RATIO = 0.25
 # Largest number of these changes.
 _MAX_CORNER_STEPS = 12
+# Duration of these changes, in units of 1 / |l|: their transients hardly leave the motion, which is stable only in the
+# vicinity of a corner.
+_CORNER_DURATION = 20.0
 # Feedback that changes the drive by more than this fraction (rms) indicates a motion that does not repeat.
 _MAX_INVASIVE = 0.01
 
@@ -103,13 +108,8 @@ class _Curve:
 
     def follow(self, drive: float) -> Generator[Array, Array, None]:
         """Measure points up to the end of the band; raise `Lost`. `drive`: amplitude of the first drive."""
-        test, tone = self._test, self._tone
-        point = yield from tone.drive_to(test.from_, drive, self._level)
-        if point is None:
-            failure = f"no steady state at {test.from_:.4g} Hz within {test.settle.longest:g} s"
-            raise Lost(self._limitation() or failure)
-        if not (yield from self._add(point)):
-            raise Lost(self._reason())
+        test = self._test
+        yield from self._begin(drive)
         while len(self.points) < test.points and (0.0 <= self._share < 1.0 or len(self.points) == 1):
             length, shortest = min(test.step, self._length / _SHORTER), _SHORTEST * test.step
             point = None
@@ -133,6 +133,22 @@ class _Curve:
                 f"level {self._level:g}: the curve turns back and leaves the band at {self.points[-1].frequency:.4g} "
                 "Hz, where the test began. Folds beyond are missed. Give a test.from farther from the resonance."
             )
+
+    def _begin(self, drive: float) -> Generator[Array, Array, None]:
+        """Measure the first point, at the first frequency where the motion repeats; raise `Lost`."""
+        test, frequency = self._test, 0.0
+        for share in _STARTS:
+            frequency = test.from_ + share * (test.to - test.from_)
+            point = yield from self._tone.drive_to(frequency, drive, self._level)
+            if point is not None and (yield from self._add(point)):
+                self.gaps += [(test.from_, frequency)] if share else []
+                return
+            if limitation := self._limitation():
+                raise Lost(limitation)
+        raise Lost(
+            f"no motion that repeats within {test.settle.longest:g} s from {test.from_:.4g} to {frequency:.4g} Hz. "
+            "Start farther from the resonance, or raise test.settle.longest"
+        )
 
     @property
     def _share(self) -> float:
@@ -284,24 +300,34 @@ class _Curve:
         target = last.motion * math.exp(math.copysign(length, up))
         step = -self._forward * _CORNER_RATIO * self._test.step * self._rate(last) / (2.0 * math.pi)
 
-        def settle(*frequencies: float) -> Generator[Array, Array, Point | None]:
-            """Settle at each frequency; return the last point, None if the motion is not beyond that of the curve."""
-            point = None
-            for frequency in frequencies:
-                point = yield from tone.drive_to(frequency, self._drive, self._level)
-                if point is None or (point.motion - last.motion) * up <= 0.0:
-                    return None
-            return point
+        def settle(frequency: float) -> Generator[Array, Array, Point | None]:
+            """Change slowly to a frequency and settle; return the point, None without steady state."""
+            if steps := abs(frequency - tone.frequency) / abs(step):
+                samples = self._station.samples(_CORNER_DURATION * max(steps, 1.0) / abs(last.pole))
+                yield self._station.drive(tone.transition(samples, frequency, self._drive))
+            return (yield from tone.drive_to(frequency, self._drive, self._level))
+
+        def has_jumped(motion: float) -> bool:
+            """Return whether the motion differs from an earlier one and is not beyond that of the curve."""
+            return math.log(abs(tone.motion) / motion) * up < -_MAX_RETURN_DEVIATION
+
+        def begin() -> Generator[Array, Array, bool]:
+            """Settle next to the corner at the frequency of the last point; return whether this succeeded."""
+            yield from tone.hold_at(last.frequency, target)
+            return (yield from settle(last.frequency)) is not None and not has_jumped(last.motion)
 
         reached = jump = last.frequency
-        yield from tone.hold_at(last.frequency, target)
-        if (yield from settle(last.frequency)) is None:
+        if not (yield from begin()):
             return None, jump
         for _ in range(_MAX_CORNER_STEPS):
-            jump = reached + step
-            if (yield from settle(jump)) is None:
-                yield from tone.hold_at(last.frequency, target)
-                return (yield from settle(last.frequency, reached)), jump
+            motion, jump = abs(tone.motion), reached + step
+            point = yield from settle(jump)
+            if has_jumped(motion):
+                point = (yield from settle(reached)) if (yield from begin()) else None
+                # The transient of a change can cause the jump early, by a change at most.
+                return (None if has_jumped(last.motion) else point), jump + step
+            if point is None:
+                break
             reached = jump
         return None, jump
 
@@ -345,8 +371,6 @@ class _Curve:
         """
         if limitation := self._limitation():
             return limitation
-        if not self.points:
-            return f"the motion does not repeat at {self._test.from_:.4g} Hz. Start farther from the resonance"
         last, tone = self.points[-1], self._tone
         rates = (
             ("an open-loop growth", growth, MAX_GROWTH_TIMES_DEAD_TIME),
@@ -413,7 +437,7 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
             if curve.gaps:
                 ends = ", ".join(f"{start:.5g} to {end:.5g}" for start, end in curve.gaps)
                 station.warn(
-                    f"level {level:g}: no points from {ends} Hz, where feedback does not hold the motion: "
+                    f"level {level:g}: no points from {ends} Hz, where no steady motion was found: "
                     "its period has doubled, or its impacts change. Folds there are missed. Give a smaller test.step."
                 )
             yield tone.end()

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar, get_args
 
 from daq.core.excitation.station import Excitation, Station
 from rig.core.base.arrays import Array
+from rig.core.base.errors import SceneError
 from rig.core.scene.excitation.kind import KindOfTest, Pulses
 
 if TYPE_CHECKING:
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
 TestT = TypeVar("TestT", bound=KindOfTest)
+Detection = Literal["hits", "dwells", "start", "band"]
+Rehearsal = Literal["part", "peaks"]
 
 # An open-loop drive is output in blocks of this duration, s.
 _BLOCK_S = 0.5
@@ -60,11 +63,18 @@ class Procedure(Generic[TestT]):
     part. `form`: form of the test on the bench page; None if the page does not offer it.
     """
 
-    detection: ClassVar[Literal["hits", "dwells", "start", "band"]] = "band"
-    rehearsal: ClassVar[Literal["part", "peaks"]] = "part"
+    detection: ClassVar[Detection] = "band"
+    rehearsal: ClassVar[Rehearsal] = "part"
     budget: ClassVar[float] = 1.0
     duration_ratio: ClassVar[float] = 1.0
     form: ClassVar[Form | None] = None
+
+    def __init_subclass__(cls) -> None:
+        """Raise `SceneError` for an unknown value: an import would detect nothing."""
+        for name, value, values in (("detection", cls.detection, Detection), ("rehearsal", cls.rehearsal, Rehearsal)):
+            if value not in get_args(values):
+                expected = ", ".join(get_args(values))
+                raise SceneError(f"{cls.__module__}: {cls.__name__}.{name} is {value!r}; expected one of {expected}.")
 
     def excite(self, station: Station, test: TestT) -> Excitation:
         """Run the test; by default, output its open-loop drive, and mark the intervals of `measured`."""

@@ -41,4 +41,4 @@ def level_lines(result: Backbone) -> list[str]:
     points = result.level_points()
     names = points[0].quantities
     rows = [("level", *names, "remark"), *level_rows(points, names)]
-    return [f"  {line}" for line in table_lines(rows, ">>>>><")]
+    return [f"  {line}" for line in table_lines(rows, ">" * (len(names) + 1) + "<")]

@@ -3,7 +3,7 @@
 import os
 import sys
 
-# The script of `daq run` inherits the environment, so that it is not changed.
+# The script of `daq run` inherits the environment, so it is not changed.
 if "run" not in sys.argv:
     # The matrices are so small that the threads of OpenBLAS would wait for each other longer than they compute.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

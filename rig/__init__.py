@@ -10,6 +10,6 @@ except KeyboardInterrupt:
 
 import lazy_loader
 
-# A module is imported when a name of `__init__.pyi` is first used, so that the package loads quickly: the import of
+# A module is imported when a name of `__init__.pyi` is first used, so the package loads quickly: the import of
 # numba alone takes longer than a whole impact test.
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

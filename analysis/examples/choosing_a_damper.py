@@ -10,7 +10,7 @@ Exact steady-state motions show which of several clearances gives the lowest wor
 
 # %%
 # One damper in body 2. A force of 3.3 N acts on body 1, as with an ideal controller. The response with dampers is
-# nonlinear: at another force, another clearance may be the best.
+# nonlinear: at a different force, a different clearance may be the best.
 import matplotlib.pyplot as plt
 import numpy as np
 

@@ -4,7 +4,7 @@ Impact test: double impacts and clipping
 
 A rebound of the hammer and a range that is too small are the two common faults of an impact test.
 
-Here both are simulated, so that their effect on the response is known.
+Here both are simulated, so their effect on the response is known.
 """
 
 # %%

@@ -29,7 +29,7 @@ channels:
 converter: {rate: 10240 Hz, bits: 24, range: 5 V}
 """)
 RATE, BLOCK, BLOCKS = 10240.0, 40960, 6
-# Pseudo-random excitation: one block of noise from 30 to 250 Hz is repeated, so that there is no leakage.
+# Pseudo-random excitation: one block of noise from 30 to 250 Hz is repeated, so there is no leakage.
 frequencies = np.fft.rfftfreq(BLOCK, 1 / RATE)
 phases = np.random.default_rng(1).uniform(0.0, 2 * np.pi, frequencies.size)
 block = np.fft.irfft(np.where((frequencies > 30) & (frequencies < 250), np.exp(1j * phases), 0.0))

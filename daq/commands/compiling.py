@@ -22,7 +22,7 @@ _CONVERTERS = ({"rate": 5120.0, "skew": 1e-6}, {"rate": 5120.0, "filter": "delta
 
 
 def warm_up() -> None:
-    """Compile all kernels (compiled functions) now, on two processors, so that later calls need not wait.
+    """Compile all kernels (compiled functions) now, on two processors so that later calls need not wait.
 
     The first call takes about a minute; later calls take some seconds, until shotrig, numba or the processor change.
     """

@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from daq.core.measurement.run_report import summary
-from daq.core.recording.markers import hits_of
+from daq.core.recording.markers import impacts_of
 from daq.core.recording.recording import Recording
 from daq.core.recording.recording import open as open_recording
 from daq.extras.importing.files import signals_of
@@ -66,10 +66,10 @@ def import_and_report(
 
 def _detection_lines(recording: Recording, scene: Scene) -> Iterator[str]:
     """Yield lines about the impacts or dwells that were detected in the samples."""
-    hits = hits_of(recording.markers)
-    if hits:
-        peaks = [float(hit.fields["peak"]) for hit in hits]
-        test, count = scene.test, len(hits)
+    impacts = impacts_of(recording.markers)
+    if impacts:
+        peaks = [float(impact.fields["peak"]) for impact in impacts]
+        test, count = scene.test, len(impacts)
         # The number of impacts is compared only if the scene states it; a default is not the plan of the test.
         planned = test.hits[0] if test is not None and "repeats" in test.model_fields_set else count
         share = f"{count} of {planned} impacts" if count < planned else "1 impact" if count == 1 else f"{count} impacts"

@@ -1,6 +1,6 @@
 """Finite read: drive the table with a sine and read a second of all four accelerometers.
 
-The start trigger of the inputs starts the output, so that both begin at the same sample of the common clock.
+The start trigger of the inputs starts the output, so both begin at the same sample of the common clock.
 """
 
 import nidaqmx

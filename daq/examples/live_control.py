@@ -33,7 +33,7 @@ def main(blocks: int = 60) -> float:
         output.out_stream.regen_mode = RegenerationMode.DONT_ALLOW_REGENERATION
         output.out_stream.output_buf_size = 4 * BLOCK
         output.triggers.start_trigger.cfg_dig_edge_start_trig("/cDAQ1/ai/StartTrigger")
-        # A block contains whole periods, so that blocks join without a phase jump. Two blocks are written in advance.
+        # A block contains whole periods, so blocks join without a phase jump. Two blocks are written in advance.
         output.write(np.tile(drive * carrier.imag, 2))
         output.start()
         inputs.start()

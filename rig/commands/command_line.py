@@ -78,7 +78,7 @@ def run_command(module: str) -> NoReturn:
     Parameters
     ----------
     module : str
-        Name of the module; it is imported here, so that an interrupted import is also reported.
+        Name of the module; it is imported here, so an interrupted import is also reported.
     """
     # Imported objects are permanent, so they are not scanned for garbage, which would take a tenth of the start-up
     # time.
@@ -168,7 +168,7 @@ def _report(error: BaseException) -> int:
     try:
         sys.stdout.flush()
     except OSError:
-        # Standard output is broken: redirect it, so that the flush at exit does not fail again.
+        # Standard output is broken: redirect it, so the flush at exit does not fail again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return code
 
@@ -215,7 +215,7 @@ def _describe(error: BaseException) -> tuple[int, str]:
 
 
 def _handle_signals(cleanup: ExitStack) -> None:
-    """Handle termination signals as Ctrl-C, so that files are closed."""
+    """Handle termination signals as Ctrl-C so that files are closed."""
     for number in TERMINATION_SIGNALS:
         previous = signal.getsignal(number)
         # The parent may have disabled the signal on purpose (nohup).

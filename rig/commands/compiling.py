@@ -1,4 +1,4 @@
-"""Compilation of machine code in advance, so that the first result on a machine is not delayed."""
+"""Compilation of machine code in advance, so the first result on a machine is not delayed."""
 
 from __future__ import annotations
 

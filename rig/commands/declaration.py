@@ -15,7 +15,7 @@ from typing import Annotated, Any, get_args
 
 import typer
 
-# Upper limit of numbers whose type gives none ("int, at least 1"), so that typing errors are rejected.
+# Upper limit of numbers whose type gives none ("int, at least 1"), so typing errors are rejected.
 _MAX_COUNT = 100_000
 # Options of parameters that have another name in Python.
 _OPTIONS = {

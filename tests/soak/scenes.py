@@ -283,7 +283,7 @@ def _replace_entry(content: Any, rng: random.Random) -> None:
 
 
 def _unusual_value(value: Any, rng: random.Random) -> Any:
-    """Draw an unusual number with the unit of a value, an unusual text, or a value of another type."""
+    """Draw an unusual number with the unit of a value, an unusual text, or a value of a different type."""
     kind = rng.random()
     if kind < 0.55:
         number = rng.choice(UNUSUAL_NUMBERS)

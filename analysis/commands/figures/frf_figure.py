@@ -215,7 +215,7 @@ def _draw_curve(
 
     `top`: upper end of the phase axis, degrees; `marks`: marked peaks, which the thin curve reaches.
     """
-    # A downward sweep has larger, open markers, so that an upward sweep remains visible where both coincide.
+    # A downward sweep has larger, open markers, so an upward sweep remains visible where both coincide.
     is_folded = folds_back(frf.frequency)
     is_downward = frf.frequency.size > 1 and frf.frequency[0] > frf.frequency[-1] and not is_folded
     color = style.color
@@ -291,7 +291,7 @@ def _draw_curve(
 
 
 def folds_back(frequency: Array) -> bool:
-    """Return whether the frequency of a sweep reverses, so that there are several responses at one frequency."""
+    """Return whether the frequency of a sweep reverses, so there are several responses at one frequency."""
     steps = np.diff(frequency)
     return bool((steps > 0).any() and (steps < 0).any())
 
@@ -489,7 +489,7 @@ def is_smooth(frf: Response) -> NDArray[np.bool_]:
 
 
 def exceeds_noise(frf: Response) -> NDArray[np.bool_]:
-    """Return whether each point exceeds its noise, so that its phase is determined.
+    """Return whether each point exceeds its noise, so its phase is determined.
 
     The criterion is the standard uncertainty and the coherence if the curve has both, otherwise the roughness of the
     curve from point to point.

@@ -49,7 +49,7 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
         rows = figure.add_gridspec(2 + shape_rows, columns, height_ratios=[2.2, 1.3, *[1.3] * shape_rows])
         magnitude_axes = figure.add_subplot(rows[0, :])
         chart_axes = figure.add_subplot(rows[1, :])
-        # Frequencies are dense around each resonance, so that the drawn model reaches its peaks.
+        # Frequencies are dense around each resonance, so the drawn model reaches its peaks.
         near_peaks = modes.frequency[:, None] * (1.0 + np.outer(modes.damping, np.linspace(-8.0, 8.0, 161)))
         dense = np.unique(np.append(np.geomspace(low, high, 1500), near_peaks))
         dense = dense[(dense >= low) & (dense <= high)]

@@ -284,7 +284,7 @@ class MeasurementPoints:
         """Raise `SceneError` if the recordings share no response, or if equal names denote different points."""
         if self.force_on != first.force_on:
             raise SceneError(
-                f"{self.path}: driven at {_bodies(self.force_on)}, {first.path} at {_bodies(first.force_on)}, so that "
+                f"{self.path}: driven at {_bodies(self.force_on)}, {first.path} at {_bodies(first.force_on)}, so "
                 "their responses cannot be compared. Give recordings with the force on the same body."
             )
         common = [name for name in first.channels if name in self.channels]

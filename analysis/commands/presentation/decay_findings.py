@@ -70,13 +70,13 @@ def present_decay(
         rec = recordings.of(path)
         check_recording(rec, path, "decay")
         decays.append(relabel(decay(rec, channel, hit), rec.scene.name, label))
-        has_hits = rec.test.drives
+        has_impacts = rec.test.drives
         moving[label] = not rec.scene.is_linear
         excitations.append(full_test_text(rec))
         places.append(rec.channels[decays[-1].channel].at)
         warnings += with_recording_name(path, decays[-1].warnings)
     first = decays[0]
-    title = f"Free decay of {first.channel}{f' after impact {hit}' if has_hits else ''}"
+    title = f"Free decay of {first.channel}{f' after impact {hit}' if has_impacts else ''}"
     if excitations[0] and len(set(excitations)) == 1:
         title += f" ({excitations[0]})"
     reference = baseline_label(moving)

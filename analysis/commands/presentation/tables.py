@@ -57,7 +57,7 @@ def frf_table(path: Path, frfs: Sequence[Response]) -> Path:
     ]  # fmt: skip
     rows: list[Row] = []
     for frf in frfs:
-        # Omitted frequencies have rows without values, so that a line drawn from the table is interrupted there.
+        # Omitted frequencies have rows without values, so a line drawn from the table is interrupted there.
         curve = frf.with_gaps() if frf.omitted.size else frf
         systematic = curve.expanded_systematic() if curve.limits else np.full(curve.frequency.size, np.nan)
         measured = np.isfinite(curve.value)

@@ -49,7 +49,7 @@ def time_histories(rec: Recording) -> Chart:
         scale, shown_unit = (1e3, "mm") if unit == "m" else (1.0, unit.replace("^2", "²"))
         places = [names.index(name) for name in selected]
         curves = [Curve(names[k], time, scale * rows[k], style=styles[k]) for k in places]
-        # The channel with the largest motion is drawn first, so that it hides no other channel.
+        # The channel with the largest motion is drawn first, so it hides no other channel.
         curves.sort(key=lambda curve: -float(np.ptp(curve.y)))
         panels.append(Panel(rec.channels[selected[0]].quantity, shown_unit, curves, height=170))
     resolution = "every sample" if is_complete else f"largest and smallest value of each of {_INTERVALS} intervals"

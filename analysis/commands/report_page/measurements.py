@@ -268,7 +268,7 @@ def _peaks_of_modes(frfs: Sequence[Response], modes: Modes) -> tuple[tuple[tuple
     """Return the responses that have a peak near each mode, with their peaks, in the order of `modes`."""
     _, low, high = peak_bands(modes)
     found = []
-    # The bands are in ascending order of frequency; the modes may be in another order.
+    # The bands are in ascending order of frequency; the modes may be in a different order.
     for rank in np.argsort(np.argsort(modes.frequency)):
         peaks = [(frf, resonance_peak(frf, low[rank], high[rank])) for frf in frfs]
         found.append(tuple((frf, peak) for frf, peak in peaks if peak is not None and not peak.at_end))
@@ -278,7 +278,7 @@ def _peaks_of_modes(frfs: Sequence[Response], modes: Modes) -> tuple[tuple[tuple
 def highest_peak(
     resonances: Sequence[tuple[Response, Sequence[tuple[Resonance, Peak]]]], peaks: Sequence[tuple[Response, Peak]] = ()
 ) -> tuple[Response, Peak] | None:
-    """Return the response with the highest peak, near a mode or at another frequency.
+    """Return the response with the highest peak, near a mode or at a different frequency.
 
     `resonances`: responses with their `resonance_peaks`; `peaks`: the peaks near the modes.
     """

@@ -16,7 +16,7 @@ from analysis.commands.report_page.measurements import Measurement, SweepChange,
 from analysis.commands.report_page.tables import change_text
 from analysis.core.damper_motion.dampers import Dampers
 from analysis.core.modal.mode_warnings import MAX_LINEAR_RESIDUAL
-from daq.core.recording.markers import faults_of_hits, hits_of
+from daq.core.recording.markers import faults_of_impacts, impacts_of
 from daq.core.recording.recorded_test import deviation_unit, shocks_of
 from rig.core.results import format_decimals, format_frequencies, format_limited, format_percent
 from rig.core.scene.excitation import FORCE_TOLERANCE
@@ -52,8 +52,8 @@ def limitations(measurements: Sequence[Measurement]) -> list[str]:
         )
         if residual > MAX_LINEAR_RESIDUAL:
             faults.append(f"the modes leave a residual of {format_percent(residual)} of the peak height")
-        if faulty := faults_of_hits(rec.markers):
-            count = len(hits_of(rec.markers))
+        if faulty := faults_of_impacts(rec.markers):
+            count = len(impacts_of(rec.markers))
             faults.append(f"of {count} impacts, {faulty}{'; clipped samples are omitted' * bool(rec.overloads)}")
         elif rec.overloads:
             faults.append(f"{len(rec.overloads)} overload{'s' * (len(rec.overloads) > 1)}")

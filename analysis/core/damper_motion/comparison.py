@@ -264,7 +264,7 @@ def resonance_peaks(frf: Response) -> list[tuple[Resonance, Peak]]:
     resonances = sorted(find_resonances(receptance), key=lambda resonance: resonance.frequency)
     frequency = np.array([resonance.frequency for resonance in resonances])
     between = np.sqrt(frequency[1:] * frequency[:-1])
-    # A band has at least three lines on either side of a resonance, so that an uncertainty exists for widely spaced
+    # A band has at least three lines on either side of a resonance, so an uncertainty exists for widely spaced
     # lines, too.
     lines = np.sort(frf.frequency)
     position = np.searchsorted(lines, frequency)

@@ -134,7 +134,7 @@ def dampers_in(rec: Recording, label: str | None = None, progress: CountProgress
         bodies, warnings = [], list(sweep.lines.warnings)
         missing = [
             f"joint {number}, {joint.text(rec.scene.structure.label)}: the channels do not determine when it acts, "
-            "because its force is not measured. It changes the motion of its bodies as impacts of dampers do, so that "
+            "because its force is not measured. It changes the motion of its bodies as impacts of dampers do, so "
             "these are not detected. The energy into the dampers includes its loss."
             for number, joint in enumerate(rec.scene.joints, 1)
         ]
@@ -148,7 +148,7 @@ def dampers_in(rec: Recording, label: str | None = None, progress: CountProgress
             if info is None:
                 name = rec.scene.structure.label(number)
                 missing.append(
-                    f"{name}: no channel measures its motion, so that impacts are not detected. Mount a sensor there."
+                    f"{name}: no channel measures its motion, so impacts are not detected. Mount a sensor there."
                 )
                 continue
             try:

@@ -257,7 +257,7 @@ def may_reach_ceiling(motion: BodyMotion, damper: Damper) -> bool:
     """Return whether the only damper on a body may reach its ceiling between its floor impacts.
 
     After an instantaneous impact the damper is at rest on the floor while the body's acceleration exceeds -g. The
-    damper is then in free fall, so that its height above the floor follows from the motion of the body. For
+    damper is then in free fall, so its height above the floor follows from the motion of the body. For
     finite-duration contact the release is unknown; the flight is then computed backward from the closing speed of the
     next impact. The computed height is the largest within the sensor tolerance. The median of these heights over the
     segment is compared with the clearance of the scene.

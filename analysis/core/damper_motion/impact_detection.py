@@ -165,7 +165,7 @@ def detect_impacts(
     quantization_noise = 0.0 if info.volts_per_count is None else info.unit_per_count / 12.0**0.5
     noise_floor = max(quantization_noise, 1e-14 * float(abs(samples).max()))
     if noise_floor == 0.0:
-        raise RecordingError(f"{info.name}: reads zero throughout this segment. Check its sensor and cable.")
+        raise RecordingError(f"{info.name} reads zero throughout this segment. Check its sensor and cable.")
     rate, noise_floor = rec.rate / decimation, noise_floor / decimation**0.5
     averages, valid = _average_groups(samples, decimation), _average_groups(valid_samples, decimation) == 1.0
     search = MatchingPursuit(models, averages, valid, noise_floor, rate, NOISE_QUANTILE)
@@ -234,7 +234,7 @@ def _impact_channel(rec: Recording, channel: str) -> tuple[ChannelInfo, Pulse | 
     info = find_channel(rec, channel)
     if info.quantity not in MOTIONS:
         raise RecordingError(
-            f"{info.name}: measures {info.quantity}, but impacts show in motion channels only. Choose a channel of "
+            f"{info.name} measures {info.quantity}, but impacts show in motion channels only. Choose a channel of "
             "acceleration, velocity or displacement."
         )
     pulse = landing_pulse(rec.scene, info.at, info.rate)

@@ -67,7 +67,7 @@ class UnitResponses(NamedTuple):
 class ImpactModel:
     """Responses to unit velocity jump, acceleration step and acceleration kink, and the filters that estimate them.
 
-    All arrays are differences of successive samples, so that the response to a jump is short. The order of the
+    All arrays are differences of successive samples, so the response to a jump is short. The order of the
     differences is two higher than the number of integrations in the channel. The fit itself is a least-squares fit of
     the readings, because the noise of the readings is white.
 
@@ -231,7 +231,7 @@ class ImpactModel:
 
 @lru_cache(maxsize=32)
 def with_order(model: ImpactModel, order: int) -> ImpactModel:
-    """Return a model with another polynomial order in `readings`; the filters do not change."""
+    """Return a model with a different polynomial order in `readings`; the filters do not change."""
     return model if order == model.polynomial_order else replace(model, polynomial_order=order)
 
 

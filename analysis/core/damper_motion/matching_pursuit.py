@@ -4,7 +4,7 @@ Method: Y. C. Pati, R. Rezaiifar, P. S. Krishnaprasad, Asilomar 1993. The likeli
 *Detection Theory*, 1998) is computed at every sample. Each local maximum above the detection threshold is a jump, which
 is fitted and subtracted. Overlapping jumps are fitted again jointly. The search is then repeated in the residual.
 
-The readings are differenced, so that the response to a jump is short. A *window* is a range of these differences in
+The readings are differenced, so the response to a jump is short. A *window* is a range of these differences in
 which one jump is fitted. A *step* and a *kink* are changes of the acceleration and of its slope (see `impact_model`). A
 *bed* is the filling of a damper, which moves as one mass.
 """

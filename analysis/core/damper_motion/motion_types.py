@@ -1,9 +1,9 @@
 """Type of damper motion in a stepped-sine test, estimated from the channels.
 
 A damper moves in a cavity of its body, between floor and ceiling. The types are those of Inoue, Yokomichi and Hiraki
-(2011). Riding: at rest on the floor. Type I: one floor impact per period. Types II and III: one impact on each of floor
-and ceiling per period; the damper leaves the ceiling immediately (II), or stays there until the acceleration of the
-body rises to -g (III). Other patterns are described by their numbers of impacts.
+(2011). Riding: the bed is at rest on the floor. Type I: one floor impact per period. Types II and III: one impact on
+each of floor and ceiling per period; the damper leaves the ceiling immediately (II), or stays there until the
+acceleration of the body rises to -g (III). Other patterns are described by their numbers of impacts.
 """
 
 from dataclasses import dataclass, replace
@@ -58,7 +58,7 @@ class DamperMotion:
     threshold: float
     """Detection limit: smallest velocity jump that is reliably detected, m/s."""
     stays_on_floor: bool
-    """Whether the body's acceleration stays above -g by more than its uncertainty, so that all dampers stay at rest on
+    """Whether the body's acceleration stays above -g by more than its uncertainty, so all dampers stay at rest on
     the floor.
     """
     restitution: Restitution | None = None
@@ -240,7 +240,7 @@ def _push_time(acceleration: Array, amplitude: float, gravity: float, frequency:
 
 
 def _min_acceleration(motion: BodyMotion, numbers: list[int], frequency: float) -> float:
-    """Return a lower bound of the acceleration of a body and of its dampers at rest, m/s², including the tolerance."""
+    """Return a lower bound of the acceleration of a body and of its riding dampers, m/s², including the tolerance."""
     scene, rows = motion.rec.scene, [motion.acceleration]
     count = rows[0].size
     for number in numbers:

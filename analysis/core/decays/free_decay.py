@@ -19,7 +19,7 @@ from analysis.core.recordings.names import takes_path
 from analysis.core.recordings.slices import impact_ranges, interpolated
 from analysis.core.responses.errors.systematic import clock_deviation
 from analysis.core.responses.measurands import motion_channel, response_channels
-from daq.core.recording.markers import faulty_hits
+from daq.core.recording.markers import faulty_impacts
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.results import Result, complete_style, format_percent
@@ -129,7 +129,7 @@ class Decay(Result):
 
     @property
     def quiet_from(self) -> float:
-        """Time in s from which the acceleration stays below 1 g, so that no damper on this body leaves its floor."""
+        """Time in s from which the acceleration stays below 1 g, so no damper on this body leaves its floor."""
         return self.time_below(self.gravity)
 
     @property
@@ -149,7 +149,7 @@ def upper_bound(acceleration: Array, period: float) -> Array:
     """Return a smooth upper bound of the magnitude of an acceleration.
 
     `period`: period of the lowest mode, in samples. The running maximum over half a period on either side is smoothed
-    with a window of the same length. All maxima in this window include the sample in its middle, so that their weighted
+    with a window of the same length. All maxima in this window include the sample in its middle, so their weighted
     mean is not smaller than this sample.
 
     >>> acceleration = np.exp(-0.01 * np.arange(400)) * np.sin(np.arange(400))
@@ -191,7 +191,7 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     read_start, decay_start, decay_stop, read_stop = _decay_limits(rec, info, hit)
     samples, warnings = _read_samples(rec, info, hit, read_start, read_stop)
     warnings += _overload_warnings(rec, info, hit, decay_start, read_stop)
-    if fault := faulty_hits(rec.markers, ()).get(hit):
+    if fault := faulty_impacts(rec.markers, ()).get(hit):
         warnings.append(f"Impact {hit} was {fault}. Choose another impact, or record again.")
     max_modes = modes if modes is not None else rec.scene.structure.bodies
     # The search range ends at least an octave above the highest mode of the scene.
@@ -278,7 +278,7 @@ def _overload_warnings(rec: Recording, info: ChannelInfo, hit: int, start: int, 
     if not fraction:
         return []
     return [
-        f"{info.name} was overloaded for {format_percent(fraction)} of the decay, so that its first amplitudes are "
+        f"{info.name} was overloaded for {format_percent(fraction)} of the decay, so its first amplitudes are "
         "too low. Hit more softly, or widen the converter's range."
     ]
 
@@ -320,7 +320,7 @@ def _decay_limits(rec: Recording, info: ChannelInfo, hit: int) -> tuple[int, int
     read_stop = arrival(info, ranges[hit][0], ranges[hit][0])[0] if hit < len(ranges) else rec.samples
     max_response_delay = arrival(info, 0, 0)[1]
     decay_start, decay_stop = last + 1, read_stop - max_response_delay
-    # Include samples before the impact, so that the band-pass starts with the structure at rest.
+    # Include samples before the impact so that the band-pass starts with the structure at rest.
     read_start = max(first - int(0.5 * rec.rate), ranges[hit - 2][1] + 1 if hit > 1 else 0, 0)
     if decay_stop - decay_start < _MIN_SAMPLES:
         raise RecordingError(

@@ -11,7 +11,7 @@ from rig.core.results.response import MOTIONS
 class CorrectedMotion:
     """Band-limited true motion of a segment of samples, as displacement, velocity or acceleration.
 
-    The samples are mirrored at both ends before the Fourier transform, so that the periodic continuation has no step
+    The samples are mirrored at both ends before the Fourier transform, so the periodic continuation has no step
     between the last sample and the first. If the samples are differentiated, the mirror image is also inverted (odd
     extension), which removes the kink at the ends. The inversion changes the mean value, but differentiation removes
     the mean.

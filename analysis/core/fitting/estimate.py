@@ -149,7 +149,7 @@ def _estimate_dampers(
             x = solve(problem, x, problem.groups, model_error, active, max_evaluations=8)
             x = solve(problem, x, problem.groups, 0.0, active, max_evaluations=12)
         cost = _robust_cost(problem, x, damper_groups)
-        # A single outlier does not prove ceiling impacts, because its motion may be of another type.
+        # A single outlier does not prove ceiling impacts, because its motion may be of a different type.
         cost_of_one_outlier = _MAX_SQUARE / min(group.is_fitted.size for group in damper_groups)
         if cost < lowest_cost + cost_of_one_outlier * is_unreached:
             best, lowest_cost, orbit_states = x, cost, [group.orbit_state() for group in damper_groups]

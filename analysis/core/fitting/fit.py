@@ -340,7 +340,7 @@ def _compare(problem: Problem, x: Array, scene: Scene, group: Group) -> Comparis
     residual = predicted - curves.value
     normalized = abs(np.einsum("nij,jn->in", curves.whitening, residual))
     is_fitted = group.is_fitted & np.isfinite(normalized).all(axis=0)
-    # Weights of 1 / standard deviation, so that lines with much noise have little influence.
+    # Weights of 1 / standard deviation, so lines with much noise have little influence.
     weight = abs(np.einsum("nii->in", curves.whitening))[:, is_fitted]
     relative_square = np.sum(abs(weight * residual[:, is_fitted]) ** 2, axis=1)
     relative_square /= np.sum(abs(weight * curves.value[:, is_fitted]) ** 2, axis=1)

@@ -106,7 +106,7 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
             "no resonance is higher than the noise and wider than the frequency resolution."
         )
         raise RecordingError(
-            f"{curves[0].label}: {reason} Measure for longer, with a smaller frequency spacing, or in another band."
+            f"{curves[0].label}: {reason} Measure for longer, with a smaller frequency spacing, or in a different band."
         )
     # A pole is omitted if the uncertainty of the curves at its frequency is unbounded.
     frequency: Array = np.asarray(abs(found.poles) / (2 * np.pi), dtype=float)

@@ -36,7 +36,7 @@ def reduce_lines(curves: Sequence[Response]) -> list[Response]:
     if count <= MAX_LINES or any(curve.frequency.size != count for curve in curves):
         return list(curves)
     magnitudes = np.nan_to_num(np.stack([abs(curve.value) for curve in curves]))
-    # Each curve is divided by its median, so that all have equal weight.
+    # Each curve is divided by its median, so all have equal weight.
     normalized = magnitudes / np.median(magnitudes, axis=1, keepdims=True).clip(1e-300)
     magnitude = np.sqrt(np.mean(normalized**2, axis=0))
     log_magnitude = np.log(np.maximum(magnitude, 1e-12 * magnitude.max()))

@@ -28,10 +28,10 @@ from rig.core.base.errors import RecordingError, SceneError
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import standard_of_limit
 
-# Each point is given at least this relative uncertainty, so that a few points with a very small uncertainty do not
+# Each point is given at least this relative uncertainty, so a few points with a very small uncertainty do not
 # determine the result.
 MIN_RELATIVE_ERROR = 1e-4
-# A second chart assumes this relative uncertainty, so that the whole curve has weight and not only its peaks.
+# A second chart assumes this relative uncertainty, so the whole curve has weight and not only its peaks.
 _CHART_ERROR = 0.03
 # Maximum number of initial poles.
 _MAX_INITIAL_POLES = 15

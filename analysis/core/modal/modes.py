@@ -115,7 +115,7 @@ class Modes(Result):
     places : tuple of str
         Location of each channel: name of its body, or ``body 1``; empty if unknown.
     bodies : tuple of int
-        Number of the body of each channel, from 1; 0 for another location.
+        Number of the body of each channel, from 1; 0 for any other location.
     uncertain : tuple of UncertainMode
         Poles that are not counted as modes, each with the reason, in ascending order of frequency.
     """

@@ -67,7 +67,7 @@ def are_in_band(curves: Curves, poles: ComplexArray) -> NDArray[np.bool_]:
 
 
 def are_narrower_than_resolution(curves: Curves, poles: ComplexArray) -> NDArray[np.bool_]:
-    """Return whether the peaks of poles are narrower than the resolution, so that their widths are undetermined."""
+    """Return whether the peaks of poles are narrower than the resolution, so their widths are undetermined."""
     return np.asarray(2.0 * half_width(poles) < curves.resolution)
 
 

@@ -52,7 +52,7 @@ def pole_errors(curves: Curves, model: ModalModel) -> tuple[Array, Array]:
     """
     frequency_error, damping_error = propagate(model.poles, _covariance_factors(curves, model))
     # Errors of random phase shift a pole in any direction of the complex plane. With few lines the estimate in one
-    # direction may be small by chance, so that the frequency error is at least the root mean square of both directions.
+    # direction may be small by chance, so the frequency error is at least the root mean square of both directions.
     decay_error = damping_error * abs(model.poles) / (2 * np.pi)
     frequency_error = np.maximum(frequency_error, np.hypot(frequency_error, decay_error) / np.sqrt(2.0))
     return _add_min_uncertainty(model.poles, frequency_error, damping_error)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.core.recording.layout import require_ordered_times
-from daq.core.recording.markers import hits_of
+from daq.core.recording.markers import impacts_of
 from daq.core.recording.recording import Recording
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
@@ -124,7 +124,7 @@ def interpolated(samples: Array, is_valid: NDArray[np.bool_]) -> Array:
 
 def impact_ranges(rec: Recording) -> list[tuple[int, int]]:
     """Return the first and last sample of every impact; a free decay counts as one impact at sample 0."""
-    ranges = [(impact.first_sample, impact.end) for impact in hits_of(rec.markers)]
+    ranges = [(impact.first_sample, impact.end) for impact in impacts_of(rec.markers)]
     if ranges:
         return ranges
     if not rec.test.drives:

@@ -28,7 +28,7 @@ def weak_force_warnings(forces: Sequence[tuple[Point, float]]) -> list[str]:
     return [
         f"{force.name} at {force.place} is "
         f"{'zero' if np.isinf(relative) else f'{-relative:.0f} dB below the largest'}. "
-        f"It is neglected as an input, so that the responses are those to {used} alone. Check its amplifier and sensor."
+        f"It is neglected as an input, so the responses are those to {used} alone. Check its amplifier and sensor."
         for force, relative in forces
         if relative <= _MIN_RELATIVE_FORCE_DB
     ]

@@ -14,7 +14,7 @@ from analysis.core.responses.measurands import (
     required_channels,
     select_channels,
 )
-from daq.core.recording.markers import describe_faulty_hits
+from daq.core.recording.markers import describe_faulty_impacts
 from daq.core.recording.recorded_test import TestKind
 from daq.core.recording.recording import Recording
 from rig.core.base.errors import RecordingError, SceneError
@@ -101,7 +101,7 @@ def frequency_responses(
     computed = own_estimator.compute(request)
     warnings = weak_force_warnings(relative)
     warnings += dead_channel_warnings(rec, used, names)
-    if faulty := describe_faulty_hits(rec.markers, used):
+    if faulty := describe_faulty_impacts(rec.markers, used):
         warnings.append(faulty)
     warnings += [text for parts in own_estimator.parts(request) for text in change_warnings(rec, parts, used)]
     warnings += [

@@ -67,7 +67,7 @@ def averaged_spectra(
         notes.append(f"{len(begins) - averaged.used} of {len(begins)} impacts omitted: {reasons}.")
     if averaged.used == 1:
         notes.append(
-            "Only one impact was used, so that the coherence is 1 for any noise and the random error is unknown. "
+            "Only one impact was used, so the coherence is 1 for any noise and the random error is unknown. "
             "Record more impacts."
         )
     has_leakage = averaged.end_ratio > _MAX_END_RATIO

@@ -176,7 +176,7 @@ def location_of(rec: Recording, channel: str) -> str:
 
 
 def output_point(rec: Recording, channel: str, motion: str) -> Point:
-    """Return the output of responses of a channel, with the number of its body; 0 for another location."""
+    """Return the output of responses of a channel, with the number of its body; 0 for any other location."""
     at = rec.channels[channel].at
     return Point(channel, motion, location_of(rec, channel), body_number(at))
 

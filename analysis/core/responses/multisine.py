@@ -2,7 +2,7 @@
 
 A *realization* is a measurement of several periods with one set of random phases. *Distortion* is the difference
 between the response of a nonlinear structure and its best linear approximation. With several inputs, a realization
-consists of as many *experiments*, with mutually orthogonal phases, so that the matrix of inputs can be inverted at each
+consists of as many *experiments*, with mutually orthogonal phases, so the matrix of inputs can be inverted at each
 line [1]_: a sum of the experiments is due to each input alone.
 
 References

@@ -56,7 +56,7 @@ _MAX_MOTION_RATIO = 0.01
 class SegmentFits:
     """Interval, channels and frequency band of a test that is evaluated by local fits."""
 
-    # channels; a flaw of one channel excludes the samples of all channels, so that all responses have the same lines
+    # channels; a flaw of one channel excludes the samples of all channels, so all responses have the same lines
     channels: tuple[str, ...]
     first: int  # first sample of the test
     stop: int  # one past the last sample of the test
@@ -104,7 +104,7 @@ class SegmentFits:
         all_flaws = sorted([*all_flaws, *self.other_flaws], key=lambda flaw: flaw.first)
         segments, notes = self._sufficient_segments(rec, clean_segments(all_flaws, self.first, self.stop))
         if self.impacts is not None:
-            segments, split_notes = self._split_at_hits(segments, rec.rate)
+            segments, split_notes = self._split_at_impacts(segments, rec.rate)
             notes += split_notes
         if all_flaws:
             used_ratio = sum(stop - start for start, stop in segments) / (self.stop - self.first)
@@ -161,8 +161,10 @@ class SegmentFits:
         """Return the maximum number of impacts that are fitted together; the last channel is the force."""
         return min(max(_MAX_RESIDUALS // max(len(self.channels) - 1, 1), 1), _MAX_HITS)
 
-    def _split_at_hits(self, segments: list[tuple[int, int]], rate: float) -> tuple[list[tuple[int, int]], list[str]]:
-        """Split segments before impacts, so that no segment has more impacts or samples than one fit can include.
+    def _split_at_impacts(
+        self, segments: list[tuple[int, int]], rate: float
+    ) -> tuple[list[tuple[int, int]], list[str]]:
+        """Split segments before impacts so that no segment has more impacts or samples than one fit can include.
 
         The vibration that remains from earlier impacts is a transient of the fit.
         """
@@ -219,7 +221,7 @@ class SegmentFits:
         """Compute the spectra of segments, each padded with zeros to the length of the longest of the test."""
         # The transform is periodic: zeros separate the end of a segment from the response to its impact.
         leading_zeros = 0 if self.impacts is None else min(self.impacts.interval, longest)
-        # The length does not depend on motion before the impacts, so that all responses have the same lines.
+        # The length does not depend on motion before the impacts, so all responses have the same lines.
         size = fft.next_fast_len(longest + leading_zeros, real=True)
         # The spectrum of periodic impacts is a comb: it has no excitation between its lines.
         lines_per_comb_line = 1.0 if self.impacts is None else max(1.0, size / leading_zeros)
@@ -329,7 +331,7 @@ def _with_motion_before(frf: Response, prior_motion: Sequence[float]) -> Respons
     """Add the error due to motion before the impacts to a response's uncertainty, and warn if it is large."""
     if np.isnan(prior_motion).any():
         frf = frf.warn(
-            f"{frf.response}: the samples begin with an impact, so that motion before it is unknown and the structure "
+            f"{frf.response}: the samples begin with an impact, so motion before it is unknown and the structure "
             "is assumed to be at rest. Start recording at least 0.2 s before each impact."
         )
     largest = max((ratio for ratio in prior_motion if np.isfinite(ratio)), default=None)

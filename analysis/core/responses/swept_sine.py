@@ -89,7 +89,7 @@ class SweptTone:
         too_fast = error / abs(frf.value) > _MAX_SWEEP_ERROR_RATIO
         if not np.sum(too_fast) > _MAX_FAST_SHARE * np.sum(error > 0.0):
             return frf
-        # Frequencies have two digits, so that responses with nearly the same band have the same warning.
+        # Frequencies have two digits, so responses with nearly the same band have the same warning.
         low, high = (format_number(float(f"{end:.2g}")) for end in frf.frequency[np.flatnonzero(too_fast)[[0, -1]]])
         parts = "joints that act" if rec.scene.joints else "dampers in flight"
         return frf.warn(
@@ -140,7 +140,7 @@ def sweep_spectra(
         )
     if marker.fields.get("settled") is False:
         notes.append(
-            "The sweep began before steady state at its first frequency, so that the curve may be wrong near it. Begin "
+            "The sweep began before steady state at its first frequency, so the curve may be wrong near it. Begin "
             "farther from a resonance (test.from)."
         )
     order = sorted(np.flatnonzero(is_clean), key=lambda index: bounds[index])

@@ -181,7 +181,7 @@ def srs(
         mark.fields.get("channel") == info.name and mark.first_sample < segment.stop and mark.end >= segment.start
         for mark in rec.overloads
     ):
-        warnings += (f"{info.name} was overloaded, so that its spectrum is too low. Widen converter.range.",)
+        warnings += (f"{info.name} was overloaded, so its spectrum is too low. Widen converter.range.",)
     frequency = octave_frequencies(first, last, per_octave)
     largest, smallest = shock_response(acceleration, rec.rate, frequency, q)
     unit = "m/s²" if info.derivative is not None else info.unit

@@ -198,7 +198,7 @@ def backbone(rec: Recording) -> Backbone:
     test = rec.scene.test
     held = None if test is None else test.held_phase
     if test is None or held is None or not markers:
-        raise RecordingError(f"{rec.path}: contains no phase-resonance test. Record a test of kind phase_resonance.")
+        raise RecordingError(f"{rec.path} contains no phase-resonance test. Record a test of kind phase_resonance.")
     body, prescribed_phase = held
     mass = structural_model(rec.scene).mass
     driven = [number - 1 for number in rec.scene.force_on]

@@ -227,7 +227,7 @@ def continuation(rec: Recording) -> AmplitudeCurve:
     markers = FOLLOWED_CURVE.measured(rec.markers)
     test = rec.scene.test
     if not markers or test is None or test.band is None:
-        raise RecordingError(f"{rec.path}: contains no continuation test. Record a test of kind continuation.")
+        raise RecordingError(f"{rec.path} contains no continuation test. Record a test of kind continuation.")
     [location] = rec.scene.controlled_terms
     columns: list[dict[str, NDArray[Any]]] = []
     folds: list[Fold] = []

@@ -115,7 +115,7 @@ def chain_study(
     linear = assemble(expanded).dampers == 0
     with temporary_folder() as folder:
         bench = _Bench(folder, linear)
-        # Run once without measurement, so that the cost excludes compilation; this run also yields the
+        # Run once without measurement, so the cost excludes compilation; this run also yields the
         # largest voltage.
         try:
             largest_voltage = bench.largest_voltage(expanded)
@@ -162,7 +162,7 @@ def steady_frequencies(scene: Scene) -> tuple[float, ...]:
     if not is_steady.any():
         raise RunError(
             f"{scene.name}: none of {len(candidates)} frequencies from {candidates[0]:.4g} to {candidates[-1]:.4g} Hz "
-            "has a steady motion that repeats every period and is the same upwards and downwards, so that no exact "
+            "has a steady motion that repeats every period and is the same upwards and downwards, so no exact "
             "compliance exists for comparison. Choose other frequencies (`frequency`), or change the level (test.force "
             "or test.drive)."
         )
@@ -282,7 +282,7 @@ def _steady_compliance(scene: Scene, frequency: float, drive: float) -> ComplexA
     response = frequency_response(scene, [frequency], tolerance=REFERENCE_TOLERANCE)
     if not response.converged[0]:
         raise RunError(
-            f"no steady state at {frequency:g} Hz, so that there is no reference for the compliance. Choose other "
+            f"no steady state at {frequency:g} Hz, so there is no reference for the compliance. Choose other "
             "frequencies with `frequency`."
         )
     return response.compliance[:, 0]

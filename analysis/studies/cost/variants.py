@@ -55,7 +55,7 @@ def expand_chain(scene: Scene) -> Scene:
     if shaker is not None and shaker.drive_is_force:
         if channels is not None and not any(channel.measures_force for channel in channels):
             raise SceneError(
-                "channels: no channel measures the force, so that the compliance has no reference. Add "
+                "channels: no channel measures the force, so the compliance has no reference. Add "
                 "{name: force, at: shaker}, or delete the key channels to assume ideal channels."
             )
     elif channels is None:
@@ -204,7 +204,7 @@ def _with_noise(scene: Scene, factor: float) -> Scene:
 
 
 def _integrators(scene: Scene, lowest: float, peak_frequency: float) -> Iterator[Variant]:
-    """Yield variants without integrators (the analysis integrates numerically), or with another order."""
+    """Yield variants without integrators (the analysis integrates numerically), or with a different order."""
     if scene.channels is None:
         return
     omega = 2.0 * np.pi * peak_frequency

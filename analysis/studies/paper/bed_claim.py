@@ -173,7 +173,7 @@ def _describe_counts(beds: Columns) -> str:
 
 
 def _describe_mode(beds: Columns, frequency: float) -> str:
-    """Compare grains with the single-mass model at another resonance."""
+    """Compare grains with the single-mass model at a different resonance."""
     at_frequency = select(beds, beds["frequency"] == frequency)
     deviations, without_ceiling = 100.0 * deviation(at_frequency, "compliance"), np.isinf(at_frequency["clearance"])
     texts = (
@@ -197,7 +197,7 @@ def _describe_deviation(beds: Columns, name: str, label: str) -> str:
         f"{int(has_error.sum())} operating points with several packings, {significant} deviate by more than "
         f"{100 * MAX_DEVIATION:g} % plus two standard uncertainties."
         if has_error.any()
-        else "Each operating point has one packing, so that the standard uncertainty is unknown."
+        else "Each operating point has one packing, so the standard uncertainty is unknown."
     )
     return (
         f"{label}, grains relative to the single-mass model: median {100 * np.median(deviations):+.1f} %, from "

@@ -104,7 +104,7 @@ class Setting(NamedTuple):
 
 
 def settings() -> list[Setting]:
-    """List all settings; within a seed in random order, so that the first settings are a sample of all settings."""
+    """List all settings; within a seed in random order, so the first settings are a sample of all settings."""
     pairs = [(level, clearance) for level, clearances in SETTINGS.items() for clearance in clearances]
     listed = []
     for seed in SEEDS:
@@ -194,7 +194,7 @@ def table(path: Path | None = None) -> Arrays:
         of_seeds = [np.array([float(row[f"grains_{name}"]) for row in groups[key]]) for key in keys]
         mass = np.array([float(groups[key][0][f"mass_{name}"]) for key in keys])
         if name == "landing":
-            # Unwrap the phase to within 180 degrees of the phase of the mass, so that 359 and 1 degree are close.
+            # Unwrap the phase to within 180 degrees of the phase of the mass so that 359 and 1 degree are close.
             of_seeds = [
                 (values - mass_phase + 180.0) % 360.0 - 180.0 + mass_phase
                 for values, mass_phase in zip(of_seeds, mass, strict=True)

@@ -131,7 +131,7 @@ def _c2(parts: Parts) -> Claim:
             ),
             Evidence(
                 f"Type III appears for {int(has_type_iii(single).sum())} combinations with one damper and for "
-                f"{int(has_type_iii(three).sum())} with three. All dampers have the same clearance, so that the damper "
+                f"{int(has_type_iii(three).sum())} with three. All dampers have the same clearance, so the damper "
                 "in body 2, which moves most, may still show Type III at some frequencies, in addition to Types I and "
                 "II. The paper shows two of these motions, b and c.",
                 ("scan-single", "scan-three"),

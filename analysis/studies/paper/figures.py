@@ -243,7 +243,7 @@ def _draw_branches(axes: Axes, data: Columns, values: np.ndarray, shade: str, la
         on_branch = data["branch"] == number
         for stable in (True, False):
             in_section = on_branch & selected & (data["stable"] == stable)
-            # A section includes the following point, so that bold and thin lines connect.
+            # A section includes the following point, so bold and thin lines connect.
             y = np.where(in_section | (np.roll(in_section, 1) & on_branch & selected), values, np.nan)[on_branch]
             x = data["frequency"][on_branch]
             if not np.isfinite(y).any():

@@ -1,4 +1,4 @@
-"""Parts of the reproduction, whose results are stored, so that an interrupted reproduction can be continued.
+"""Parts of the reproduction, whose results are stored, so an interrupted reproduction can be continued.
 
 The results of a part are stored with a digest of its inputs and of the program. Results with the same digest are loaded
 instead of computed.

@@ -98,7 +98,7 @@ def _max_magnitude(values: Array) -> float:
 
 
 def exaggeration(extremes: Extremes) -> float:
-    """Return the factor by which the drawn motion is multiplied, so that it is visible and drawn parts do not collide.
+    """Return the factor by which the motion is enlarged in the drawing: it is visible, and drawn parts do not collide.
 
     It is the largest number of the series 1, 2, 5, 10, ... at which springs stretch by less than 60 % of their length,
     tables stay above the ground, and dampers within the drawn headroom.

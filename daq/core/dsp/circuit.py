@@ -24,7 +24,7 @@ class Section:
     """A linear circuit ``x' = a x + b u``, ``y = c x + d u``, also given by zeros, poles and gain."""
 
     name: str  # name of the effect, such as "low cut-off"
-    # State space. Every state is a voltage, so that it can have a voltage limit.
+    # State space. Every state is a voltage, so it can have a voltage limit.
     a: Array  # (states, states)
     b: Array  # (states,)
     c: Array  # (states,)

@@ -3,7 +3,7 @@
 The unit of time is the sample interval. The propagated vector consists of the circuit's states, integrals of its output
 that restart at every sample, and four derivatives of the input, a cubic. The integrals yield the Legendre moments of
 the output over the interval. The first moment is its mean, which an averaging converter reads; a decimation filter
-weighs several moments. The vector follows one linear differential equation, so that matrix exponentials propagate it
+weighs several moments. The vector follows one linear differential equation, so matrix exponentials propagate it
 over an interval. Over a part of an interval, one matrix propagates whole 64ths, another whole 4096ths, and a Taylor
 series the remainder. No eigenvectors are used, because a circuit may have repeated poles.
 """
@@ -170,7 +170,7 @@ def input_first(rows: Array, states: int) -> Array:
 
 
 def _powers(matrix: Array) -> Array:
-    """Return powers 0 to 64 of a matrix, each a product of few factors, so that few rounding errors accumulate."""
+    """Return powers 0 to 64 of a matrix, each a product of few factors, so few rounding errors accumulate."""
     powers = [np.eye(len(matrix)), matrix]
     for k in range(2, SUBDIVISIONS + 1):
         powers.append(powers[k // 2] @ powers[k - k // 2])

@@ -66,7 +66,7 @@ def _interpolate(values: Array, factor: int) -> Array:
 
 
 def _reflected(values: Array, count: int) -> Array:
-    """Return values with `count` reflected samples before them, so that the slope has no step at their start."""
+    """Return values with `count` reflected samples before them, so the slope has no step at their start."""
     return np.concatenate([2.0 * values[0] - values[count:0:-1], values])
 
 

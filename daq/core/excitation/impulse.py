@@ -33,7 +33,7 @@ _DRIFT_SIGMAS = 4.0
 
 
 def _wait_for_sensors(station: Station) -> Excitation:
-    """Wait until the bias of the sensors has settled after power-on, so that no reading drifts during an impact."""
+    """Wait until the bias of the sensors has settled after power-on so that no reading drifts during an impact."""
     max_samples = round(max((settling_time(info) for info in station.channels), default=0.0) * station.rate)
     if not max_samples:
         return
@@ -79,16 +79,16 @@ def _is_drifting(readings: Array) -> bool:
     return bool(np.any(change > _DRIFT_SIGMAS * noise * np.sqrt(2.0 / middle)))
 
 
-def _with_hits(test: Impulse, repeats: int, interval: float) -> Impulse:
-    """Return the test with another number of impacts and interval, s; double impacts beyond this number are dropped.
+def _with_impacts(test: Impulse, repeats: int, interval: float) -> Impulse:
+    """Return the test with a different number of impacts and interval [s]; later double impacts are dropped.
 
     If impacts are missing, all remaining impacts have the highest peak.
     """
     peak = test.peak if repeats == test.repeats else max(test.levels)
     double_hit = test.double_hit
     if double_hit is not None and double_hit.hits is not None:
-        hits = tuple(hit for hit in double_hit.hits if hit <= repeats)
-        double_hit = double_hit.replace(hits=hits) if hits else None
+        impacts = tuple(impact for impact in double_hit.hits if impact <= repeats)
+        double_hit = double_hit.replace(hits=impacts) if impacts else None
     return test.replace(peak=peak, repeats=repeats, interval=interval, double_hit=double_hit)
 
 
@@ -127,12 +127,12 @@ class ImpulseProcedure(Procedure["Impulse"]):
         """Return the test with the impacts that fit into `seconds`; if some are omitted, all have the highest peak."""
         delay = 0.0 if test.double_hit is None else test.double_hit.after
         interval = test.interval if test.interval < seconds else max(seconds, 2.0 * (test.width + delay))
-        return _with_hits(test, max(1, int(seconds / test.interval)), interval)
+        return _with_impacts(test, max(1, int(seconds / test.interval)), interval)
 
     def from_form(self, values: FormValues, test: KindOfTest | None) -> Impulse:
         """Return impacts of the given peak at the point of the scene's test."""
         assert isinstance(test, Impulse)
-        return _with_hits(test, int(values.hits), values.interval).at_level(values.level)
+        return _with_impacts(test, int(values.hits), values.interval).at_level(values.level)
 
 
 PROCEDURE = ImpulseProcedure()

@@ -75,7 +75,7 @@ def lock_in_weights(frequencies: tuple[float, ...], rate: float, samples: int) -
     The result has the shape (2 tones, samples).
     """
     model = _model(frequencies, rate, samples, 0, samples)
-    # Over two periods or more, the fitted terms are nearly orthogonal, so that the normal equations are accurate. Sums
+    # Over two periods or more, the fitted terms are nearly orthogonal, so the normal equations are accurate. Sums
     # use einsum: for matrices of this size, BLAS threads would only add overhead.
     normal = np.einsum("in,jn->ij", model, model)
     return np.einsum("ki,in->kn", np.linalg.inv(normal)[: 2 * len(frequencies)], model)

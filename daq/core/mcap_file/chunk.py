@@ -98,7 +98,7 @@ def _unpack(compression: bytes, packed: memoryview, size: int) -> bytes | memory
         except (RuntimeError, ValueError, EOFError) as error:
             raise Damage(f"the chunk cannot be decompressed ({error})") from error
         if not unpacker.eof or unpacker.unused_data:
-            raise Damage(f"the chunk states {size} bytes after decompression, but decompresses to another size")
+            raise Damage(f"the chunk states {size} bytes after decompression, but decompresses to a different size")
         return bytes(records)
     raise Damage(f"the compression {compression!r} of the chunk is not known; expected zstd, lz4 or none")
 

@@ -83,7 +83,7 @@ class DamagedFile:
             self._file = path.open("rb", buffering=0)
             self.size = os.fstat(self._file.fileno()).st_size
         except OSError as error:
-            raise RecordingError(f"{path}: cannot open ({error.strerror}). Check the path.") from error
+            raise RecordingError(f"{path} cannot be opened ({error.strerror}). Check the path.") from error
         self._unconfirmed_bytes_left = _MAX_UNCONFIRMED_BYTES + _MAX_UNCONFIRMED_RATIO * self.size
 
     def __enter__(self) -> Self:

@@ -37,7 +37,7 @@ class Container:
         try:
             self._file = path.open("rb", buffering=0)
         except OSError as error:
-            raise RecordingError(f"{path}: cannot open ({error.strerror}). Check the path.") from error
+            raise RecordingError(f"{path} cannot be opened ({error.strerror}). Check the path.") from error
         # Close the file when there is no reference to this object.
         weakref.finalize(self, self._file.close)
         try:
@@ -97,7 +97,7 @@ class Container:
             self._file.seek(offset)
             return self._file.read(length)
         except OSError as error:
-            raise RecordingError(f"{self.path}: cannot read ({error.strerror}). Check the disk.") from error
+            raise RecordingError(f"{self.path} cannot be read ({error.strerror}). Check the disk.") from error
 
     def _record(self, opcode: int, offset: int, length: int, largest: int) -> memoryview:
         """Return the content of a record, given its position and length from the index."""

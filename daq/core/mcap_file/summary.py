@@ -174,7 +174,7 @@ def _chunk_table(
         arrays[name] = arrays[name].astype(np.int64)
     if not channels_and_chunks:
         return arrays, {}
-    # Channel and chunk are combined in one number, so that a single sort orders the chunks of each channel.
+    # Channel and chunk are combined in one number, so a single sort orders the chunks of each channel.
     channel_ids = np.concatenate([channels for channels, _ in channels_and_chunks]).astype(np.int64)
     pairs = np.sort(channel_ids * count + rank[np.concatenate([chunks for _, chunks in channels_and_chunks])])
     channel, chunk = np.divmod(pairs[np.diff(pairs, prepend=-1) > 0], count)

@@ -91,7 +91,7 @@ class BenchLoop(ABC):
                 readings.append(self.acquire(drive[:, start : start + check_samples]))
                 error = self.ending_error(readings[-1])
                 if error is not None:
-                    # The test is closed before the ramp, so that its open markers end before the ramp.
+                    # The test is closed before the ramp, so its open markers end before the ramp.
                     test.close()
                     self.acquire(ramp_down(self._last_drive, self.station.samples(RAMP_S)))
                     raise error

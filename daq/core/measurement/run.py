@@ -138,7 +138,7 @@ class MeasurementRun(BenchLoop):
         if warning is not None:
             warnings.warn(warning, RunWarning, stacklevel=4)
         try:
-            # An interrupt is deferred while the file is created or completed, so that the file is always valid.
+            # An interrupt is deferred while the file is created or completed, so the file is always valid.
             with (
                 interrupt_flag() as self._interrupted,
                 Recorder(

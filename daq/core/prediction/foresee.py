@@ -89,7 +89,7 @@ class _Duration:
 def foresee(scene: Scene | str | Path, cpu_seconds: float = 0.0) -> Foresight:
     """Predict the maxima of a test and their limits, its duration, and the size of its recording.
 
-    A short test is rehearsed completely, with noise, so that its duration is exact. Of a long test, the parts with the
+    A short test is rehearsed completely, with noise, so its duration is exact. Of a long test, the parts with the
     largest linear response are rehearsed. A bed of grains is treated as one mass.
 
     Parameters
@@ -284,7 +284,7 @@ class _Assessment:
             if info.volts_per_count is not None and maxima[info.name] < 2.0 * count:
                 consequence = ""
                 if info.at in controlled_positions:
-                    consequence = ", so that the level cannot be controlled and all maxima are uncertain"
+                    consequence = ", so the level cannot be controlled and all maxima are uncertain"
                 yield (
                     f"{info.name}: the largest reading is below two counts of the converter "
                     f"({format_quantity(count, info.unit)} each){consequence}. Choose a smaller range or a higher "

@@ -95,7 +95,7 @@ class Foresight(Result):
     largest_level: float  # largest level without overload; NaN without a limit
     level_unit: str
     limited_by: Expectation | None  # maximum that limits `largest_level`
-    nonlinear: bool  # whether dampers fly, so that `largest_level` is approximate
+    nonlinear: bool  # whether dampers fly, so `largest_level` is approximate
     aborts: str | None  # reason why the test will abort; None if it will not
     signals: dict[str, LowestSignalToNoise] = field(default_factory=dict)  # by channel name
     hidden: tuple[str, ...] = ()  # warnings about signals below the resolution or noise, and about an unresolved force

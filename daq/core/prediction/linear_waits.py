@@ -1,7 +1,7 @@
 """Predict the waits of a stepped sine by running its own procedure on the linear response, with all dampers riding.
 
 The procedure, its detector of the steady state and its control of the force are those of the test. Only the tone is
-replaced: between changes of the drive, the transient of each mode decays freely, so that the amplitudes in a window are
+replaced: between changes of the drive, the transient of each mode decays freely, so the amplitudes in a window are
 computed in closed form instead of from samples. Random noise is added according to the noise densities of the channels.
 """
 

@@ -189,7 +189,7 @@ def highest_level(scene: Scene) -> tuple[str, float, str]:
 
 
 def with_level(scene: Scene, level: float) -> Scene:
-    """Return the scene with another level of its test, in the unit of `highest_level`."""
+    """Return the scene with a different level of its test, in the unit of `highest_level`."""
     assert scene.test is not None
     return scene.replace(test=scene.test.at_level(level))
 

@@ -1,4 +1,4 @@
-"""The file of a recording, which grows by whole commits, so that a full disk leaves no half-written record.
+"""The file of a recording, which grows by whole commits, so a full disk leaves no half-written record.
 
 A commit writes all bytes that were collected since the previous commit. A file that replaces another file is first
 written next to it (a recorder names it `NAME.part`), and renamed when it is complete.
@@ -36,7 +36,7 @@ class LostPathError(DiskError):
 class CommittedFile:
     """The output of the MCAP writer: `write` collects bytes in memory, `commit` writes them to the disk together.
 
-    The folder of the file is created, and the file itself by the first commit, so that a killed process leaves no empty
+    The folder of the file is created, and the file itself by the first commit, so a killed process leaves no empty
     file. `current_path` differs from `path` while an existing file is being replaced. If `failed`, the file ends with
     the previous commit. `ending`: ending of the file's name until it replaces another file. Raises `RecordingError` if
     the file exists or cannot be created.
@@ -66,7 +66,7 @@ class CommittedFile:
                     f"{path}: another process created it in the meantime. Choose another name."
                 ) from None
             except OSError as error:
-                raise RecordingError(f"{path}: cannot be created ({error.strerror}). Choose another file.") from error
+                raise RecordingError(f"{path} cannot be created ({error.strerror}). Choose another file.") from error
             _lock(file, path)
             open_files.pop_all()
         return file
@@ -94,7 +94,7 @@ class CommittedFile:
             self.failed = True
             with suppress(OSError):
                 os.ftruncate(file.fileno(), self._committed)
-            raise DiskError(f"{self.current_path}: cannot be written ({error.strerror})") from error
+            raise DiskError(f"{self.current_path} cannot be written ({error.strerror})") from error
         self._committed = self._end
         if not os.fstat(file.fileno()).st_nlink and not self._is_in_place():
             self.failed = True
@@ -139,7 +139,7 @@ class CommittedFile:
             rename_complete(self.current_path, self._final, overwrite=True)
         except OSError as error:
             raise LostPathError(
-                f"{self.path}: cannot be replaced ({error.strerror}). Use the new recording {self.current_path}."
+                f"{self.path} cannot be replaced ({error.strerror}). Use the new recording {self.current_path}."
             ) from error
         self.current_path = self._final
 

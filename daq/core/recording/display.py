@@ -305,7 +305,7 @@ class Display:
         with_transforms = numbers // self._decimator.step % TRANSFORM_STEP == 0
         displacements = np.zeros((len(self._sources), np.count_nonzero(with_transforms)))
         if self._truth is not None:
-            # The truth has the same points in another order.
+            # The truth has the same points in a different order.
             true_displacements = dict(
                 zip(self._truth.part_names, self._truth.positions(numbers[with_transforms]), strict=True)
             )

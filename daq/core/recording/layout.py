@@ -93,7 +93,7 @@ class Timebase:
             raise RecordingError(f"sample rate: got {self.rate!r} Hz; expected a positive, finite rate.")
 
     def time_ns(self, sample: int) -> int:
-        """Return the time of a sample in nanoseconds, computed in integers, so that no error builds up.
+        """Return the time of a sample in nanoseconds, computed in integers, so no error builds up.
 
         >>> Timebase(8533.333333333334).time_ns(10**12) // 10**9
         117187499

@@ -193,24 +193,24 @@ class Gap:
     reason: str  # `never acquired`, or how the samples were lost
 
 
-def hits_of(markers: Iterable[Marker]) -> list[Marker]:
+def impacts_of(markers: Iterable[Marker]) -> list[Marker]:
     """Return the markers of impacts, in order of time."""
     return sorted((marker for marker in markers if marker.kind == "hit"), key=lambda marker: marker.first_sample)
 
 
-def faulty_hits(markers: Sequence[Marker], channels: Collection[str] | None = None) -> dict[int, str]:
+def faulty_impacts(markers: Sequence[Marker], channels: Collection[str] | None = None) -> dict[int, str]:
     """Return the faults of impacts by the number of the impact: a second pulse followed, or channels were overloaded.
 
     `channels`: channels whose overloads count; by default all channels.
 
-    >>> hits = [Marker("hit", 100, 120), Marker("hit", 900, 920, {"double": True})]
-    >>> faulty_hits([*hits, Marker("overload", 105, 130, {"channel": "hammer"})])
+    >>> impacts = [Marker("hit", 100, 120), Marker("hit", 900, 920, {"double": True})]
+    >>> faulty_impacts([*impacts, Marker("overload", 105, 130, {"channel": "hammer"})])
     {1: 'clipped (hammer)', 2: 'double'}
     """
-    hits = hits_of(markers)
-    starts = [hit.first_sample for hit in hits]
+    impacts = impacts_of(markers)
+    starts = [impact.first_sample for impact in impacts]
     faults: dict[int, dict[str, None]] = {
-        number: {"double": None} for number, hit in enumerate(hits, 1) if hit.fields.get("double")
+        number: {"double": None} for number, impact in enumerate(impacts, 1) if impact.fields.get("double")
     }
     for marker in markers:
         if marker.kind != "overload" or (channels is not None and marker.fields.get("channel") not in channels):
@@ -222,21 +222,23 @@ def faulty_hits(markers: Sequence[Marker], channels: Collection[str] | None = No
     return {number: " and ".join(faults[number]) for number in sorted(faults)}
 
 
-def faults_of_hits(markers: Sequence[Marker], channels: Collection[str] | None = None) -> str:
-    """List the result of `faulty_hits` as text, equal faults together; an empty string without faults.
+def faults_of_impacts(markers: Sequence[Marker], channels: Collection[str] | None = None) -> str:
+    """List the result of `faulty_impacts` as text, equal faults together; an empty string without faults.
 
-    >>> faults_of_hits([Marker("hit", 100 * n, 100 * n + 9, {"double": n > 1}) for n in range(4)])
+    >>> faults_of_impacts([Marker("hit", 100 * n, 100 * n + 9, {"double": n > 1}) for n in range(4)])
     'impacts 3, 4 double'
     """
     faults: dict[str, list[str]] = {}
-    for number, text in faulty_hits(markers, channels).items():
+    for number, text in faulty_impacts(markers, channels).items():
         faults.setdefault(text, []).append(str(number))
-    return "; ".join(f"impact{'s' * (len(hits) > 1)} {', '.join(hits)} {text}" for text, hits in faults.items())
+    return "; ".join(
+        f"impact{'s' * (len(impacts) > 1)} {', '.join(impacts)} {text}" for text, impacts in faults.items()
+    )
 
 
-def describe_faulty_hits(markers: Sequence[Marker], channels: Collection[str] | None = None) -> str:
-    """Describe the result of `faulty_hits` in one sentence; an empty string without faults."""
-    faults = faults_of_hits(markers, channels)
+def describe_faulty_impacts(markers: Sequence[Marker], channels: Collection[str] | None = None) -> str:
+    """Describe the result of `faulty_impacts` in one sentence; an empty string without faults."""
+    faults = faults_of_impacts(markers, channels)
     return f"Faulty impacts: {faults}." if faults else ""
 
 

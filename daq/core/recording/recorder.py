@@ -49,7 +49,7 @@ class Recorder:
     """Writes samples, markers (events of the test) and true (simulated) motion to a new recording.
 
     Samples are collected into blocks, and into groups of about half a second that are committed to the disk together.
-    A killed process loses less than one group. Blocks and groups lie on a fixed grid of sample indices, so that the
+    A killed process loses less than one group. Blocks and groups lie on a fixed grid of sample indices, so the
     file does not depend on how samples are split among calls of `write`. An exception within the context closes the
     file and is recorded in it.
 
@@ -259,7 +259,7 @@ class Recorder:
     # -- the beginning and the end of the file -----------------------------------------------------------
 
     def _write_beginning(self) -> None:
-        """Write all descriptions before the first sample, so that an incomplete file contains them."""
+        """Write all descriptions before the first sample so that an incomplete file contains them."""
         self._file = ChunkedFile(self._disk, f"shotrig {_version('shotrig')}")
         self._zstd = zstd()
         self._samples_compressor = lz4() if self._storage_type == "float64" else zstd_for_samples()
@@ -369,7 +369,7 @@ class Recorder:
         group_end = (number + 1) * self._group_samples
         self._write_markers(group_end)
         if raw is not None:
-            # Each channel has its own chunk, so that a reader of one channel need not decode the others.
+            # Each channel has its own chunk, so a reader of one channel need not decode the others.
             self._chunk_count += self._file.add_chunk_per_channel(
                 self._blocks(raw, self._topics), self._samples_compressor
             )
@@ -442,7 +442,7 @@ class Recorder:
         self._write_chunk(messages)
 
     def _write_chunk(self, messages: Iterable[Message | Messages]) -> None:
-        """Write messages as a separate chunk, so that readers of other topics need not decode it."""
+        """Write messages as a separate chunk so that readers of other topics need not decode it."""
         self._chunk_count += self._file.add_chunk(messages, self._zstd)
 
 

@@ -114,7 +114,7 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Rec
     """
     source, target = as_path(path), as_path(fixed, "fixed")
     if source.exists() and target.exists() and source.samefile(target):
-        raise RecordingError(f"{source}: cannot be recovered into itself. Give another name with -o.")
+        raise RecordingError(f"{source} cannot be recovered into itself. Give another name with -o.")
     with DamagedFile(source) as damaged:
         resolve_output(target, overwrite, RecordingError)
         # Two passes are needed: descriptions may follow the samples, but must be written before them.

@@ -120,7 +120,7 @@ class Truth:
     def events_before(self, stop: float) -> list[Message]:
         """Return and remove the messages of the events before sample index `stop`.
 
-        Events within a sample of `stop` remain, so that rounded times do not change the order of writing.
+        Events within a sample of `stop` remain, so rounded times do not change the order of writing.
         """
         messages = []
         while self._events:

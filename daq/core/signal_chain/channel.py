@@ -53,7 +53,7 @@ class ChannelInfo:
 
     @property
     def body(self) -> int:
-        """Number of the body on which the sensor is mounted; 0 for another location."""
+        """Number of the body on which the sensor is mounted; 0 for any other location."""
         return int(self.at.removeprefix("body ")) if self.at.startswith("body ") else 0
 
     @property

@@ -1,4 +1,4 @@
-"""Checks the metadata fields of a recording when it is opened, so that later code can rely on their values."""
+"""Checks the metadata fields of a recording when it is opened; later code relies on their values."""
 
 import re
 from collections.abc import Callable, Mapping

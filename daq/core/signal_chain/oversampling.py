@@ -28,7 +28,7 @@ def choose_oversampling(scene: Scene, converter: Converter | None = None) -> int
     """Return the number of intervals per sample, at least 1, for a scene's converter or another converter.
 
     Without a decimation filter, motion between samples matters only if a sensor or amplifier can saturate or a contact
-    has a finite duration. With a filter, oscillations above half the sample rate must be resolved, so that the filter
+    has a finite duration. With a filter, oscillations above half the sample rate must be resolved, so the filter
     can remove them.
 
     >>> import rig

@@ -64,7 +64,7 @@ class PointSampler:
 
 
 class AverageSampler:
-    """Averages the voltage over the sample interval that ends at the sample, so that no impulse is missed."""
+    """Averages the voltage over the sample interval that ends at the sample, so no impulse is missed."""
 
     moments = 1
 

@@ -225,7 +225,7 @@ def first_tick(per_tick: Fraction, sample: int) -> int:
 
 
 def at_rate(scene: Scene, rate: float) -> Scene:
-    """Return the scene with another sample rate, without its test if the rate is too low for the test."""
+    """Return the scene with a different sample rate, without its test if the rate is too low for the test."""
     if rate == scene.converter.sample_rate:
         return scene
     converter = scene.converter.replace(rate=rate)

@@ -1,4 +1,4 @@
-"""Motion of the plant, resampled from ticks (time steps of the bench) to the instants of another rate."""
+"""Motion of the plant, resampled from ticks (time steps of the bench) to the instants of a different rate."""
 
 from dataclasses import replace
 from fractions import Fraction

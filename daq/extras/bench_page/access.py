@@ -114,6 +114,6 @@ class LimitedConnection(H11Protocol):
             self.loop.call_later(_MAX_REQUEST_S, self._end_without_request)
 
     def _end_without_request(self) -> None:
-        # A web socket has another protocol.
+        # A web socket has a different protocol.
         if self.cycle is None and self.transport.get_protocol() is self:
             self.transport.abort()

@@ -75,7 +75,7 @@ class Application:
         if name == "start":
             controller.start()
         elif name == "hit" and controller.has_hammer:
-            controller.start(single_hit=True)
+            controller.start(single_impact=True)
         elif name == "stop":
             controller.stop()
         elif name == "record":
@@ -86,7 +86,7 @@ class Application:
             monitor.overloads.clear()
         elif name == "accept" and monitor.detector is not None:
             number, accepted = value
-            monitor.detector.hits[int(number) - 1].accepted = bool(accepted)
+            monitor.detector.impacts[int(number) - 1].accepted = bool(accepted)
         elif name in vars(controller.settings):
             setattr(controller.settings, name, value if name == "kind" else _number(value))
             controller.apply_settings()

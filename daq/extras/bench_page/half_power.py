@@ -13,12 +13,12 @@ from rig.core.base.arrays import Array, ComplexArray
 if TYPE_CHECKING:
     from daq.extras.bench_page.live_frf import LiveCurves
 
-# A peak must exceed the minima on both sides by at least this factor, so that it has a half-power width, ...
+# A peak must exceed the minima on both sides by at least this factor, so it has a half-power width, ...
 _MIN_RATIO = 2.0**0.5
 # ... and by this multiple of the scatter of its line. A flat response with noise then has 0.3 false peaks in 200 lines
 # with 2 averages, and at most 0.1 from 4 averages (simulated: Hann window, coherence 0.1 to 0.9).
 _MIN_SCATTERS = 20.0
-# The scatter is this percentile over this number of lines, so that the curvature of a resonance does not enlarge it.
+# The scatter is this percentile over this number of lines, so the curvature of a resonance does not enlarge it.
 _SCATTER_PERCENTILE = 25
 _SCATTER_LINES = 25
 # The half-power width must contain at least this number of lines; a smaller width is determined by the resolution.

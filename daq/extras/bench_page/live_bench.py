@@ -14,7 +14,7 @@ from daq.core.excitation import Excitation, Station, excitation, procedure_of
 from daq.core.excitation.procedure import FormValues, Procedure
 from daq.core.excitation.tones.manual_tone import ManualTone, ToneControls
 from daq.core.recording.recorded_test import kind_of_settings
-from daq.extras.bench_page.hits import HitDetector
+from daq.extras.bench_page.impacts import ImpactDetector
 from daq.extras.bench_page.live_frf import LiveFrf
 from daq.extras.bench_page.monitor import Monitor
 from daq.extras.bench_page.recordings import BenchRecordings
@@ -95,7 +95,7 @@ class TestController:
         self.forms = offered_forms(self._scene)
         band = None if test is None else test.band
         low, high = band if band is not None and band[0] < band[1] else _DEFAULT_BAND
-        hits, interval = (1, 0.0) if test is None else test.hits
+        impacts, interval = (1, 0.0) if test is None else test.hits
         has_force = test is not None and test.level_key not in ("", "drive")
         self.settings = FormValues(
             kind=_DEFAULT_FORM if _DEFAULT_FORM in self.forms else next(iter(self.forms), _DEFAULT_FORM),
@@ -105,7 +105,7 @@ class TestController:
             high=high,
             duration=60.0,
             interval=interval,
-            hits=hits,
+            hits=impacts,
         )
         self.message = "ready" if self.forms else _NO_FORCE if self._scene.shakers else _NO_INPUT
         self.frf_unavailable_reason = ""
@@ -117,9 +117,9 @@ class TestController:
         self._controls: ToneControls | None = None
         # Level and interval of the impacts that are averaged, and the message during a single impact.
         self._series: tuple[float, float] | None = None
-        self._single_hit = ""
+        self._single_impact = ""
         # First sample, stop and marker fields of each impact of the test.
-        self._hits: list[tuple[int, int, dict[str, Any]]] = []
+        self._impacts: list[tuple[int, int, dict[str, Any]]] = []
 
     @property
     def has_hammer(self) -> bool:
@@ -140,7 +140,7 @@ class TestController:
     def switch_off(self) -> None:
         """Mark the impacts, and stop the clock of the bench unless a client runs a task."""
         with self._chassis.changed:
-            self._mark_hits()
+            self._mark_impacts()
         self._chassis.unregister(cast(Any, self))
 
     @property
@@ -206,7 +206,7 @@ class TestController:
         """
         frf, detector = self._monitor.frf, self._monitor.detector
         if detector is not None:
-            return detector.hits[-1].peak if detector.hits else None
+            return detector.impacts[-1].peak if detector.impacts else None
         if frf is None or frf.force_rms is None:
             return None
         return frf.force_rms * self.level_per_rms
@@ -229,7 +229,7 @@ class TestController:
         tone = procedure.frequency_at(test, self.progress)
         return (self.settings.low, self.settings.high) if tone is None else (tone, tone)
 
-    def start(self, single_hit: bool = False) -> None:
+    def start(self, single_impact: bool = False) -> None:
         """Start the test that the settings describe; on failure `message` states the reason.
 
         `single_hit`: one impact, instead of the number in the settings. It is averaged with the previous impacts, until
@@ -240,16 +240,18 @@ class TestController:
         chassis, monitor = self._chassis, self._monitor
         try:
             self._require_numbers()
-            values = replace(self.settings, hits=1) if single_hit else self.settings
+            values = replace(self.settings, hits=1) if single_impact else self.settings
             scene, excite, self._controls = self._build_test(values)
             series = values.level, values.interval
-            continues = single_hit and series == self._series and monitor.detector is not None
+            continues = single_impact and series == self._series and monitor.detector is not None
             frf, detector = (monitor.frf, monitor.detector) if continues else self._build_estimate(scene)
             self._series = series
-            self._single_hit = f"impact {1 + len(detector.hits)}" if single_hit and detector is not None else ""
+            self._single_impact = (
+                f"impact {1 + len(detector.impacts)}" if single_impact and detector is not None else ""
+            )
             with chassis.changed:
                 chassis.return_outputs()
-                self._hits = []
+                self._impacts = []
                 self.progress, self._measures_from, self.is_aborted = 0.0, None, False
                 self._test, self.target = (self.forms[values.kind], scene.test), values.level
                 self.tests += not continues
@@ -296,7 +298,7 @@ class TestController:
             excite = ManualTone(controls).excite
         return self._scene.replace(test=procedure.from_form(values, self._scene.test)), excite, controls
 
-    def _build_estimate(self, scene: Scene) -> tuple[LiveFrf | None, HitDetector | None]:
+    def _build_estimate(self, scene: Scene) -> tuple[LiveFrf | None, ImpactDetector | None]:
         """Return the live estimate and the detector of impacts; each is None if its channel is missing.
 
         Without an estimate, `frf_unavailable_reason` is set.
@@ -309,7 +311,7 @@ class TestController:
             band = [_MIN_PERIODS_PER_WINDOW / block, 0.5 * monitor.rate]
             row = next((k for k, info in enumerate(monitor.channels) if info.at == "hammer"), None)
             if row is not None:
-                detector = HitDetector(row, monitor.rate, _MIN_PEAK_RATIO * settings.level, block)
+                detector = ImpactDetector(row, monitor.rate, _MIN_PEAK_RATIO * settings.level, block)
         elif self._controls is not None:
             band = [0.0, monitor.rate / _MIN_SAMPLES_PER_PERIOD]
         try:
@@ -333,29 +335,29 @@ class TestController:
     def _on_mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
         if kind == "hit":
             # The operator can accept or reject impacts until the test ends.
-            self._hits.append((first, stop, fields))
+            self._impacts.append((first, stop, fields))
         else:
             self._recordings.mark(kind, first, stop, **fields)
 
-    def _mark_hits(self) -> None:
+    def _mark_impacts(self) -> None:
         """Mark each impact in the recording as accepted (`hit`) or `rejected`, with the reason."""
-        detected = () if self._monitor.detector is None else self._monitor.detector.hits
-        for first, stop, fields in self._hits:
+        detected = () if self._monitor.detector is None else self._monitor.detector.impacts
+        for first, stop, fields in self._impacts:
             overlapping = (h for h in detected if h.first <= stop and first <= h.first + h.window_samples)
-            hit = next(overlapping, None)
-            rejected = hit is not None and not hit.accepted
-            reason = {"reason": ", ".join(hit.faults) or "operator"} if hit is not None and rejected else {}
+            impact = next(overlapping, None)
+            rejected = impact is not None and not impact.accepted
+            reason = {"reason": ", ".join(impact.faults) or "operator"} if impact is not None and rejected else {}
             self._recordings.mark("rejected" if rejected else "hit", first, stop, **fields, **reason)
-        self._hits = []
+        self._impacts = []
 
     def _on_progress(self, fraction: float, message: str) -> None:
-        self.message, self.progress = (fraction and self._single_hit) or message, fraction
+        self.message, self.progress = (fraction and self._single_impact) or message, fraction
         if fraction and self._measures_from is None:
             self._measures_from = self._chassis.elapsed
 
     def _on_end(self, reason: str) -> None:
         self.is_aborted |= bool(reason)
-        self._mark_hits()
+        self._mark_impacts()
         self._monitor.end_estimate()
         self._recordings.end_test()
         self.message = (

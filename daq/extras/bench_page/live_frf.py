@@ -21,7 +21,7 @@ from rig.core.base.errors import SceneError
 
 if TYPE_CHECKING:
     from daq.core.signal_chain.channel import ChannelInfo
-    from daq.extras.bench_page.hits import Hit
+    from daq.extras.bench_page.impacts import Impact
     from rig.core.scene.scene import Scene
 
 
@@ -103,7 +103,7 @@ class LiveFrf:
         # RMS of the force in the last block, N; None before the first block, or if the force clipped.
         self.force_rms: float | None = None
         self._block_sums = _SpectrumSums(len(self._rows), self._line_indices.size)
-        self._hits: list[tuple[Hit, ComplexArray]] = []
+        self._impacts: list[tuple[Impact, ComplexArray]] = []
 
     def add(self, readings: Array, overload: NDArray[np.bool_], band: tuple[float, float] | None) -> None:
         """Add the next readings of a continuous test, and their overloads, both of shape (channels, samples).
@@ -135,30 +135,30 @@ class LiveFrf:
             self._block_sums.add(force, motion, relation, excited, float(power))
             self._drop(self._block_samples // 2)
 
-    def add_hit(self, hit: Hit) -> None:
+    def add_impact(self, impact: Impact) -> None:
         """Add the window of an impact; it is used as long as the impact is accepted."""
-        window = hit.readings[:, : self._block_samples]
+        window = impact.readings[:, : self._block_samples]
         padding = self._block_samples - window.shape[1]
-        self._hits.append((hit, self._spectra(np.pad(window, ((0, 0), (0, padding))))))
+        self._impacts.append((impact, self._spectra(np.pad(window, ((0, 0), (0, padding))))))
 
     @property
     def version(self) -> tuple[int, list[bool]]:
         """Key that changes with the estimate: number of blocks or impacts, and the accepted impacts."""
-        return int(self._block_sums.count.sum()), [hit.accepted for hit, _ in self._hits]
+        return int(self._block_sums.count.sum()), [impact.accepted for impact, _ in self._impacts]
 
     def curves(self) -> LiveCurves | None:
         """Return the present estimate; None before the first block."""
         sums = self._block_sums
-        if self._hits:
+        if self._impacts:
             sums = _SpectrumSums(len(self._rows), self._line_indices.size)
-            for hit, spectra in self._hits:
-                if hit.accepted:
-                    sums.add(*self._force_and_motion(spectra), self._relation(hit.overloaded))
+            for impact, spectra in self._impacts:
+                if impact.accepted:
+                    sums.add(*self._force_and_motion(spectra), self._relation(impact.overloaded))
         if not sums.count.any():
             return None
         mean_force = sums.force / np.maximum(sums.count, 1)
         excited = mean_force > _EXCITED_RATIO * mean_force.max()
-        if self._hits:
+        if self._impacts:
             # A pulse excites the band below the first zero of its spectrum.
             strongest = int(mean_force.argmax())
             beyond = np.flatnonzero(~excited[strongest:])

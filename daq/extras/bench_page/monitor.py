@@ -1,7 +1,7 @@
 """The data that the page shows: time histories, spectra, overloads, drive and motion.
 
 A block contains the samples of one short acquisition. A separate thread processes the blocks. The listener only queues
-the blocks, so that acquisition never waits for the page. If the queue is full, blocks are not shown; recordings have
+the blocks, so acquisition never waits for the page. If the queue is full, blocks are not shown; recordings have
 their own queue.
 """
 
@@ -21,7 +21,7 @@ from daq.extras.ni_server.live import end_display
 from rig.core.base.arrays import Array
 
 if TYPE_CHECKING:
-    from daq.extras.bench_page.hits import HitDetector
+    from daq.extras.bench_page.impacts import ImpactDetector
     from daq.extras.bench_page.live_frf import LiveFrf
     from daq.extras.ni_device.chassis import Chassis
 
@@ -82,7 +82,7 @@ class Monitor:
         self.history = History(len(self.channels), round(_HISTORY_S * self.rate))
         self.drive_history = History(len(bench.drive), round(_DRIVE_S * self.rate))
         self.frf: LiveFrf | None = None
-        self.detector: HitDetector | None = None
+        self.detector: ImpactDetector | None = None
         self.is_estimating = False
         self.skipped_blocks = self.lost_samples = 0
         self._next_sample: int | None = None
@@ -119,7 +119,7 @@ class Monitor:
     def start_estimate(
         self,
         frf: LiveFrf | None,
-        detector: HitDetector | None,
+        detector: ImpactDetector | None,
         excited_band: Callable[[], tuple[float, float] | None],
     ) -> None:
         """Start the estimate of a test; `detector` is None for a continuous test.
@@ -210,6 +210,6 @@ class Monitor:
                 if self.frf is not None and self.is_estimating:
                     self.frf.add(readings, block.overload, self._excited_band())
                 if self.detector is not None:
-                    for hit in self.detector.add(block.first, readings, block.overload):
+                    for impact in self.detector.add(block.first, readings, block.overload):
                         if self.frf is not None:
-                            self.frf.add_hit(hit)
+                            self.frf.add_impact(impact)

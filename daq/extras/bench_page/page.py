@@ -22,7 +22,7 @@ from rig.core.base.arrays import Array
 from rig.core.base.errors import ShotrigError
 
 if TYPE_CHECKING:
-    from daq.extras.bench_page.hits import Hit
+    from daq.extras.bench_page.impacts import Impact
     from daq.extras.bench_page.live_bench import LiveBench
 
 # The page is refreshed at this interval, s; spectra, responses and the rig only at every n-th refresh.
@@ -135,8 +135,8 @@ class Page:
             content["motion"] = self._rig.frames(motion)
             if self._rig.svg != self._shown_svg:
                 self._shown_svg = content["svg"] = self._rig.svg
-        if hits := self._hits():
-            arrays["pulse"] = hits[-1].force
+        if impacts := self._impacts():
+            arrays["pulse"] = impacts[-1].force
             content["pulse_step"] = 1.0 / monitor.rate
         self._refreshes += 1
         return message(content, arrays)
@@ -144,7 +144,7 @@ class Page:
     def _state(self) -> dict[str, Any]:
         """Return the state of the bench."""
         bench, monitor, controller, recordings = self._bench, self._monitor, self._controller, self._bench.recordings
-        hits = self._hits()
+        impacts = self._impacts()
         return {
             "state": bench.state,
             "running": controller.running,
@@ -168,18 +168,18 @@ class Page:
             "clients": bench.clients(_MAX_LISTED),
             "frf_reason": controller.frf_unavailable_reason,
             "hits": [
-                [hit.number, hit.peak, hit.faults, hit.accepted, hit.is_complete, hit.overloaded]
-                for hit in reversed(hits)
+                [impact.number, impact.peak, impact.faults, impact.accepted, impact.is_complete, impact.overloaded]
+                for impact in reversed(impacts)
             ],
         }
 
-    def _hits(self) -> list[Hit]:
+    def _impacts(self) -> list[Impact]:
         """Return the last impacts of the test; the window of the last impact may be incomplete."""
         detector = self._monitor.detector
         if detector is None:
             return []
         pending = detector.pending
-        return [*detector.hits, *([] if pending is None else [pending])][-_MAX_LISTED:]
+        return [*detector.impacts, *([] if pending is None else [pending])][-_MAX_LISTED:]
 
     def _add_response(self, content: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
         """Add the live frequency response if it has changed."""

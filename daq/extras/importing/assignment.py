@@ -40,7 +40,7 @@ class AssignedSignal:
     signal: Signal
     column: Column
     factor: float  # volts at the converter per unit of the file, after subtraction of the offset
-    calibrated: bool  # whether the sensitivity is known, so that the volts are those of the real converter
+    calibrated: bool  # whether the sensitivity is known, so the volts are those of the real converter
 
     def volts(self, start: int, stop: int) -> Array:
         """Read samples as volts at the converter; NaN beyond the end of the signal."""

@@ -56,22 +56,22 @@ class ForcePulses:
         if len(self._pulses) < _MAX_PULSES:
             self._pulses += [Pulse(first + a, first + b, float(magnitude[a:b].max())) for a, b in runs]
 
-    def hits(self, rate: float) -> list[Pulse]:
+    def impacts(self, rate: float) -> list[Pulse]:
         """Return the impacts at a sample rate in Hz; an empty list if this is not the force of a hammer."""
         pulses = [pulse for pulse in self._pulses if pulse.peak > _PULSE_RATIO * self._peak]
         contact_samples = sum(pulse.stop - pulse.first for pulse in pulses)
         if not pulses or len(self._pulses) >= _MAX_PULSES or contact_samples > _MAX_CONTACT_SHARE * self._samples:
             return []
-        hits: list[Pulse] = []
+        impacts: list[Pulse] = []
         for first, stop in merge_spans([(pulse.first, pulse.stop) for pulse in pulses], round(_CHATTER_S * rate)):
             peak = max(pulse.peak for pulse in pulses if first <= pulse.first < stop)
-            if hits and first - hits[-1].first < _BOUNCE_S * rate:
-                if peak >= _DOUBLE_RATIO * hits[-1].peak:
-                    hits[-1] = hits[-1]._replace(is_double=True)
+            if impacts and first - impacts[-1].first < _BOUNCE_S * rate:
+                if peak >= _DOUBLE_RATIO * impacts[-1].peak:
+                    impacts[-1] = impacts[-1]._replace(is_double=True)
                 continue
             if peak < _HIT_RATIO * self._peak:
                 continue
             # The flanks of a pulse extend beyond the samples above the threshold.
             flank = 2 + (stop - first) // 5
-            hits.append(Pulse(max(first - flank, 0), min(stop + flank, self._samples), peak))
-        return hits
+            impacts.append(Pulse(max(first - flank, 0), min(stop + flank, self._samples), peak))
+        return impacts

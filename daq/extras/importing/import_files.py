@@ -423,18 +423,20 @@ class _RecordingWriter:
         if self._dwells is not None:
             yield from self._dwells.mark(recorder, self._assigned[self._dwells.reference_row])
             return
-        hits = [hit for pulses in self._force_pulses.values() for hit in pulses.hits(self._rate)]
-        for number, hit in enumerate(hits, 1):
-            recorder.mark("hit", hit.first, hit.stop - 1, number=number, peak=hit.peak, double=hit.is_double)
-        if hits:
-            doubles = [str(number) for number, hit in enumerate(hits, 1) if hit.is_double]
+        impacts = [impact for pulses in self._force_pulses.values() for impact in pulses.impacts(self._rate)]
+        for number, impact in enumerate(impacts, 1):
+            recorder.mark(
+                "hit", impact.first, impact.stop - 1, number=number, peak=impact.peak, double=impact.is_double
+            )
+        if impacts:
+            doubles = [str(number) for number, impact in enumerate(impacts, 1) if impact.is_double]
             if doubles:
                 yield f"impact {', '.join(doubles)}: double (a second pulse of the force follows)"
             return
         if test is not None and self._detection == "hits":
             yield (
                 "no impact was detected: the scene's test is an impulse, but no channel contains a force pulse. "
-                "Check whether columns are swapped, or whether the scene has another test."
+                "Check whether columns are swapped, or whether the scene has a different test."
             )
         elif not any(info.quantity == "force" for info in self._infos) and not self._scene.shakers:
             yield (

@@ -17,7 +17,7 @@ HOPS_PER_BLOCK = 4
 _AVERAGES_PER_HOP = 24
 # Ratio of successive block lengths, and of the limits of the frequency band of each length.
 _LENGTH_RATIO = 2**0.5
-# The bands overlap by this factor, so that no tone lies between two bands.
+# The bands overlap by this factor, so no tone lies between two bands.
 _BAND_OVERLAP = 1.1
 # Highest frequency, as a ratio to the sample rate.
 _MAX_FREQUENCY_RATIO = 0.35

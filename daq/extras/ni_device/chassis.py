@@ -228,7 +228,7 @@ class Chassis:
 
     @property
     def is_in_use(self) -> bool:
-        """Whether a task that has been started is still open, so that bench time runs."""
+        """Whether a task that has been started is still open, so bench time runs."""
         return len(self._open_tasks) > 0
 
     def set_conditioning(self, task: Runner, channels: Sequence[Channel]) -> None:
@@ -285,7 +285,7 @@ class Chassis:
                 bench_indices = list(generation.plan.bench_indices)
                 volts[bench_indices] = generation.produce(tick, ticks, self.event_tick)
                 self.last_volts[bench_indices] = generation.last_volts
-        # Rates of tasks that are not running are included, so that the filters remain settled.
+        # Rates of tasks that are not running are included, so the filters remain settled.
         rates = {rate for task in self.tasks.values() if (rate := task.sample_rate) is not None}
         rates |= {acquisition.plan.rate for acquisition in self.inputs.values()}
         blocks = terminals.advance(volts, ticks, rates)

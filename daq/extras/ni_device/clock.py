@@ -6,7 +6,7 @@ Only the clock determines when the next ticks are due. A call that must wait (a 
 
 * `FastClock`: time passes only during waiting calls, as fast as the computer simulates. A run is
   deterministic: no time passes between two calls. Repeated queries of a task's progress count as waiting (see
-  `Clock.pass_query`). Time stops briefly at an event, so that its callback can respond.
+  `Clock.pass_query`). Time stops briefly at an event, so its callback can respond.
 * `RealClock`: a thread keeps the bench at wall-clock time, with or without waiting calls. The buffer of a slow
   reader overflows as with hardware.
 * `ManualClock`: time passes when `ManualClock.advance` is called. A call that waits for future samples times out
@@ -146,7 +146,7 @@ class FastClock(Clock):
     PAUSE_S = 0.002
 
     def pass_query(self, bench: Timeline) -> None:
-        """Let 10 ms pass, so that a loop of queries of the progress ends."""
+        """Let 10 ms pass so that a loop of queries of the progress ends."""
         bench.advance(max(1, int(bench.rate / 100)))
 
     def wait(self, bench: Timeline, ready: Callable[[], bool], ticks_needed: Callable[[], int], timeout: float) -> bool:

@@ -72,7 +72,7 @@ class Terminals:
         self._test = BackgroundTest(station, bench.ticks_per_sample, bench.to_units)
 
     def warm_up(self) -> None:
-        """Compile the kernels before the clock starts, so that no read waits for them."""
+        """Compile the kernels before the clock starts so that no read waits for them."""
         Bench(self.bench.scene).acquire(np.zeros((len(self.bench.inputs), 64)))
 
     # Time
@@ -132,7 +132,7 @@ class Terminals:
         """Set the couplings and sensor supplies of a task's channels.
 
         `in_use` are the indices of the inputs that other tasks are reading. Raises `DaqError` -50103 if one of these
-        inputs has another coupling or supply.
+        inputs has a different coupling or supply.
         """
         scene_channels, fixed = list(self.bench.channel_settings), set(in_use)
         for channel in channels:
@@ -148,8 +148,8 @@ class Terminals:
                 continue
             if channel.bench_index in fixed:
                 raise DaqError(
-                    f"{channel.port.name} is in use with another coupling or sensor supply. Stop the task that uses "
-                    "it, or choose the same settings.",
+                    f"{channel.port.name} is in use with a different coupling or sensor supply. Stop the task that "
+                    "uses it, or choose the same settings.",
                     Code.PAL_RESOURCE_RESERVED,
                 )
             scene_channels[channel.bench_index] = requested

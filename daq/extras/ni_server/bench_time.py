@@ -20,7 +20,7 @@ class BenchTime(grpc.GenericRpcHandler):
         self._chassis = chassis
 
     def service(self, handler_call_details: grpc.HandlerCallDetails) -> grpc.RpcMethodHandler | None:
-        """Return the handler of the call; None for another call."""
+        """Return the handler of the call; None for any other call."""
         if handler_call_details.method != "/shotrig.Bench/Pass":
             return None
 

@@ -1,7 +1,7 @@
 """NI's gRPC device protocol, service `nidaqmx_grpc.NiDAQmx`: its calls, requests and responses.
 
 The protocol is public; every release of `nidaqmx[grpc]` contains its message classes, generated from `nidaqmx.proto`.
-The server uses the descriptors of the installed release, so that releases may have more or fewer calls.
+The server uses the descriptors of the installed release, so releases may have more or fewer calls.
 """
 
 from collections.abc import Mapping

@@ -186,7 +186,7 @@ def _is_loopback(host: str) -> bool:
 def wait_for_signal() -> None:
     """Wait for Ctrl-C, SIGTERM or the end of the terminal."""
     ended = threading.Event()
-    # Under nohup, SIGHUP is ignored and must remain ignored, so that the server continues.
+    # Under nohup, SIGHUP is ignored and must remain ignored, so the server continues.
     signals = [
         number
         for number in TERMINATION_SIGNALS

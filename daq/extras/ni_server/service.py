@@ -199,7 +199,7 @@ class Server:
                     register(task, fields, values.put)
             task.events.at_end(values.put)
             context.add_callback(lambda: values.put(None))
-            # The client waits for this header, so that no event precedes its registration.
+            # The client waits for this header, so no event precedes its registration.
             context.send_initial_metadata(())
             try:
                 while (value := values.get()) is not None and context.is_active():

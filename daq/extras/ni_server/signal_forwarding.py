@@ -1,4 +1,4 @@
-"""Forwards signals from `daq run` to its script, so that the script ends too."""
+"""Forwards signals from `daq run` to its script so that the script ends too."""
 
 import os
 import signal

@@ -13,7 +13,7 @@ from daq.extras.ni_device.devices.modules import Module
 from daq.extras.ni_device.settings.channels import Channel
 from rig.core.scene.scene import STANDARD_GRAVITY
 
-# The limits of a channel are this fraction of full scale; it is slightly below 1, so that rounded limits do not exceed
+# The limits of a channel are this fraction of full scale; it is slightly below 1, so rounded limits do not exceed
 # full scale.
 _LIMIT_RATIO = 1 - 1e-5
 # By quantity: function of nidaqmx, unit of readings, factor from V per SI unit to the unit of sensitivity (mV/g, mV/N).

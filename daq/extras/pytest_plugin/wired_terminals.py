@@ -133,7 +133,7 @@ class WiredTerminals:
             index, is_ac = channel.bench_index, channel.settings["ai_coupling"] == Coupling.AC
             if index in in_use and (is_ac, channel.range) != (index in self._ac_coupled, infos[index].range):
                 raise DaqError(
-                    f"{channel.port.name} is in use with another coupling or range. Stop the task that uses it, or "
+                    f"{channel.port.name} is in use with a different coupling or range. Stop the task that uses it, or "
                     "choose the same settings.",
                     Code.PAL_RESOURCE_RESERVED,
                 )

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.core.measurement.run_report import next_steps
-from daq.core.recording.markers import describe_faulty_hits
+from daq.core.recording.markers import describe_faulty_impacts
 from daq.core.recording.recording import Recording
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.errors import RecordingError, ShotrigError
@@ -144,7 +144,7 @@ def describe(recording: Recording) -> Iterator[str]:
         yield f"  truth     motion of {points}; {events} contact events"
     counts = Counter(marker.kind for marker in recording.markers)
     yield f"  markers   {', '.join(f'{count} {kind}' for kind, count in counts.items()) or 'none'}"
-    if faulty := describe_faulty_hits(recording.markers):
+    if faulty := describe_faulty_impacts(recording.markers):
         yield f"  impacts      {faulty}"
     lost_segments = recording.gaps
     yield f"  lost      {_count_segments(len(lost_segments))}{_lost_range_note(recording)}"

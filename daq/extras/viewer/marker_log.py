@@ -67,18 +67,18 @@ def phases(recording: Recording, start: int, stop: int) -> list[LabeledSegment]:
     markers = [
         marker for marker in recording.markers if marker.last_sample is not None and marker.kind not in NOT_PHASE_KINDS
     ]
-    hits = sorted(marker.first_sample for marker in markers if marker.kind == "hit")
+    impacts = sorted(marker.first_sample for marker in markers if marker.kind == "hit")
     for marker in sorted(markers, key=lambda marker: marker.first_sample):
         end = marker.stop
         if marker.kind == "hit":
-            next_hits = [hit for hit in hits if hit > marker.first_sample]
-            end = min(next_hits, default=recording.samples)
+            next_impacts = [impact for impact in impacts if impact > marker.first_sample]
+            end = min(next_impacts, default=recording.samples)
         if end <= start or marker.first_sample >= stop:
             continue
         frequency = marker.fields.get("frequency")
         label = f"{format_decimals(frequency, 2)} Hz" if isinstance(frequency, int | float) else marker.kind
         if marker.kind == "hit":
-            label = f"impact {hits.index(marker.first_sample) + 1}"
+            label = f"impact {impacts.index(marker.first_sample) + 1}"
         first, last = max(start, marker.first_sample), min(stop, end)
         if phases_so_far and phases_so_far[-1].stop > first:
             phases_so_far[-1] = phases_so_far[-1]._replace(stop=first)

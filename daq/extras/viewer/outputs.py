@@ -46,7 +46,7 @@ _MAX_SINK_WAIT_S = 60.0
 def save(replay: Replay, file: Path, progress: FractionProgress | None = None) -> None:
     """Write a replay with its layout to an .rrd file; `rerun FILE.rrd` opens it.
 
-    Raises `SceneError` for another suffix, `RunError` if the file cannot be written.
+    Raises `SceneError` for any other suffix, `RunError` if the file cannot be written.
     """
     _check_suffix(file, ".rrd", "save")
 
@@ -113,7 +113,7 @@ def draw_picture(
 
     `at_s` counts from the start of the recording; None takes `largest_motion_s`. `size` is in pixels.
 
-    Raises `SceneError` for another suffix or a time outside the replay, `RunError` if the picture cannot be made.
+    Raises `SceneError` for any other suffix or a time outside the replay, `RunError` if the picture cannot be made.
     """
     _check_suffix(file, ".png", "screenshot")
     rate = replay.recording.rate

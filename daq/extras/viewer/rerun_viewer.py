@@ -164,7 +164,7 @@ def viewer(*options: str) -> Iterator[Viewer]:
 
 @contextmanager
 def _sigterm_exits() -> Iterator[None]:
-    """Convert SIGTERM to `SystemExit`, so that the viewer is ended with this process."""
+    """Convert SIGTERM to `SystemExit` so that the viewer is ended with this process."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

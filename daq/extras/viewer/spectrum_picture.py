@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from daq.core.drawing.palette import channel_color
-from daq.core.recording.markers import hits_of
+from daq.core.recording.markers import impacts_of
 from rig.core.base.arrays import Array
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import set_log_scale
@@ -70,7 +70,9 @@ def channel_spectrum(recording: Recording, channel: str, start: int, stop: int) 
     most `_MAX_SEGMENTS`, evenly spread, are used. The values are NaN if every segment has lost samples.
     """
     estimate = _ESTIMATES[recording.test.kind.spectrum]
-    pulses = [hit.first_sample for hit in hits_of(recording.markers) if start <= hit.first_sample < stop] or [start]
+    pulses = [
+        impact.first_sample for impact in impacts_of(recording.markers) if start <= impact.first_sample < stop
+    ] or [start]
     shortest = min(np.diff([*pulses, stop])) if not estimate.has_window else stop - start
     length = max(8, min(int(shortest), round(_SEGMENT_S * recording.rate)))
     count = min(_MAX_SEGMENTS, max(1, 2 * (stop - start) // length - 1))

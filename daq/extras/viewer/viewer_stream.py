@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rig.core.scene.damper import Damper
 
 CONTACTS = ("flight", "floor", "ceiling", "lost")
-# Colors of different lightness, so that they remain distinct in a gray print; a damper in flight has its own color.
+# Colors of different lightness, so they remain distinct in a gray print; a damper in flight has its own color.
 CONTACT_COLORS = (0xE69F00FF, 0x6B4423FF, 0xC4453BFF, 0x404040FF)
 # Quantities in the order of their plots: factor from SI to the displayed unit, and this unit.
 DISPLAY_UNITS = {

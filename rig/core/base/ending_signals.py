@@ -44,7 +44,7 @@ def handle_interrupts(handler: Handler) -> Iterator[dict[int, Handler]]:
 
 @contextmanager
 def interrupt_flag() -> Iterator[Callable[[], bool]]:
-    """Set a flag at the first Ctrl-C, so that a block of samples is completed; the second interrupts as usual.
+    """Set a flag at the first Ctrl-C so that a block of samples is completed; the second interrupts as usual.
 
     Provides a function that returns the flag.
     """

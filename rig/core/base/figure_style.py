@@ -132,11 +132,11 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
             # With a layout engine, matplotlib draws each file twice.
             figure.set_layout_engine(None)
             _align_captions(figure)
-        # Both files are renamed at the end, so that an interrupted run leaves neither and can be repeated.
+        # Both files are renamed at the end, so an interrupted run leaves neither and can be repeated.
         with atomic_write(png) as temporary_png, atomic_write(svg) as temporary_svg:
             compression = {"compress_level": _PNG_COMPRESSION}
             figure.savefig(temporary_png, dpi=_DPI, metadata={"Software": None}, pil_kwargs=compression)
-            # Drawing places the axis labels, so that the second file need not measure all tick labels again. The layout
+            # Drawing places the axis labels, so the second file need not measure all tick labels again. The layout
             # engine also places them, but before its last change of the axes.
             for axes in figure.axes:
                 for axis in (axes.xaxis, axes.yaxis):

@@ -67,11 +67,11 @@ def create_folder(folder: Path, error_type: type[ShotrigError] = SceneError) -> 
         with TemporaryFile(dir=folder):
             pass
     except (FileExistsError, NotADirectoryError):
-        raise error_type(f"{folder}: cannot be created, because a file has this name. Choose another folder.") from None
+        raise error_type(f"{folder} cannot be created, because a file has this name. Choose another folder.") from None
     except FileNotFoundError:
         raise error_type(f"{folder}: accepts no new files. Choose another folder.") from None
     except OSError as error:
-        raise error_type(f"{folder}: cannot be written ({error.strerror}). Choose another folder.") from None
+        raise error_type(f"{folder} cannot be written ({error.strerror}). Choose another folder.") from None
 
 
 def prepare_outputs(*paths: Path, error_type: type[ShotrigError] = SceneError) -> None:

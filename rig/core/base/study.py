@@ -1,6 +1,6 @@
 """Studies that consist of many independent computations (pieces), such as one design at one level.
 
-Workers compute the pieces. A CSV table stores their values, so that an interrupted study continues where it stopped.
+Workers compute the pieces. A CSV table stores their values, so an interrupted study continues where it stopped.
 """
 
 import csv
@@ -50,7 +50,7 @@ def digest(inputs: object) -> str:
 class Study(Generic[Piece, Value]):
     """A study of pieces whose values are stored in a table.
 
-    `compute`: computes the value of a piece; a module-level function, so that other processes can import it;
+    `compute`: computes the value of a piece; a module-level function, so other processes can import it;
     `decode`: returns key and value of a row; raises `ValueError`, `KeyError` or `TypeError` for a damaged row.
     """
 
@@ -75,8 +75,8 @@ class Study(Generic[Piece, Value]):
     def reserve(self, table: Path) -> Iterator[None]:
         """Lock `unfinished_file` during the body, and remove this file unless it contains values of an interrupted run.
 
-        Raises `RunError` if another command computes the same table, or `unfinished_file` belongs to another study and
-        may not be replaced.
+        Raises `RunError` if another command computes the same table, or `unfinished_file` belongs to a different study
+        and may not be replaced.
         """
         file, is_complete = unfinished_file(table), False
         create_folder(table.parent, RunError)
@@ -93,7 +93,7 @@ class Study(Generic[Piece, Value]):
                     file.write_bytes(b"")
             except OSError as error:
                 raise RunError(
-                    f"{file}: cannot be written ({error.strerror}). Remove it, or choose another folder with -o."
+                    f"{file} cannot be written ({error.strerror}). Remove it, or choose another folder with -o."
                 ) from None
             try:
                 yield
@@ -155,7 +155,7 @@ class StoredValues(Generic[Piece, Value]):
                     file.truncate(_complete_length(content))
         except OSError as error:
             raise RunError(
-                f"{path}: cannot write this table ({error.strerror}). Choose another name or folder with -o."
+                f"{path} cannot be written ({error.strerror}). Choose another name or folder with -o."
             ) from None
         for row in rows:
             try:
@@ -186,7 +186,7 @@ class StoredValues(Generic[Piece, Value]):
                     yield value
 
     def sort(self, order: Callable[[Any], Any] | None = None) -> None:
-        """Sort the table by its keys, so that the file does not depend on the order of computation."""
+        """Sort the table by its keys so that the file does not depend on the order of computation."""
         if self._path is None:
             return
         rows = [self.study.encode(key, self.values[key]) for key in sorted(self.values, key=order)]
@@ -214,9 +214,7 @@ def read_rows(path: Path, header: Sequence[str], name: str) -> list[list[str]]:
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise RunError(
-            f"{path}: cannot read this table ({error.strerror}). Check the path and its permissions."
-        ) from None
+        raise RunError(f"{path} cannot be read ({error.strerror}). Check the path and its permissions.") from None
     return _parse_rows(path, content, header, name)
 
 
@@ -234,7 +232,7 @@ def _parse_rows(path: Path, content: bytes, header: Sequence[str], name: str) ->
 
 
 def _cells(line: str) -> list[str]:
-    """Parse a single line, so that an open quote does not affect other rows.
+    """Parse a single line so that an open quote does not affect other rows.
 
     >>> _cells('a,"1, 2"'), _cells('b,"torn'), _cells("x" * 200_000)
     (['a', '1, 2'], ['b', 'torn'], [])

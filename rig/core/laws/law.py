@@ -169,7 +169,7 @@ class Law(NamedTuple):
     def force_indices(self) -> dict[str, int]:
         """Number of each mode's force, equal for modes with the same force, and for all modes of a held element.
 
-        The forces of two walls have two numbers even if they are equal, so that no number depends on a parameter.
+        The forces of two walls have two numbers even if they are equal, so no number depends on a parameter.
         """
         numbers: dict[tuple[Row | None, int], int] = {}
         return {

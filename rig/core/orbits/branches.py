@@ -229,7 +229,7 @@ class _Explorer:
 
         `direction`: sign of the change of the parameter across the border.
         """
-        # At a border the curve may turn back in the parameter, so that the nearest orbit may lie on either side.
+        # At a border the curve may turn back in the parameter, so the nearest orbit may lie on either side.
         for step in (BORDER_STEP, -BORDER_STEP, 10 * BORDER_STEP, -10 * BORDER_STEP):
             target = value * (1 + direction * step)
             if not self.bounds[0] <= target <= self.bounds[1]:

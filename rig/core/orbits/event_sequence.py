@@ -231,7 +231,7 @@ def walls_from_modes(modes: NDArray[np.int64], system: HybridSystem) -> NDArray[
 
 
 def slides(system: HybridSystem) -> NDArray[np.bool_]:
-    """Return whether each element slides with friction, so that it can stick away from its walls; shape (elements,)."""
+    """Return whether each element slides with friction, so it can stick away from its walls; shape (elements,)."""
     laws = [element.law for element in system.elements]
     sticks = [any(mode.force is None and mode.wall == FLIGHT for mode in law.modes.values()) for law in laws]
     return np.array([each or law.has_memory for each, law in zip(sticks, laws, strict=True)], dtype=bool)

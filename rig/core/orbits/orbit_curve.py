@@ -69,7 +69,7 @@ class OrbitBranch(Result):
 
     @property
     def compliance(self) -> NDArray[np.complex128]:
-        """`frf` with the force as reference [m/N]; raises `SceneError` with another reference."""
+        """`frf` with the force as reference [m/N]; raises `SceneError` with a different reference."""
         return per_force(self.frf, self.reference)
 
     @property

@@ -179,7 +179,7 @@ def _simulate(propagator: Propagator, steps: float, periods: int) -> Trajectory:
 def start_propagator(
     problem: OrbitProblem, setting: OperatingPoint, from_linear_response: bool = False
 ) -> tuple[Propagator, float]:
-    """Return a propagator at the start of a period, with all dampers at rest, and its steps per period.
+    """Return a propagator at the start of a period, with riding dampers, and its steps per period.
 
     The initial state is that of the scene; `from_linear_response` adds the steady vibration of the linear structure
     with all dampers riding.

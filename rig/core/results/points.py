@@ -28,7 +28,7 @@ class Point:
 
 
 def body_number(place: str) -> int:
-    """Return the number of the body at a location without names, such as ``body 3``; 0 for another location."""
+    """Return the number of the body at a location without names, such as ``body 3``; 0 for any other location."""
     number = place.removeprefix("body ")
     return int(number) if number != place and number.isdecimal() else 0
 

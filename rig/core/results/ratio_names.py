@@ -38,7 +38,7 @@ def frf_display(reference: str) -> tuple[str, str, float]:
 
 
 def per_force(value: _Values, reference: str) -> _Values:
-    """Return values that are valid with the force as reference; raises `SceneError` with another reference."""
+    """Return values that are valid with the force as reference; raises `SceneError` with a different reference."""
     if reference != "force":
         raise SceneError(
             f"compliance: the reference is the displacement of the {reference}, not a force. Use frf and "

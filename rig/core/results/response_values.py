@@ -244,7 +244,7 @@ class ResponseValues(Result):
     def __getitem__(self, key: int | str | slice | tuple[str, str]) -> Self:
         """Select an element by its index, outputs by name or slice, an input by its name.
 
-        Raises `SceneError` for an unknown name or a key of another type, `IndexError` for an index out of range.
+        Raises `SceneError` for an unknown name or a key of a different type, `IndexError` for an index out of range.
         """
         if isinstance(key, slice):
             return self._select(range(len(self.outputs))[key], range(len(self.inputs)), keep_axes=True)

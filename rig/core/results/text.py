@@ -97,7 +97,7 @@ def format_limited(value: float, expanded: float, highest: float = inf) -> str:
 
 
 def format_quantity(value: float, expanded: float, unit: str) -> str:
-    """Write a number with expanded uncertainty and unit: (2.42 ± 0.20) %, so that both have the unit.
+    """Write a number with expanded uncertainty and unit: (2.42 ± 0.20) %, so both have the unit.
 
     >>> format_quantity(2.4213, 0.204, "%"), format_quantity(935.21, float("inf"), "µm/N")
     ('(2.42 ± 0.20) %', '935.2 µm/N (unbounded)')

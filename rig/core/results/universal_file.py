@@ -69,7 +69,7 @@ def universal_file(path: Path, title: str, nodes: Iterable[int]) -> Any:
     """Open a new file for `write_set`, with title (151), units (164, SI), nodes (15) and the line through them (82).
 
     The nodes of bodies lie on the axis Z at their numbers, because a scene has no coordinates. Node 0, for table and
-    hammer, is omitted. The dates are constant, so that equal results give equal files.
+    hammer, is omitted. The dates are constant, so equal results give equal files.
     """
     try:
         import pyuff

@@ -167,7 +167,7 @@ class Damper(Settings):
 
     @property
     def impacts_instantaneously(self) -> bool:
-        """Return whether an impact changes velocities in zero time, so that the acceleration is infinite."""
+        """Return whether an impact changes velocities in zero time, so the acceleration is infinite."""
         return self.impacts and self.contact is None and self.grains is None
 
     @property

@@ -175,7 +175,7 @@ def _from_file(name: str | Path, folder: Path | None) -> NDArray[Any]:
     if path.exists() and not path.is_file():
         raise validation_error(f"{path} is a folder or a device; expected a .npy file next to the scene file")
     try:
-        # The file is mapped, so that the size in its header is checked before the data are read.
+        # The file is mapped, so the size in its header is checked before the data are read.
         mapped: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
     except FileNotFoundError:
         raise validation_error(f"{path}: the file does not exist; expected it next to the scene file") from None

@@ -139,7 +139,7 @@ def parse(value: Any, kind: Kind) -> float:
 
     `value`: a number in SI (frequencies in Hz), or text with a number and a unit. `kind`: required kind of quantity.
     Returns the double nearest to the written value, in the SI unit of its kind. The result may be infinite. Raises
-    `ValueError` if the text is not a number, the unit is unknown or of another kind, or the value is NaN.
+    `ValueError` if the text is not a number, the unit is unknown or of a different kind, or the value is NaN.
 
     >>> parse("0.98 mm", LENGTH)
     0.00098
@@ -192,7 +192,7 @@ def expected_quantity(value: Any, kinds: Sequence[Kind]) -> str:
 
     >>> expected_quantity("4.2 kgs", [MASS])
     "a mass such as 74 g. Did you mean 'kg'?"
-    >>> expected_quantity("5 kg", [ACCELERATION])  # a unit of another quantity is not misspelled
+    >>> expected_quantity("5 kg", [ACCELERATION])  # a unit of a different quantity is not misspelled
     'an acceleration such as 9.80665 m/s^2'
     """
     hint = _similar_unit(value, kinds)
@@ -453,7 +453,7 @@ def _factor(unit: str, kind: Kind) -> Fraction:
 def pint_factor(unit: str, kind: Kind) -> Fraction:
     """Return the SI factor of a unit from Pint.
 
-    Raises `ValueError` if the unit is unknown or of another kind.
+    Raises `ValueError` if the unit is unknown or of a different kind.
     """
     notation = _pint_notation(unit)
     # g is the gram or standard gravity, whichever results in the required kind (74 g, 100 mV/g).
@@ -494,7 +494,7 @@ def _registry() -> Any:
 
 
 def _conversion(unit: str, si: str) -> Fraction | None:
-    """Return the conversion factor between units, or None if the first is unknown or of another kind."""
+    """Return the conversion factor between units, or None if the first is unknown or of a different kind."""
     import pint
 
     registry = _registry()

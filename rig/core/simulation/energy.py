@@ -151,7 +151,7 @@ def fourier_integral(
     """Integrate z(t) e^{-i omega t} over a motion, shape (size,).
 
     `segment_states`, `durations`: as for `energy_balance`; `omega`: rad/s.
-    Intervals end at breaks, so that the quadrature has its full order.
+    Intervals end at breaks, so the quadrature has its full order.
     """
     total = np.zeros(tables.size, dtype=np.complex128)
     nodes, node_weights = _GAUSS_RULE

@@ -1,4 +1,4 @@
-"""Entry point of the simulation of grains, so that the core does not depend on the extra `grains`."""
+"""Entry point of the simulation of grains, so the core does not depend on the extra `grains`."""
 
 from functools import cache
 from importlib.metadata import entry_points

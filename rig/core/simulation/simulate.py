@@ -146,13 +146,13 @@ def simulate(
     SceneError
         If duration, rate or frequency is invalid, or the test cannot run open loop.
     RunError
-        If the drive has another shape or is not finite, or `keep` belongs to another run.
+        If the drive has a different shape or is not finite, or `keep` belongs to a different run.
 
     Notes
     -----
     Without `drive` and `frequency` the scene's test is run open loop: a sine unchanged, a stepped sine at
     its first frequency, a swept sine, hammer impacts, or free vibration. If the test controls the amplitude of a
-    spring force, the drive produces that amplitude in the linear structure with dampers at rest.
+    spring force, the drive produces that amplitude in the linear structure with riding dampers.
 
     Examples
     --------

@@ -100,12 +100,12 @@ class SteadyResponse(Result):
 
     @property
     def compliance(self) -> NDArray[np.complex128]:
-        """`frf` with the force as reference, m/N; raises `SceneError` with another reference."""
+        """`frf` with the force as reference, m/N; raises `SceneError` with a different reference."""
         return per_force(self.frf, self.reference)
 
     @property
     def force(self) -> Array:
-        """`reference_amplitude` if the reference is a force, N; raises `SceneError` with another reference."""
+        """`reference_amplitude` if the reference is a force, N; raises `SceneError` with a different reference."""
         return per_force(self.reference_amplitude, self.reference)
 
     @property
@@ -366,7 +366,7 @@ class SteadyContinuation:
             yield previous
 
     def point(self, frequency: float, previous: SteadyPoint | None) -> SteadyPoint:
-        """Compute the steady-state response at one frequency, from the motion at another or from rest."""
+        """Compute the steady-state response at one frequency, from the motion at a different frequency or from rest."""
         propagator, steps = self._propagator(frequency, previous)
         if not self.controls_spring_force:
             return self._measure(propagator, steps, frequency, 1.0, self.tolerance)
@@ -385,7 +385,7 @@ class SteadyContinuation:
             yield previous
 
     def _propagator(self, frequency: float, previous: SteadyMotion | SteadyPoint | None) -> tuple[Propagator, float]:
-        """Return a propagator at the end of the motion at another frequency or at rest, and its steps per period."""
+        """Return a propagator, at the end of the motion at another frequency or at rest, and its steps per period."""
         tone = tone_drive(self.scene, self.system, frequency)
         assert tone is not None
         propagator, steps = tone_propagator(self.system, tone.amplitudes, tone.omega)

@@ -235,7 +235,7 @@ def _wall_stiffness_and_damping(wall: Wall, restitution: float, mass: float) -> 
 
 
 def _initial_state(scene: Scene, system: HybridSystem) -> Array:
-    """Return the state at t = 0 without drive, with all dampers at rest."""
+    """Return the state at t = 0 without drive, with riding dampers."""
     state = np.zeros(system.states)
     n = system.coordinates
     test = scene.test

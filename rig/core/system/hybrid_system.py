@@ -103,7 +103,7 @@ class HybridSystem:
     (prescribed, states) whose product with the state is the force of their actuator, N. `elements`: the dampers that
     can move in their cavities, then the joints. A bed of grains is here one mass at rest; `rig.extras.grains` computes
     its motion. Arrays with one value for each damper do not include the joints. `initial`: state at t = 0 without
-    drive, with all dampers at rest.
+    drive, with riding dampers.
     """
 
     # names of the coordinates: "body 1" ... "body n", then "table" if the scene has one
@@ -336,7 +336,7 @@ class HybridSystem:
 
     @property
     def start(self) -> int:
-        """Configuration in which every element is in the mode at its start: the dampers at rest."""
+        """Configuration in which every element is in the mode at its start: all dampers ride."""
         return self.configuration([element.law.start for element in self.elements])
 
     def joint_modes(self, state: np.ndarray) -> list[int]:
@@ -434,7 +434,7 @@ class HybridSystem:
 
 
 def hold_coordinates(mass: np.ndarray, coordinates: list[int]) -> None:
-    """Change a mass matrix in place, so that coordinates on which no force acts have no acceleration."""
+    """Change a mass matrix in place so that coordinates on which no force acts have no acceleration."""
     mass[coordinates], mass[:, coordinates] = 0.0, 0.0
     mass[coordinates, coordinates] = 1.0
 

@@ -248,7 +248,7 @@ def validate_drive(drive: ArrayLike, inputs: Sequence[str], first: int = 0) -> A
     """Return a drive as an array of shape (inputs, samples).
 
     `inputs`: names of the drive inputs; `first`: index of the first sample, for error messages. Raises `RunError`
-    if the drive has another shape or is not finite.
+    if the drive has a different shape or is not finite.
     """
     try:
         block: Array = np.asarray(drive, dtype=np.float64)

@@ -250,8 +250,8 @@ def driven_bodies(scene: Scene) -> list[int]:
         )
     if scene.reference == "table":
         raise SceneError(
-            f"scene {scene.name!r}: the structure is excited at its base, so that no force acts on a body. Use a "
-            "shaker of another kind."
+            f"scene {scene.name!r}: the structure is excited at its base, so no force acts on a body. Use a "
+            "shaker of a different kind."
         )
     if scene.driven_shaker is not None and scene.driven_shaker.bodies:
         return [body - 1 for body in scene.driven_shaker.bodies]

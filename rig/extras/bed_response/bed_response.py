@@ -127,13 +127,13 @@ def bed_response(
         )
     if scene.reference == "table":
         raise SceneError(
-            f"scene {scene.name!r}: the structure is excited at its base, so that it has no compliance. Compare "
-            "recordings of grains and of one mass with analysis compare, or use a shaker of another kind."
+            f"scene {scene.name!r}: the structure is excited at its base, so it has no compliance. Compare "
+            "recordings of grains and of one mass with analysis compare, or use a shaker of a different kind."
         )
     cases = [_Case(scene, float(frequency), periods) for frequency in requested]
 
     def pack() -> None:
-        # The beds are packed once and stored, so that all workers can read them.
+        # The beds are packed once and stored, so all workers can read them.
         for spheres in spheres_of(scene).values():
             settled_positions(spheres)
 

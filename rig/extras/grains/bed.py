@@ -59,7 +59,7 @@ class Bed:
     def state_bytes(self) -> bytes:
         """Return the state of the grains and of their contacts, for `resume`.
 
-        This bed and a resumed bed both recompute neighbor lists and forces, so that they continue bit-identically.
+        This bed and a resumed bed both recompute neighbor lists and forces, so they continue bit-identically.
         """
         with temporary_folder() as folder:
             file = folder / "bed"

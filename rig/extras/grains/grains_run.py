@@ -1,4 +1,4 @@
-"""Open-loop runs of scenes with beds of grains, in sections, so that an interrupted run can be continued.
+"""Open-loop runs of scenes with beds of grains, in sections, so an interrupted run can be continued.
 
 When LAMMPS reads a bed from a file, it recomputes neighbor lists and forces, which changes the last digits of the
 motion. Therefore every run recomputes them at the end of every section: interrupted and uninterrupted runs are
@@ -117,7 +117,7 @@ class GrainsRun:
         substeps, periods_per_step = self.coupled.substeps, self.coupled.step * tone.frequency
 
         def tone_between(first: int, last: int) -> Array:
-            # Count periods instead of adding radians, so that the phase is exact over a million periods.
+            # Count periods instead of adding radians, so the phase is exact over a million periods.
             elapsed_periods = np.arange(first * substeps, last * substeps + 1) * periods_per_step
             phase = 2.0 * np.pi * (elapsed_periods - np.floor(elapsed_periods))
             return np.real(tone.amplitudes[:, None] * np.exp(1j * phase))

@@ -60,7 +60,7 @@ def ranks_on_machine() -> int:
 def join() -> None:
     """Join ranks started by mpiexec, if any. The first rank returns; the others serve it, and end when it ends.
 
-    Raises `SceneError` if mpiexec belongs to another MPI implementation.
+    Raises `SceneError` if mpiexec belongs to a different MPI implementation.
     """
     global _world, _machine
     counts = [os.environ.get(name, "") for name in _COUNT_VARIABLES]
@@ -121,7 +121,7 @@ class Shared:
 
     def __getattr__(self, name: str) -> Any:
         if callable(getattr(type(_parts[self._number]), name, None)):
-            # The function refers to this object, so that its parts exist until the call.
+            # The function refers to this object, so its parts exist until the call.
             return lambda *arguments: _execute_on_all_ranks(self._number, name, arguments)
         return _execute_on_all_ranks(self._number, name, None)
 

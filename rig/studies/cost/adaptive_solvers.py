@@ -157,7 +157,7 @@ def _solve_ivp(*arguments: Any, rtol: float, **options: Any) -> Any:
     try:
         solution = solve_ivp(*arguments, rtol=rtol, atol=1e-3 * rtol, **options)
     except ValueError as error:
-        # A guard may change sign over the step but not in the dense output, so that scipy's root search fails.
+        # A guard may change sign over the step but not in the dense output, so scipy's root search fails.
         raise RunError(SOLVER_STOPPED.format("scipy", error)) from None
     if solution.status < 0:
         raise RunError(SOLVER_STOPPED.format("scipy", solution.message))
@@ -213,7 +213,7 @@ def penalty(problem: FirstOrderForm, contacts_per_period: int) -> ComputedMotion
         events=[_event(partial(_distance, row)) for _, row, _ in walls],
     )  # fmt: skip
     events = [
-        # Dampers begin on the floor, so that zeros of the gap to the floor are separation and landing in turn.
+        # Dampers begin on the floor, so zeros of the gap to the floor are separation and landing in turn.
         (float(instant), j, "separation" if (k % 2 == 0) == (kind == "floor") else kind)
         for (j, _, kind), times in zip(walls, solution.t_events or (), strict=True)
         for k, instant in enumerate(times)

@@ -65,7 +65,7 @@ def bed_models(scene: Scene, frequency: float, progress: Callable[[str], None] |
         str(reference.motion_type[0]),
         f"{count} grains simulated for {reference.periods} periods, in {cpu:.3g} s of CPU time. The last two averages "
         f"over {PERIODS} periods\n           differ by {format_percent(reference.spread)}{steady}. Errors below this "
-        "difference, or below the error of another packing, are not significant.",
+        "difference, or below the error of a different packing, are not significant.",
     )
 
 
@@ -110,7 +110,7 @@ def with_softer_grains(scene: Scene) -> Scene:
 
 
 def with_other_packing(scene: Scene) -> Scene:
-    """Return the scene with another packing of its grains."""
+    """Return the scene with a different packing of its grains."""
     return scene.replace(seed=scene.seed + len(scene.dampers))
 
 

@@ -75,7 +75,7 @@ class ExactOrbit:
 
     def error(self, compliance: NDArray[np.complex128]) -> float:
         """Compute the largest error of a compliance, relative to the largest compliance of all bodies."""
-        # Subtract in decimal arithmetic, so that the reference is not rounded.
+        # Subtract in decimal arithmetic so that the reference is not rounded.
         exact = np.vectorize(Decimal, otypes=[object])
         deviation = np.hypot(
             (exact(compliance.real) - self.real).astype(float), (exact(compliance.imag) - self.imag).astype(float)

@@ -148,7 +148,7 @@ def _methods(scene: Scene, system: HybridSystem, tone: ToneDrive, periods: int) 
     yield "engine, tone", "as called", simulate_as_called
     yield "engine, tone", "warm", _with_prepared_tables(system, tone, periods)
     if np.array_equal(tone.state, system.initial):
-        # First run without measurement, so that compilation is not included in the time.
+        # First run without measurement, so compilation is not included in the time.
         _with_sampled_drive(scene, system, tone, DRIVE_SAMPLES_PER_PERIOD[0], 1)()
         for samples in DRIVE_SAMPLES_PER_PERIOD:
             compute = _with_sampled_drive(scene, system, tone, samples, periods)
@@ -249,7 +249,7 @@ class _Comparison:
             cpu, motion = timed(compute)
         except ShotrigError as failure:
             return Point(method, setting, np.nan, np.nan, is_correct=False, note=failure_reason(failure))
-        # Subtract in decimal arithmetic, so that the reference is not rounded.
+        # Subtract in decimal arithmetic so that the reference is not rounded.
         values = np.vectorize(Decimal, otypes=[object])(motion.displacement)
         has_only_last_sample = values.shape[1] == 1
         exact = self.exact.displacement[:, -1:] if has_only_last_sample else self.exact.displacement

@@ -246,7 +246,7 @@ class Objective:
         return max(peaks)
 
     def _frequencies(self, scene: Scene) -> Array:
-        """Return frequencies, dense between the resonances without dampers and with all dampers at rest on floors."""
+        """Return frequencies, dense between the resonances without dampers and with riding dampers."""
         low, high = self.band
         natural = natural_frequencies(scene, low, high)
         if not len(natural):

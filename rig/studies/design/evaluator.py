@@ -97,7 +97,7 @@ class Evaluator:
         return {trial.choice: trial for trial in trials if trial is not None}
 
     def sort(self) -> None:
-        """Sort the table, so that the file does not depend on the order in which results arrived."""
+        """Sort the table so that the file does not depend on the order in which results arrived."""
         self._stored.sort()
         if self._table is not None and self._unfinished is not None:
             self._unfinished.replace(self._table)

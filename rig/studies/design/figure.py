@@ -34,7 +34,7 @@ _RESPONSE_POINTS = 800
 LIMIT_TOLERANCE = 0.02
 _OTHER_MOTION = (
     "At one frequency several steady-state motions may exist. The design assumes the motion with the largest "
-    "response; a test that measures a smaller response has settled to another motion."
+    "response; a test that measures a smaller response has settled to a different motion."
 )
 
 
@@ -200,7 +200,7 @@ def _has_other_motion(expected: Expected) -> bool:
 
 def _expected_line(expected: Expected, factor: float) -> str:
     peak = expected.peak
-    in_this_test = "no steady state, so that measured values scatter"
+    in_this_test = "no steady state, so measured values scatter"
     if expected.magnitudes is not None:
         low, nominal, high = (f"{factor * magnitude:.4g}" for magnitude in expected.magnitudes)
         in_this_test = f"{nominal} ({low} to {high})"

@@ -20,7 +20,7 @@ EFFECTIVE_DB = 1.0
 #: Number of frequencies over the band, in addition to natural frequencies and peaks.
 _BAND_POINTS = 20
 #: Dampers are usually effective if the acceleration of the body exceeds this value, g. This acceleration is computed
-#: with the dampers at rest on their floors.
+#: with riding dampers.
 _EFFECTIVE_G = 3.0
 
 
@@ -37,7 +37,7 @@ class Flight:
     height: float
 
     def acceleration_g(self, level: float) -> float:
-        """Return the largest acceleration of a damper's body at a level, all dampers at rest on their floors, g."""
+        """Return the largest acceleration [g] of a damper's body at a level while all dampers ride."""
         return level / self.take_off
 
 

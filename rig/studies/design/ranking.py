@@ -92,7 +92,7 @@ def _is_equal_with_fewer_dampers(trial: Trial, best: Trial) -> bool:
 
 
 def _rounded(mass: float) -> float:
-    """Round a mass, so that the rounding errors of a sum do not distinguish equal masses."""
+    """Round a mass so that the rounding errors of a sum do not distinguish equal masses."""
     return float(f"{mass:.9g}")
 
 

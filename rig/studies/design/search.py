@@ -35,7 +35,7 @@ MAX_REFINEMENT_TRIALS = 8
 SIMPLEX_TRIALS_PER_UNKNOWN = 25
 #: Maximum number of locations refined by the simplex search at the largest mass.
 MAX_SIMPLEX_LOCATIONS = 2
-#: The masses of two dampers have at most this ratio. The value is large, so that a single damper can dominate if that
+#: The masses of two dampers have at most this ratio. The value is large, so a single damper can dominate if that
 #: is the optimum.
 MAX_MASS_RATIO = 300.0
 #: A location is refined if its peak is at most this multiple of the best peak on the grid.
@@ -166,7 +166,7 @@ def _branch_and_bound(
     row: Sequence[Choice], lower_bounds: Mapping[Choice, Peak], known_trials: KnownTrials
 ) -> Iterator[Choice]:
     """Yield the choices of a row, sorted by lower bound, until no later choice can be the best (branch and bound)."""
-    # A trial is used `LOOKAHEAD` choices later, so that the set of computed choices does not depend on worker speed.
+    # A trial is used `LOOKAHEAD` choices later, so the set of computed choices does not depend on worker speed.
     smallest_peak = np.inf
     for number, choice in enumerate(row):
         if number >= LOOKAHEAD:

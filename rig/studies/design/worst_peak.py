@@ -45,7 +45,7 @@ def refined_peak(problem: OrbitProblem, response: OrbitResponse, body: int) -> t
     """Compute the largest response of a body over frequency (as `Peak.magnitude`), and its frequency [Hz].
 
     If the largest point is a periodic orbit, the maximum between its neighbors is computed over orbits with the same
-    events, so that it does not depend on the grid. If this point and both neighbors are irregular motion, a parabola is
+    events, so it does not depend on the grid. If this point and both neighbors are irregular motion, a parabola is
     fitted to their 1 / magnitude^2, as at a linear resonance.
     """
     magnitude = np.abs(response.frf[body - 1])

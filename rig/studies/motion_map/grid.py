@@ -35,7 +35,7 @@ def vertical_axis(scene: Scene, over: str | None) -> tuple[str, Kind]:
     level_of(scene)
     if scene.is_linear:
         raise SceneError(
-            f"scene {scene.name!r} has no joint, and no damper that can hit a wall or slide, so that its response is "
+            f"scene {scene.name!r} has no joint, and no damper that can hit a wall or slide, so its response is "
             "linear. Use rig response."
         )
     level_quantity = scene.level_key
@@ -78,7 +78,7 @@ def select_frequencies(
 
 
 def natural_frequencies(scene: Scene, low: float, high: float) -> Array:
-    """Compute the natural frequencies in a range, Hz: without moving dampers, and with the dampers at rest on floors.
+    """Compute the natural frequencies [Hz] in a range: without moving dampers, and with riding dampers.
 
     With dampers in motion, each resonance is between these two values.
     """
@@ -97,7 +97,7 @@ def _test_range(scene: Scene) -> tuple[float, float]:
 
 
 def take_off_levels(scene: Scene, frequency: Array) -> Array:
-    """Compute the level at which the linear motion with all dampers at rest ends.
+    """Compute the level at which the linear motion with riding dampers ends.
 
     At this level a bed reaches 1 g, a mass on a spring its wall, friction its limit, or the first joint closes or
     slips. `frequency`, shape (frequencies,): Hz. Returns shape (frequencies,), N, or the unit of the drive.
@@ -142,7 +142,7 @@ def select_row_values(
     step = np.log(high / low) / (rows - 1)
     if lowest is not None and highest is not None:
         return np.geomspace(low, high, rows)
-    # The rows are shifted by less than half a spacing, so that one row has the scene's own value.
+    # The rows are shifted by less than half a spacing, so one row has the scene's own value.
     shift = (np.log(scene_value / low) / step + 0.5) % 1.0 - 0.5
     return np.asarray(low * np.exp(step * (np.arange(rows) + shift)))
 

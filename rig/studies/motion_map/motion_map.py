@@ -78,9 +78,9 @@ class MotionMap(Result):
     periods : ndarray of int, shape (rows, frequencies)
         Periods computed to reach steady state from the previous frequency; a test on the rig waits differently.
     cpu : ndarray, shape (rows, frequencies)
-        CPU time, s; excluded from tables and figures, so that these do not depend on the machine.
+        CPU time, s; excluded from tables and figures, so these do not depend on the machine.
     take_off : ndarray, shape (frequencies,)
-        Level below which the motion is linear, with all dampers at rest. At this level the first damper starts to move
+        Level below which the motion is linear: all dampers ride. At this level the first damper starts to move
         in its body (1 g for a bed) or hits a wall, or the first joint closes or slips.
     """
 
@@ -292,7 +292,7 @@ class _Point(NamedTuple):
 
 def _compute(row: _Row) -> list[_Point]:
     """Compute all points of a row, with the CPU time of each."""
-    # Run once without measurement, so that compilation and loading are not included in the CPU time.
+    # Run once without measurement, so compilation and loading are not included in the CPU time.
     next(SteadyContinuation(row.scene, STEADY_TOLERANCE, 1).motions(row.frequency))
     computed, motions = [], SteadyContinuation(row.scene, STEADY_TOLERANCE, row.max_wait).motions(row.frequency)
     for _ in row.frequency:

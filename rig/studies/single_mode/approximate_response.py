@@ -81,7 +81,7 @@ class Approximation(Result):
     branches : tuple of Branch
         Branches with at least one admissible motion.
     riding : tuple of float or None
-        Frequency band [Hz] in which the linear response with a riding damper exceeds 1 g, so that the damper takes
+        Frequency band [Hz] in which the linear response with a riding damper exceeds 1 g, so the damper takes
         off. Types I to III occur in and near this band. None if the damper never takes off.
     failures : tuple of str
         Branches whose continuation ended inside the range: location, reason and last converged point.

@@ -70,7 +70,7 @@ def solutions(kind: MotionType, parameters: MotionParameters) -> Array:
     count, points = INSTANTS[kind], _GRID[kind]
     grid = (np.arange(points) + 0.5) * PERIOD / points
     instants = np.array(np.meshgrid(*[grid] * count, indexing="ij"))
-    # Cells across the diagonal are included, so that short stays and flights are not missed.
+    # Cells across the diagonal are included, so short stays and flights are not missed.
     ordered = (np.diff(instants, axis=0) > -3 * grid[0]).all(axis=0)
     residuals = np.full(instants.shape, np.nan)
     residuals[:, ordered] = eliminate(kind, instants[:, ordered], parameters)[1]

@@ -17,7 +17,7 @@ tau_2. All impacts are perfectly plastic.
 The force is F sin(tau - phi): a = F cos(phi), b = -F sin(phi). For given instants, all conditions except two are affine
 in (q_0, q'_0, a, b). The exceptions are a^2 + b^2 = F^2 and the gap at the ceiling impact.
 `rig.studies.single_mode.motion_search` uses this to compute all solutions. Each condition is analytic in every unknown
-and parameter, so that a complex step gives exact derivatives.
+and parameter, so a complex step gives exact derivatives.
 
 Equation numbers refer to Inoue, Yokomichi and Hiraki (2011). There, flight is Eq. 8 for the mode and Eqs 10 and 11 for
 the damper, and riding is Eq. 9. The conditions are Eqs 14-17. The paper reduces them to three transcendental equations
@@ -50,7 +50,7 @@ class MotionParameters(NamedTuple):
     mass_ratio: Any  # mu
     force: Any  # F = phi_k f / (M g)
     clearance: Any
-    """In units of g/w_i^2, with the natural frequency w_i, so that it does not depend on r."""
+    """In units of g/w_i^2, with the natural frequency w_i, so it does not depend on r."""
 
 
 class ModeState(NamedTuple):
@@ -211,7 +211,7 @@ class PeriodicMotion:
         conditions = list(self.affine_conditions())
         if self.kind != "I":
             conditions.append(self.ceiling_gap() - self.clearance)  # Eq. 16: the damper is d_j above the body
-        # The force condition is divided by F, so that all conditions have similar magnitudes.
+        # The force condition is divided by F, so all conditions have similar magnitudes.
         force = self.parameters.force
         conditions.append((self.a**2 + self.b**2) / force - force)
         return np.array(conditions)

@@ -3,10 +3,10 @@
 For mode i, the structure is replaced with a single mass M_i on a spring K_i with a dashpot C_i. The force f_k on body k
 acts on this mass as phi_ki f_k, with the mode shape phi. The mass carries one damper of mass mu_i M_i in a cavity with
 the scene's clearance. M_i depends on the normalization of the mode shape: the paper sets its largest element to 1, so
-that the single mass represents the body with the largest displacement.
+the single mass represents the body with the largest displacement.
 
 mu_i is computed with one of two weightings of the masses md_j of the dampers in bodies j. As printed (Eq. 13), mu_i is
-the signed sum of phi_ji md_j / M_i. The kinetic energy of dampers at rest on their floors gives phi_ji^2 instead. Both
+the signed sum of phi_ji md_j / M_i. The kinetic energy of riding dampers gives phi_ji^2 instead. Both
 agree for a damper in a body with phi_ji = 1. If the damper's body moves less, both overestimate the acceleration of the
 equivalent damper. Normalizing the shape at the damper's own body (`at`) avoids this; it is the exact one-mode reduction
 for a single damper.

@@ -157,7 +157,7 @@ def test_peak_between_points_is_reported(natural, motion, remarks):
 
 
 def test_highest_of_all_resonances_is_reported():
-    # The highest peak lies between two points; the highest point is at another resonance.
+    # The highest peak lies between two points; the highest point is at a different resonance.
     f = np.arange(20.4, 60.0, 0.8)
     value = sum(
         height * 2j * ratio / (1.0 - (f / fn) ** 2 + 2j * ratio * f / fn)

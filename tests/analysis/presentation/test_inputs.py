@@ -75,7 +75,7 @@ def test_modes_name_their_input(bracket: dict[str, Path], tmp_path: Path) -> Non
 def test_warnings_of_modes_name_their_sweep(tmp_path: Path) -> None:
     near_resonances = np.ravel([np.linspace(0.98, 1.02, 9) * f for f in synthetic.NATURAL_FREQUENCIES])
     frequencies = np.unique(np.append(near_resonances, np.arange(8.0, 60.0)))
-    # Channels in another order than the samples: the shapes match no mode of the scene.
+    # Channels in a different order than the samples: the shapes match no mode of the scene.
     body1, body2, body3, table = synthetic.channels()
     path = synthetic.stepped_sine(
         tmp_path / "a.mcap", frequencies, level=(1.0, 2.0), noise=1e-6, infos=[body1, body3, body2, table]

@@ -228,9 +228,9 @@ def test_state_follows_the_test(bench):
 @pytest.mark.parametrize("bench", ["hammer"], indirect=True)
 def test_key_gives_a_single_hit(bench):
     set_controls(bench, level=100.0, hits=4, interval=2.0)
-    bench.controller.start(single_hit=True)
+    bench.controller.start(single_impact=True)
     pass_time(bench, 4.0)
-    assert len(bench.monitor.detector.hits) == 1 and bench.controller.settings.hits == 4
+    assert len(bench.monitor.detector.impacts) == 1 and bench.controller.settings.hits == 4
 
 
 @pytest.mark.parametrize("bench", ["hammer"], indirect=True)
@@ -239,7 +239,7 @@ def test_single_hits_of_equal_settings_are_averaged(bench):
     averages, tests = [], []
     for level in (100.0, 100.0, 90.0):
         set_controls(bench, level=level)
-        bench.controller.start(single_hit=True)
+        bench.controller.start(single_impact=True)
         pass_time(bench, 4.0)
         averages.append(bench.monitor.frf.curves().averages)
         tests.append(bench.controller.tests)
@@ -311,7 +311,7 @@ def test_only_accepted_hits_are_marked_and_averaged(bench):
     bench.recordings.enabled = True
     bench.controller.start()
     pass_time(bench, 7.5)
-    hits = bench.monitor.detector.hits
+    hits = bench.monitor.detector.impacts
     assert [hit.faults for hit in hits] == [[], ["double impact"], []]
     assert bench.monitor.frf.curves().averages == 2
     hits[2].accepted = False
@@ -347,7 +347,7 @@ def test_clipped_hit_bounds_the_response(bench, rows, relations):
     set_controls(bench, level=1000.0, hits=1, interval=2.0)
     bench.controller.start()
     pass_time(bench, 4.0)
-    (hit,), frf = bench.monitor.detector.hits, bench.monitor.frf
+    (hit,), frf = bench.monitor.detector.impacts, bench.monitor.frf
     assert hit.faults == ["clipped"] and frf.curves() is None
     hit.overloaded, hit.accepted = rows, True
     assert [RELATIONS[k] for k in frf.curves().relation[:, 0]] == relations

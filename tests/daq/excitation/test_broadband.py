@@ -246,3 +246,18 @@ def test_released_mode_decays_freely() -> None:
     # The decay is exp(-2 pi 13.8 Hz 0.5 % 2 s) = 0.42 for mode 1. The table is fixed, so that the coil spring stiffens
     # body 1.
     assert 0.3 < ratio < 0.6
+
+
+@pytest.mark.parametrize(
+    "test",
+    [
+        {"kind": "random", "from": "8 Hz", "to": "60 Hz", "force": "2.6 N", "duration": "2 s"},
+        {"kind": "multisine", "from": "8 Hz", "to": "60 Hz", "period": "1 s", "force": "2.6 N", "realisations": 1},
+        {"kind": "swept_sine", "from": "30 Hz", "to": "40 Hz", "force": "2.6 N", "duration": "1.5 s"},
+    ],
+)
+def test_block_size_does_not_change_readings(test: dict[str, Any]) -> None:
+    scene = rig.load("fig8-three-dampers").replace(test=test)
+    undivided_run, divided_run = run(scene), run(scene, max_block=511)
+    np.testing.assert_array_equal(undivided_run.readings, divided_run.readings)
+    assert undivided_run.marks == divided_run.marks

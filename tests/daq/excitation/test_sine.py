@@ -138,6 +138,15 @@ def test_missing_table_channel_is_reported() -> None:
         run(scene_with(test, channels=[{"name": "body1", "at": "body 1"}]))
 
 
+def test_block_size_does_not_change_stepped_sine() -> None:
+    test = {"kind": "stepped_sine", "frequencies": [49.6], "force": "2.6 N", "measure": {"periods": 5}}
+    scene = rig.load("fig8-three-dampers").replace(test=test)
+    undivided_run, divided_run = run(scene), run(scene, max_block=101)
+    np.testing.assert_array_equal(undivided_run.drive, divided_run.drive)
+    np.testing.assert_array_equal(undivided_run.readings, divided_run.readings)
+    assert undivided_run.marks == divided_run.marks
+
+
 def test_open_loop_tone_starts_with_sine() -> None:
     test = {"kind": "sine", "frequency": "218.8 rad/s", "force": "2.6 N", "duration": "0.5 s", "start": "empty"}
     bench_run = run(scene_with(test, shaker={"kind": "force", "body": 1}))

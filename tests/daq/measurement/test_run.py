@@ -41,22 +41,12 @@ def limited_scene(**limits: str) -> rig.Scene:
     return hit_scene(channels=[{"name": "b1", "at": "body 1", **limits}], converter={"rate": "5120 Hz"})
 
 
-BROADBAND: dict[str, dict[str, Any]] = {
-    "random": {"duration": "2 s"},
-    "multisine": {"period": "1 s", "realisations": 1},
-    "swept_sine": {"duration": "1.5 s"},
-}
-SCENES = {"hit": hit_scene(), "steps": steps_scene(), "truth": hit_scene(recording={"truth": True})} | {
-    kind: rig.load("fig8-three-dampers").replace(
-        test={"kind": kind, "from": "8 Hz", "to": "60 Hz", "force": "2.6 N", **keys}
-    )
-    for kind, keys in BROADBAND.items()
-}
-
-
 @pytest.mark.thorough
-@pytest.mark.filterwarnings("ignore::daq.RunWarning")
-@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
+@pytest.mark.parametrize(
+    "scene",
+    [hit_scene(), steps_scene(), hit_scene(recording={"truth": True})],
+    ids=["hit", "steps", "truth"],
+)
 def test_block_size_does_not_change_file(scene: rig.Scene, tmp_path: Path) -> None:
     files = [
         daq.record(scene, tmp_path / f"{number}.mcap", block=block).read_bytes()
@@ -275,7 +265,7 @@ def test_error_names_write_protected_folder(
     assert run_command(monkeypatch, "record", "hit.yaml") == 2
     *_, message = capsys.readouterr().err.splitlines()
     folder = scene_file.parent / "recordings"
-    assert f"{folder}: cannot be written (Permission denied)" in message
+    assert f"{folder} cannot be written (Permission denied)" in message
 
 
 def test_file_instead_of_folder_is_reported(tmp_path: Path) -> None:

@@ -1,8 +1,10 @@
-"""Laws of any motion: no penetration, compressive contact, balance of energy, no effect of blocks.
+"""Laws of any motion: no penetration, compressive contact, balance of momentum and energy, no effect of blocks.
 
 A break is an instant at which a velocity or an acceleration jumps: an impact or a separation. A motion lists the values
 before and after each break. The contact of a damper is FLIGHT, FLOOR or CEILING.
 """
+
+from itertools import product
 
 import numpy as np
 import pytest
@@ -11,6 +13,9 @@ from hypothesis import strategies as st
 
 import rig
 from rig.core.laws.events import CEILING, FLIGHT, FLOOR
+from rig.core.simulation.motion import Motion
+from rig.core.system.assembly import assemble
+from rig.core.system.hybrid_system import HybridSystem
 
 
 def log_uniform(low: float, high: float) -> st.SearchStrategy[float]:
@@ -168,6 +173,100 @@ def test_memory_layout_of_drive_changes_no_bit() -> None:
         plant.advance(drive[:, :1])
         motions.append(plant.advance(np.asarray(drive, order=order)).displacement)
     np.testing.assert_array_equal(*motions)
+
+
+@settings(max_examples=40)
+@given(scene=scenes(), seed=st.integers(0, 2**32 - 1))
+def test_impact_conserves_momentum(scene: rig.Scene, seed: int) -> None:
+    scene = scene.replace(dampers=[damper.replace(restitution=0.0) for damper in scene.dampers])
+    drive = scene.test.force * np.random.default_rng(seed).standard_normal((1, 400))
+    rate = 30 * scene.test.frequency
+    motion = rig.Plant(scene, rate).advance(drive)
+    system = assemble(scene)
+    time = (motion.break_sample - 1) / rate + motion.break_offset
+    contacts = np.full(system.dampers, FLOOR)
+    contacts[[int(e["damper"]) - 1 for e in motion.events if e["time"] == 0.0]] = FLIGHT
+    events = motion.events[motion.events["time"] > 0.0]
+    # Several breaks may coincide within rounding error. The list of events does not show to which break each belongs.
+    for breaks in np.split(np.arange(time.size), np.flatnonzero(np.diff(time) > SIMULTANEITY_S) + 1):
+        if breaks.size:
+            simultaneous = list(events[np.abs(time[breaks, None] - events["time"]).min(axis=0) <= 1e-12])
+            next_contacts = contacts_after_breaks(system, motion, breaks.tolist(), simultaneous, contacts)
+            assert next_contacts is not None, f"no assignment of {simultaneous} to breaks {breaks} conserves momentum"
+            contacts = next_contacts
+
+
+#: Impacts within this time, s, are treated as simultaneous in these tests.
+SIMULTANEITY_S = 1e-9
+#: Separation speed, m/s, below which the engine may keep a damper in contact during an impact and release it later:
+#: the gap would be within rounding error.
+MIN_SEPARATION_SPEED = 1e-6
+
+
+def contacts_after_breaks(
+    system: HybridSystem, motion: Motion, breaks: list[int], events: list[np.void], contacts: np.ndarray
+) -> np.ndarray | None:
+    """Return the contacts after several breaks, or None if no assignment of the events conserves momentum.
+
+    `breaks`: indices of the breaks; `events`: to be assigned to the breaks in order; `contacts`: before the breaks.
+    """
+    if not breaks:
+        return contacts if not events else None
+    # `count`: number of events that are assigned to the first break.
+    for count in range(len(events) + 1):
+        after = contacts_after_break(system, motion, breaks[0], events[:count], contacts)
+        next_contacts = (
+            None if after is None else contacts_after_breaks(system, motion, breaks[1:], events[count:], after)
+        )
+        if next_contacts is not None:
+            return next_contacts
+    return None
+
+
+def contacts_after_break(
+    system: HybridSystem, motion: Motion, k: int, events: list[np.void], contacts: np.ndarray
+) -> np.ndarray | None:
+    """Return the contacts after break k with these events; None if they do not conserve momentum."""
+    before, after = motion.break_velocity[:, :, k]
+    impulse = system.mass @ (after - before)
+    scale = np.abs(system.mass @ np.abs(before)).max() + np.abs(impulse).max()
+    contacts, closing_speeds, separated = contacts.copy(), {}, set()
+    for event in events:
+        j = int(event["damper"]) - 1
+        if event["kind"] == "separation":
+            separated.add(j)
+        else:
+            closing_speeds[j] = float(event["speed"]) * (1.0 if event["kind"] == "floor" else -1.0)
+            contacts[j] = FLOOR if event["kind"] == "floor" else CEILING
+    # Sum of the momentum changes of bodies and dampers, which is zero. A damper that keeps contact at a small jump may
+    # or may not have separated during the impact: both possibilities are tried.
+    balance = impulse.copy()
+    undecided: list[tuple[int, float]] = []
+    for j in range(system.dampers):
+        body = system.damper_coordinate[j]
+        change = after[body] - before[body]
+        if j in closing_speeds:
+            # Before the impact the damper moved slower than the floor by the closing speed.
+            balance[body] += system.damper_mass[j] * (change + closing_speeds[j])
+        elif contacts[j] != FLIGHT and not (j in separated and separates(contacts[j], change)):
+            balance[body] += system.damper_mass[j] * change
+        elif contacts[j] != FLIGHT and abs(change) < MIN_SEPARATION_SPEED:
+            undecided.append((body, system.damper_mass[j] * change))
+    contacts[list(separated)] = FLIGHT
+    for choice in product((0.0, 1.0), repeat=len(undecided)):
+        undecided_impulse = np.bincount(
+            [body for body, _ in undecided],
+            [factor * impulse for factor, (_, impulse) in zip(choice, undecided, strict=True)],
+            balance.size,
+        )
+        if np.abs(balance + undecided_impulse).max() < 1e-12 * max(scale, 1e-12):
+            return contacts
+    return None
+
+
+def separates(contact: int, change: float) -> bool:
+    """Return whether a damper in contact separates if the velocity of its body jumps by `change`, m/s."""
+    return change < 0.0 if contact == FLOOR else change > 0.0
 
 
 @pytest.mark.parametrize("name", ["fig8-three-dampers", "fig9", "bare-structure"])

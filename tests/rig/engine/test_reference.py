@@ -59,6 +59,33 @@ def test_reference_case_a_events_are_exact() -> None:
     assert np.abs(events["time"] - [float(event[0]) for event in reference]).max() < 1e-12
 
 
+@pytest.mark.thorough
+def test_case_a_positions_agree_to_forty_digits() -> None:
+    scene = rig.load("reference-A")
+    run = simulate_scene("reference-A")
+    segments: dict[tuple[int, ...], Segment] = {}
+    on_floor, current_time, flight_velocity = (0, 1, 2), mpf(0), {}
+    state = Segment(scene, on_floor).initial_state()
+    # Change of the body's velocity in a perfectly plastic impact, relative to the closing speed. The dampers have 10 %
+    # of the body mass.
+    velocity_transfer = [mpf(0.1 * mass) / (mpf(0.1 * mass) + mpf(mass)) for mass in scene.structure.masses]
+    end = len(run.time) - 1
+    for time, damper, kind in [*reference_events(), (mpf(end) / 2000, 0, "end")]:
+        segment = segments.setdefault(on_floor, Segment(scene, on_floor))
+        state = segment.propagate(state, time - current_time)
+        speed_loss = segment.gravity * (time - current_time)
+        flight_velocity = {j: velocity - speed_loss for j, velocity in flight_velocity.items()}
+        current_time, j = time, damper - 1
+        if kind == "separation":
+            flight_velocity[j] = state[3 + j]
+            on_floor = tuple(k for k in on_floor if k != j)
+        elif kind == "floor":
+            state[3 + j] += velocity_transfer[j] * (flight_velocity.pop(j) - state[3 + j])
+            on_floor = tuple(sorted((*on_floor, j)))
+    for j in range(3):
+        assert abs(run.displacement[j, end] - float(state[j])) < 1e-12 * np.abs(run.displacement[j]).max()
+
+
 @pytest.mark.usefixtures("each_table_size")
 @pytest.mark.parametrize(("name", "count"), [("reference-B", 273), ("reference-C", 984)])
 def test_reference_cases_have_known_event_counts(name: str, count: int) -> None:

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 import rig
-from rig.core.system.structural_model import chain_matrix
 
 #: Kinds of dampers: particle damper, tuned mass damper, impact damper on a spring, sliding mass with friction.
 KINDS = "bed", "tuned", "impact", "sliding"
@@ -41,14 +40,6 @@ def random_scene(
         content["joints"] = [{"between": [places[i] for i in pair]} | joint(random) for pair in pairs]
         content["dampers"] = content["dampers"][: random.integers(0, 3)]
     return rig.load(content)
-
-
-def with_coupled_masses(scene: rig.Scene) -> rig.Scene:
-    """Return a chain with a full mass matrix."""
-    masses, stiffness = np.array(scene.structure.masses), chain_matrix(tuple(scene.structure.springs))
-    mass = np.diag(masses) + 0.15 * np.sqrt(np.outer(masses, masses)) * (1.0 - np.eye(masses.size))
-    matrices = {"mass": mass, "stiffness": stiffness, "damping": 1e-4 * stiffness}
-    return scene.replace(structure={"matrices": {name: matrix.tolist() for name, matrix in matrices.items()}})
 
 
 def random_stop(random: np.random.Generator) -> dict[str, Any]:

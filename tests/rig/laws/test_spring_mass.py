@@ -5,8 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import rig
+from rig.core.orbits.periodic_orbit import set_to_orbit, start_propagator
+from rig.core.orbits.problem import OrbitProblem
 from rig.core.system.assembly import assemble
 from rig.core.system.structural_model import receptance
 from rig.studies.motion_map.grid import take_off_levels, vertical_axis
@@ -75,6 +78,28 @@ def test_multipliers_are_those_of_the_poles() -> None:
     orbit = rig.periodic_orbit(TUNED, 12.4)
     expected = np.exp(assemble(TUNED).poles / 12.4)
     np.testing.assert_allclose(np.sort_complex(orbit.multipliers), np.sort_complex(expected), rtol=1e-9)
+
+
+def test_multipliers_with_impacts_are_those_of_differences() -> None:
+    scene = with_particle_damper()
+    orbit = rig.periodic_orbit(scene, 49.6)
+    propagator, steps = start_propagator(OrbitProblem(scene), orbit.setting)
+    state, n, flying, change = propagator.state, assemble(scene).states, orbit.plan.flying, 1e-7
+
+    def state_after_a_period(unknown: int, disturbance: float) -> NDArray[np.float64]:
+        set_to_orbit(propagator, orbit)
+        start = np.concatenate([state.z[:n], state.height[flying], state.velocity[flying]])
+        start[unknown] += disturbance
+        state.z[:n], state.height[flying], state.velocity[flying] = np.split(start, [n, n + flying.size])
+        propagator.propagate_periods(steps, 1)
+        return np.concatenate([state.z[:n], state.height[flying], state.velocity[flying]])
+
+    columns = [
+        (state_after_a_period(i, change) - state_after_a_period(i, -change)) / (2.0 * change)
+        for i in range(n + 2 * flying.size)
+    ]
+    largest, computed = (np.sort(np.abs(values))[-6:] for values in (np.linalg.eigvals(columns), orbit.multipliers))
+    np.testing.assert_allclose(computed, largest, rtol=1e-4)
 
 
 def test_orbits_follow_the_mass_factor() -> None:

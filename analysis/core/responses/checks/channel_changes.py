@@ -159,7 +159,7 @@ def _relative_gains(inputs: ComplexArray, outputs: ComplexArray) -> tuple[Array,
     excited = power > _MIN_POWER * power.mean()
     x, y = (np.moveaxis(spectra[:, :, excited], 2, 0) for spectra in (inputs, outputs))
     predicted = x @ (np.linalg.pinv(x) @ y)
-    # Each line has about equal weight, so that neither resonances nor the noise between resonances dominate.
+    # Each line has about equal weight, so neither resonances nor the noise between resonances dominate.
     weight = 1.0 / np.maximum((abs(y) ** 2 + abs(predicted) ** 2).mean(axis=1, keepdims=True), 1e-300)
     predicted_power = np.maximum(np.sum(weight * abs(predicted) ** 2, axis=0), 1e-300)
     gains = np.sum(weight * (predicted.conj() * y).real, axis=0) / predicted_power

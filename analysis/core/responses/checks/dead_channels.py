@@ -92,8 +92,8 @@ def _find(rec: Recording) -> dict[str, int]:
 
 def _block_samples(rec: Recording, marks: Sequence[Marker]) -> int:
     """Return the length of the blocks, which contain a period, a burst or an impact, or several periods of a tone."""
-    hits = [mark.first_sample for mark in marks if mark.kind == "hit"]
-    lengths = [_MIN_SAMPLES, *np.diff(hits).tolist()]
+    impacts = [mark.first_sample for mark in marks if mark.kind == "hit"]
+    lengths = [_MIN_SAMPLES, *np.diff(impacts).tolist()]
     for mark in marks:
         lengths.append(mark.repeated_samples)
         if mark.lowest_frequency > 0.0:

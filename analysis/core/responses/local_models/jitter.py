@@ -18,14 +18,14 @@ _FIT_ORDER = 2 * ORDER
 
 
 def jitter_factor(
-    rec: Recording, names: Sequence[str], hits: Sequence[tuple[int, int]], size: int, half_width: int
+    rec: Recording, names: Sequence[str], impacts: Sequence[tuple[int, int]], size: int, half_width: int
 ) -> Array:
     """Compute the square-root factor of the covariance of jitter errors that resemble a response to an impact.
 
     A sample with a delay t has an error of t times the slope of its signal. Slopes are steepest during an impact and
     shortly after it. Errors of these samples are as smooth over the lines as the response, so the scatter does not show
     them. Each sample is weighted by its effect on a local fit to `half_width` bins on either side of a line. All
-    channels have the same delay. `hits`: first and last sample of each impact; `size`: samples of the Fourier
+    channels have the same delay. `impacts`: first and last sample of each impact; `size`: samples of the Fourier
     transform. The result has the shape (rows, channels).
     """
     deviation_samples = (rec.scene.converter.jitter or 0.0) * rec.rate
@@ -38,11 +38,11 @@ def jitter_factor(
     weights = scipy.signal.savgol_coeffs(2 * half_width + 1, _FIT_ORDER)
     cosines = np.cos(2.0 * np.pi / size * np.arange(n_samples)[:, None] * np.arange(-half_width, half_width + 1))
     sample_weights = cosines @ weights
-    for begin, _ in hits:
+    for begin, _ in impacts:
         readings = np.stack([rec.read(name, max(begin - 1, 0), begin + n_samples) for name in names])
         slopes = np.diff(readings, axis=1)
         slopes *= deviation_samples * sample_weights[: slopes.shape[1]]
-        rows = np.concatenate([factor, slopes.T / np.sqrt(len(hits))])
+        rows = np.concatenate([factor, slopes.T / np.sqrt(len(impacts))])
         factor = np.asarray(np.linalg.qr(rows, mode="r"))
     return factor
 

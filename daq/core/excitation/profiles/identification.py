@@ -51,7 +51,7 @@ def accelerations(station: Station, rows: Sequence[int], readings: Array, lines:
     """Return the complex amplitudes of the accelerations in one period of readings, shape (rows, lines), m/s^2."""
     frequency = lines * station.rate / period
     factors = np.array([station.acceleration_factor(row, frequency) for row in rows])
-    # The first reading is subtracted, so that constant readings are exactly zero.
+    # The first reading is subtracted, so constant readings are exactly zero.
     changes = readings[list(rows)] - readings[list(rows), :1]
     return np.asarray(factors * np.fft.rfft(changes, axis=1)[:, lines] * (2.0 / period))
 

@@ -24,7 +24,7 @@ _MIN_BURST_PERIODS = 12.0
 _EDGE_S = 0.25
 # Duration of zero drive after the burst, in which the motion decays, s.
 _DECAY_S = 1.0
-# The tones extend beyond both limits of the test's band by this factor, so that the estimate is valid at the limits.
+# The tones extend beyond both limits of the test's band by this factor, so the estimate is valid at the limits.
 _BAND_MARGIN = 1.3
 # The drive of the burst is at most this multiple of the cautious drive for the level of the test.
 _MAX_DRIVE_RATIO = 5.0
@@ -103,7 +103,7 @@ def _fit(spring_force: Controlled, drive: Array, readings: Array, lines: NDArray
     table_row, body_row = spring_force.rows
     windows = _windows(period, station.rate)
     s = np.asarray(2j * pi * frequency, dtype=np.complex128)
-    # s is normalized by the middle of the band, so that its powers have similar magnitudes.
+    # s is normalized by the middle of the band, so its powers have similar magnitudes.
     middle_s = 2 * pi * sqrt(frequency[0] * frequency[-1])
     # The subtraction makes constant readings exactly zero.
     changes = readings - readings[:, :1]

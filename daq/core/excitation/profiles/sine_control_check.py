@@ -6,7 +6,7 @@ the tone. At an antiresonance, or near a resonance, the structure amplifies the 
 tone. Where R is large, the loop gain, gain R / (2 sin(pi T f)) at the distance f of the sidebands, must be below 1. In
 a sweep, the logarithmic deviation at a resonance with the damping ratio D and the decay rate d is S (T / gain + 1 / d)
 / (2 D), for the relative sweep rate S and the window T. The check uses the slope of the required drive, whose largest
-value is 1 / (2 D). Sidebands of a tone at an end of the band lie outside the band, so that the response is also needed
+value is 1 / (2 D). Sidebands of a tone at an end of the band lie outside the band, so the response is also needed
 there.
 """
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 # The drive changes after this number of periods.
 WINDOW_PERIODS = 1.0
-# An observation takes four periods, so that free vibrations at lower resonances hardly change it.
+# An observation takes four periods, so free vibrations at lower resonances hardly change it.
 OBSERVATION_PERIODS = 4.0
 # Distances of the sidebands from the tone, in cycles of the drive amplitude per window.
 _SIDEBANDS = np.arange(1, 101) / 200.0

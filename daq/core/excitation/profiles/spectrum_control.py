@@ -21,7 +21,7 @@ _MAX_STEP_DB = 6.0
 class NoiseSource:
     """Stationary Gaussian noise from overlapping frames with random lines, whose density may change between frames.
 
-    The frames have the window sqrt(Hann) and overlap by half, so that the sum of their powers is constant.
+    The frames have the window sqrt(Hann) and overlap by half, so the sum of their powers is constant.
     """
 
     def __init__(self, generator: np.random.Generator, lines: Lines, period: int, rate: float) -> None:

@@ -1,4 +1,4 @@
-"""Control of the drive of a swept tone, so that the force amplitude is constant despite the transient response."""
+"""Control of the drive of a swept tone for a constant force amplitude despite the transient response."""
 
 from cmath import exp, pi
 from collections import deque

@@ -5,7 +5,7 @@ Im(U e^{i phase}). Near a mode with the decay rate d = zeta w0 they obey
 
     X' = l X + b U,    l = -d + i (w0(|X|) - w)
 
-In steady state U is constant, so that the drive is a pure tone even if the motion has harmonics: the control does not
+In steady state U is constant, so the drive is a pure tone even if the motion has harmonics: the control does not
 change the motion that it holds. (J. Sieber, B. Krauskopf, Nonlinear Dynamics 51 (2008) 365.)
 """
 
@@ -104,7 +104,7 @@ class EnvelopeControl:
         if abs(self._drive) > limit:
             self._drive *= limit / abs(self._drive)
         self._latest.append(self._drive)
-        # The part of the drive beyond the limit is not integrated, so that the integral does not wind up.
+        # The part of the drive beyond the limit is not integrated, so the integral does not wind up.
         self._integral += step + self._drive - requested
         return self._drive
 

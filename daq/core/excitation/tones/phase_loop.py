@@ -73,12 +73,12 @@ class PhaseLoop:
         requested = self._integral + proportional * correction
         change = max(-_MAX_CHANGE_RATIO, min(_MAX_CHANGE_RATIO, requested / self._omega - 1.0))
         self._omega = max(self._lowest, min(self._highest, self._omega * (1.0 + change)))
-        # The part of the frequency beyond a limit is not integrated, so that the integral does not wind up.
+        # The part of the frequency beyond a limit is not integrated, so the integral does not wind up.
         self._integral += self._omega - requested
         return self._omega / (2.0 * math.pi)
 
 
 def _scatter(errors: list[float]) -> float:
-    """Return the standard deviation about a straight line, so that a slow decay does not count as scatter."""
+    """Return the standard deviation about a straight line, so a slow decay does not count as scatter."""
     place = np.arange(len(errors))
     return float(np.std(errors - np.polyval(np.polyfit(place, errors, 1), place)))

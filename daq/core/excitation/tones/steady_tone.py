@@ -345,7 +345,7 @@ _MAX_LOG_STEP = math.log(3.0)
 _FLAT_STEP_FACTOR = 0.5
 # If the force is still too large after the drive was reduced to this fraction, the drive is not the cause.
 _MIN_REDUCTION_RATIO = 1e-4
-# A smaller force is replaced by this fraction of the level, so that its logarithm is finite.
+# A smaller force is replaced by this fraction of the level, so its logarithm is finite.
 _MIN_FORCE_RATIO = 1e-9
 
 

@@ -1,7 +1,7 @@
 """Names of devices and channels, and lists and ranges of them.
 
 A name of a device on the bench selects that device. Any other name that NI's driver typically assigns (`Dev1`,
-`cDAQ1Mod1`, `cDAQ9189-1D91958Mod1`, `PXI1Slot2`) selects a device with all inputs and outputs, so that scripts for
+`cDAQ1Mod1`, `cDAQ9189-1D91958Mod1`, `PXI1Slot2`) selects a device with all inputs and outputs, so scripts for
 other hardware run unchanged. Such devices are separate modules on the same sensors, as with a T-piece in every cable;
 an output is the same under all names.
 """

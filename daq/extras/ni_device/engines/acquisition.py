@@ -216,7 +216,7 @@ class Acquisition:
     ) -> int | None:
         """Return the index of the first sample, after `skip`, that fires a trigger in any channel; None without it.
 
-        Every finder processes all samples, so that its state remains correct.
+        Every finder processes all samples, so its state remains correct.
         """
         indices = [finder.find(self.plan.to_units(channel, samples[channel]), skip) for channel, finder in finders]
         return min((index for index in indices if index is not None), default=None)

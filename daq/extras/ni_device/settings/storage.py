@@ -10,7 +10,7 @@ from daq.extras.ni_device.settings.properties import Properties
 from daq.extras.ni_device.settings.scales import Scale
 from daq.extras.ni_device.settings.task_settings import TaskSettings
 
-# Maximum number of saved tasks, channels or scales, so that a client cannot exhaust the memory.
+# Maximum number of saved tasks, channels or scales, so a client cannot exhaust the memory.
 MAX_SAVED = 1000
 Value = TypeVar("Value")
 

@@ -60,7 +60,7 @@ def _read(count_type: _CountType | None = None) -> Handler:
         if count_type is not None:
             values = values.astype(count_type)
         if by_channel and result.error is None and samples_read < samples:
-            # A finite task has ended: pad the samples, so that each channel begins where the client expects it.
+            # A finite task has ended: pad the samples, so each channel begins where the client expects it.
             values = np.pad(values, ((0, 0), (0, samples - samples_read)))
         values = values if by_channel else values.T
         return _with_status(call, result, {"read_array": values, "samps_per_chan_read": samples_read})

@@ -15,7 +15,7 @@ from rig.core.settings.quantity_field import Quantity
 
 
 class Continuation(KindOfTest):
-    """A tone whose frequency and motion are controlled, so that it follows the response curve of each level."""
+    """A tone whose frequency and motion are controlled, so it follows the response curve of each level."""
 
     one_of: ClassVar = (("force", "drive"),)
     kind: Literal["continuation"] = "continuation"

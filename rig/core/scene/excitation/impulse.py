@@ -102,7 +102,7 @@ class Impulse(KindOfTest):
         return self.peak if isinstance(self.peak, tuple) else (self.peak,) * self.repeats
 
     def at_level(self, level: float) -> Self:
-        """Return the test with another highest peak, N, and the same ratios of the peaks."""
+        """Return the test with a different highest peak, N, and the same ratios of the peaks."""
         if not isinstance(self.peak, tuple):
             return self.replace(peak=level)
         return self.replace(peak=tuple(peak * (level / max(self.peak)) for peak in self.peak))

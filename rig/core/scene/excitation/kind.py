@@ -152,7 +152,7 @@ class KindOfTest(Settings):
         return ", ".join(filter(None, parts))
 
     def at_level(self, level: float) -> Self:
-        """Return the test at another level."""
+        """Return the test at a different level."""
         return self.replace(**{self.level_key: level})
 
     def level_unit(self, shaker: Shaker | None) -> str:

@@ -24,7 +24,7 @@ from rig.core.settings.quantity_field import Quantity
 
 
 class PhaseResonance(KindOfTest):
-    """A tone whose frequency is controlled, so that it follows a resonance from level to level."""
+    """A tone whose frequency is controlled, so it follows a resonance from level to level."""
 
     one_of: ClassVar = (("force", "drive"),)
     kind: Literal["phase_resonance"] = "phase_resonance"

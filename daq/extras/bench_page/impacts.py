@@ -12,7 +12,7 @@ _PRETRIGGER_S = 0.01
 # An impact is double if the peak of its second pulse is at least this fraction of the highest peak. A double impact is
 # rejected, because its spectrum has deep minima.
 _REBOUND_RATIO = 0.05
-# The trigger level is this fraction of the smallest accepted peak, so that smaller impacts are also detected, and
+# The trigger level is this fraction of the smallest accepted peak, so smaller impacts are also detected, and
 # rejected.
 _TRIGGER_RATIO = 0.3
 # Samples above the trigger level belong to one pulse if the gap between them is shorter than this, s. The force of a
@@ -23,7 +23,7 @@ _DISPLAYED_S = 0.05
 
 
 @dataclass(eq=False)
-class Hit:
+class Impact:
     """An impact, its faults, and whether it is accepted."""
 
     number: int  # Number of the impact, from 1
@@ -45,7 +45,7 @@ class Hit:
         return self.readings.shape[1]
 
 
-class HitDetector:
+class ImpactDetector:
     """Detects impacts in the channel of the hammer, and checks each impact for faults at the end of its window.
 
     `row` is the row of this channel in the readings, `min_peak` the smallest accepted peak, N. `window` is the duration
@@ -59,22 +59,22 @@ class HitDetector:
         self._readings: Array | None = None
         self._overload: NDArray[np.bool_] = np.zeros((0, 0), bool)
         self._first = 0
-        self.hits: list[Hit] = []
-        self.pending: Hit | None = None
+        self.impacts: list[Impact] = []
+        self.pending: Impact | None = None
 
-    def add(self, first: int, readings: Array, overload: NDArray[np.bool_]) -> list[Hit]:
+    def add(self, first: int, readings: Array, overload: NDArray[np.bool_]) -> list[Impact]:
         """Add the next readings, the first with the number `first`; return the impacts whose windows are complete."""
         if self._readings is None or first != self._first + self._readings.shape[1]:
             self._readings, self._overload, self._first = readings, overload, first
         else:
             self._readings = np.concatenate([self._readings, readings], axis=1)
             self._overload = np.concatenate([self._overload, overload], axis=1)
-        n_before = len(self.hits)
-        while (hit := self._next_hit()) is not None:
-            self.hits.append(hit)
-        return self.hits[n_before:]
+        n_before = len(self.impacts)
+        while (impact := self._next_impact()) is not None:
+            self.impacts.append(impact)
+        return self.impacts[n_before:]
 
-    def _next_hit(self) -> Hit | None:
+    def _next_impact(self) -> Impact | None:
         """Return and remove the first impact whose window is complete; None if there is none."""
         assert self._readings is not None
         self.pending = None
@@ -87,11 +87,11 @@ class HitDetector:
         if self._readings.shape[1] < self._window_samples:
             self.pending = self._judge(self._readings, self._overload)
             return None
-        hit = self._judge(self._readings[:, : self._window_samples], self._overload[:, : self._window_samples])
+        impact = self._judge(self._readings[:, : self._window_samples], self._overload[:, : self._window_samples])
         self._drop(self._window_samples)
-        return hit
+        return impact
 
-    def _judge(self, window: Array, overload: NDArray[np.bool_]) -> Hit:
+    def _judge(self, window: Array, overload: NDArray[np.bool_]) -> Impact:
         """Return the impact in a window that begins with the next sample, with its faults."""
         force = window[self._row]
         peak = float(force.max())
@@ -106,7 +106,7 @@ class HitDetector:
         displayed = force[: round(_DISPLAYED_S * self._rate)]
         is_complete = window.shape[1] == self._window_samples
         overloaded = np.flatnonzero(overload.any(axis=1)).tolist()
-        return Hit(len(self.hits) + 1, self._first, peak, faults, displayed, window, overloaded, is_complete)
+        return Impact(len(self.impacts) + 1, self._first, peak, faults, displayed, window, overloaded, is_complete)
 
     def _drop(self, samples: int) -> None:
         """Remove the oldest stored samples."""

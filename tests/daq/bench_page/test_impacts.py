@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from daq.extras.bench_page.hits import HitDetector
+from daq.extras.bench_page.impacts import ImpactDetector
 
 RATE = 1000.0  # Hz
 MIN_PEAK = 20.0  # smallest accepted peak, N
@@ -22,11 +22,11 @@ def force_of(*pulses: tuple[float, float], seconds: float = 1.0) -> np.ndarray:
 
 def detect_hits(readings, overload=None, block=100):
     """Return the hits that are detected in blocks of `block` samples; without `overload`, no sample is overloaded."""
-    detector = HitDetector(0, RATE, MIN_PEAK, WINDOW_S)
+    detector = ImpactDetector(0, RATE, MIN_PEAK, WINDOW_S)
     overload = np.zeros(readings.shape, bool) if overload is None else overload
     for first in range(0, readings.shape[1], block):
         detector.add(first, readings[:, first : first + block], overload[:, first : first + block])
-    return detector.hits
+    return detector.impacts
 
 
 @pytest.mark.parametrize(
@@ -62,9 +62,9 @@ def test_hits_do_not_depend_on_blocks(block):
 
 
 def test_hit_with_missing_samples_is_ignored():
-    detector, readings = HitDetector(0, RATE, MIN_PEAK, WINDOW_S), force_of((0.2, 50.0))
+    detector, readings = ImpactDetector(0, RATE, MIN_PEAK, WINDOW_S), force_of((0.2, 50.0))
     no_overload = np.zeros((1, 300), bool)
     # Samples 300 to 499 are missing. The trigger is at sample 201; the window extends from 10 samples before it to 590.
     detector.add(0, readings[:, :300], no_overload)
     detector.add(500, readings[:, 500:800], no_overload)
-    assert detector.hits == []
+    assert detector.impacts == []

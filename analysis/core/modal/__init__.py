@@ -1,4 +1,4 @@
 """Natural frequencies, damping ratios and shapes from frequency responses.
 
-Start with `identification`; `lscf` estimates the initial poles.
+Start with `identification`; the package `modal_models` fits the poles.
 """

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.core.modal.order_selection import half_width
+from analysis.core.modal_models.order_selection import half_width
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 

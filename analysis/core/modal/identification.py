@@ -19,12 +19,12 @@ from analysis.core.modal.modal_fit import (
 )
 from analysis.core.modal.mode_warnings import mode_warnings, rejections
 from analysis.core.modal.modes import Modes
-from analysis.core.modal.order_selection import are_in_band
 from analysis.core.modal.pole_errors import pole_errors, refined_pole_errors, systematic_pole_errors
-from analysis.core.modal.pole_residue import UPPER_TERMS, Curves, ModalModel, modal_receptance, residual_terms
 from analysis.core.modal.refinement import Refinement, refine
 from analysis.core.modal.several_references import separate
 from analysis.core.modal.window_fits import IdentifiedPoles, identify_windows, no_poles
+from analysis.core.modal_models.order_selection import are_in_band
+from analysis.core.modal_models.pole_residue import UPPER_TERMS, Curves, ModalModel, modal_receptance, residual_terms
 from analysis.core.responses.errors.systematic import IRREGULAR
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError, SceneError

@@ -9,9 +9,10 @@ import scipy
 from numpy.typing import NDArray
 
 from analysis.core.modal.line_choice import is_peak, scatter
-from analysis.core.modal.lscf import ChartPole, merge_charts, stabilization_diagram
 from analysis.core.modal.modes import MAX_RELATIVE_UNCERTAINTY
-from analysis.core.modal.order_selection import (
+from analysis.core.modal.pole_errors import pole_errors
+from analysis.core.modal_models.lscf import ChartPole, merge_charts, stabilization_diagram
+from analysis.core.modal_models.order_selection import (
     MAX_MODES,
     are_in_band,
     are_narrower_than_resolution,
@@ -20,8 +21,7 @@ from analysis.core.modal.order_selection import (
     initial_model,
     select_model,
 )
-from analysis.core.modal.pole_errors import pole_errors
-from analysis.core.modal.pole_residue import Curves, ModalModel, fit
+from analysis.core.modal_models.pole_residue import Curves, ModalModel, fit
 from analysis.core.responses.errors.systematic import ALIASING, IRREGULAR
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError, SceneError

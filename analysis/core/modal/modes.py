@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.core.modal.lscf import ChartPole
-from analysis.core.modal.pole_residue import modal_receptance
+from analysis.core.modal_models.lscf import ChartPole
+from analysis.core.modal_models.pole_residue import modal_receptance
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
 from rig.core.results import Result, complete_style, format_interval, format_percent, format_quantity

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from analysis.core.modal.order_selection import correlation_length, half_width
-from analysis.core.modal.pole_residue import Curves, ModalModel, jacobian
+from analysis.core.modal_models.order_selection import correlation_length, half_width
+from analysis.core.modal_models.pole_residue import Curves, ModalModel, jacobian
 from analysis.core.responses.errors.systematic import ALIASING, MODEL, REFERENCE_NOISE, RESOLUTION
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import Response

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from analysis.core.modal.pole_residue import UPPER_TERMS, Curves, ModalModel, residual_terms
+from analysis.core.modal_models.pole_residue import UPPER_TERMS, Curves, ModalModel, residual_terms
 from analysis.core.responses.errors.systematic import MODEL, REFERENCE_NOISE
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.uncertainty import Covariance, standard_of_limit

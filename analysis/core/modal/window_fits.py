@@ -18,9 +18,9 @@ from analysis.core.modal.band_choice import Part, band_choice, end_parts, half_p
 from analysis.core.modal.line_choice import reduce_lines
 from analysis.core.modal.modal_fit import MODEL_ERRORS, FittedModes, fit_modes, remove_unbounded
 from analysis.core.modal.modes import UncertainMode
-from analysis.core.modal.order_selection import are_in_band, are_narrower_than_resolution, half_width
 from analysis.core.modal.peak_windows import Window, peak_windows
 from analysis.core.modal.pole_errors import pole_errors, systematic_pole_errors
+from analysis.core.modal_models.order_selection import are_in_band, are_narrower_than_resolution, half_width
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.results.response import Response

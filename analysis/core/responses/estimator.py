@@ -11,7 +11,8 @@ from importlib import import_module
 from typing import Protocol
 
 from analysis.core.responses.checks.channel_changes import Parts
-from analysis.core.responses.checks.curve_checks import delayed_channels, reversed_force
+from analysis.core.responses.checks.curve_checks import reversed_force
+from analysis.core.responses.checks.delays import delayed_channels
 from analysis.core.responses.checks.several_inputs import check_matrix
 from analysis.core.responses.checks.tone_steps import ToneInterval
 from analysis.core.responses.estimators import ESTIMATORS
@@ -160,5 +161,23 @@ def annotate(rec: Recording, curves: Sequence[Response]) -> list[Response]:
         curve.placed(point.place, curve.input_at or input_location(rec, curve.reference), point.body)
         for curve, point in zip(curves, points, strict=True)
     ]
-    warnings = [text for text in (reversed_force(curves), delayed_channels(curves)) if text]
+    warnings = [text for text in (reversed_force(curves), delayed_channels(*_by_channel(rec, curves))) if text]
     return [curve.warn(*warnings) for curve in curves]
+
+
+def _by_channel(rec: Recording, curves: Sequence[Response]) -> tuple[list[Response], str]:
+    """Return responses to the motion or force of one channel, and its name.
+
+    The force of a coil spring k0 is computed from two channels. With the compliance H of the driven body, the response
+    to this force divided by H + 1/k0 is the response to the motion of the table.
+    """
+    reference, source = curves[0].reference, curves[0].inputs[0].name
+    channels = reference_of(rec, reference).channels if source == reference else (source,)
+    if len(channels) == 1:
+        # A single force has no name of its own.
+        return list(curves), f"the {source}" if source == reference else source
+    stiffness = reference_of(rec, reference).weights[0]
+    driven = [curve.to("displacement") for curve in curves if curve.response == channels[1]]
+    return [
+        curve.to("displacement").scaled(1.0 / (driven[0].value + 1.0 / stiffness)) for curve in curves if driven
+    ], channels[0]

@@ -11,7 +11,7 @@ import analysis
 from analysis.core.modal import window_fits
 from analysis.core.modal.band_choice import BandChoice, Part, band_choice, end_parts, half_parts
 from analysis.core.modal.modal_fit import MODEL_ERRORS, fit_modes
-from analysis.core.modal.pole_residue import Curves, fit
+from analysis.core.modal_models.pole_residue import Curves, fit
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.results.response import Response

@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 import analysis
 import daq
 from analysis.core.modal.modal_fit import fit_modes
-from analysis.core.modal.order_selection import computational_poles
 from analysis.core.modal.pole_errors import LEAKAGE_FACTOR, pole_errors
-from analysis.core.modal.pole_residue import Curves, fit
+from analysis.core.modal_models.order_selection import computational_poles
+from analysis.core.modal_models.pole_residue import Curves, fit
 from analysis.core.responses.errors.systematic import UNSETTLED
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.results.response import Response

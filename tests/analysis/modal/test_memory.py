@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import analysis
-from analysis.core.modal import pole_errors, pole_residue
-from analysis.core.modal.lscf import stabilization_diagram
+from analysis.core.modal import pole_errors
+from analysis.core.modal_models import pole_residue
+from analysis.core.modal_models.lscf import stabilization_diagram
 from analysis.core.responses.errors import random_errors
 from analysis.core.responses.errors.random_errors import LocalErrors, MeanErrors, SharedErrors
 from rig.core.base.errors import RunError

@@ -5,8 +5,8 @@ import pytest
 
 from analysis.core.modal import refinement
 from analysis.core.modal.pole_errors import refined_pole_errors
-from analysis.core.modal.pole_residue import Curves, Projection, fit
 from analysis.core.modal.refinement import Likelihood, take_step
+from analysis.core.modal_models.pole_residue import Curves, Projection, fit
 from rig.core.results.uncertainty import LineCovariance
 
 RESPONSES, LINES = 3, 60

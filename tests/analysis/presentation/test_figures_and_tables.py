@@ -25,8 +25,8 @@ from analysis.commands.presentation.frf_findings import _draw_figures, describe_
 from analysis.commands.presentation.mode_findings import describe_modes, theory_warnings
 from analysis.commands.presentation.tables import modes_table
 from analysis.commands.presentation.theory import theoretical_modes
-from analysis.core.modal.lscf import ChartPole
 from analysis.core.modal.modes import Modes, UncertainMode
+from analysis.core.modal_models.lscf import ChartPole
 from analysis.core.recordings.names import baseline_label, belongs_to, excitation_text
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import BODIES, REFERENCE, faded, recording_styles

@@ -147,14 +147,14 @@ def test_intact_channels_are_not_reported(random_test, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("channel", "text"), [("body2", "body2 seems to be 2 ms late"), ("force", "The force seems to be 2 ms late")]
+    ("channel", "text"), [("body2", "Body2 seems to be (2.0"), ("force", "The force seems to be (2.0")]
 )
 def test_late_channel_is_named(random_test, channel, text):
     with daq.open(random_test) as rec:
         assert not any("seems to be" in warning for warning in analysis.frfs(rec).warnings)
         # The samples are later than the stated delay.
         rec.channels[channel] = replace(rec.channels[channel], delay=-2e-3)
-        assert any(text in warning for warning in analysis.frfs(rec).warnings)
+        assert any(text in warning and "ms late" in warning for warning in analysis.frfs(rec).warnings)
 
 
 @pytest.mark.parametrize("kind", ["stepped_sine", "swept_sine"])

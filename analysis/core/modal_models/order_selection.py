@@ -12,8 +12,15 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.core.modal.lscf import MAX_DAMPING
-from analysis.core.modal.pole_residue import MAX_EVALUATIONS, Curves, ModalModel, fit, misfits_with, misfits_without
+from analysis.core.modal_models.lscf import MAX_DAMPING
+from analysis.core.modal_models.pole_residue import (
+    MAX_EVALUATIONS,
+    Curves,
+    ModalModel,
+    fit,
+    misfits_with,
+    misfits_without,
+)
 from rig.core.base.arrays import Array, ComplexArray
 
 # Maximum number of modes inside the band.

@@ -155,7 +155,7 @@ def _misfits_with(curves: Curves, poles: ComplexArray, added: ComplexArray) -> A
     problem = Projection(curves, poles)
     x = np.zeros(2 * poles.size)
     basis, residual = np.linalg.qr(problem.basis(x))[0], problem.residual(x)[..., None]
-    columns = _weighted(curves, _mode_terms(problem.s, added, (1,))).swapaxes(1, 2)
+    columns = _weighted(curves, terms_of_modes(problem.s, added, (1,))).swapaxes(1, 2)
     size = np.linalg.norm(columns, axis=1, keepdims=True)
     columns = columns / np.where(size > 0.0, size, 1.0)
     # Columns close to the columns of other poles are orthogonalized twice, because rounding dominates the first result.
@@ -218,7 +218,7 @@ class Projection:
     def __init__(self, curves: Curves, start: ComplexArray) -> None:
         self.s: ComplexArray = np.asarray(2j * np.pi * curves.frequency, dtype=complex)
         self.curves, self.start = curves, start
-        self.target = _real_rows(curves.value * curves.weight)
+        self.target = real_rows(curves.value * curves.weight)
         self.residual_terms = _weighted(curves, np.stack(residual_terms(self.s)[: 1 + curves.upper_terms]))
         self.scale = -start.real
         self._factorized: tuple[Array, _Factors] | None = None
@@ -244,13 +244,13 @@ class Projection:
 
     def _basis(self, x: Array, rows: slice, part: Curves) -> Array:
         """Return the basis of the responses in the slice `part`."""
-        terms = _weighted(part, _mode_terms(self.s, self.poles(x), (1,)))
+        terms = _weighted(part, terms_of_modes(self.s, self.poles(x), (1,)))
         return np.concatenate([terms, self.residual_terms[rows]], axis=1).swapaxes(1, 2)
 
     def factors(self, x: Array) -> _Factors:
         """Factorize the weighted basis of every response; the last result is stored."""
         if self._factorized is None or not np.array_equal(self._factorized[0], x):
-            mode_terms, count = _mode_terms(self.s, self.poles(x), (1, 2)), x.size
+            mode_terms, count = terms_of_modes(self.s, self.poles(x), (1, 2)), x.size
             triangles = []
             for rows, part in self.curves.blocks(len(mode_terms) + self.residual_terms.shape[1] + 1):
                 columns = _weighted(part, mode_terms)
@@ -313,7 +313,7 @@ class Projection:
 
     def jacobian(self, x: Array) -> Array:
         """Differentiate the residuals by the parameters, shape (responses, 2 n, parameters)."""
-        mode_terms = _mode_terms(self.s, self.poles(x), (2,))
+        mode_terms = terms_of_modes(self.s, self.poles(x), (2,))
         derivatives = np.empty((*self.target.shape, x.size))
         for rows, part in self.curves.blocks(2 * x.size + self.residual_terms.shape[1]):
             q = np.linalg.qr(self._basis(x, rows, part))[0]
@@ -344,7 +344,7 @@ def _triangular_factor(matrix: Array) -> Array:
     return np.asarray(householder[..., :size, :] * _upper_triangle(size, columns))
 
 
-def _mode_terms(s: ComplexArray, poles: ComplexArray, powers: Sequence[int]) -> ComplexArray:
+def terms_of_modes(s: ComplexArray, poles: ComplexArray, powers: Sequence[int]) -> ComplexArray:
     """Return the factors of Re R and Im R in R / (s - p)^power and its mirror term, shape (powers x 2 modes, n)."""
     direct, mirror = 1.0 / (s - poles[:, None]), 1.0 / (s - poles.conj()[:, None])
     terms = np.empty((len(powers), poles.size, 2, s.size), dtype=complex)
@@ -356,8 +356,9 @@ def _mode_terms(s: ComplexArray, poles: ComplexArray, powers: Sequence[int]) -> 
 
 def _weighted(curves: Curves, terms: ComplexArray) -> Array:
     """Return weighted terms of each response, shape (responses, terms, 2 n): real parts, then imaginary parts."""
-    return _real_rows(terms) * np.concatenate([curves.weight, curves.weight], axis=1)[:, None]
+    return real_rows(terms) * np.concatenate([curves.weight, curves.weight], axis=1)[:, None]
 
 
-def _real_rows(rows: ComplexArray) -> Array:
+def real_rows(rows: ComplexArray) -> Array:
+    """Return real parts, then imaginary parts of each row."""
     return np.concatenate([rows.real, rows.imag], axis=-1)

@@ -28,7 +28,7 @@ from rig.extras.grains.ranks import join
 if TYPE_CHECKING:
     from rig.commands.command_help import Application
 
-# Upper limit of numeric options in any unit.
+# Limit of numeric options in any unit; a larger number is a typing error.
 MAX_OPTION_VALUE = 1e12
 # Options of parameters of functions that no command has.
 _OPTIONS_OF_PARAMETERS = {"certificates": "--certificate", "uncertain": "--damping-off", "path": "--output"}

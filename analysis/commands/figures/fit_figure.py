@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from analysis.core.fitting.fit import Comparison, Fit
 
-# Maximum number of drawn sweeps.
+# At most this number of sweeps is drawn: more panels would not fit on a page.
 MAX_ROWS = 8
 # Height of a row of the figure, inches.
 _ROW_HEIGHT_IN = 2.4

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Number of points over which the median roughness of a curve is computed.
+# Points over which the median roughness of a curve is computed: enough that one resonance does not determine it.
 _ROUGHNESS_POINTS = 25
 # A point with a smaller coherence is drawn as noise.
 _MIN_COHERENCE = 0.5

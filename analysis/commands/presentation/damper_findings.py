@@ -26,7 +26,7 @@ from rig.core.results import format_frequencies, format_interval, format_number
 from rig.core.results.text import table_lines
 from rig.core.results.uncertainty import expand
 
-# Number of frequencies in the printed energy table; the CSV file contains all frequencies.
+# Frequencies in the printed energy table, which must stay short; the CSV file contains all frequencies.
 _PRINTED_FREQUENCIES = 2
 # Printed descriptions of the motions by name (`DamperMotion.name`).
 _AT_REST = "at rest on the floor"

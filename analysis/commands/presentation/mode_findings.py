@@ -45,7 +45,7 @@ MIN_SAME_SHAPE_MAC = 0.9
 # value: with the nearest mode alone, two close modes could be exchanged, because their spacing may be smaller than the
 # error of the scene's values. Distant modes are left out, because a channel of wrong sign can resemble their shapes.
 _MAX_FREQUENCY_RATIO = 1.25
-# Largest order (sum of the factors) of a combination of natural frequencies.
+# Largest order (sum of the factors) of a combination; with higher orders, nearly any frequency is a combination.
 _MAX_COMBINATION_ORDER = 5
 # Largest relative error of a combination: natural frequencies depend on amplitude if dampers move.
 _MAX_COMBINATION_ERROR = 0.015

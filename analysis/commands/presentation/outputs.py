@@ -12,9 +12,9 @@ from pathlib import Path
 from analysis.core.recordings.names import require_file, sweep_name
 from rig.core.base.output_files import prepare_outputs
 
-# Maximum number of characters of a channel name in a file name.
+# Characters of a channel name in a file name; file systems allow 255 bytes for the whole name.
 _MAX_CHANNEL_LENGTH = 40
-# Maximum number of characters of the combined names of several recordings.
+# Characters of the combined names of several recordings; file systems allow 255 bytes for the whole name.
 _MAX_NAME_LENGTH = 60
 
 

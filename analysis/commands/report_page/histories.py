@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 _MAX_SAMPLES = 60_000
 # A long recording is divided into this number of intervals.
 _INTERVALS = 1500
-# Maximum number of spectra in a spectrogram.
+# Spectra in a spectrogram; more would not be visible in its width.
 _SPECTRA = 240
-# Number of spectral lines in each spectrum.
+# Spectral lines in each spectrum; more would not be visible in its height.
 _LINES = 128
 # A spectrogram ends at this multiple of the highest natural frequency of the structure.
 _MAX_FREQUENCY_RATIO = 3.0

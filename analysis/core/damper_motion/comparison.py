@@ -22,9 +22,9 @@ from rig.core.results.uncertainty import CLOCK, COVERAGE_FACTOR, SENSITIVITY, SY
 _BAND_BELOW_RATIO = 0.15
 # The curve has a jump at a point if the point deviates from the prediction of its neighbors by more than this fraction.
 _MAX_LEAVE_ONE_OUT_ERROR = 0.2
-# Number of frequencies of the interpolated curve between the neighbors of the highest point.
+# Frequencies of the interpolated curve between the neighbors of the highest point, so its maximum needs no refinement.
 _GRID_POINTS = 801
-# Number of frequencies of the interpolated curve that are drawn.
+# Frequencies of the interpolated curve that are drawn: enough for a smooth line.
 _DRAWN_POINTS = 41
 # Tolerances at different frequencies are equal if their relative difference is at most this (rounding).
 _SAME_TOLERANCE = 1e-6

@@ -25,13 +25,13 @@ from rig.core.results.response import MOTIONS
 MAX_SHIFT = 4
 # Polynomial orders of the smooth acceleration around a jump.
 ORDERS = (2, 4, 6, 8)
-# Minimum number of samples on either side of a jump that determine the smooth motion.
+# Fewest samples on either side of a jump: they must outnumber the coefficients of the smooth motion.
 _SIDE_SAMPLES = 6
-# Minimum duration of these samples in velocity and displacement channels.
+# Shortest duration of these samples in velocity and displacement channels, whose noise is large in derivatives.
 _SIDE_TIME_S = 1e-3
-# Maximum phase change of a resonance between two sub-sample times, rad.
+# Largest phase change [rad] of a resonance between two sub-sample times; the interpolation is then accurate.
 _MAX_PHASE_STEP = 0.5
-# Minimum number of sub-sample times in a sample interval.
+# Fewest sub-sample times in a sample interval, for channels without a fast resonance.
 _MIN_INSTANTS_PER_SAMPLE = 8
 # The search uses every eighth sub-sample time if the sensor has a resonance.
 _RESONANCE_STRIDE = 8
@@ -40,7 +40,7 @@ _FILTER_STRIDE = 4
 # Poles above this angular frequency, rad per sample, affect the response to a jump. Slower poles cause only a slow
 # curvature after the jump, which the polynomial represents.
 _FAST_POLE = 0.3
-# Number of decay times after which the response of a resonance has decayed to 1e-6.
+# Decay times after which the response of a resonance has decayed to 1e-6: exp(-14).
 _DECAY_TIMES = 14.0
 # The window includes this number of decay times of a resonance.
 _WINDOW_DECAY_TIMES = 3.0

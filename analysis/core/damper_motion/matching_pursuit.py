@@ -50,9 +50,9 @@ _KINK_JUMP_RATIO = 1.0
 # For finite-duration contact, this fraction of the contact duration replaces the sample interval in the rejection
 # above.
 _KINK_DURATION_RATIO = 1.0 / 6.0
-# Maximum number of searches of the residual.
+# Searches of the residual; each subtracts all jumps found in it, so few are needed and the limit only ends a cycle.
 _MAX_ROUNDS = 12
-# Maximum number of iterations that center a window on a jump.
+# Iterations that center a window on a jump; the limit only ends an oscillation between two windows.
 _MAX_CENTERINGS = 4
 # Minimum distance of two jumps in the search for single jumps, samples.
 _MIN_DISTANCE_SAMPLES = 4
@@ -62,7 +62,7 @@ MIN_RESOLVED_SAMPLES = 6
 _MAX_RESOLVED_ERROR_RATIO = 1.1
 # A segment is searched for groups of jumps if its residual exceeds this multiple of the detection limit.
 _GROUP_SEARCH_RATIO = 3.0
-# Maximum number of windows in such a segment.
+# Windows in such a segment; the computing time increases with the cube of this number.
 _MAX_WINDOWS = 4
 # The search for groups ends at this residual sum of squares, relative to the sum of squares of a jump at the detection
 # limit.
@@ -77,7 +77,7 @@ _HIGHER_ORDERS = (2, 4, 6)
 _MIN_VARIANCE_REDUCTION = 2.0
 # A filter of higher order is used if the noise of the jumps is below this fraction of that with the present filter.
 NOISE_REDUCTION = 0.7
-# Maximum number of jumps in a joint fit.
+# Jumps in a joint fit; the computing time increases with the cube of this number.
 _MAX_JOINT_JUMPS = 5
 # Offsets from which the time of a new jump is fitted, samples.
 _START_OFFSETS = (0.0, -2.5, 2.5, -5.0, 5.0)

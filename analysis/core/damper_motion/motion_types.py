@@ -30,13 +30,13 @@ from rig.core.scene.damper import Damper
 # Tolerance of one impact per period: of about twenty impacts, one or two may be at an end of the measurement or too
 # close to another impact.
 _COUNT_TOLERANCE = 0.15
-# Maximum number of periods after which a pattern of impacts must recur.
+# A pattern of impacts must recur after at most this number of periods; by chance, longer patterns recur in any motion.
 _MAX_PATTERN_PERIODS = 4
 # A restitution differs significantly from zero above this number of standard uncertainties.
 _RESTITUTION_SIGMAS = 3.0
-# Maximum number of samples searched in a window, to limit memory.
+# Samples of a window that are searched, to limit the memory.
 _MAX_SEARCHED_SAMPLES = 1 << 20
-# Minimum number of periods searched, even if they contain more samples.
+# Periods that are searched even if they contain more samples: five recurrences of the longest pattern.
 _MIN_SEARCHED_PERIODS = 20
 
 

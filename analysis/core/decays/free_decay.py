@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
     from daq.core.signal_chain.channel import ChannelInfo
 
-# Lower limit of the frequency range that is searched for modes, Hz.
+# Lower limit of the frequency range [Hz] that is searched for modes: drift of sensors dominates below.
 LOWEST_MODE_HZ = 2.0
-# Upper limit of this range. The limit is raised if the scene's structure has higher modes.
+# Upper limit of this range [Hz], raised if the structure of the scene has higher modes; higher modes decay at once.
 HIGHEST_MODE_HZ = 200.0
-# Minimum number of samples in a decay.
+# Fewest samples of a decay from which a natural frequency and a slope can be estimated.
 _MIN_SAMPLES = 256
 # If the energy no longer decays in the last tenth of a record, this tenth counts as noise, provided that it contains at
 # most this fraction of the energy. Otherwise the motion is not a free decay.

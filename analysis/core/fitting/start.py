@@ -30,7 +30,7 @@ _DAMPING_SD = 0.05
 _CONSTANT_SD = 0.05
 # Maximum number of ranked assignments of identified modes to model modes.
 _MAX_RANKED = 2000
-# Maximum number of fitted assignments.
+# Assignments that are fitted: those that rank best; each takes a fit.
 _MAX_FITTED = 4
 # Assignments are compared with this assumed model error, relative to the local peak.
 _MODEL_ERROR = 0.1

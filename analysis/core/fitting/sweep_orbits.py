@@ -43,7 +43,7 @@ _MAX_SECANT_STEPS = 8
 _MIN_RELATIVE_STEP = 1e-6
 # The secant steps end if the relative error of the level is at most this; the remaining error is corrected linearly.
 _LEVEL_TOLERANCE = 1e-5
-# Maximum number of drives at which an orbit is searched; each gives a level closer to the required level.
+# Drives at which an orbit is searched. Each gives a level closer to the required level, so few suffice.
 _MAX_SEARCHES = 5
 
 

@@ -12,7 +12,7 @@ from rig.core.results.response import Response
 # Up to this number, all lines are fitted. If there are more, the lines of peaks are selected and, at equal distances,
 # about half of this number of other lines.
 MAX_LINES = 2000
-# Number of the highest peaks around which all lines are selected.
+# All lines around this number of the highest peaks are selected: twice the largest number of modes.
 _MAX_PEAKS = 24
 # Around each peak, this number of adjacent lines is selected, and the same number at equal distances between the
 # flanks.

@@ -35,7 +35,7 @@ MIN_RELATIVE_ERROR = 1e-4
 _CHART_ERROR = 0.03
 # Maximum number of initial poles.
 _MAX_INITIAL_POLES = 15
-# Maximum number of candidates for a further pole.
+# Candidates for a further pole; each takes a linear fit.
 _MAX_CANDIDATES = 40
 # Noise explains a misfit up to this multiple of its expected value. For a larger misfit, a model error is assumed.
 _MAX_NOISE_RATIO = 4.0

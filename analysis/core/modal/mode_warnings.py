@@ -22,7 +22,7 @@ _WIDENING_RATIO = float(np.sqrt(_MAX_DAMPING_UNCERTAINTY / LEAKAGE_FACTOR))
 # For a linear structure with lightly damped modes, the residual is below this fraction of the peak height.
 MAX_LINEAR_RESIDUAL = 0.005
 _MAINS_FREQUENCIES = (50.0, 60.0)  # Hz
-# Largest tested multiple: hum at higher multiples is rarely distinct.
+# Largest tested multiple of the mains frequency: hum at higher multiples is rarely distinct.
 _MAX_MAINS_MULTIPLE = 10
 # Largest tolerance, relative to the mains frequency. At ±5 % of the mains frequency, a peak at a random frequency
 # matches a multiple with a probability of 10 %.

@@ -23,7 +23,7 @@ MAX_EVALUATIONS = 25
 UPPER_TERMS = 3
 # At least this number of lines is needed for all terms of the series; fewer lines determine only the first term.
 _MIN_LINES = 20
-# Maximum number of elements of the weighted terms of the responses that are in memory at a time.
+# Elements of the weighted terms of the responses in memory at a time: 64 MB of complex values.
 _MAX_ELEMENTS = 1 << 22
 # The remainder of a unit column after orthogonalization is a rounding error if its squared norm is below this.
 _ROUNDING = 1e-20

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from daq.core.recording.recording import Recording
 
-# Number of points on each side of a fold to which polynomials are fitted.
+# Points on each side of a fold to which polynomials are fitted: as many as a parabola has coefficients.
 _FITTED = 3
 # A curve reaches an end of the band up to this ratio of frequencies.
 _BAND_END = 1.001

@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 
     from daq.core.recording.recording import Recording
 
-# Minimum number of amplitudes at one frequency for interpolation.
+# Fewest amplitudes at one frequency for interpolation by a curve instead of a straight line.
 _MIN_AMPLITUDES = 3
 # Successive amplitudes belong to the same held level if they differ by less than this fraction.
 _LEVEL_STEP = 0.02
-# Number of amplitudes to which the points of a frequency are interpolated.
+# Amplitudes to which the points of a frequency are interpolated: finer than the contours of a figure.
 _GRID = 1000
 
 

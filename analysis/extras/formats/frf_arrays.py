@@ -19,7 +19,7 @@ _BLOCK = re.compile(r"(.*[._])?(npts|n_?fft|n_?samples|block(_?(size|length))?)"
 _SPACING = re.compile(r"(.*[._])?(df|delta_?f|resolution|x_values\.increment)", re.IGNORECASE)
 # Name of the frequency of the first line, Hz, in files of Testlab.
 _START = re.compile(r"(.*\.)?x_values\.start_value")
-# Minimum number of complex values of a response.
+# Fewest complex values of a response; a shorter array is more likely a setting than a response.
 _MIN_LINES = 4
 
 

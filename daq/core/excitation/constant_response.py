@@ -33,7 +33,7 @@ _AMPLITUDE_WAIT_S = 15.0
 _MIN_WAIT_S = 1.0
 # A drive above this fraction of the amplifier's limit counts as limited.
 AT_LIMIT_RATIO = 0.99
-# Number of points of a test on the bench page.
+# Points of a test on the bench page: a form has no list of frequencies.
 _FORM_POINTS = 40
 
 

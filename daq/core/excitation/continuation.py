@@ -45,9 +45,9 @@ if TYPE_CHECKING:
 # Feedback starts where the product of |l| and dead time is below this fraction of its stability limit, and stops above
 # the limit.
 _BEGIN_RATIO = 0.8
-# Largest relative deviation of the force from the level.
+# Largest relative deviation of the force from the level: small against the change of force along the curve.
 _TOLERANCE = 0.002
-# Largest number of holds to correct a point.
+# Holds that correct a point; more are needed only where the curve is lost.
 _MAX_CORRECTIONS = 8
 # Smallest assumed slope of ln(force) along the normal; it limits the distance to the next hold.
 _MIN_SLOPE = 0.05
@@ -71,7 +71,7 @@ _MAX_RETURN_DEVIATION = 0.05
 _LEAPS = 1.0, 2.0, 4.0
 # Behind a corner of the curve, the frequency changes by this fraction of a step at a time.
 _CORNER_RATIO = 0.25
-# Largest number of these changes.
+# Changes of this kind in succession; more occur only where the curve is lost.
 _MAX_CORNER_STEPS = 12
 # Duration of these changes, in units of 1 / |l|: their transients hardly leave the motion, which is stable only in the
 # vicinity of a corner.

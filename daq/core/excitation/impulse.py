@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 BASELINE_S = 0.25
 # Length of the windows in which the drive is output, s.
 _WINDOW_S = 0.1
-# Maximum wait for the settling of sensors, in time constants and in s; the shorter wait applies.
+# Longest wait for the settling of sensors, in time constants (to exp(-10)) and in s; the shorter wait applies.
 _MAX_TIME_CONSTANTS, _MAX_SETTLING_S = 10.0, 60.0
 # Length of the window in which a drift is detected, s.
 _DRIFT_WINDOW_S = 0.5

@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 
 # The motion is in steady state if successive periods differ by at most this fraction.
 _TOLERANCE = 1e-4
-# Maximum wait for the steady state, s and periods; the longer of the two applies.
+# Longest wait for the steady state, in s and in periods; the longer wait applies. A test must end also if dampers move
+# irregularly.
 _MAX_WAIT_S = 60.0
 _MAX_WAIT_PERIODS = 8
 # Expected duration of the iterations that shape the drive for a controlled force, s.

@@ -33,9 +33,9 @@ _LOCKED_WINDOWS = 8
 _LOCKED_RATIO = 0.7
 # Largest number of locks at a level: the phase can leave the tolerance again while the frequency is constant.
 _MAX_LOCKS = 4
-# Largest number of changes of the drive at a level.
+# Changes of the drive at a level; more are needed only if the force jumps.
 _MAX_DRIVES = 12
-# Smallest force whose phase is determined, counts of the converter.
+# Smallest force [counts of the converter] whose phase is determined, above the steps of quantization.
 _MIN_COUNTS = 2.0
 # The expected wait at a level, periods, measured with the bundled scenes.
 _PERIODS_OF_LOCK = 400.0

@@ -26,11 +26,11 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
 
-# Number of averaged spectra for the first update at a level, and for the levels of the ramp.
+# Averaged spectra for the first update at a level, and for the levels of the ramp: a scatter of about 1 dB.
 _FIRST_AVERAGES = 16
 # The ramp continues when this fraction of the lines is within the tolerance.
 _MIN_WITHIN = 0.9
-# Largest number of updates at a level of the ramp.
+# Updates at a level of the ramp; more are needed only if the spectrum cannot be reached.
 _MAX_UPDATES = 12
 # Fraction of the drive samples that the output may clip.
 _MAX_CLIPPED = 0.01

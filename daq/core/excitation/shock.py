@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 # The test gives up after this number of practice pulses, unless the scene specifies more.
 _MAX_PRACTICE = 3
-# Highest frequency of the drive, as a fraction of the sample rate.
+# Highest frequency of the drive relative to the sample rate, below the transition band of the converter.
 _BAND_RATIO = 0.4
-# Smallest number of samples in a half sine.
+# Fewest samples in a half sine; with fewer, its peak lies between two samples.
 _MIN_SAMPLES = 6
 # Deviations that grow by this factor do not converge: the drive does not compensate vibration of earlier pulses.
 _GROWTH = 1.2

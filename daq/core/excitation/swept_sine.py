@@ -42,7 +42,7 @@ _MIN_WINDOW_SAMPLES = 4
 _WINDOW_S = 0.1
 # The sweep begins when the transient at the first frequency is at most this fraction of the amplitude.
 _TOLERANCE = 0.01
-# Maximum wait for the steady state at the first frequency, s.
+# Longest wait for the steady state at the first frequency, s; irregular motion of dampers never reaches it.
 _MAX_WAIT_S = 60.0
 # The force may deviate from its level by at most this fraction.
 ALLOWED_DEVIATION = 0.1

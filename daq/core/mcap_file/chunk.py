@@ -16,7 +16,7 @@ LARGEST_CHUNK = 1 << 26
 # The next three limits reject small files that would keep a reader busy for minutes. Up to this unpacked size in bytes,
 # any compression ratio is accepted.
 _UNLIMITED_RATIO_BYTES = 1 << 21
-# Largest accepted compression ratio of larger chunks.
+# Largest accepted compression ratio of larger chunks: samples with noise compress far less, a hostile file more.
 _MAX_RATIO = 1000
 # A chunk of n bytes in the file may have at most n plus this number of records.
 _MAX_EXCESS_RECORDS = 1 << 10

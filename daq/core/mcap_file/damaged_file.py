@@ -44,7 +44,7 @@ _ENTRY_BYTES = 16
 _TEXT_SIZE = struct.Struct("<I")
 # Length of the record at the end of the data section: a checksum.
 _DATA_END_BYTES = 4
-# Number of bytes that are read to check the beginning of a record.
+# Bytes that are read to check the beginning of a record: its header and the first fields.
 _CHECKED_BYTES = 64
 # Fields of an attachment: two times and the size of its name; size of its data.
 _ATTACHMENT_HEAD = struct.Struct("<QQI")

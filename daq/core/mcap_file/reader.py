@@ -17,9 +17,9 @@ from daq.core.mcap_file.chunk import LARGEST_CHUNK, MAGIC, RECORD_HEAD, Damage, 
 from daq.core.mcap_file.summary import Summary, parse_record, read_summary
 from rig.core.base.errors import RecordingError
 
-# Largest accepted size of a record outside the chunks, bytes.
+# Largest accepted size [bytes] of a record outside the chunks; a damaged length must not exhaust the memory.
 LARGEST_RECORD = 1 << 24
-# Largest accepted size of a summary, bytes.
+# Largest accepted size [bytes] of a summary; a damaged length must not exhaust the memory.
 LARGEST_SUMMARY = 1 << 28
 
 FOOTER_RECORD = struct.Struct("<BQQQI")

@@ -57,7 +57,8 @@ _MAX_SECANT_STEPS = 3
 # deviations of their scatter. Measured with 15 scenes: errors of 0.1 to 2 % without scatter.
 _LINEAR_WAIT_ERROR = 0.03
 _WAIT_SIGMAS = 2.5
-# Smallest completed fraction from which the duration of a test with feedback is extrapolated.
+# Smallest completed fraction of a test with feedback from which its duration is extrapolated: to at most ten times the
+# rehearsed part.
 _MIN_FRACTION = 0.1
 # The time of an abort may differ by this ratio from the time that rehearsed parts of the test predict.
 _ABORT_RATIO = 1.5

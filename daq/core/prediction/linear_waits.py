@@ -31,7 +31,8 @@ from rig.core.system.open_loop_drive import riding_equations, riding_response
 
 # Tones and transients are represented by at most this number of points per period of the highest frequency.
 _POINTS_PER_PERIOD = 32
-# Largest condition number of the matrix of mode shapes; above it, the waits follow from the slowest mode alone.
+# Largest condition number of the matrix of mode shapes: beyond it, rounding errors reach 0.1 %. The waits then follow
+# from the slowest mode alone.
 _MAX_CONDITION = 1e13
 # A prediction ends after this number of measuring windows, about 1 s of CPU time.
 _MAX_WINDOWS = 20000
@@ -40,7 +41,7 @@ _MAX_WINDOWS = 20000
 # and would take twice the time.
 _REPEATED_WINDOWS = 2000
 _MIN_REPEATED_WINDOWS = 500
-# Number of windows whose noise is drawn at once.
+# Windows whose noise is drawn at once, to save calls.
 _DRAWN_AT_ONCE = 256
 # Number of windows whose amplitudes are computed at once: about as many as between two changes of the drive.
 _WINDOWS_AT_ONCE = 16

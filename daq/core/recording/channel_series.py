@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 # If more samples than this are requested, the number of samples in the file is checked first: a wrong sample index must
 # not exhaust the memory.
 _LARGE_RANGE = 1 << 22
-# Largest ratio of requested samples to samples in the file.
+# Largest ratio of requested samples to samples in the file; a damaged sample number must not exhaust the memory.
 _MAX_REQUESTED_PER_STORED = 16
 # Voltages above this multiple of the converter's range are treated as invalid. The factor admits readings that were
 # imported with a wrong unit or range; `daq import` reports such a mistake.

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from daq.core.signal_chain.channel import ChannelInfo
     from rig.core.scene.scene import Scene
 
-# Highest sample rate of the displayed waveforms, Hz.
+# Highest sample rate [Hz] of the displayed waveforms: a viewer shows modes of the rig smoothly and stays fast.
 MAX_RATE_HZ = 250.0
 # Number of display samples from one transform to the next.
 TRANSFORM_STEP = 2

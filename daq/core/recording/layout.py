@@ -40,7 +40,7 @@ MAX_VOLTS = 1e30
 
 # Approximate duration of a block, s.
 BLOCK_S = 0.1
-# Shortest full block, samples.
+# Shortest full block [samples]; shorter blocks would spend most bytes on headers.
 MIN_BLOCK_SAMPLES = 256
 # Approximate time between commits to the disk, s: a killed process loses less.
 FLUSH_S = 0.5

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from rig.core.base.errors import RecordingError
 from rig.core.base.escaping import is_single_line
 
-# Maximum length of a name, characters.
+# Longest name [characters]; a longer name is a sign of damage.
 MAX_NAME_LENGTH = 200
 # Times are computed from sample indices as floats, which are exact up to this value.
 MAX_SAMPLES = 2**53

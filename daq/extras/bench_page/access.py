@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 #: Maximum number of connections; one open page needs about six.
 MAX_CONNECTIONS = 100
-# Maximum time from a connection to the end of the headers of its first request, s.
+# Longest time [s] from a connection to the end of the headers of its first request; slow clients must not use up the
+# connections.
 _MAX_REQUEST_S = 5.0
 
 FORBIDDEN_TEXT = "Forbidden: open the address that `daq bench` printed, with its token."

@@ -21,7 +21,7 @@ from rig.core.base.output_files import temporary_folder
 if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
-# Maximum time for the start of the web server, s.
+# Longest time [s] for the start of the web server, even on a loaded computer.
 _MAX_START_S = 30.0
 # Maximum size of a command of the page, bytes; the largest command has less than 100 bytes.
 _MAX_COMMAND_BYTES = 1 << 16

@@ -34,7 +34,7 @@ _NO_FORCE = "the page controls forces, but the shaker exerts none; record the te
 _DEFAULT_FORM = "sweep"
 # Band of the tests, Hz, if the scene's test has none.
 _DEFAULT_BAND = 5.0, 100.0
-# Minimum number of samples per period of a sine; it limits the frequency.
+# Fewest samples per period of a sine: the shape of a faster sine is not displayed. It limits the frequency.
 _MIN_SAMPLES_PER_PERIOD = 10.0
 # Limits of the block length of the live frequency response, s. Within these limits, a block is a tenth of the test.
 _MIN_BLOCK_S = 1.0
@@ -42,9 +42,9 @@ _MAX_BLOCK_S = 4.0
 # For NI clients, the band of the frequency response ends at the sample rate divided by this number, as usual with
 # anti-aliasing filters.
 _NYQUIST_MARGIN = 2.56
-# Longest window of an impact, s.
+# Longest window of an impact, s: an operator waits no longer for the result.
 _MAX_HIT_S = 4.0
-# Shortest pause from the end of a window to the next impact, s.
+# Shortest pause [s] from the end of a window to the next impact, in which the sensors settle.
 _MIN_PAUSE_S = 0.1
 # Lowest frequency of the response to impacts, periods per window. Below it, the low cutoff of the sensors dominates.
 _MIN_PERIODS_PER_WINDOW = 4.0

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from daq.extras.ni_device.chassis import Chassis
 
 
-# Maximum number of blocks in the queue of the page.
+# Blocks in the queue of the page; further blocks are not shown, because acquisition never waits for the page.
 _MAX_WAITING_BLOCKS = 256
 # Duration of the stored time histories, s.
 _HISTORY_S = 10.0

@@ -32,14 +32,14 @@ _REFRESHES_PER_RESPONSE = 10
 # Duration of the animation, s. It shows the last `MOTION_S` seconds in slow motion.
 _ANIMATION_S = 2.0
 _REFRESHES_PER_ANIMATION = round(_ANIMATION_S / REFRESH_S)
-# Minimum number of columns of a time history; each column shows the minimum and the maximum in it.
+# Fewest columns of a time history; each shows the minimum and the maximum in it, so no peak is lost.
 _HISTORY_COLUMNS = 300
-# Maximum number of frequency bands of a drawn spectrum; each band shows its largest line.
+# Frequency bands of a drawn spectrum, about one a pixel; each band shows its largest line.
 _SPECTRUM_BANDS = 400
-# Maximum number of listed impacts and tasks of clients, and of peaks of a response.
+# Listed impacts, tasks of clients, and peaks of a response; more do not fit beside the charts.
 _MAX_LISTED = 6
 _MAX_PEAKS = 4
-# Number of points of the theoretical curve.
+# Points of the theoretical curve, about one a pixel.
 _THEORY_POINTS = 400
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from daq.extras.ni_device.chassis import Chassis
     from rig.core.scene.scene import Scene
 
-# Maximum number of blocks of samples that wait to be written; they contain at least 16 s.
+# Blocks of samples that wait to be written: at least 16 s. A disk that is later than this ends the recording.
 _MAX_WAITING_JOBS = 4096
 
 

@@ -33,9 +33,9 @@ _MAX_REGULAR_INTERVALS = 1.5
 # Largest deviation of an interval from one sample interval, and of a gap from a whole number of sample intervals, in
 # sample intervals.
 _INTERVAL_TOLERANCE = 0.25
-# Largest relative rounding error of a time with three digits.
+# Largest relative rounding error of a time with three digits: 0.5 of its last digit.
 _ROUNDING = 0.005
-# Maximum number of gaps in the times of a clock.
+# Gaps in the times of a clock; a file with more gaps has no clock.
 _MAX_GAPS = 10_000
 
 #: Row before which rows are missing, and their number.

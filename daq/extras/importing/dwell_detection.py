@@ -18,7 +18,7 @@ from rig.core.scene.scene import Scene
 _BAND_RATIO = 1.5
 # Number of blocks into which a tone is divided; fewer if `lock_in` needs longer blocks.
 _BLOCKS_PER_TONE = 8
-# Maximum number of samples of a block.
+# Samples of a block, to limit the memory.
 _MAX_BLOCK = 1 << 16
 # Two dwells have the same frequency if the frequencies differ by less than this fraction.
 _SAME_FREQUENCY = 1e-5

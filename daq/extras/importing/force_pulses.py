@@ -19,7 +19,7 @@ _BOUNCE_S = 0.2
 _DOUBLE_RATIO = 0.1
 # Crossings of the threshold within this time belong to the same pulse, s.
 _CHATTER_S = 1e-3
-# Maximum number of stored pulses.
+# Stored pulses, to limit the memory; a test with more impacts does not exist.
 _MAX_PULSES = 200_000
 
 

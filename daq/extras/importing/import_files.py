@@ -37,7 +37,7 @@ from rig.core.scene.loading import SceneLike, load
 from rig.core.scene.scene import Scene
 from rig.core.system.structural_model import structural_model
 
-# Number of samples of each channel that are in memory at a time.
+# Samples of each channel in memory at a time: half a megabyte, which the cache holds.
 _BLOCK_SAMPLES = 1 << 16
 # Two sample rates are equal if they differ by less than this fraction, because files round sample rates.
 _RATE_TOLERANCE = 2e-5
@@ -48,7 +48,7 @@ _LOWEST_RATIO = 1e-4
 _HIGHEST_RATIO = 0.4
 # Largest plausible readings of a vibration test, SI units.
 _MAX_PLAUSIBLE = {"acceleration": 1e6, "velocity": 1e4, "displacement": 1e2, "force": 1e7, "voltage": 1e4}
-# Largest plausible sample rate of a vibration test, Hz.
+# Largest plausible sample rate [Hz] of a vibration test; a larger rate indicates a wrong unit of time.
 _MAX_PLAUSIBLE_RATE = 1e6
 # Number of lost segments of a channel above which segments less than `_LOST_PAUSE_S` apart are merged.
 _MAX_LOST_SEGMENTS = 1000

@@ -19,7 +19,7 @@ from rig.core.base.errors import RecordingError, RunError
 from rig.core.numerics.memory import LIMIT_VARIABLE, PROGRAM_BYTES, memory_limit
 
 _H5PY_MISSING, _MEMORY_MISSING = "needs h5py", "needs more memory"
-# Maximum depth of structures within structures.
+# Depth of structures within structures; a structure may refer to itself.
 MAX_DEPTH = 8
 # Maximum number of values in a file: cells may refer to themselves.
 _MAX_VALUES = 100_000

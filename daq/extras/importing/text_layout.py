@@ -19,7 +19,7 @@ from rig.core.base.errors import RecordingError
 from rig.core.base.escaping import unescape_cell
 from rig.core.settings.quantities import is_unit
 
-# Maximum number of lines before the first line of numbers.
+# Lines before the first line of numbers; a text without numbers must not be searched completely.
 _MAX_HEADING_LINES = 200
 # A unit in brackets after a name; the unit may contain parentheses. A number before the unit is a range or a scale:
 # ``X (100g)`` is the 100 g sensor of a logger.

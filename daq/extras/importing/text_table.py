@@ -45,15 +45,15 @@ from rig.core.settings.quantities import TIME, parse
 
 # Name of a further column of times: ``Time 2``, ``Time_B``.
 _FURTHER_TIMES = re.compile(r"(time|zeit|x_value)(stamp)?[\W_]*[\dA-Z]?", re.IGNORECASE)
-# Maximum number of characters in a line; longer lines are not read.
+# Characters in a line; longer lines are not read, because a binary file has no line ends.
 _MAX_LINE = 1 << 20
 # The rounding error of a sample rate is reported above this fraction of the rate.
 _MAX_RATE_UNCERTAINTY = 2e-5
-# Number of lines at the beginning that are examined for the digits of times.
+# Lines at the beginning that are examined for the digits of times; the digits do not change later.
 _MAX_EXAMINED_LINES = 50
 # The usual length of the last number in a line is determined from at least this number of lines.
 _MIN_LINES = 10
-# Number of lines in a block.
+# Lines in a block, to limit the memory.
 BLOCK_LINES = 1 << 16
 # Measured memory for text and numbers, bytes per byte of a block.
 _MEMORY_PER_BYTE = 4

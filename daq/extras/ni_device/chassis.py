@@ -38,11 +38,12 @@ if TYPE_CHECKING:
     from daq.extras.ni_device.terminals import Terminals
     from rig.core.base.arrays import Array
 
-# Number of ticks that exceeds any run.
+# A number of ticks that exceeds any run, and whose sums do not overflow 64 bits.
 UNLIMITED_TICKS = 1 << 62
 # The runs stop with the error of an input overflow if the bench is behind the wall clock by more than this time, s.
 _MAX_DELAY_S = 5.0
-# Maximum pause of the fast clock for the callback of an event, s of wall-clock time.
+# Longest pause [s] of the fast clock for the callback of an event; a callback that never returns must not stop the
+# bench.
 _CALLBACK_WAIT_S = 0.25
 # Number of consecutive events with a late callback after which the clock no longer waits for the callbacks of a task.
 _MAX_UNANSWERED = 8

@@ -227,11 +227,11 @@ class RealClock(Clock):
 
 # A step of the bench that takes longer than this wall-clock time, s, is attributed to the compilation of kernels.
 _COMPILATION_S = 1.0
-# Maximum number of steps that are attributed to compilation.
+# Slow steps that are attributed to compilation; further slow steps have a different cause.
 _MAX_COMPILATIONS = 20
-# Minimum delay that is reported, s.
+# Shortest reported delay, s: shorter delays are usual on a desktop computer.
 _MIN_REPORTED_DELAY_S = 0.25
-# Minimum interval between two reports, s.
+# Shortest interval [s] between two reports, so a slow computer does not flood the console.
 _REPORT_INTERVAL_S = 10.0
 
 

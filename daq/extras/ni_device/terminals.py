@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
 
-# Maximum number of ticks in one step of the bench.
+# Ticks in one step of the bench: enough to make the overhead of a step negligible, and few enough for quick responses.
 _MAX_BLOCK_TICKS = 4096
 
 

@@ -12,7 +12,7 @@ from daq.extras.ni_device.engines.log import MarkedRecording
 from rig.core.base.errors import RecordingError
 from rig.core.base.output_files import create_folder
 
-#: Maximum wait for a display that does not respond, s.
+#: Longest wait [s] for a display that does not respond; the server must end anyway.
 MAX_CLOSING_S = 10.0
 
 

@@ -40,7 +40,7 @@ SampleRate = Annotated[float, Quantity(SAMPLE_RATE, above=0.0)]
 VoltageFunction = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 _WIRE = re.compile(r"\s*(\S+)\s*->\s*(\S+)\s*")
 _NAME_IN_CHASSIS = re.compile(r"(.+)Mod(\d+)")
-# Lowest sample rate of a device that is described by its numbers of channels, Hz.
+# Lowest sample rate [Hz] of a device that is described by its numbers of channels; slower tests would take hours.
 _SLOWEST_HZ = 0.1
 
 

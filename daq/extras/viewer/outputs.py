@@ -39,7 +39,7 @@ _LAST_ENTITY = "complete"
 _NOTE_ABOVE_GB = 2.0
 # Height of the menu of the viewer, pixels. Pictures omit it: it shows warnings on a machine without a graphics card.
 _MENU_PIXELS = 38
-# Maximum wait for a viewer or a file to accept a block, s.
+# Longest wait [s] for a viewer or a file to accept a block; a closed viewer must not stop the command.
 _MAX_SINK_WAIT_S = 60.0
 
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 LOOPBACK = "127.0.0.1"
-# Maximum wait for the start of the viewer, s.
+# Longest wait [s] for the start of the viewer, even on a loaded computer.
 _MAX_START_S = 30.0
 # The viewer is killed if it has not ended after this time, s.
 _MAX_END_S = 5.0
@@ -59,7 +59,7 @@ if is_ending.is_set():
     end_thread.join()
 sys.exit(code)
 """
-# Maximum wait for loading and drawing, s.
+# Longest wait [s] for loading and drawing with a software driver.
 _MAX_LOAD_S = 300.0
 # Interval between checks of the viewer's state, s.
 _POLL_S = 0.1

@@ -28,7 +28,7 @@ from rig.core.system.structural_model import StructuralModel, TunedMass, structu
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: Maximum number of listed natural frequencies.
+#: Listed natural frequencies; they fit into one line.
 _MAX_LISTED = 7
 
 

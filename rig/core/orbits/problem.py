@@ -28,7 +28,7 @@ from rig.core.system.reference import reference_of
 
 #: Continuation parameters. "force" and "drive" are the level of the drive, in the unit of the scene's test.
 Parameter = Literal["frequency", "force", "drive", "clearance", "mass_ratio"]
-# Maximum number of entries in each cache: matrices by configurations and mass factor, and systems by mass factor.
+# Entries in each cache, to limit the memory: matrices by configurations and mass factor, and systems by mass factor.
 MAX_CACHED = 200
 # Relative step of finite differences.
 RELATIVE_STEP = 1e-6

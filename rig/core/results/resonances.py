@@ -9,7 +9,7 @@ from rig.core.results.interpolation import interpolate_curve
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import UncertaintyBudget
 
-# Number of frequencies between two lines at which a peak is sought, in each of two passes.
+# Frequencies between two lines at which a peak is sought, in each of two passes: to 1/3600 of the distance.
 _STEPS = 60
 # The minima on both sides are lower than a peak by at least this fraction of the peak.
 _MIN_DEPTH = 0.05

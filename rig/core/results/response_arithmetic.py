@@ -19,9 +19,9 @@ from rig.core.settings.quantities import FREQUENCY, number, positive_values
 MAX_PEAK_UNCERTAINTY_RATIO = 0.5
 # A curve is drawn with interpolated points between neighboring lines whose values differ by more than this fraction.
 _MAX_STEP = 0.1
-# Number of intervals into which the interpolated points divide the distance between two lines.
+# Intervals into which interpolated points divide the distance between two lines: the drawn curve looks smooth.
 _POINTS_BETWEEN = 16
-# Smallest number of lines for interpolation; fewer lines are joined by straight lines.
+# Fewest lines for interpolation by a model; fewer lines are joined by straight lines.
 _MIN_CONTINUED = 12
 
 

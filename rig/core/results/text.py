@@ -7,7 +7,7 @@ import numpy as np
 
 from rig.core.numerics.runs import runs_of
 
-# Maximum number of listed ranges; more are summarized by a count.
+# Listed ranges; more are summarized by a count, so a message stays readable.
 _MAX_RANGES = 8
 
 

@@ -24,7 +24,7 @@ _MAX_MASS_RATIO = 2.0
 _MAX_MASS_RATIO_WITH_UNIT = 50.0
 # Below this mass ratio, the unit mg is probably a mistake.
 _MIN_MASS_RATIO = 1e-4
-# Lowest resonance of a body on its spring in real rigs, Hz.
+# Lowest resonance [Hz] of a body on its spring in real rigs; a lower one indicates a wrong unit.
 _MIN_RESONANCE_HZ = 0.1
 # If only one of mass and stiffness has a unit, and they give a resonance below this, Hz, the number without a unit was
 # probably not meant in SI units.

@@ -13,7 +13,7 @@ from rig.core.settings.problems import Problem
 from rig.core.settings.quantity_field import format_value, validation_error
 from rig.core.settings.settings import Settings
 
-# Maximum number of bodies of a structure.
+# Bodies of a structure: a matrix then has 32 MB.
 MAX_BODIES = 2000
 # Matrices from other programs are symmetric up to rounding error: the asymmetry may be at most this fraction of the
 # largest element.

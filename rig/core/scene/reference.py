@@ -12,7 +12,7 @@ from typing import Any
 from rig.core.base.errors import SceneError, suggestion
 
 _SCHEMA = Path(__file__).parent / "data" / "scene.schema.json"
-# Maximum number of characters in a line of help.
+# Characters in a line of help: readable on a terminal of the usual width.
 _WIDTH = 100
 # Text before the unit of a number without a unit.
 _BARE_NUMBER = "; a bare number is in "

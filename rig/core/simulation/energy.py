@@ -26,7 +26,7 @@ from rig.core.system.hybrid_system import FORCE_OF_BED, Element, HybridSystem
 #: Gauss-Legendre nodes and weights on [0, 1]. Within a step, 8 nodes integrate a product of two solutions to rounding
 #: error.
 _GAUSS_RULE = tuple(0.5 * row for row in np.polynomial.legendre.leggauss(8) + np.array([[1.0], [0.0]]))
-# Maximum number of values of power series in memory at a time.
+# Values of power series in memory at a time: 16 MB.
 _MAX_VALUES = 1 << 21
 
 

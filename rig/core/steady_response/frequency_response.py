@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 #: The controlled spring force agrees with its level within this fraction.
 LEVEL_TOLERANCE = 1e-6
-#: Maximum number of drive levels tried for one point.
+#: Drive levels tried for one point; more are needed only if the response jumps at the level.
 MAX_LEVEL_TRIALS = 25
 #: Number of periods over which a motion without repetition is averaged.
 IRREGULAR_PERIODS = 16

@@ -20,7 +20,7 @@ from rig.core.steady_response.motion_type import describe_motion, element_labels
 _NEGLIGIBLE_ERROR = 1e-4
 # Two sweeps have the same motion if their responses differ by less than this fraction.
 _SAME_MOTION = 1e-2
-# Maximum number of listed peaks with few frequencies.
+# Listed peaks with few frequencies; a longer list would hide the other lines.
 _MAX_LISTED = 8
 # Number of frequencies in a band without a number of tones.
 _POINTS = 101

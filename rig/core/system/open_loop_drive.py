@@ -23,7 +23,7 @@ from rig.core.system.hybrid_system import HybridSystem, hold_coordinates
 _MIN_GAIN_FREQUENCIES = 400
 # The interpolated drive has a relative error of at most this.
 _MAX_GAIN_ERROR = 1e-3
-# Maximum number of times that an interval of this interpolation is halved.
+# Halvings of an interval of this interpolation: its ends are then a millionth apart.
 _MAX_HALVINGS = 20
 
 

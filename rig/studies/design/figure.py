@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BLUE, RED = COLORS[:2]
-# Number of frequencies of the drawn response without dampers.
+# Frequencies of the drawn response without dampers: about one a pixel.
 _RESPONSE_POINTS = 800
 #: A clearance is at a limit of the search if it differs from the limit by at most this fraction.
 LIMIT_TOLERANCE = 0.02

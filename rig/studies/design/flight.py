@@ -17,7 +17,7 @@ from rig.studies.motion_map.grid import damper_accelerations, natural_frequencie
 
 #: Dampers are effective if they reduce the peak by at least this, dB.
 EFFECTIVE_DB = 1.0
-#: Number of frequencies over the band, in addition to natural frequencies and peaks.
+#: Frequencies over the band, in addition to natural frequencies and peaks, where the acceleration is largest.
 _BAND_POINTS = 20
 #: Dampers are usually effective if the acceleration of the body exceeds this value, g. This acceleration is computed
 #: with riding dampers.

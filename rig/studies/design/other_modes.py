@@ -15,9 +15,9 @@ from rig.studies.design.worst_peak import Peak
 
 #: A peak is assigned to a mode up to this relative distance from the natural frequency.
 MAX_PEAK_OFFSET = 0.15
-#: Maximum number of evaluated modes: those nearest to the band.
+#: Evaluated modes: those nearest to the band. Each takes a response.
 _MAX_MODES = 6
-#: Number of equally good designs that are compared outside the band.
+#: Equally good designs that are compared outside the band. Each takes a response.
 _MAX_COMPARED = 5
 
 

@@ -22,18 +22,18 @@ from rig.studies.design.worst_peak import Peak
 
 #: Added masses of the grid, relative to the largest added mass.
 GRID_MASS_RATIOS = (1.0, 0.5, 0.25)
-#: Number of clearances of the grid, from the smallest to the largest.
+#: Clearances of the grid, from the smallest to the largest; the best one is refined afterwards.
 GRID_CLEARANCES = 10
 #: Share of the grid that a typical search computes at all levels, for the estimate of its progress. The rest is
 #: excluded by a lower bound from one level.
 TYPICAL_COMPLETED_SHARE = 0.4
-#: Number of choices of each mass that are computed concurrently.
+#: Choices of each mass that are computed concurrently; more would be wasted when the search turns elsewhere.
 LOOKAHEAD = 3
-#: Maximum number of trials around the best clearance of a location and mass.
+#: Trials around the best clearance of a location and mass; the peak is flat there.
 MAX_REFINEMENT_TRIALS = 8
-#: Maximum number of trials per unknown of the simplex search, where mass and clearance of each damper are unknown.
+#: Trials per unknown of the simplex search, where mass and clearance of each damper are unknown. A trial takes seconds.
 SIMPLEX_TRIALS_PER_UNKNOWN = 25
-#: Maximum number of locations refined by the simplex search at the largest mass.
+#: Locations that the simplex search refines at the largest mass: the best and its competitor.
 MAX_SIMPLEX_LOCATIONS = 2
 #: The masses of two dampers have at most this ratio. The value is large, so a single damper can dominate if that
 #: is the optimum.
@@ -42,13 +42,13 @@ MAX_MASS_RATIO = 300.0
 MAX_REFINED_PEAK_RATIO = 1.4
 #: The same limit for smaller masses, and for locations with several different dampers.
 MAX_LIGHT_PEAK_RATIO = 1.25
-#: Maximum number of locations refined for each smaller mass.
+#: Locations that are refined for each smaller mass: the best and its competitor.
 MAX_REFINED_LOCATIONS = 2
 #: Two sums of masses are equal if they differ by less than this fraction, which exceeds rounding errors.
 MASS_ROUNDING = 1e-9
 #: Initial ratio of the clearances of two dampers in one body.
 CLEARANCE_RATIO = 1.1
-#: Number of best trials that the final comparison computes again on the fine frequency grid.
+#: Best trials that the final comparison computes again on the fine grid, which can change their order.
 FINAL_DESIGNS = 3
 
 

@@ -22,7 +22,7 @@ from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results import format_number
 
-# Minimum number of parts without flaws, and of parts on either side of a step.
+# Fewest parts without flaws, and on either side of a step: a scatter needs several values.
 _MIN_PARTS = 4
 _MIN_SIDE = 2
 # Minimum number of periods of a steady response to one input: without a change, the periods are equal except for noise.
@@ -31,11 +31,11 @@ _MIN_PERIODS = 2
 # frequency.
 _MAX_SAMPLES = 32768
 _MAX_PERIODS = 100.0
-# Number of sections of a random test.
+# Sections of a random test: their number limits the resolution of the time of a change, and the averages in each.
 _SECTIONS = 16
-# Maximum number of evaluated parts of the test; if there are more parts, every n-th is evaluated.
+# Evaluated parts of the test, to limit the computing time; if there are more parts, every n-th is evaluated.
 _MAX_PARTS = 256
-# Maximum number of values of the spectra of all parts in memory, if at least `_SECTIONS` parts remain.
+# Values of the spectra of all parts in memory (64 MB), if at least `_SECTIONS` parts remain.
 _MAX_VALUES = 1 << 22
 # A step is reported if it exceeds this fraction of the larger gain ...
 _MIN_CHANGE = 0.1

@@ -21,7 +21,7 @@ _MIN_PERIODS = 4.0
 # Minimum number of dead blocks at the end, and maximum number of blocks before them with which they are compared.
 _MIN_DEAD = 2
 _COMPARED = 8
-# Minimum number of blocks, or of impacts.
+# Fewest blocks, or impacts, without which the live part cannot be compared with the dead part.
 _MIN_BLOCKS = 4
 # A signal is dead if it is below this fraction of the previous signal.
 _DEAD_RATIO = 0.01

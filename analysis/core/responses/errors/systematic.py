@@ -32,7 +32,7 @@ JITTER = "jitter of the sampling instants"
 IRREGULAR = (UNSETTLED, RESOLUTION, MODEL, REFERENCE, JITTER)
 # Assumed ratio of transverse to axial motion, if the data sheet specifies only a transverse sensitivity.
 _LATERAL_RATIO = 0.1
-# Minimum number of lines that determine the slope of a curve.
+# Fewest lines that determine the slope of a curve by central differences.
 _MIN_SLOPE_LINES = 3
 # For fewer lines, the slope is assumed to be this multiple of value / frequency. Peaks with a half-power width of a
 # fifth of their frequency or more are not steeper.

@@ -19,9 +19,9 @@ MIN_COHERENCE = 0.9
 _RESPONSE_RATIO = 0.1
 # The first level is this fraction of the level that a table, or a structure of 1 kg, requires.
 _FIRST_RATIO = 0.1
-# Largest change of a line, or of all lines, in one step.
+# Largest change of a line, or of all lines, in one step: a larger step could overload the rig.
 _MAX_STEP = 10.0
-# Largest number of increases of the level until a response is detected.
+# Increases of the level until a response is detected: ten steps by a factor of 10 exceed any range.
 _MAX_SEARCHES = 10
 # Largest number of corrections of the drive spectrum after a response is detected.
 _MAX_SHAPINGS = 3
@@ -29,7 +29,7 @@ _MAX_SHAPINGS = 3
 _MIN_SIGNAL_TO_NOISE = 4.0
 # Part of the range of the output that the peak of the drive may use.
 _OUTPUT_RATIO = 0.3
-# Number of periods in which the transient decays, and of measured periods.
+# Periods in which the transient decays, and measured periods; their spectrum is averaged.
 _SETTLING_PERIODS = 2
 _PERIODS = 4
 #: Expected number of periods of an identification.

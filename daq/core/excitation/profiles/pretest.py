@@ -16,9 +16,9 @@ from daq.core.excitation.profiles.spectrum_shaping import lines_between, sum_of_
 from daq.core.excitation.station import Station
 from rig.core.base.arrays import Array, ComplexArray
 
-# Minimum length of the analyzed burst, s.
+# Shortest analyzed burst, s: it resolves slow modes.
 _MIN_BURST_S = 4.0
-# Minimum length of the analyzed burst, in periods of the lowest tone.
+# Shortest analyzed burst, in periods of the lowest tone: they separate it from its neighbors.
 _MIN_BURST_PERIODS = 12.0
 # Duration of the rise and of the fall of the burst, s.
 _EDGE_S = 0.25

@@ -39,7 +39,7 @@ _SIDEBANDS = np.arange(1, 101) / 200.0
 _PEAK = 1.25
 # The largest slope within this relative distance yields the damping ratio.
 _NEAR = 0.05
-# Number of frequencies at which the slope of the drive is computed.
+# Frequencies at which the slope of the drive is computed, several for each half-power width.
 _FREQUENCIES = 2000
 # The response is needed from the lower end of the band divided by this factor to the upper end multiplied by it:
 # sidebands that are further from the tone hardly change an observation.

@@ -17,7 +17,7 @@ from rig.core.base.errors import SceneError
 # Numbers of spectral lines; shape (lines,).
 Lines = NDArray[np.int64]
 
-# Maximum number of iterations.
+# Iterations; each reduces the deviation several times, so more are needed only without convergence.
 _MAX_ITERATIONS = 8
 # The drive amplitude of a line changes by at most this factor from one iteration to the next.
 _MAX_STEP_RATIO = 4.0

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 # The input gain is estimated from this number of points measured without feedback.
 _FLANK_POINTS = 3
-# Largest number of drives to correct a point.
+# Drives that correct a point; more are needed only where the curve is lost.
 _MAX_DRIVES = 8
 # A change of the frequency (in Hz) of less than this number divided by the dead time (in s) is made within one window.
 _SMALL_TURN = 0.05

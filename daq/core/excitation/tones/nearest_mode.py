@@ -7,11 +7,11 @@ import numpy as np
 
 from rig.core.base.arrays import Array, ComplexArray
 
-# Minimum number of observations for the estimate of a mode.
+# Fewest observations for the estimate of a mode, which has four unknowns.
 _MIN_OBSERVATIONS = 6
 # Observations older than this multiple of the memory (time constant of their weights) are discarded.
 _MAX_AGE_RATIO = 3.0
-# Number of observations between two searches for a different mode.
+# Observations between two searches for a different mode, which take most of the time.
 _SEARCH_INTERVAL = 4
 # Frequencies of the search for a different mode, relative to the tone.
 _SEARCH_FREQUENCIES = np.geomspace(0.6, 1.7, 24)

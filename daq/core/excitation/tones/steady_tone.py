@@ -40,7 +40,7 @@ _MAX_SUDDEN_CHANGE = 0.03
 _MAX_PREDICTION_CHANGE = 0.3
 # A measurement longer than twice this number of samples is evaluated in blocks of this size or more.
 _BLOCK_SAMPLES = 1 << 16
-# Maximum number of steps that a warning lists.
+# Steps that a warning lists; a longer list would hide the remedy.
 _MAX_LISTED = 8
 
 

@@ -12,7 +12,7 @@ from rig.core.base.arrays import Array
 
 # Maximum number of points of a least-squares fit; it limits the computing time.
 _MAX_POINTS = 100_000
-# Maximum order of the fitted polynomial.
+# Largest order of the fitted polynomial; higher orders are ill-conditioned.
 _MAX_ORDER = 50
 # NI's numbers of the types of scales.
 LINEAR, MAP_RANGES, POLYNOMIAL, TABLE = 10447, 10448, 10449, 10450

@@ -41,7 +41,7 @@ Start = Annotated[
 ]
 Spacing = Literal["linear", "log"]
 
-#: Maximum number of frequencies of a test.
+#: Frequencies of a test; more are a typing error and would take days.
 MAX_STEPS = 100_000
 #: Relative tolerance within which a controller accepts a force.
 FORCE_TOLERANCE = 0.005

@@ -126,7 +126,8 @@ class AveragedSpectra:
         coherence = 1.0 / (1.0 + incoherence)
         # Reading of each channel per unit of the reference.
         readings = np.einsum("rin,nr->in", factor, f.conj()) / sff
-        # Each input takes one average. With few blocks, the coherence is therefore too large and the scatter too small.
+        # Each input uses up one degree of freedom, so it is subtracted from the number of averages. The coherence is
+        # not corrected: with few blocks it is too large.
         n_free_averages = self.n_averages - len(inputs)
         error = np.full(value.shape, np.nan)
         if n_free_averages > 0.0:

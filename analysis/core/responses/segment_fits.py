@@ -197,7 +197,7 @@ class SegmentFits:
         return parts, [note] if is_cut else []
 
     def _groups(self, segments: Sequence[tuple[int, int]]) -> list[list[tuple[int, int]]]:
-        """Join segments with impacts to groups; each group is fitted together."""
+        """Combine the segments that contain impacts into groups; all segments of a group are fitted together."""
         assert self.impacts is not None
         groups: list[list[tuple[int, int]]] = []
         n_impacts = n_samples = 0

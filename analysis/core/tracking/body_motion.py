@@ -76,7 +76,7 @@ class CurvePart(NamedTuple):
 
 
 def body_motion(response: Response, location: str) -> BodyMotion:
-    """Return the motion at a location such as "body 2"; the force is the measured force of the test."""
+    """Return the motion at a location such as "body 2" and the measured force of the test."""
     k = [output.at for output in response.outputs].index(location)
     size, magnitude = response.frequency.size, abs(response.value[:, k, 0])
     force = np.full(size, np.nan) if response.amplitude is None else response.amplitude

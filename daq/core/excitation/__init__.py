@@ -47,6 +47,6 @@ def procedure_of(test: KindOfTest | type[KindOfTest]) -> Procedure[Any]:
         if error.name != module:
             raise
         raise SceneError(
-            f"test: kind {test.kind_name()} can be simulated but not recorded: there is no {module}. Use rig.simulate."
+            f"test: kind {test.kind_name()} can be simulated but not recorded. Use rig.simulate."
         ) from None
     return procedure

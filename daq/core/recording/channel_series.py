@@ -177,7 +177,8 @@ class Series:
                 if block.first_sample < next_sample:
                     first = block.first_sample
                     raise self._error(
-                        f"a block begins at sample {first}; expected {next_sample} or later. {WRITER_REMEDY}"
+                        f"blocks overlap: a block begins at sample {first}, but the previous block ends at sample "
+                        f"{next_sample}. {WRITER_REMEDY}"
                     )
                 next_sample = block.stop
                 if block.stop > start and block.first_sample < stop:

@@ -125,8 +125,8 @@ def check_block(block: SampleBlock, log_time: int, clock: Timebase) -> None:
     if not times_agree(clock, block.first_sample, block.stop, block.t0_ns, log_time):
         start_ns, end_ns = clock.time_ns(block.first_sample), clock.time_ns(block.stop)
         raise RecordingError(
-            f"the block at sample {block.first_sample} is from {block.t0_ns} ns to {log_time} ns (its log time); "
-            f"expected {start_ns} ns to {end_ns} ns from its sample numbers and the rate. {WRITER_REMEDY}"
+            f"the block that begins at sample {block.first_sample} states the times {block.t0_ns} ns to {log_time} ns; "
+            f"its sample numbers and the rate give {start_ns} ns to {end_ns} ns. {WRITER_REMEDY}"
         )
 
 

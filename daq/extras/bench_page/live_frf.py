@@ -143,7 +143,7 @@ class LiveFrf:
 
     @property
     def version(self) -> tuple[int, list[bool]]:
-        """Key that changes with the estimate: number of blocks or impacts, and the accepted impacts."""
+        """Cache key of `curves`: number of averaged blocks, and whether each impact is accepted."""
         return int(self._block_sums.count.sum()), [impact.accepted for impact, _ in self._impacts]
 
     def curves(self) -> LiveCurves | None:

@@ -214,7 +214,7 @@ def _common_rate(chosen: Sequence[ChosenSignal], scene: Scene) -> float:
     if rates[-1] > rates[0] * (1.0 + _RATE_TOLERANCE):
         raise RecordingError(
             f"the signals have several sample rates, {rate_list(rates)}; a recording has one. Import the signals of "
-            "each rate separately, by files or by channel tables."
+            "each rate separately, with one command or channel table per rate."
         )
     rate = rates[0]
     if rate_in_scene and abs(converter.sample_rate - rate) > _RATE_TOLERANCE * rate:

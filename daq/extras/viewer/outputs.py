@@ -120,7 +120,8 @@ def draw_picture(
     time_s = replay.largest_motion_s if at_s is None else at_s
     if not replay.start / rate <= time_s <= replay.stop / rate:
         raise SceneError(
-            f"`at` {time_s:g} s is outside the replay. Give {replay.start / rate:g} s to {replay.stop / rate:g} s."
+            f"`at` {time_s:g} s is outside the replay. Give a time from {replay.start / rate:g} s to "
+            f"{replay.stop / rate:g} s."
         )
     prepare_outputs(file)
     with temporary_folder() as folder:

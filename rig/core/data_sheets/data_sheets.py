@@ -31,7 +31,7 @@ class DataSheet:
     unsourced: tuple[str, ...]
     """Figures without a source (key `unchecked` of the file)."""
     settings: dict[str, dict[str, Any]]
-    """Figures for each kind of settings that accepts the preset (`KINDS`), with the keys and units of scene files."""
+    """Data-sheet values for each part of a scene that accepts the preset (`KINDS`), with keys and units of scene files."""
     facts: dict[str, Any]
     """All other data: `module`, `inputs`, `outputs` (see `modules`), `teds` (IEEE 1451.4)."""
 
@@ -121,7 +121,7 @@ def _normalize(name: str) -> str:
 
 
 def check_preset(preset: str | None, kind: str) -> Iterable[Problem]:
-    """Check that a preset has a data sheet for this kind of settings."""
+    """Check that a preset has a data sheet for this part of a scene."""
     if preset is not None:
         try:
             data_sheet(preset, kind)

@@ -238,14 +238,14 @@ def slides(system: HybridSystem) -> NDArray[np.bool_]:
 
 
 def _mode(element: Element, wall: int, gap: float) -> str:
-    """Return the engine's mode for a wall state of a sequence and a gap, m."""
+    """Return the mode of a contact law for the wall code of an event sequence; `gap` [m] decides between equal codes."""
     if wall >= kinds.MODES:
         return list(element.law.modes)[wall - kinds.MODES]
     return element.law.mode_at(wall % kinds.WITHOUT_FORCE, gap)
 
 
 def modes_from_walls(walls: NDArray[np.int64], z: Array, system: HybridSystem) -> list[int]:
-    """Return the engine's modes for wall states of a sequence and the states z, shape (dampers,)."""
+    """Return the mode numbers of all elements for the wall codes of an event sequence and the states `z`."""
     # A damper without contact force may still overlap a wall from which it was released.
     return [
         list(element.law.modes).index(_mode(element, wall, float(element.along_gap(z))))

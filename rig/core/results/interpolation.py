@@ -53,7 +53,7 @@ class Interpolation:
 def interpolate_curve(
     frequency: Array, value: ComplexArray, uncertainty: UncertaintyBudget, at: Array
 ) -> Interpolation | None:
-    """Interpolate a curve with lines in ascending order; return None for fewer than four different lines.
+    """Interpolate a response between its frequencies, which are ascending; None if fewer than four are distinct.
 
     The uncertainty of the lines is propagated to first order. Errors of type A are independent, except for `shared`
     neighbors. The error of a sensor or clock is the same at all lines. Errors with other limits are not assumed to be

@@ -61,7 +61,7 @@ def load(scene: SceneLike, changes: Mapping[str, Any] | None = None) -> Scene:
 
 
 def load_with_options(scene: str, settings: Iterable[str]) -> Scene:
-    """Load a scene with changes ``KEY=VALUE`` from a command line, shown in messages as ``--set KEY=VALUE``.
+    """Load a scene and apply the options ``--set KEY=VALUE`` of a command, which messages quote in this form.
 
     Raises the errors of `load`.
     """

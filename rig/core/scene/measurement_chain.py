@@ -251,7 +251,7 @@ class Converter(Settings):
     rate: Annotated[float, Quantity(SAMPLE_RATE, above=0.0)] = 5120.0
     """Requested sample rate [Hz]."""
     bits: Annotated[int, Field(ge=2, le=32)] | None = None
-    """Resolution, a whole number such as 24; needs `range`. None: not quantized."""
+    """Number of bits, such as 24; the steps divide -`range` to +`range`. Needs `range`. None: not quantized."""
     range: Annotated[float, Quantity(VOLTAGE, above=0.0)] | None = None
     """Voltage at full scale [V]; None: not clipped."""
     noise: Annotated[float, Quantity(VOLTAGE_NOISE, at_least=0.0)] | None = None

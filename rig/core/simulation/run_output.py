@@ -127,5 +127,5 @@ def _write_columns(run: Run, path: Path) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(map(escape_cell, header))
-        # Enough digits for identical values after reading.
+        # The text of `repr` gives the identical value when it is read again.
         writer.writerows([[repr(float(value)) for value in row] for row in table])

@@ -445,7 +445,7 @@ def test_block_logged_half_a_sample_late_is_rejected(tmp_path, late_ns):
         return
     with pytest.raises(
         RecordingError,
-        match=rf"/raw/a: the block at sample 5 is from 50000000 ns to {end_ns} ns \(its log time\); "
+        match=rf"/raw/a: the block that begins at sample 5 states the times 50000000 ns to {end_ns} ns; "
         "expected 50000000 ns to 70000000 ns",
     ):
         daq.open(path).read("a", 5, 7)
@@ -456,7 +456,10 @@ def test_overlapping_blocks_are_rejected(tmp_path, second_start):
     first, _ = block_message(1, [1.0, 2.0])
     second, end_ns = block_message(second_start, [3.0, 4.0])
     path = write_messages(tmp_path / "o.mcap", first + second, end_ns)
-    with pytest.raises(RecordingError, match=f"a block begins at sample {second_start}; expected 3 or later"):
+    with pytest.raises(
+        RecordingError,
+        match=f"blocks overlap: a block begins at sample {second_start}, but the previous block ends at sample 3",
+    ):
         daq.open(path).read("a", 0, 2)
 
 

@@ -27,8 +27,8 @@ _MIN_BLOCKS = 4
 _DEAD_RATIO = 0.01
 # The signal of at least one other motion channel falls by less than this fraction of the fall of a dead channel.
 _MIN_CONTRAST = 10.0
-# A channel is dead from the sample on after which its signal exceeds the largest value of the next block by at most
-# this factor.
+# The last live sample is the last one whose deviation exceeds the largest deviation in the first dead block by this
+# factor, which noise hardly reaches.
 _PEAK_RATIO = 3.0
 
 # For each open recording: the first dead sample of each dead channel.

@@ -54,7 +54,7 @@ class Output(Settings):
     range: Annotated[float, Quantity(VOLTAGE, above=0.0)] | None = None
     """Largest output voltage [V]."""
     bits: Annotated[int, Field(ge=2, le=32)] | None = None
-    """Resolution, a whole number such as 16, over twice the range; needs `range`."""
+    """Number of bits of the output converter, such as 16; its steps divide -`range` to +`range`. Needs `range`."""
 
     def check_consistency(self) -> Iterable[Problem]:
         """Check that the product `preset` is known, and that a resolution has a range."""

@@ -121,19 +121,19 @@ def modes_table(path: Path, sweeps: Sequence[Modes]) -> Path:
         for i, frequency in enumerate(modes.frequency):
             shape = dict(zip(bodies.names, bodies.shapes[:, i].real, strict=True))
             error = dict(zip(bodies.names, bodies.errors[:, i], strict=True))
-            omega, omega_error = 2 * np.pi * frequency, 2 * np.pi * modes.frequency_error[i]
+            omega, omega_uncertainty = 2 * np.pi * frequency, 2 * np.pi * modes.frequency_error[i]
             rows.append((
                 modes.label, modes.input, i + 1, *_rounded(frequency, modes.frequency_error[i]),
-                _rounded(omega, omega_error)[0], *_rounded(modes.damping[i], modes.damping_error[i]),
+                _rounded(omega, omega_uncertainty)[0], *_rounded(modes.damping[i], modes.damping_error[i]),
                 *(shape.get(name, np.nan) for name in channels),
                 *(error.get(name, np.nan) for name in channels), modes.collinearity[i], "",
             ))  # fmt: skip
         unknown_shape = [np.nan] * (2 * len(channels) + 1)
         for each in modes.uncertain:
-            omega, omega_error = 2 * np.pi * each.frequency, 2 * np.pi * each.frequency_error
+            omega, omega_uncertainty = 2 * np.pi * each.frequency, 2 * np.pi * each.frequency_error
             rows.append((
                 modes.label, modes.input, "", *_rounded(each.frequency, each.frequency_error),
-                _rounded(omega, omega_error)[0], *_rounded(each.damping, each.damping_error),
+                _rounded(omega, omega_uncertainty)[0], *_rounded(each.damping, each.damping_error),
                 *unknown_shape, each.reason,
             ))  # fmt: skip
     return write_table(path, heading, rows)

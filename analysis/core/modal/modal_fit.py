@@ -193,10 +193,10 @@ def _remove_computational_poles(
     rejected: list[float] = []
     while model.poles.size:
         _, damping_error = pole_errors(curves, model)
-        relative_damping_error = damping_error * abs(model.poles) / -model.poles.real
+        relative_damping_uncertainty = damping_error * abs(model.poles) / -model.poles.real
         relative_uncertainty = np.where(
             are_in_band(curves, model.poles),
-            np.maximum(relative_damping_error, MAX_RELATIVE_UNCERTAINTY * _systematic_ratio(model, frfs)),
+            np.maximum(relative_damping_uncertainty, MAX_RELATIVE_UNCERTAINTY * _systematic_ratio(model, frfs)),
             0.0,
         )
         for k in np.flatnonzero(are_narrower_than_resolution(curves, model.poles)):

@@ -70,13 +70,13 @@ def mode_warnings(
             f"Rejected the stable poles at {_listed(unmeasured)} Hz: the lines around them were omitted. There may be "
             "several modes there."
         )
-    f, zeta, zeta_error = modes.frequency, modes.damping, modes.damping_error
+    f, zeta, zeta_uncertainty = modes.frequency, modes.damping, modes.damping_error
     if count is not None and f.size < count:
         yield f"Identified only {f.size} of {count} requested modes: no other mode is significant in these curves."
     half_widths = zeta * f
     resolution = max(curve.resolution for curve in curves)
     widened = resolution > _WIDENING_RATIO * half_widths
-    narrow = (zeta_error > MAX_RELATIVE_UNCERTAINTY * zeta) & (resolution > 2.0 * half_widths)
+    narrow = (zeta_uncertainty > MAX_RELATIVE_UNCERTAINTY * zeta) & (resolution > 2.0 * half_widths)
     if narrow.any():
         yield (
             f"{_listed(f[narrow])} Hz: the peak is narrower than the resolution of {resolution:.3g} Hz, so only an "
@@ -112,11 +112,13 @@ def mode_warnings(
             f"{_listed(2.0 * half_widths[undersampled], 3)} Hz on either side, so the damping is extrapolated from the "
             f"flanks. {remedy}"
         )
-    uncertain = (zeta_error > _MAX_DAMPING_UNCERTAINTY * zeta) & (zeta_error <= MAX_RELATIVE_UNCERTAINTY * zeta)
+    uncertain = (zeta_uncertainty > _MAX_DAMPING_UNCERTAINTY * zeta) & (
+        zeta_uncertainty <= MAX_RELATIVE_UNCERTAINTY * zeta
+    )
     if uncertain.any():
         parts = ", ".join(
             f"{format_percent(ratio)} at {frequency:.4g} Hz"
-            for ratio, frequency in zip(zeta_error[uncertain] / zeta[uncertain], f[uncertain], strict=True)
+            for ratio, frequency in zip(zeta_uncertainty[uncertain] / zeta[uncertain], f[uncertain], strict=True)
         )
         yield f"Damping is poorly determined: {parts} (standard uncertainty)."
 

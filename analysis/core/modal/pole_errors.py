@@ -53,8 +53,8 @@ def pole_errors(curves: Curves, model: ModalModel) -> tuple[Array, Array]:
     frequency_error, damping_error = propagate(model.poles, _covariance_factors(curves, model))
     # Errors of random phase shift a pole in any direction of the complex plane. With few lines the estimate in one
     # direction may be small by chance, so the frequency error is at least the root mean square of both directions.
-    decay_error = damping_error * abs(model.poles) / (2 * np.pi)
-    frequency_error = np.maximum(frequency_error, np.hypot(frequency_error, decay_error) / np.sqrt(2.0))
+    decay_uncertainty = damping_error * abs(model.poles) / (2 * np.pi)
+    frequency_error = np.maximum(frequency_error, np.hypot(frequency_error, decay_uncertainty) / np.sqrt(2.0))
     return _add_min_uncertainty(model.poles, frequency_error, damping_error)
 
 
@@ -118,8 +118,8 @@ def systematic_pole_errors(
             by_stiffness, by_phase = _shift(stiffness, distance, width_hz), _shift(phase, distance, width_hz)
             by_width = float(np.nan_to_num(width[int(np.argmin(distance))], nan=1.0, posinf=1.0)) * width_hz
             frequency_error[i] = max(frequency_error[i], float(np.linalg.norm([by_stiffness, by_phase, by_width])))
-            decay_error = float(np.linalg.norm([width_hz / natural * by_stiffness, by_phase, by_width]))
-            damping_error[i] = max(damping_error[i], decay_error / natural)
+            decay_uncertainty = float(np.linalg.norm([width_hz / natural * by_stiffness, by_phase, by_width]))
+            damping_error[i] = max(damping_error[i], decay_uncertainty / natural)
     return frequency_error, damping_error
 
 

@@ -124,7 +124,7 @@ class Bench:
         return Stream(self.scene, rate, per_tick, self._plant, self._past_motion, self.channel_settings)
 
     def to_units(self, samples: Array | NDArray[np.int32]) -> Array:
-        """Convert samples in volts or counts, (channels, samples), to units of the channels by nominal sensitivities."""
+        """Convert samples (channels, samples) in volts or counts to units of the channels, by nominal sensitivities."""
         return self._base_stream.to_units(samples)
 
 
@@ -197,7 +197,7 @@ class Stream:
         return Block(first, samples, overload | self._chain.overload, motion)
 
     def to_units(self, samples: Array | NDArray[np.int32]) -> Array:
-        """Convert samples in volts or counts, (channels, samples), to units of the channels by nominal sensitivities."""
+        """Convert samples (channels, samples) in volts or counts to units of the channels, by nominal sensitivities."""
         return samples * self._scale
 
 

@@ -31,7 +31,7 @@ class DataSheet:
     unsourced: tuple[str, ...]
     """Figures without a source (key `unchecked` of the file)."""
     settings: dict[str, dict[str, Any]]
-    """Data-sheet values for each part of a scene that accepts the preset (`KINDS`), with keys and units of scene files."""
+    """Data-sheet values for each part of a scene that accepts the preset (`KINDS`), as in scene files."""
     facts: dict[str, Any]
     """All other data: `module`, `inputs`, `outputs` (see `modules`), `teds` (IEEE 1451.4)."""
 

@@ -238,7 +238,7 @@ def slides(system: HybridSystem) -> NDArray[np.bool_]:
 
 
 def _mode(element: Element, wall: int, gap: float) -> str:
-    """Return the mode of a contact law for the wall code of an event sequence; `gap` [m] decides between equal codes."""
+    """Return the mode of a contact law for a wall code of an event sequence; `gap` [m] decides between equal codes."""
     if wall >= kinds.MODES:
         return list(element.law.modes)[wall - kinds.MODES]
     return element.law.mode_at(wall % kinds.WITHOUT_FORCE, gap)

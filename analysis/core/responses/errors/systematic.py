@@ -259,11 +259,11 @@ def clock_bound(rec: Recording, contributions: ChannelContributions) -> dict[str
         return {}
     frequency, value = contributions.frequency, contributions.value
     order = np.argsort(frequency, kind="stable")
-    slope_error = np.empty(frequency.size)
-    slope_error[order] = _change_by_shift(frequency[order], value[order], deviation * frequency[order])
+    slope_limit = np.empty(frequency.size)
+    slope_limit[order] = _change_by_shift(frequency[order], value[order], deviation * frequency[order])
     if frequency.size < _MIN_SLOPE_LINES:
-        slope_error = np.maximum(slope_error, deviation * _ASSUMED_SLOPE_RATIO * abs(value))
-    return {CLOCK: slope_error + deviation * abs(_conversion_error(rec, contributions))}
+        slope_limit = np.maximum(slope_limit, deviation * _ASSUMED_SLOPE_RATIO * abs(value))
+    return {CLOCK: slope_limit + deviation * abs(_conversion_error(rec, contributions))}
 
 
 def clock_sources(rec: Recording, contributions: ChannelContributions) -> dict[str, Sources]:

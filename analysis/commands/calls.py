@@ -327,7 +327,7 @@ def cost(
     scene : Scene, str, Path or mapping
         A scene, or an argument of `rig.load`.
     frequency : sequence of float, optional
-        Frequencies to measure, Hz. Default: both ends of the test, and the frequency of largest acceleration.
+        Frequencies to measure [Hz]. Default: both ends of the test, and the frequency of largest acceleration.
     progress : callable, optional
         Called with (completed, total).
 

@@ -42,7 +42,7 @@ class Equations:
     mass, damping, stiffness : ndarray, shape (bodies, bodies)
         Matrices of the structure: kg, N s/m and N/m.
     weight : ndarray, shape (bodies,)
-        Constant force on each body, N.
+        Constant force on each body [N].
     ground : callable
         Computes the connection of the bodies with the ground, which only a base excitation needs.
 
@@ -119,7 +119,7 @@ class Equations:
         """Prescribe the motion of a coordinate by an ideally stiff position servo that depends only on its inputs.
 
         The servo is critically damped and has a unit mass, so its input is an acceleration; `corner`: corner frequency
-        of the servo, Hz.
+        of the servo [Hz].
         """
         self._servo_rate[row] = 2.0 * np.pi * corner
 
@@ -151,7 +151,7 @@ class Equations:
         return mass, damping, stiffness
 
     def reaction(self) -> Array:
-        """Return the rows whose product with the state is the force of the servo, N; shape (prescribed, states)."""
+        """Return the rows whose product with the state is the force of the servo [N]; shape (prescribed, states)."""
         rows = self.prescribed
         further = np.zeros((len(rows), len(self.currents)))
         return np.hstack([self.stiffness[rows], self.damping[rows], further])

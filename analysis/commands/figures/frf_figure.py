@@ -96,7 +96,7 @@ def frf_figure(
     """Draw measured frequency responses on common axes.
 
     `frfs`: curves of the same motion and reference, with their labels in the legend. `theory`: curves without error
-    bars, drawn thin and dotted. `marks`: frequency, Hz, and text of vertical lines. `styles`: styles of the curves;
+    bars, drawn thin and dotted. `marks`: frequency [Hz] and text of vertical lines. `styles`: styles of the curves;
     default: the styles of their bodies.
     """
     low, high = determined_band(frfs)
@@ -399,7 +399,7 @@ def with_local_models(
 
 
 def _omitted_ranges(frf: Response) -> list[tuple[float, float]]:
-    """Return the first and last of the omitted frequencies in each gap between lines of a sorted curve, Hz."""
+    """Return the first and last of the omitted frequencies in each gap between lines of a sorted curve [Hz]."""
     omitted = np.sort(frf.omitted)
     gap = np.searchsorted(frf.frequency[np.isfinite(frf.value)], omitted)
     return [(omitted[gap == number][0], omitted[gap == number][-1]) for number in np.unique(gap)]

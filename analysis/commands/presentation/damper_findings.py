@@ -101,7 +101,7 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], omitted: Sequence[flo
     bodies : sequence of list of DamperMotion
         One list for each body, from one channel.
     omitted : sequence of float
-        Frequencies without a result, Hz; printed frequency ranges are interrupted there.
+        Frequencies without a result [Hz]; printed frequency ranges are interrupted there.
 
     Examples
     --------

@@ -122,6 +122,6 @@ def decay_rows(decay: Decay) -> list[tuple[str, ...]]:
 
 
 def _damping_at(mode: ModalDecay, index: int) -> tuple[str, str]:
-    """Format the damping ratio, %, with its expanded uncertainty, and the amplitude at which it was estimated, m/s²."""
+    """Format the damping ratio [%] with its expanded uncertainty, and the amplitude [m/s²] of its estimate."""
     percent, expanded = mode.percent
     return format_limited(percent[index], expanded[index]), f"{mode.amplitude[index]:.3g}"

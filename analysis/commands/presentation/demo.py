@@ -32,7 +32,7 @@ _FINE_HZ = (np.linspace(11.8, 13.6, 14), np.linspace(32.0, 35.6, 13), np.linspac
 
 
 def frequencies() -> list[float]:
-    """Return the frequencies of the demonstration's stepped sines, Hz.
+    """Return the frequencies of the demonstration's stepped sines [Hz].
 
     >>> frequencies()[0], frequencies()[-1]
     (8.0, 60.0)
@@ -48,8 +48,8 @@ def demonstrate(
     Figures and tables of an earlier demonstration are replaced.
 
     `folder`: output folder for recordings, figures and tables; `print_line`: called with each line of text; `sweep_hz`:
-    frequencies of the stepped sines, Hz; default: `frequencies`; `overwrite`: whether other recordings may be replaced.
-    Returns all files written.
+    frequencies of the stepped sines [Hz]; default: `frequencies`; `overwrite`: whether other recordings may be
+    replaced. Returns all files written.
     """
     start = time.monotonic()
     create_folder(folder)
@@ -100,7 +100,7 @@ def demonstrate(
 
 
 def _scene(name: str, sweep_hz: tuple[float, ...]) -> Scene:
-    """Return a built-in scene; a stepped sine has the frequencies `sweep_hz`, Hz."""
+    """Return a built-in scene; a stepped sine has the frequencies `sweep_hz` [Hz]."""
     import rig
 
     scene = rig.load(name)

@@ -187,7 +187,7 @@ def _peaks_between_points(frf: Response) -> list[str]:
 
 
 def _jumps_next_to(frf: Response, resonance: Resonance) -> list[float]:
-    """Return the frequencies of the jumps between the highest point of a resonance and its neighbors, Hz."""
+    """Return the frequencies of the jumps between the highest point of a resonance and its neighbors [Hz]."""
     points = frf.frequency[max(resonance.line - 1, 0) : resonance.line + 2]
     return [jump for jump, _ in _jump_marks([frf]) if points.min() < jump < points.max()]
 

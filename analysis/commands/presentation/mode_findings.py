@@ -212,5 +212,5 @@ def combination_of(frequency: float, natural: Sequence[float]) -> str:
 
 
 def _multiple(factor: int, frequency: float) -> tuple[float, str]:
-    """Return a multiple of a frequency, Hz, and its text."""
+    """Return a multiple of a frequency [Hz] and its text."""
     return factor * frequency, f"{factor} x {frequency:.4g}" if factor > 1 else f"{frequency:.4g}"

@@ -91,7 +91,7 @@ def level_table(measurements: Sequence[Measurement]) -> str:
 def _mode_point(measurement: Measurement, sweep: SweepResults, level: str, reference: float, ratio: str) -> LevelPoint:
     """Return natural frequency and damping of a mode in a sweep, and the highest measured point near it.
 
-    `reference`: natural frequency of the mode at the first level, Hz; `ratio`: response whose peak is stated.
+    `reference`: natural frequency of the mode at the first level [Hz]; `ratio`: response whose peak is stated.
     """
     modes, test = sweep.modes, measurement.rec.scene.test
     assert modes is not None

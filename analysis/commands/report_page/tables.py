@@ -127,7 +127,7 @@ def changes_table(changes: Sequence[SweepChange]) -> str:
 
 
 def change_text(change: PeakChange) -> str:
-    """Write the change of a peak as a reduction or an increase with its interval, dB; a one-sided limit in words."""
+    """Write the change of a peak as a reduction or an increase with its interval [dB]; a one-sided limit in words."""
     best, low, high = change.decibel
     decimals = change.decibel_decimals
     if not isfinite(low) and not isfinite(high):
@@ -251,7 +251,7 @@ def settings(measurement: Measurement) -> str:
 
 
 def _middle_frequency(measurement: Measurement) -> float:
-    """Return the frequency at which channel gains are listed, Hz: geometric mean of the test band or of the modes."""
+    """Return the frequency at which channel gains are listed [Hz]: geometric mean of the test band or of the modes."""
     if measurement.sweeps:
         band = measurement.sweeps[0].frfs[0].frequency
         return float(np.sqrt(band[band > 0].min() * band.max()))

@@ -149,8 +149,8 @@ def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
     limited to frequencies at which the curve is within the uncertainty of its peak, and includes all points that may be
     the highest. A tolerance of the sensors that is common to all frequencies changes the height only.
 
-    `frf`: FRF with respect to force; `band_low`, `band_high`: limits of the band, Hz. Returns None for fewer than three
-    points in the band.
+    `frf`: FRF with respect to force; `band_low`, `band_high`: limits of the band [Hz]. Returns None for fewer than
+    three points in the band.
     """
     with_tolerances = _distinct_points(frf)
     valid = np.isfinite(with_tolerances.value) & (abs(with_tolerances.value) > 0)
@@ -457,7 +457,7 @@ class PeakChange:
 
 
 def _decibel_limits(bare: Peak, damped: Peak) -> list[float]:
-    """Return the limits of the ratio of two peaks due to the tolerances of different sensors and clocks, dB."""
+    """Return the limits of the ratio of two peaks due to the tolerances of different sensors and clocks [dB]."""
     limits = [
         limit
         for compared in (bare, damped)
@@ -514,7 +514,7 @@ def covers(curve: Response, frequency: float) -> bool:
 
 
 def is_next_to_omitted(curve: Response, frequency: float) -> bool:
-    """Return whether the test omitted frequencies next to a line; `frequency`: frequency of the line, Hz.
+    """Return whether the test omitted frequencies next to a line; `frequency`: frequency of the line [Hz].
 
     If the curve is highest at this line, its peak may be among the omitted frequencies.
     """
@@ -524,7 +524,7 @@ def is_next_to_omitted(curve: Response, frequency: float) -> bool:
 
 
 def peak_bands(modes: Modes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the natural frequencies in ascending order, and the limits of the bands of their peaks, Hz."""
+    """Return the natural frequencies in ascending order, and the limits of the bands of their peaks [Hz]."""
     frequency = np.sort(modes.frequency)
     midpoints = np.sqrt(frequency[1:] * frequency[:-1])
     low = np.maximum(frequency * (1.0 - _BAND_BELOW_RATIO), np.append(0.0, midpoints))

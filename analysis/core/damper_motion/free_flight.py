@@ -63,17 +63,17 @@ class BodyMotion:
 
     @cached_property
     def displacement(self) -> Array:
-        """Displacement, m; shape (n,)."""
+        """Displacement [m]; shape (n,)."""
         return self._motion("displacement")
 
     @cached_property
     def velocity(self) -> Array:
-        """Velocity, m/s; shape (n,)."""
+        """Velocity [m/s]; shape (n,)."""
         return self._motion("velocity")
 
     @cached_property
     def acceleration(self) -> Array:
-        """Acceleration, m/s²; shape (n,)."""
+        """Acceleration [m/s²]; shape (n,)."""
         return self._motion("acceleration")
 
     @property
@@ -82,9 +82,9 @@ class BodyMotion:
         return tolerance(self.info)
 
     def contact_at(self, time: float, wall: float, added_speed: float) -> _WallContact:
-        """Return position and speed of a wall at a time, s.
+        """Return position and speed of a wall at a time [s].
 
-        `wall`: height of the wall above the floor, m; `added_speed`: half the jump of an impact at this time, m/s,
+        `wall`: height of the wall above the floor [m]; `added_speed`: half the jump of an impact at this time, m/s,
         because the band-limited velocity there is the mean of the velocities before and after the jump.
         """
         sample = min(int(time * self.rec.rate), self.samples.size - 2)
@@ -170,7 +170,7 @@ def restitution(motion: BodyMotion, damper: Damper) -> Restitution | None:
 
 
 def inelastic_closing_speeds(scene: Scene, detected: Impacts, damper: Damper) -> Array:
-    """Return the closing speeds for zero restitution on a body with one damper, m/s; infinite for a massless damper."""
+    """Return the closing speeds [m/s] for zero restitution on a body with one damper; infinite without mass."""
     return np.asarray(abs(detected.jump) * _speed_per_jump(scene, damper))
 
 
@@ -185,7 +185,7 @@ def _speed_per_jump(scene: Scene, damper: Damper) -> float:
 
 
 def _flight(gravity: float, departure: _WallContact, arrival: _WallContact) -> tuple[float, float, float]:
-    """Return duration, s, final height error, m, and closing speed, m/s, of a flight that begins without rebound."""
+    """Return duration [s], final height error [m] and closing speed [m/s] of a flight that begins without rebound."""
     time = arrival.time - departure.time
     height_error = departure.position + departure.speed * time - 0.5 * gravity * time**2 - arrival.position
     return time, height_error, -arrival.inward * (departure.speed - gravity * time - arrival.speed)
@@ -201,7 +201,7 @@ def _restitution_after_rest(
     """Estimate the restitution from a flight that began when the body fell away from a damper at rest.
 
     `inelastic_speed`: closing speed of the impact at the end of the flight for zero restitution; `unresolved_rebound`:
-    largest rebound speed that is not resolved, m/s. Returns value and uncertainty, or None if the flight is not
+    largest rebound speed that is not resolved [m/s]. Returns value and uncertainty, or None if the flight is not
     consistent.
     """
     rate, gravity = motion.rec.rate, motion.rec.scene.gravity
@@ -300,7 +300,7 @@ class _FloorMotion:
     gravity: float  # g, m/s²
 
     def height_from_rest(self, sample: int, last: int) -> float:
-        """Return the maximum height, m, of a damper that is at rest on the floor at `sample` and does not rebound.
+        """Return the maximum height [m] of a damper that is at rest on the floor at `sample` and does not rebound.
 
         Several flights until sample `last` are computed one after another.
         """
@@ -322,7 +322,7 @@ class _FloorMotion:
         return highest
 
     def height_before(self, first: int, end_sample: float, closing_speed: float) -> float:
-        """Return the maximum height, m, of a flight after `first` that ends at `end_sample` with a closing speed."""
+        """Return the maximum height [m] of a flight after `first` that ends at `end_sample` with a closing speed."""
         # The backward computation starts at the last sample that the band-limited impact does not distort.
         last = int(end_sample) - _BLURRED_SAMPLES
         remaining_time = (end_sample - last) / self.rate

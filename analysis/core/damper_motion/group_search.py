@@ -33,8 +33,8 @@ def search_group(
     """Search for the jumps that best explain a segment; return them with the residual sum of squares.
 
     `fit`: joint fit of jumps to the segment with a number of iterations (1: fixed times), which returns the jumps and
-    the residual sum of squares; `times`: limits of the times of the jumps, samples; `min_distance`: minimum distance
-    between two jumps, samples; `sufficient_square`: residual sum of squares at which the search ends.
+    the residual sum of squares; `times`: limits of the times of the jumps [samples]; `min_distance`: minimum distance
+    between two jumps [samples]; `sufficient_square`: residual sum of squares at which the search ends.
     """
     best_of_each_size: list[tuple[list[Jump], float]] = []
     beam: list[list[Jump]] = [[]]

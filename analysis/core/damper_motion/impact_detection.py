@@ -75,36 +75,36 @@ class Impacts:
     time: Array
     """Times of the impacts after sample 0, s; shape (n,)."""
     time_error: Array
-    """Standard uncertainty of `time`, s; shape (n,). For finite-duration contact it includes the uncertain release and
+    """Standard uncertainty of `time` [s]; shape (n,). For finite-duration contact it includes the uncertain release and
     the effect of larger impacts nearby.
     """
     jump: Array
-    """Velocity jump of the body, m/s: negative at the floor, positive at the ceiling; shape (n,). The impulse is the
+    """Velocity jump of the body [m/s]: negative at the floor, positive at the ceiling; shape (n,). The impulse is the
     jump times the mass of the body. For finite-duration contact the estimated jump is proportional to the contact
     duration of the scene.
     """
     jump_error: Array
-    """Standard uncertainty of `jump`, m/s, without the tolerance of the sensor's sensitivity; shape (n,)."""
+    """Standard uncertainty of `jump` [m/s] without the tolerance of the sensor's sensitivity; shape (n,)."""
     acceleration: Array
-    """Smooth acceleration of the body at the impact, m/s²; NaN too close to the ends of the segment; shape (n,)."""
+    """Smooth acceleration of the body at the impact [m/s²]; NaN too close to the ends of the segment; shape (n,)."""
     noise: float
-    """Standard deviation of the estimated jump where there is no impact, m/s: 95th percentile over the segment."""
+    """Standard deviation of the estimated jump where there is no impact [m/s]: 95th percentile over the segment."""
     resolution: float
-    """Shortest interval between two impacts that the channel resolves, s."""
+    """Shortest interval between two impacts that the channel resolves [s]."""
     ringing: float
-    """Time for which the channel rings around an impact, s. A second impact within this time may be missed if it is
+    """Time for which the channel rings around an impact [s]. A second impact within this time may be missed if it is
     below `masked_share` of the first impact.
     """
     threshold: float
-    """Detection limit: smallest jump that is reliably detected, m/s; higher near a larger impact (see `ringing`)."""
+    """Detection limit: smallest jump that is reliably detected [m/s]; higher near a larger impact (see `ringing`)."""
     contact_duration: float
-    """Duration of contact in an impact, s; 0: instantaneous. A jump after a finite-duration impact may be the release
+    """Duration of contact in an impact [s]; 0: instantaneous. A jump after a finite-duration impact may be the release
     of this impact.
     """
     searched_duration: float
-    """Duration of the segment without its ends and without `unsearched`, s."""
+    """Duration of the segment without its ends and without `unsearched` [s]."""
     unsearched: Array
-    """Start and end of intervals without detection, s; shape (m, 2): samples are lost or overloaded, or impacts are
+    """Start and end of intervals without detection [s]; shape (m, 2): samples are lost or overloaded, or impacts are
     too closely spaced to be resolved."""
 
     @property
@@ -265,7 +265,7 @@ def _average_groups(row: Array | NDArray[np.bool_], count: int) -> Array:
 
 
 def band(rate: float) -> tuple[float, float]:
-    """Return the frequency band in which the motion of a body is determined at a sample rate, Hz."""
+    """Return the frequency band in which the motion of a body is determined at a sample rate [Hz]."""
     return _LOW_HZ, _HIGH_RATE_RATIO * rate
 
 
@@ -281,9 +281,9 @@ def _valid_samples(rec: Recording, name: str, samples: Array, start: int, settli
 
 
 def _acceleration(samples: Array, impact_samples: Array, info: ChannelInfo, duration: float) -> Array:
-    """Estimate the acceleration at jumps, m/s², by a polynomial through the samples on both sides.
+    """Estimate the acceleration at jumps [m/s²] by a polynomial through the samples on both sides.
 
-    `impact_samples`: times of the jumps, samples; `duration`: duration of contact, s. NaN too close to the ends.
+    `impact_samples`: times of the jumps [samples]; `duration`: duration of contact [s]. NaN too close to the ends.
     """
     integrations = 2 - MOTIONS.index(info.quantity)
     # The high-pass filters of integrators distort slow motion, so their slow poles and zeros are corrected.

@@ -95,7 +95,7 @@ class ImpactModel:
     polynomial_order: int
     """Order of the polynomial for the smooth motion in the readings of a window."""
     contact_samples: int
-    """Contact duration of an impact, samples; 0: instant."""
+    """Contact duration of an impact [samples]; 0: instant."""
 
     @cached_property
     def search_basis(self) -> tuple[Array, Array]:
@@ -133,7 +133,7 @@ class ImpactModel:
 
     @cached_property
     def min_separation(self) -> int:
-        """Minimum distance of two jumps whose windows do not overlap, samples."""
+        """Minimum distance of two jumps whose windows do not overlap [samples]."""
         return self.window_length + self.difference_order
 
     @cached_property
@@ -143,7 +143,7 @@ class ImpactModel:
 
     @cached_property
     def noise_gain(self) -> float:
-        """Largest standard uncertainty of a jump over the sub-sample times, m/s, for readings with unit noise."""
+        """Largest standard uncertainty of a jump over the sub-sample times [m/s] for readings with unit noise."""
         middle = slice(MAX_SHIFT * self.instants_per_sample, (MAX_SHIFT + 1) * self.instants_per_sample)
         return float(1.0 / abs(self.r_factors[middle, 2, 2]).min())
 
@@ -201,7 +201,7 @@ class ImpactModel:
         """Fit the jump that best explains a window of differences; `noise`: standard deviation of a reading.
 
         Returns `time`, time of the jump after the window's sample 0, samples; `amplitudes`, shape (3,), jump [m/s],
-        step [m/s²], kink [m/s³]; `error`, standard uncertainty of the jump, m/s; `explained`, reduction of the sum of
+        step [m/s²], kink [m/s³]; `error`, standard uncertainty of the jump [m/s]; `explained`, reduction of the sum of
         squares by jump, step and kink, in noise variances.
         """
         stride = self.search_stride

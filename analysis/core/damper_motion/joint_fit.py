@@ -37,16 +37,16 @@ class Jump:
     explained: float
     """Reduction of the sum of squares by this jump, in units of the noise variance."""
     time_error: float = np.inf
-    """Standard uncertainty of `time`, samples."""
+    """Standard uncertainty of `time` [samples]."""
 
     @property
     def velocity_jump(self) -> float:
-        """Jump of the velocity, m/s."""
+        """Jump of the velocity [m/s]."""
         return float(self.amplitudes[0])
 
     @property
     def step(self) -> float:
-        """Step of the acceleration, m/s²."""
+        """Step of the acceleration [m/s²]."""
         return float(self.amplitudes[1])
 
     @property
@@ -147,7 +147,7 @@ def estimate_errors(
 
 
 def jump_error(model: ImpactModel, distance: int | None, noise: Deviations) -> float:
-    """Return the standard uncertainty of a jump `distance` samples after an equal jump (None: a single jump), m/s."""
+    """Return the standard uncertainty of a jump `distance` samples after an equal jump (None: a single jump) [m/s]."""
     rows = _equal_jumps(model, distance)
     fit = _least_squares(rows, rows[0], _ridge(len(rows), len(rows) // 4, noise))
     # The last four unknowns are jump, step, kink and time of the last jump.

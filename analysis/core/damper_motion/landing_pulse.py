@@ -29,11 +29,11 @@ class Pulse:
     """Force of a spring-dashpot contact on an impacting mass, until the force would become tensile."""
 
     duration: float
-    """Time from first contact to release if no other forces act, s."""
+    """Time from first contact to release if no other forces act [s]."""
     damping_ratio: float
     """Damping ratio of the mass on the contact."""
     angular_frequency: float
-    """Natural angular frequency of the mass on the contact, rad/s."""
+    """Natural angular frequency of the mass on the contact [rad/s]."""
 
     def velocity_change_ratio(self, time: Array) -> Array:
         """Return the fraction of the whole velocity change that is reached at times [s] after first contact.
@@ -59,7 +59,7 @@ class Pulse:
 
     @cached_property
     def time_to_90_percent(self) -> float:
-        """Time until 90 % of the velocity change, s."""
+        """Time until 90 % of the velocity change [s]."""
         time = np.linspace(0.0, self.duration, _INSTANTS)
         return float(np.interp(0.9, self.velocity_change_ratio(time), time))
 

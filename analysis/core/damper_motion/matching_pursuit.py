@@ -119,7 +119,7 @@ class MatchingPursuit:
     jumps : list of Jump
         Subtracted jumps.
     prior : (float, float)
-        Prior standard deviations of steps, m/s², and kinks, m/s³.
+        Prior standard deviations of steps [m/s²] and kinks, m/s³.
     valid : ndarray of bool, shape (windows,)
         Whether the window that begins at a difference contains only valid readings.
     searchable : ndarray of bool, shape (windows,)
@@ -274,7 +274,7 @@ class MatchingPursuit:
 
     @property
     def jump_noise(self) -> float:
-        """Standard deviation of the estimated jump without an impact, m/s: 95th percentile over the segment."""
+        """Standard deviation of the estimated jump without an impact [m/s]: 95th percentile over the segment."""
         if "jump" not in self._cache:
             self._cache["jump"] = np.asarray(_quantile(self.noise(), 0.95) * self.model.noise_gain)
         return float(self._cache["jump"])
@@ -294,7 +294,7 @@ class MatchingPursuit:
         return max(sigmas * noise, model_error * largest, _MIN_JUMP_STEP_RATIO * self.prior[0] * duration)
 
     def resolution(self) -> int:
-        """Return the distance beyond which a second jump hardly increases the error of a jump, samples."""
+        """Return the distance beyond which a second jump hardly increases the error of a jump [samples]."""
         noise = Deviations(float(_quantile(self.noise(), 0.5)), *self.prior)
         max_error = _MAX_RESOLVED_ERROR_RATIO * jump_error(self.window_model, None, noise)
         distance = MIN_RESOLVED_SAMPLES
@@ -322,14 +322,14 @@ class MatchingPursuit:
         return self._cache[order]
 
     def _unexplained_segments(self, jump_size: float) -> list[tuple[int, int]]:
-        """Return first and last window of each segment with a larger residual than that of a velocity jump, m/s."""
+        """Return first and last window of each segment with a larger residual than that of a velocity jump [m/s]."""
         first = self._windows()
         squares, jump_norm = self._residual_squares(self.window_model.polynomial_order), self.window_model.template_norm
         is_above = squares > (jump_size * jump_norm) ** 2
         return [(int(first[begin]), int(first[end - 1])) for begin, end in runs_of(is_above)]
 
     def unresolved(self) -> Array:
-        """Return the limits of segments with a residual far above the detection limit, samples; shape (n, 2)."""
+        """Return the limits of segments with a residual far above the detection limit [samples]; shape (n, 2)."""
         model, limits = self.window_model, list[tuple[float, float]]()
         limit, half_window = self._detection_limit, 0.5 * model.window_length
         for first, last in self._unexplained_segments(_UNRESOLVED_LIMIT_RATIO * limit):

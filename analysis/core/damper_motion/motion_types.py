@@ -56,7 +56,7 @@ class DamperMotion:
     below -g. None if undetermined: the acceleration crosses -g within half a sample interval of the impact, the
     rebound may take too long, or finite-duration contact may extend the push of the ceiling."""
     threshold: float
-    """Detection limit: smallest velocity jump that is reliably detected, m/s."""
+    """Detection limit: smallest velocity jump that is reliably detected [m/s]."""
     stays_on_floor: bool
     """Whether the body's acceleration stays above -g by more than its uncertainty, so all dampers stay at rest on
     the floor.
@@ -137,7 +137,7 @@ def damper_motion(
 
 
 def _motion_in_window(motion: BodyMotion, numbers: list[int], frequency: float, amplitude: float) -> DamperMotion:
-    """Estimate the motion of the dampers `numbers` at a frequency, Hz, and an acceleration amplitude, m/s²."""
+    """Estimate the motion of the dampers `numbers` at a frequency [Hz] and an acceleration amplitude [m/s²]."""
     detected, rate, gravity = motion.impacts, motion.rec.rate, motion.rec.scene.gravity
     dampers = [motion.rec.scene.dampers[number - 1] for number in numbers]
     # The searched duration excludes the ends of the segment.
@@ -170,7 +170,7 @@ def _motion_in_window(motion: BodyMotion, numbers: list[int], frequency: float, 
 
 
 def _recurrence_periods(detected: Impacts, frequency: float, begin: float, end: float) -> int:
-    """Return the smallest number of periods after which all impacts recur between two times, s; 0: no recurrence."""
+    """Return the smallest number of periods after which all impacts recur between two times [s]; 0: no recurrence."""
     walls = [detected.time[detected.wall == wall] for wall in ("floor", "ceiling")]
     begin, end = begin + detected.ringing, end - detected.ringing
     if any(times.size and not np.any((times > begin) & (times < end)) for times in walls):
@@ -192,7 +192,7 @@ def _recurrence_periods(detected: Impacts, frequency: float, begin: float, end: 
 def _stays_at_ceiling(apparent_gravity: Array, error: float, rebound_speed: float, push_time: float) -> bool | None:
     """Return whether a damper stays at the ceiling after impacts; None if undetermined.
 
-    `apparent_gravity`: acceleration of the body plus g at each impact, m/s²; `error`: limit of its error, m/s². The
+    `apparent_gravity`: acceleration of the body plus g at each impact [m/s²]; `error`: limit of its error [m/s²]. The
     ceiling pushes for `push_time` s. After a rebound of at most `rebound_speed` m/s the damper stays if it returns in
     this time. If the acceleration falls linearly from a to 0 in a time t, a rebound slower than a t / 3 returns.
     """
@@ -206,7 +206,7 @@ def _stays_at_ceiling(apparent_gravity: Array, error: float, rebound_speed: floa
 
 
 def _fastest_rebound(motion: BodyMotion, dampers: list[Damper], estimate: Restitution | None) -> float:
-    """Return an upper bound of the rebound speed at the ceiling, summed over all bounces, m/s.
+    """Return an upper bound of the rebound speed at the ceiling, summed over all bounces [m/s].
 
     It uses the restitution estimated from flights if this differs significantly from zero, otherwise the scene's
     restitution. For finite-duration contact the release is unknown and the bound is infinite.
@@ -228,9 +228,9 @@ def _fastest_rebound(motion: BodyMotion, dampers: list[Damper], estimate: Restit
 
 
 def _push_time(acceleration: Array, amplitude: float, gravity: float, frequency: float) -> float:
-    """Return a lower bound of the time for which the ceiling pushes after impacts, s, for a sinusoidal acceleration.
+    """Return a lower bound of the time for which the ceiling pushes after impacts [s] for a sinusoidal acceleration.
 
-    `acceleration`: acceleration of the body at the impacts, m/s². The ceiling pushes until this acceleration rises to
+    `acceleration`: acceleration of the body at the impacts [m/s²]. The ceiling pushes until this acceleration rises to
     -g.
     """
     finite = acceleration[np.isfinite(acceleration)]

@@ -64,9 +64,9 @@ class Decay(Result):
     hit : int
         Number of the impact, from 1.
     time : ndarray, shape (n,)
-        Time from the beginning of the free decay, s.
+        Time from the beginning of the free decay [s].
     acceleration, envelope : ndarray, shape (n,)
-        Acceleration, and its envelope (smooth upper bound of its magnitude, by `upper_bound`), m/s².
+        Acceleration, and its envelope (smooth upper bound of its magnitude, by `upper_bound`) [m/s²].
     peak_time, peak : ndarray, shape (peaks,)
         Envelope by peak picking: local maxima of the magnitude, at least one period of the lowest mode apart; s,
         m/s².
@@ -76,7 +76,7 @@ class Decay(Result):
     modes : tuple of ModalDecay
         Decay of each detected mode.
     gravity : float
-        Acceleration due to gravity, m/s²: below this amplitude no damper on this body leaves its floor.
+        Acceleration due to gravity [m/s²]: below this amplitude no damper on this body leaves its floor.
     warnings : tuple of str
         Warnings about the validity of the results.
 

@@ -121,7 +121,7 @@ class ModalDecay(Result):
 
 
 def spectral_peaks(acceleration: Array, rate: float, max_peaks: int, low: float, high: float) -> Array:
-    """Return the frequencies of the `max_peaks` highest resonances of a decay in ascending order, Hz.
+    """Return the frequencies of the `max_peaks` highest resonances of a decay in ascending order [Hz].
 
     A resonance is a peak of the spectrum with a prominence of 10 dB and a level of 20 dB above the median of the
     band. Its frequency is refined by a parabola through the logarithm of three bins.
@@ -145,7 +145,7 @@ def spectral_peaks(acceleration: Array, rate: float, max_peaks: int, low: float,
 
 
 def band_width(frequencies: Array, index: int) -> float:
-    """Return the standard deviation of the Gaussian band-pass for one of several modes, Hz.
+    """Return the standard deviation of the Gaussian band-pass for one of several modes [Hz].
 
     The width is a quarter of the distance to the nearest other mode, which attenuates that mode by a factor of exp(-8),
     and at most a quarter of the natural frequency.

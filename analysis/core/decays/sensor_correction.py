@@ -17,7 +17,7 @@ class CorrectedMotion:
     the mean.
 
     `samples`, shape (n,): uncorrected samples in the channel's unit, evenly spaced; `low`, `high`: limits of the
-    pass band, Hz. The correction is exact inside the pass band, and fades out over half an octave outside.
+    pass band [Hz]. The correction is exact inside the pass band, and fades out over half an octave outside.
     """
 
     def __init__(self, info: ChannelInfo, samples: Array, low: float, high: float) -> None:

@@ -352,7 +352,7 @@ def _multiply(curves: Curves, factor: float | ComplexArray | Array) -> Curves:
 
 
 def _estimate_delay(linear_curves: list[Curves], sensor: Sensor) -> float:
-    """Return the delay of a sensor, s, that brings the phases closest to 0 or 180 degrees; 0 without responses.
+    """Return the delay of a sensor [s] that brings the phases closest to 0 or 180 degrees; 0 without responses.
 
     Away from resonances the phase of a response is near these values; a delay adds a phase proportional to frequency.
     """

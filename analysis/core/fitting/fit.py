@@ -315,7 +315,7 @@ def _missing_clock_tolerance(problem: Problem, modes: Sequence[Mode]) -> list[st
 
 
 def _largest_gaps(problem: Problem, estimated: Estimate) -> dict[int, float]:
-    """Return the largest gaps, m, of flying dampers with undetermined clearance, by the index of the parameter."""
+    """Return the largest gaps [m] of flying dampers with undetermined clearance, by the index of the parameter."""
     expanded = estimated.expanded()
     gaps = {
         k: problem.clearance_lower_bound(estimated.x, parameter)

@@ -133,7 +133,7 @@ class SweepOrbits:
                 yield reached
 
     def largest_gap(self, test_scene: Scene, level: Array, frequency: Array, damper: int) -> float:
-        """Return the largest gap below a damper (counted from 0) over all orbits, m; infinite with ceiling impacts."""
+        """Return the largest gap below a damper (counted from 0) over all orbits [m]; infinite with ceiling impacts."""
         solver = _OrbitSolver(test_scene)
         gaps = [
             solver.largest_gap(orbit, frequency[k], level[k], damper)
@@ -272,7 +272,7 @@ class _OrbitSolver:
         return None
 
     def largest_gap(self, stored: StoredOrbit, frequency: float, level: float, damper: int) -> float:
-        """Return the largest gap below a damper on an orbit, m; infinite with ceiling impacts."""
+        """Return the largest gap below a damper on an orbit [m]; infinite with ceiling impacts."""
         point = OperatingPoint(float(frequency), float(self._initial_drive(stored, level)))
         solution = self._newton(stored, point)
         if solution is None:

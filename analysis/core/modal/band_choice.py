@@ -49,7 +49,7 @@ class BandChoice(NamedTuple):
 def end_parts(frequency: Array, identify: Callable[[NDArray[np.intp]], ComplexArray]) -> Iterator[Part]:
     """Yield the lines of a window without the lowest fifth, and without the highest fifth.
 
-    `frequency`: ascending, Hz; `identify`: returns the poles of some lines, rad/s. Modes next to an end of a part are
+    `frequency`: ascending [Hz]; `identify`: returns the poles of some lines [rad/s]. Modes next to an end of a part are
     not expected there.
     """
     low, high = frequency[0], frequency[-1]
@@ -83,7 +83,7 @@ def _poles(identify: Callable[[NDArray[np.intp]], ComplexArray], lines: NDArray[
 
 
 def band_choice(poles: ComplexArray, parts: Sequence[Part]) -> BandChoice:
-    """Compare poles, rad/s, with the poles of parts of their lines.
+    """Compare poles [rad/s] with the poles of parts of their lines.
 
     The standard uncertainty due to the choice of lines is 1.2 times the root mean square of the differences (type A).
     """

@@ -221,7 +221,7 @@ def _refine(weighted: Curves, model: ModalModel, frfs: Sequence[Response]) -> Re
 def _residual_terms(frequency: Array, value: ComplexArray, poles: ComplexArray, residue: ComplexArray) -> Array:
     """Return `Modes.lower` and `Modes.upper`, shape (responses, 4): the part of curves that the modes do not represent.
 
-    `value`: curves at given frequencies, Hz, shape (responses, n).
+    `value`: curves at given frequencies [Hz], shape (responses, n).
     """
     remainder = value - modal_receptance(frequency, poles, residue, np.zeros((len(value), 1 + UPPER_TERMS)))
     terms = np.stack(residual_terms(2j * np.pi * frequency), axis=1)

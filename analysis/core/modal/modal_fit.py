@@ -184,7 +184,7 @@ def _best_model(
 def _remove_computational_poles(
     curves: Curves, model: ModalModel, frfs: Sequence[Response]
 ) -> tuple[ModalModel, list[float]]:
-    """Remove poles that are not modes; return the new model, and the frequencies of the removed poles, Hz.
+    """Remove poles that are not modes; return the new model, and the frequencies of the removed poles [Hz].
 
     A pole is not a mode if its damping is undetermined. A pole is not a mode either if its peak is small relative to
     the systematic uncertainty of every curve, because residual transients and aliasing cause similar peaks. A distinct

@@ -85,7 +85,7 @@ class Modes(Result):
     Attributes
     ----------
     frequency, frequency_error : ndarray, shape (modes,)
-        Undamped natural frequency abs(p)/2 pi and its standard uncertainty, Hz; all uncertainties are NaN if a file
+        Undamped natural frequency abs(p)/2 pi and its standard uncertainty [Hz]; all uncertainties are NaN if a file
         states none.
     damping, damping_error : ndarray, shape (modes,)
         Damping ratio and its standard uncertainty; if this is more than a third of the ratio, only an upper limit is
@@ -295,7 +295,7 @@ class Modes(Result):
 
     @property
     def poles(self) -> ComplexArray:
-        """Poles of the modes, rad/s, shape (modes,)."""
+        """Poles of the modes [rad/s], shape (modes,)."""
         return _poles(self.frequency, self.damping)
 
     def receptance(self, frequency: Array) -> ComplexArray:

@@ -35,7 +35,7 @@ class Window(NamedTuple):
 
 
 def peak_windows(frequency: Array, values: Sequence[ComplexArray]) -> list[Window]:
-    """Return the windows around the peaks of curves at equal frequencies, Hz, in ascending order.
+    """Return the windows around the peaks of curves at equal frequencies [Hz] in ascending order.
 
     Peaks are determined in the mean logarithm of the magnitudes, because a mean of the magnitudes would depend on the
     units.
@@ -77,7 +77,7 @@ def peak_windows(frequency: Array, values: Sequence[ComplexArray]) -> list[Windo
 
 
 def _half_width(frequency: Array, log_magnitude: Array, peak: int, drop: float) -> float:
-    """Return half of the half-power width of a peak, Hz, from its steeper flank, where the logarithm falls by `drop`.
+    """Return half of the half-power width of a peak [Hz] from its steeper flank, where the logarithm falls by `drop`.
 
     The flank of another mode raises the curve on one side of the peak.
     """

@@ -69,7 +69,7 @@ class _WindowFit(NamedTuple):
 
     @property
     def poles(self) -> ComplexArray:
-        """Poles that may be modes, rad/s."""
+        """Poles that may be modes [rad/s]."""
         return self.fitted.model.poles[self.accepted]
 
 
@@ -108,7 +108,7 @@ def _all_poles(fits: Iterable[_WindowFit]) -> ComplexArray:
 
 
 def _window_fits(curves: Sequence[Response], required: ComplexArray | None = None) -> Iterator[_WindowFit]:
-    """Fit a model to each window, or only to the windows that contain one of some poles, rad/s."""
+    """Fit a model to each window, or only to the windows that contain one of some poles [rad/s]."""
     frequency = curves[0].frequency
     for window in peak_windows(frequency, [curve.value for curve in curves]):
         low, high = max(window.low, frequency[window.first]), min(window.high, frequency[window.stop - 1])

@@ -30,7 +30,7 @@ class ChartPole:
 
     @property
     def pole(self) -> complex:
-        """Return the pole, rad/s."""
+        """Return the pole [rad/s]."""
         omega = 2 * np.pi * self.frequency
         return complex(-self.damping * omega, omega * np.sqrt(1.0 - self.damping**2))
 
@@ -44,7 +44,7 @@ def poles_by_order(
     highest coefficient of A set to 1. With this constraint the poles due to noise have Re s > 0, so they do not appear
     in the chart (P. Guillaume et al., A poly-reference implementation of the least-squares complex frequency-domain
     estimator, IMAC XXI, 2003). The frequencies need not be evenly spaced. `weight`: inverse standard deviations of
-    `value`, shape (outputs, n). Yields the order and the decaying poles inside the band, rad/s.
+    `value`, shape (outputs, n). Yields the order and the decaying poles inside the band [rad/s].
     """
     f_min, f_max = float(frequency.min()), float(frequency.max())
     phase = np.pi * (frequency - f_min) / (f_max - f_min)
@@ -91,7 +91,7 @@ def stabilization_diagram(frequency: Array, value: ComplexArray, weight: Array) 
 
 
 def merge_charts(frequency: Array, charts: Sequence[list[ChartPole]]) -> tuple[ComplexArray, ComplexArray]:
-    """Cluster the poles of several charts; return a pole, rad/s, of each cluster with enough stable poles, and of all.
+    """Cluster the poles of several charts; return a pole [rad/s] of each cluster with enough stable poles, and of all.
 
     Clusters with the most stable poles are first.
     """

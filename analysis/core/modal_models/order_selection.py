@@ -56,7 +56,7 @@ _APPROXIMATE_EVALUATIONS = 5
 
 
 def half_width(poles: ComplexArray) -> Array:
-    """Compute half of the half-power widths, Hz."""
+    """Compute half of the half-power widths [Hz]."""
     return np.asarray(-poles.real / (2 * np.pi))
 
 
@@ -79,7 +79,7 @@ def are_narrower_than_resolution(curves: Curves, poles: ComplexArray) -> NDArray
 
 
 def initial_model(curves: Curves, initial: ComplexArray) -> ModalModel:
-    """Fit a model with those poles of `initial`, rad/s, that are significant and not computational."""
+    """Fit a model with those poles of `initial` [rad/s] that are significant and not computational."""
     # Most poles that are computational or not significant are recognized after few evaluations. Only the fit of the
     # remaining poles is completed.
     approximate = _fit_without_computational_poles(curves, initial, _APPROXIMATE_EVALUATIONS)
@@ -92,7 +92,7 @@ def select_model(
 ) -> ModalModel:
     """Add all significant poles [1]_ to an initial model, at most `max_modes` inside the band.
 
-    `candidates`: poles that may be added, rad/s.
+    `candidates`: poles that may be added [rad/s].
     """
     current = initial
     # Candidates below and above the band, for out-of-band modes that the residual terms do not represent.
@@ -269,7 +269,7 @@ def _significant_poles(curves: Curves, model: ModalModel) -> tuple[ComplexArray,
 
 
 def _poles_at_residual(curves: Curves, model: ModalModel) -> ComplexArray:
-    """Return candidate poles of several widths at the three lines of largest residual, rad/s."""
+    """Return candidate poles of several widths at the three lines of largest residual [rad/s]."""
     frequency = curves.frequency
     power = np.sum(abs(model.residual) ** 2, axis=0)
     candidates = []

@@ -224,7 +224,7 @@ class Projection:
         self._factorized: tuple[Array, _Factors] | None = None
 
     def poles(self, x: Array) -> ComplexArray:
-        """Convert parameters to poles, rad/s.
+        """Convert parameters to poles [rad/s].
 
         The first half are changes of the logarithms of the decay rates, which therefore remain positive. The second
         half are changes of the damped frequencies in units of the initial decay rates.

@@ -35,7 +35,7 @@ def weak_force_warnings(forces: Sequence[tuple[Point, float]]) -> list[str]:
 
 
 def relative_forces(rec: Recording) -> list[tuple[Point, float]]:
-    """Return the force channel of each of several shakers, and its power relative to the largest force, dB."""
+    """Return the force channel of each of several shakers, and its power relative to the largest force [dB]."""
     marker = next((marker for marker in rec.markers if "shakers" in marker.fields and marker.kind == "measure"), None)
     if marker is None:
         return []

@@ -351,7 +351,7 @@ def block_spectra(
     high: float,
     progress: CountProgress | None = None,
 ) -> BlockSpectra:
-    """Average the spectra of blocks after removal of each block's mean, from `low` to `high`, Hz.
+    """Average the spectra of blocks after removal of each block's mean, from `low` to `high` [Hz].
 
     `starts`: first samples of the blocks, in ascending order, every `step` samples; `window`, shape (samples of a
     block,).

@@ -53,7 +53,7 @@ def averaged_spectra(
 ) -> AveragedSpectra:
     """Average the spectra of a random test over blocks.
 
-    `block`: length of a block, s; default: about 30 averages. `overlap`: overlap as a fraction of the block; default:
+    `block`: length of a block [s]; default: about 30 averages. `overlap`: overlap as a fraction of the block; default:
     0.5. `window`: name of the window; default: "hann". All three are ignored for bursts: each burst is a block without
     overlap or window.
     """

@@ -83,7 +83,7 @@ class LockIn:
 
     All parts have a common fit; the deviation of each part from this fit determines the scatter. The normal equations
     of each part are stored, but not its samples. The *terms* of the fit are a constant, a slope, and cosine and
-    negative sine of each harmonic. `frequency`: frequency of the tone, Hz; `rate`: sample rate, Hz; `harmonics`:
+    negative sine of each harmonic. `frequency`: frequency of the tone [Hz]; `rate`: sample rate [Hz]; `harmonics`:
     largest number of harmonics, including the tone.
 
     >>> t = np.arange(4000) / 5120.0
@@ -644,7 +644,7 @@ def describe_sweeps(all_sweeps: Iterable[Sweep]) -> str:
 
 
 def _peak_remedy(needed: float) -> str:
-    """Return the remedy for too few tones in a peak; `needed`: required spacing of the tones, Hz."""
+    """Return the remedy for too few tones in a peak; `needed`: required spacing of the tones [Hz]."""
     return f"Measure every {needed:.1g} Hz there" if np.isfinite(needed) else "Measure with smaller steps there"
 
 

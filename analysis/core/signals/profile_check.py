@@ -68,7 +68,7 @@ class ProfileCheck(Result):
     unit : str
         Unit of the values: (m/s²)²/Hz for densities, m/s² for amplitudes.
     frequency : ndarray, shape (n,)
-        Frequencies, Hz.
+        Frequencies [Hz].
     control : ndarray, shape (n,)
         Combination of the control channels.
     profile : ndarray, shape (n,)
@@ -113,11 +113,11 @@ class ProfileCheck(Result):
 
     @property
     def deviation(self) -> Array:
-        """Control relative to the profile, dB."""
+        """Control relative to the profile [dB]."""
         return self._decibels * np.log10(self.control / self.profile)
 
     def excess(self, level: Level) -> Array:
-        """Return a limited channel relative to its limit, dB; NaN where there is no limit."""
+        """Return a limited channel relative to its limit [dB]; NaN where there is no limit."""
         with np.errstate(invalid="ignore", divide="ignore"):
             return self._decibels * np.log10(level.values / level.bound)
 
@@ -148,7 +148,7 @@ class ProfileCheck(Result):
         return float(1.0 - np.mean(self.is_outside))
 
     def notches(self) -> list[tuple[str, float, float]]:
-        """Return channel, lowest and highest frequency of each band in which a limit reduces the drive, Hz."""
+        """Return channel, lowest and highest frequency of each band in which a limit reduces the drive [Hz]."""
         return [
             (level.channel, float(self.frequency[start]), float(self.frequency[stop - 1]))
             for level in self.limited

@@ -58,7 +58,7 @@ class ShockSpectrum(Result):
     q : float
         Quality factor of the oscillators.
     frequency : ndarray, shape (n,)
-        Natural frequencies, Hz.
+        Natural frequencies [Hz].
     positive, negative : ndarray, shape (n,)
         Largest positive acceleration, and magnitude of the largest negative acceleration.
     warnings : tuple of str
@@ -101,7 +101,7 @@ class ShockSpectrum(Result):
 
 
 def octave_frequencies(lowest: float, highest: float, per_octave: int) -> Array:
-    """Return frequencies from `lowest` on with a number of steps per octave, up to `highest`, Hz.
+    """Return frequencies from `lowest` on with a number of steps per octave, up to `highest` [Hz].
 
     >>> octave_frequencies(10.0, 41.0, 1)
     array([10., 20., 40.])
@@ -135,7 +135,7 @@ def srs(
     q : float
         Quality factor of the oscillators, 1 / (2 damping ratio).
     lowest : float, optional
-        Lowest natural frequency, Hz. Default: 5 Hz.
+        Lowest natural frequency [Hz]. Default: 5 Hz.
     highest : float, optional
         Highest natural frequency, at most 0.3 times the sample rate, Hz. Default: a fifth of the sample rate.
     per_octave : int

@@ -61,15 +61,15 @@ class Backbone(Result):
     level, force : ndarray, shape (n,)
         Level, and amplitude of the measured force in N.
     frequency, frequency_bound : ndarray, shape (n,)
-        Frequency of phase resonance and half of its 95 % interval, Hz. The interval includes the effect of the
+        Frequency of phase resonance and half of its 95 % interval [Hz]. The interval includes the effect of the
         remaining phase deviation.
     phase_deviation, phase_deviation_bound : ndarray, shape (n,)
         Phase of the body relative to that of phase resonance, and half of its 95 % interval, rad.
     natural_frequency, natural_frequency_bound : ndarray, shape (n,)
         Natural frequency of the mode without the contributions of other modes to the phase of the body, and half of its
-        95 % interval, Hz.
+        95 % interval [Hz].
     amplitude, amplitude_bound : ndarray, shape (n,)
-        Displacement of the body and half of its 95 % interval, m.
+        Displacement of the body and half of its 95 % interval [m].
     damping, damping_bound : ndarray, shape (n,)
         Damping ratio and half of its 95 % interval.
     settled : ndarray of bool, shape (n,)
@@ -266,7 +266,7 @@ def _mode(
     relative: float,
     rotation: float,
 ) -> _Mode:
-    """Return natural frequency and damping ratio from the motion of all bodies, m, relative to the force, N.
+    """Return natural frequency and damping ratio from the motion of all bodies, m, relative to the force [N].
 
     `relative`, `rotation`: relative uncertainty of the motion, and uncertainty of its phase (rad).
     """

@@ -61,13 +61,13 @@ class AmplitudeCurve(Result):
     unit : str
         Unit of the level.
     band : tuple of float
-        Lowest and highest frequency of the test, Hz.
+        Lowest and highest frequency of the test [Hz].
     level, force : ndarray, shape (n,)
         Level in the unit of the test, and amplitude of the measured force in N.
     frequency, frequency_bound : ndarray, shape (n,)
-        Frequency and half of the 95 % interval of the frequency that has this amplitude at the level, Hz.
+        Frequency and half of the 95 % interval of the frequency that has this amplitude at the level [Hz].
     amplitude, amplitude_bound : ndarray, shape (n,)
-        Displacement of the body and half of its 95 % interval, m.
+        Displacement of the body and half of its 95 % interval [m].
     stable, settled : ndarray of bool, shape (n,)
         Whether the motion is stable at constant force, and whether steady state was reached.
     folds : tuple of Fold
@@ -109,7 +109,7 @@ class AmplitudeCurve(Result):
         return omissions
 
     def resolution(self, level: float) -> float:
-        """Return the smallest distance of two folds that steps and noise resolve above half of the maximum, Hz.
+        """Return the smallest distance of two folds that steps and noise resolve above half of the maximum [Hz].
 
         It is infinite if no point of the level is in steady state.
         """
@@ -273,9 +273,9 @@ def continuation(rec: Recording) -> AmplitudeCurve:
 
 
 def _folds(level: float, frequency: Array, amplitude: Array, bound: Array, jump: Array) -> list[Fold]:
-    """Locate the points at which the frequency turns back; `bound`: uncertainty at constant amplitude, Hz.
+    """Locate the points at which the frequency turns back; `bound`: uncertainty at constant amplitude [Hz].
 
-    `jump`: frequency at which the motion of a point behind a corner has jumped, Hz; NaN for other points.
+    `jump`: frequency at which the motion of a point behind a corner has jumped [Hz]; NaN for other points.
     """
     folds: list[Fold] = []
     steps = np.diff(frequency)

@@ -50,9 +50,9 @@ class ForceSurface(Result):
     frequency, amplitude : ndarray, shape (n,)
         Frequency in Hz and displacement amplitude in m.
     stiffness : ndarray, shape (n,), complex
-        Dynamic stiffness, force per displacement, N/m.
+        Dynamic stiffness, force per displacement [N/m].
     force, force_bound : ndarray, shape (n,)
-        Force amplitude and half of its 95 % interval at the stated displacement amplitude, N. The interval includes
+        Force amplitude and half of its 95 % interval at the stated displacement amplitude [N]. The interval includes
         the uncertainty of the displacement, which changes the force by the slope between the measured amplitudes.
     """
 
@@ -94,7 +94,7 @@ class ForceSurface(Result):
         Parameters
         ----------
         force : float
-            Force amplitude, N.
+            Force amplitude [N].
 
         Returns
         -------

@@ -40,7 +40,7 @@ def sep005(
     channels : sequence of str, optional
         Names of channels; default: all.
     from_s, to_s : float, optional
-        Limits of the segment, s.
+        Limits of the segment [s].
 
     Returns
     -------

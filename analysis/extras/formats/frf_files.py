@@ -75,7 +75,7 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
         A Universal File with data sets 58 of function type 4, the output of `analysis frf`, or a table. The first
         column of a table contains frequencies in Hz, followed by two columns for each response: ``body1 real [m/N]``
         and ``body1 imag [m/N]``, or ``magnitude`` and ``phase [deg]``. A MATLAB or numpy file contains complex
-        arrays (a response in each column), and an array of their frequencies or the scalar ``df``, Hz.
+        arrays (a response in each column), and an array of their frequencies or the scalar ``df`` [Hz].
     reference : str, optional
         Node and direction of the force, such as ``"1 +Z"``; required if the file contains several forces.
     unit : str, optional
@@ -190,7 +190,7 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
 
 
 def _stated_resolution(id_line: str) -> float | None:
-    """Read the stated resolution (noise bandwidth), Hz, from a file of this program; None for other files.
+    """Read the stated resolution (noise bandwidth) [Hz] from a file of this program; None for other files.
 
     >>> _stated_resolution("shotrig: resolution 0.5 Hz"), _stated_resolution("NONE")
     (0.5, None)

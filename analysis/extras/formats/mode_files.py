@@ -90,7 +90,7 @@ def _shapes(sets: Sequence[Mapping[str, Any]], nodes: Sequence[int]) -> tuple[Co
 
 
 def _pole(data_set: Mapping[str, Any]) -> complex:
-    """Return the pole of a mode, rad/s: the eigenvalue, or the pole for natural frequency and viscous damping ratio."""
+    """Return the pole [rad/s] of a mode: the eigenvalue, or the pole for natural frequency and viscous damping."""
     if int(data_set["analysis_type"]) == _COMPLEX:
         return complex(data_set["eig"])
     damping = min(max(float(data_set["modal_damp_vis"]), 0.0), 1.0)

@@ -128,8 +128,8 @@ def variants(
 ) -> Iterator[Variant]:
     """Change one part at a time in the scene from `without_noise`, in which noise does not mask the effects.
 
-    `scene`: as returned by `expand_chain`; `lowest`, `peak_frequency`, `highest`: measured frequencies, Hz; an added
-    integrator has unit gain at `peak_frequency`; `largest_voltage`: of the unchanged scene, V; it determines the range
+    `scene`: as returned by `expand_chain`; `lowest`, `peak_frequency`, `highest`: measured frequencies [Hz]; an added
+    integrator has unit gain at `peak_frequency`; `largest_voltage`: of the unchanged scene [V]; it determines the range
     of a converter without a range.
     """
     for name, factor in (("the scene's", 1.0), ("ten times", 10.0)):

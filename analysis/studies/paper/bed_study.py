@@ -261,7 +261,7 @@ def point_of(setting: Setting) -> tuple[float, float, float, int]:
 
 
 def describe_clearance(clearance: float) -> str:
-    """Describe a clearance, m, for a line of progress."""
+    """Describe a clearance [m] for a line of progress."""
     return "no ceiling" if math.isinf(clearance) else f"clearance {1e3 * clearance:g} mm"
 
 

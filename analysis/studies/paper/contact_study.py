@@ -113,7 +113,7 @@ def scene_on_contact(contact: ContactPoint) -> Scene:
 
 
 def _ceiling_force(scene: Scene, run: Run) -> float:
-    """Compute the mean force of the ceiling on the mass over the averaged periods, N."""
+    """Compute the mean force of the ceiling on the mass over the averaged periods [N]."""
     clearance = scene.dampers[0].clearance
     if math.isinf(clearance):
         return 0.0

@@ -86,8 +86,8 @@ def impact_phases(scene: Scene, path: Path) -> Arrays:
     """Estimate the impact phases of the damper in body 2 at each frequency.
 
     The impacts are detected in the acceleration of body 2. The reference of the phases is the spring force. Returns
-    arrays of shape (points,): `frequency` in Hz; `phi`, the phase lag of the force at the floor impact, rad; `tau_1`,
-    the phase from the floor impact to the ceiling impact, rad; `floor` and `ceiling`, the numbers of impacts per
+    arrays of shape (points,): `frequency` in Hz; `phi`, the phase lag of the force at the floor impact [rad]; `tau_1`,
+    the phase from the floor impact to the ceiling impact [rad]; `floor` and `ceiling`, the numbers of impacts per
     period. A phase is NaN unless there is about one impact per period and the phases scatter little. The phase tau_0 of
     the take-off cannot be measured, because a take-off causes no velocity jump.
     """
@@ -121,7 +121,7 @@ def impact_phases(scene: Scene, path: Path) -> Arrays:
 def _impact_phases(
     recording: Recording, channel: str, frequency: float, first: int, stop: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the phases of the floor impacts and of the ceiling impacts in a section of a recording, rad."""
+    """Return the phases of the floor impacts and of the ceiling impacts in a section of a recording [rad]."""
     try:
         detected = detect_impacts(recording, channel, first, stop)
     except RecordingError:
@@ -152,7 +152,7 @@ def ring_down(scene: Scene, path: Path) -> Arrays:
 
     Returns `time` in s, `acceleration` and `envelope` in m/s², each of shape (samples,); `time_of_6_db`, the time in
     which the energy decreases by 6 dB, s; and `time_below_1_g`, the time after which the acceleration stays below
-    1 g, s.
+    1 g [s].
     """
     with open_or_record(scene, path) as recording:
         measured = decay(recording, "body3")

@@ -116,7 +116,7 @@ def compare_directions(up: Columns, down: Columns, exact: Columns) -> str:
 
 
 def _folds(exact: Columns) -> list[float]:
-    """Return the frequencies at which branches turn back, Hz."""
+    """Return the frequencies at which branches turn back [Hz]."""
     folds = []
     for number in np.unique(exact["branch"]):
         frequency = exact["frequency"][exact["branch"] == number]
@@ -157,7 +157,7 @@ def _nearest_orbit(exact: Columns, frequency: float, value: complex) -> tuple[in
 
 
 def _phase_error(exact: Columns, measured: Columns, name: str) -> float:
-    """Return the median deviation of a measured impact phase from exact orbits, rad; `name`: ``phi`` or ``tau_1``."""
+    """Return the median deviation of a measured impact phase from exact orbits [rad]; `name`: ``phi`` or ``tau_1``."""
     distances = []
     rows = zip(measured["frequency"], measured["compliance"][1], measured[f"impact_{name}"], strict=True)
     for frequency, value, phase in rows:

@@ -92,7 +92,7 @@ def exact_orbits(scene: Scene, band: tuple[float, float], searches: int = 5) -> 
 
 
 def _contact_instants(orbit: Orbit) -> list[float]:
-    """Return the instants of floor impact, take-off, ceiling impact and take-off from the ceiling, s.
+    """Return the instants of floor impact, take-off, ceiling impact and take-off from the ceiling [s].
 
     An instant is NaN if its event does not occur.
     """
@@ -136,7 +136,7 @@ def approximate_branches(
 
 
 def waveforms(scene: Scene, frequency: float) -> Arrays:
-    """Compute the displacements of the bodies and the gaps of the dampers over two periods of the drive, m."""
+    """Compute the displacements of the bodies and the gaps of the dampers over two periods of the drive [m]."""
     orbit = periodic_orbit(scene, frequency)
     orbit_time, *motion = orbit.columns().values()
     time = np.concatenate([orbit_time + k * orbit.repetition / frequency for k in range(-1, 3)])
@@ -159,9 +159,9 @@ def peaks_by_weighting(scene: Scene, bands: dict[int, tuple[float, float]]) -> A
     """Compute the peak of each mode by exact orbits, and by the approximate method with both weightings of the mass.
 
     `bands`: frequency band in Hz around each mode (from 1). Returns the modes, and three arrays of shape (3, modes):
-    the peak compliance of the body that moves most in the mode, m/N; the frequency of the peak, Hz; and the mass ratio.
-    Row 0: exact orbits, for which the mass ratio is NaN. Row 1: weighting by Eq 13 as printed; NaN if this sum is not a
-    positive mass. Row 2: energy-consistent weighting.
+    the peak compliance of the body that moves most in the mode, m/N; the frequency of the peak [Hz]; and the mass
+    ratio. Row 0: exact orbits, for which the mass ratio is NaN. Row 1: weighting by Eq 13 as printed; NaN if this sum
+    is not a positive mass. Row 2: energy-consistent weighting.
     """
     peak, peak_frequency, ratio = (np.full((3, len(bands)), np.nan) for _ in range(3))
     forced = with_ideal_force(scene)

@@ -67,7 +67,7 @@ class RigMotion:
 
 @dataclass(frozen=True)
 class Extremes:
-    """Largest magnitudes of a motion, m."""
+    """Largest magnitudes of a motion [m]."""
 
     body: float = 0.0  # displacement of a body
     spring: float = 0.0  # change of length of a spring between bodies
@@ -300,7 +300,7 @@ def _along_z(values: Array, transverse: float = 0.0) -> Array:
 
 
 def _scale_bar(exaggeration: float) -> float:
-    """Return the length of the scale bar, m: a power of ten that is drawn 8 mm to 80 mm long.
+    """Return the length of the scale bar [m]: a power of ten that is drawn 8 mm to 80 mm long.
 
     >>> _scale_bar(50.0), _scale_bar(500.0)
     (0.001, 0.0001)

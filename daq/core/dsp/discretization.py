@@ -76,7 +76,7 @@ class DiscreteCircuit(NamedTuple):
 def generator_matrix(circuit: Circuit, gain: float, rate: float, integrals: int) -> Array:
     """Return the matrix from the propagated vector to its rate of change per interval; shape (size, size).
 
-    `gain`: V per unit of the input; `rate`: sample rate, Hz; `integrals`: number of integrals of the output.
+    `gain`: V per unit of the input; `rate`: sample rate [Hz]; `integrals`: number of integrals of the output.
     """
     states = circuit.c.size
     width = states + integrals

@@ -29,7 +29,7 @@ _REFLECTED = 30
 def shock_response(acceleration: Array, rate: float, frequency: Array, q: float) -> tuple[Array, Array]:
     """Return the largest and the smallest acceleration of oscillators, during and after a motion of their base.
 
-    `acceleration`: shape (samples,), from rest; `rate`: Hz; `frequency`: natural frequencies, Hz, shape (n,); `q`:
+    `acceleration`: shape (samples,), from rest; `rate`: Hz; `frequency`: natural frequencies [Hz], shape (n,); `q`:
     quality factor, 1 / (2 damping ratio), above 0.5. Results in the unit of the acceleration, shape (n,).
 
     >>> largest, smallest = shock_response(np.ones(1000), 1000.0, np.array([10.0]), q=10.0)

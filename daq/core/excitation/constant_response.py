@@ -61,7 +61,7 @@ class HeldMotion(EnvelopeTone):
         return min(super().start(1.0) * force, self.station.drive_limit)
 
     def _displacement(self, frequency: float) -> float:
-        """Return the displacement amplitude that corresponds to the level, m."""
+        """Return the displacement amplitude that corresponds to the level [m]."""
         return float(self._level / (2.0 * np.pi * frequency) ** self._order)
 
     def settle(

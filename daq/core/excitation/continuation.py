@@ -293,7 +293,7 @@ class _Curve:
     def _past_corner(self, length: float) -> Generator[Array, Array, tuple[Point | None, float]]:
         """Settle at the stable motion next to a corner behind the last point, which is unstable.
 
-        Return the point, None if it is not found, and the next frequency, Hz, at which this motion has jumped: the fold
+        Return the point, None if it is not found, and the next frequency [Hz] at which this motion has jumped: the fold
         lies between. `length`: change of ln(amplitude) in the direction of the curve, from where the motion settles.
         """
         last, tone, up = self.points[-1], self._tone, self._tangent[1]
@@ -332,7 +332,7 @@ class _Curve:
         return None, jump
 
     def _turn(self, point: Point) -> float:
-        """Return the angle from the last chord to the chord to a new point, rad."""
+        """Return the angle from the last chord to the chord to a new point [rad]."""
         x, y = self._scaled(self.points[-1], point)
         along, up = self._tangent
         return math.atan2(along * y - up * x, along * x + up * y)
@@ -448,7 +448,7 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
         station.report(1.0, "done")
 
     def waits(self, test: Continuation, scene: Scene) -> float:
-        """Return the expected time of all points, s; the number of points follows from the linear modes in the band."""
+        """Return the expected time [s] of all points; their number follows from the linear modes in the band."""
         from rig.core.system.structural_model import structural_model
 
         modes, count = structural_model(scene).modes, 1.0

@@ -120,7 +120,7 @@ class ImpulseProcedure(Procedure["Impulse"]):
                 station.report((hit - 1 + stop / interval) / test.repeats, f"impact {hit} of {test.repeats}")
 
     def power_on_wait(self, channels: Sequence[ChannelInfo]) -> float:
-        """Return the longest wait before the first impact, s."""
+        """Return the longest wait before the first impact [s]."""
         return BASELINE_S + max((settling_time(info) for info in channels), default=0.0)
 
     def part(self, test: Impulse, seconds: float, scene: Scene) -> Impulse:

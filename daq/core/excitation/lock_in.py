@@ -32,7 +32,7 @@ _PIECE_SAMPLES = 1 << 16
 def min_samples(frequencies: Sequence[float], rate: float) -> int:
     """Return the minimum number of samples for estimates of amplitudes without much noise amplification.
 
-    `frequencies`: frequencies of the simultaneous tones, Hz; `rate`: sample rate, Hz.
+    `frequencies`: frequencies of the simultaneous tones [Hz]; `rate`: sample rate [Hz].
 
     >>> [min_samples([frequency], 100.0) for frequency in (1.0, 20.0, 40.0, 49.0)]
     [200, 10, 8, 25]

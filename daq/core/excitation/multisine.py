@@ -139,12 +139,12 @@ class MultisineProcedure(Procedure["Multisine"]):
         return np.full(frequency.size, amplitude * np.sqrt(period * test.periods / 2.0))
 
     def waits(self, test: Multisine, scene: Scene) -> float:
-        """Return the expected time of crossfades and waits for periodic responses, s."""
+        """Return the expected time of crossfades and waits for periodic responses [s]."""
         # Each realization takes three further periods: a crossfade, and at least two until successive periods agree.
         return 3.0 * test.realisations * test.period_s + (_EQUALIZING_S if scene.controlled_terms else 0.0)
 
     def stored(self, test: Multisine) -> float:
-        """Return the period, which is the part of the drive stored in memory, s."""
+        """Return the period, which is the part of the drive stored in memory [s]."""
         return test.period_s
 
     def part(self, test: Multisine, seconds: float, scene: Scene) -> Multisine:
@@ -154,7 +154,7 @@ class MultisineProcedure(Procedure["Multisine"]):
         return part.replace(realisations=max(1, min(test.realisations, int(fraction * test.realisations))))
 
     def seconds(self, test: Multisine, part: Multisine, part_seconds: float) -> float:
-        """Return the expected duration of the test, s, if a part of it takes `part_seconds`."""
+        """Return the expected duration of the test [s] if a part of it takes `part_seconds`."""
         # Each realization takes about the same time to settle; the duration of the measurement is known.
         remaining_periods = test.realisations * (test.periods - part.periods)
         return test.realisations / part.realisations * part_seconds + remaining_periods * test.period_s

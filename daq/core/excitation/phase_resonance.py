@@ -180,7 +180,7 @@ class PhaseResonanceProcedure(SteadyTonesProcedure["PhaseResonance"]):
         station.report(1.0, "done")
 
     def waits(self, test: PhaseResonance, scene: Scene) -> float:
-        """Return the expected time of all locks, s."""
+        """Return the expected time of all locks [s]."""
         return len(test.levels) * min(_PERIODS_OF_LOCK / test.frequency, test.settle.longest)
 
     def part(self, test: PhaseResonance, seconds: float, scene: Scene) -> PhaseResonance:

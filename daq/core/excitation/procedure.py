@@ -89,7 +89,7 @@ class Procedure(Generic[TestT]):
             station.mark("measure", begin, end, level=level, settled=True, **fields)
 
     def measured(self, test: TestT, rate: float) -> Iterable[tuple[float, float, dict[str, Any]]]:
-        """Return start and end of each measured interval of an open-loop drive, s, and marker fields; `rate`: Hz."""
+        """Return start and end of each measured interval of an open-loop drive [s] and marker fields; `rate`: Hz."""
         return [(0.0, test.shortest, {})]
 
     def check(self, test: TestT, scene: Scene, channels: Sequence[ChannelInfo]) -> Iterable[str]:
@@ -105,19 +105,19 @@ class Procedure(Generic[TestT]):
         return None
 
     def waits(self, test: TestT, scene: Scene) -> float:
-        """Return the expected time of all waits for steady states, s."""
+        """Return the expected time of all waits for steady states [s]."""
         return 0.0
 
     def power_on_wait(self, channels: Sequence[ChannelInfo]) -> float:
-        """Return the longest time until the sensors have settled after power-on, s, if the test waits for this."""
+        """Return the longest time until the sensors have settled after power-on [s] if the test waits for this."""
         return 0.0
 
     def control_seconds(self, test: TestT) -> float:
-        """Return the CPU time of the controller, s."""
+        """Return the CPU time of the controller [s]."""
         return 0.0
 
     def stored(self, test: TestT) -> float:
-        """Return the duration of the drive that is stored in memory, s."""
+        """Return the duration of the drive that is stored in memory [s]."""
         return 0.0
 
     def part(self, test: TestT, seconds: float, scene: Scene) -> TestT:
@@ -129,7 +129,7 @@ class Procedure(Generic[TestT]):
         return 1.0
 
     def seconds(self, test: TestT, part: TestT, part_seconds: float) -> float:
-        """Return the expected duration of the test, s, if a part of it takes `part_seconds`."""
+        """Return the expected duration of the test [s] if a part of it takes `part_seconds`."""
         return part_seconds + max(test.shortest - part.shortest, 0.0)
 
     def periods_of_step(self, test: TestT) -> int:
@@ -137,7 +137,7 @@ class Procedure(Generic[TestT]):
         return 5
 
     def frequency_at(self, test: TestT, fraction: float) -> float | None:
-        """Return the frequency of the tone at a fraction, 0 to 1, of the measurement, Hz; None if markers state it."""
+        """Return the frequency of the tone at a fraction, 0 to 1, of the measurement [Hz]; None if markers state it."""
         return None
 
     def from_form(self, values: FormValues, test: KindOfTest | None) -> KindOfTest | dict[str, Any]:

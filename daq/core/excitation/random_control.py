@@ -191,12 +191,12 @@ class RandomControlProcedure(Procedure["RandomControl"]):
         yield f"{test.duration:g} s at full level, after the identification and levels of {levels} dB"
 
     def waits(self, test: RandomControl, scene: Scene) -> float:
-        """Return the expected time of the identification, and of the averages beyond the times of the levels, s."""
+        """Return the expected time of the identification, and of the averages beyond the times of the levels [s]."""
         average = _FIRST_AVERAGES / 2.0 / test.resolution
         return EXPECTED_PERIODS / test.resolution + (len(test.ramp) + 1) * average
 
     def stored(self, test: RandomControl) -> float:
-        """Return the length of a frame, s."""
+        """Return the length of a frame [s]."""
         return 1.0 / test.resolution
 
     def extension(self, test: RandomControl, seconds: float) -> float:

@@ -126,11 +126,11 @@ class ShockProcedure(Procedure["Shock"]):
             station.warn(f"{'; '.join(outside)}. {_remedy(deviations)}")
 
     def waits(self, test: Shock, scene: Scene) -> float:
-        """Return the expected time of the identification, and of the rest at the end, s."""
+        """Return the expected time of the identification, and of the rest at the end [s]."""
         return (EXPECTED_PERIODS + _REST) * test.interval
 
     def stored(self, test: Shock) -> float:
-        """Return the length of a pulse with its interval, s."""
+        """Return the length of a pulse with its interval [s]."""
         return test.interval
 
     def part(self, test: Shock, seconds: float, scene: Scene) -> Shock:

@@ -218,7 +218,7 @@ def _mark(sweep: SineSweep, first: int) -> None:
 
 
 def _identification_seconds(test: SineControl) -> float:
-    """Return the period of the identification, s."""
+    """Return the period of the identification [s]."""
     return max(_IDENTIFICATION_S, _IDENTIFICATION_PERIODS / test.band[0])
 
 
@@ -289,11 +289,11 @@ class SineControlProcedure(Procedure["SineControl"]):
         return check_sweep(test, scene, channels).lines()
 
     def waits(self, test: SineControl, scene: Scene) -> float:
-        """Return the expected time of the identification and of the start, s."""
+        """Return the expected time of the identification and of the start [s]."""
         return EXPECTED_PERIODS * _identification_seconds(test) + 2.0 * _RISE_S + _START_WINDOWS / test.from_
 
     def control_seconds(self, test: SineControl) -> float:
-        """Return the CPU time of the controller, which works in each period, s."""
+        """Return the CPU time of the controller, which works in each period [s]."""
         return _PERIOD_CPU_S * (test.from_ + test.to) / 2.0 * test.duration
 
     def part(self, test: SineControl, seconds: float, scene: Scene) -> SineControl:
@@ -308,7 +308,7 @@ class SineControlProcedure(Procedure["SineControl"]):
         return test.replace(**ends, duration=2.0 * half * test.duration)
 
     def frequency_at(self, test: SineControl, fraction: float) -> float:
-        """Return the frequency at a fraction, 0 to 1, of the sweep, Hz."""
+        """Return the frequency at a fraction, 0 to 1, of the sweep [Hz]."""
         return float(test.frequency_at(fraction))
 
 

@@ -115,7 +115,7 @@ class Station:
         """Return the complex amplitudes of the channels at simultaneous tones of the drive, shape (channels, tones).
 
         `readings`: those of a window of at least `min_samples`; `frequencies`: Hz; `phases`: of the tones in the first
-        sample of the drive of this window, rad. The converter's delay is removed.
+        sample of the drive of this window [rad]. The converter's delay is removed.
         """
         delay_phases = 2.0 * np.pi * np.asarray(frequencies) * self.latency / self.rate
         return lock_in(readings, frequencies, self.rate, np.asarray(phases) - delay_phases)

@@ -89,7 +89,7 @@ def excite(station: Station, test: SteppedTest, tone: SteadyTone) -> Generator[A
 
 
 def expected_wait(scene: Scene, longest: float) -> float:
-    """Return the expected time from one measurement to the next, s, from the slowest mode; `longest`: limit, s."""
+    """Return the expected time from one measurement to the next [s] from the slowest mode; `longest`: limit [s]."""
     from rig.core.system.structural_model import structural_model
 
     modes = structural_model(scene).modes
@@ -129,11 +129,11 @@ class SteadyTonesProcedure(Procedure[SteadyT]):
         return noise_gain(test.measure.periods, frequency)
 
     def waits(self, test: SteadyT, scene: Scene) -> float:
-        """Return the expected time of the waits before all measurements, s."""
+        """Return the expected time of the waits before all measurements [s]."""
         return _tones_of(test) * expected_wait(scene, test.settle.longest)
 
     def seconds(self, test: SteadyT, part: SteadyT, part_seconds: float) -> float:
-        """Return the expected duration of all levels and tones, s."""
+        """Return the expected duration of all levels and tones [s]."""
         return part_seconds * _tones_of(test) / _tones_of(part)
 
 

@@ -64,7 +64,7 @@ def _sweep_controlled(
 ) -> Generator[Array, Array, complex]:
     """Sweep with a constant force amplitude; return the final complex amplitude of the drive.
 
-    `start_phase`: phase of the tone at the start, rad; `amplitude`: initial complex amplitude of the drive.
+    `start_phase`: phase of the tone at the start [rad]; `amplitude`: initial complex amplitude of the drive.
     """
     station, rows, stiffness = force.station, list(force.rows), force.factors[0]
     total, completed, rate = station.samples(test.duration), 0, station.rate
@@ -167,9 +167,9 @@ def _displacements(
 
 
 def _phase(test: SweptSine, start_phase: float, completed: int, window: int, total: int) -> Array:
-    """Return the phase of the tone, rad, at the next `window` samples of a sweep of `total` samples.
+    """Return the phase of the tone [rad] at the next `window` samples of a sweep of `total` samples.
 
-    `start_phase`: phase at the start of the sweep, rad; `completed`: number of samples before this window.
+    `start_phase`: phase at the start of the sweep [rad]; `completed`: number of samples before this window.
     """
     return start_phase + 2 * np.pi * test.periods_at(np.arange(completed, completed + window) / total)
 
@@ -237,11 +237,11 @@ class SweptSineProcedure(Procedure["SweptSine"]):
         return np.asarray(np.sqrt(1.0 / np.sqrt(rate) / 2.0))
 
     def control_seconds(self, test: SweptSine) -> float:
-        """Return the CPU time of the controller, s, which works in each period."""
+        """Return the CPU time of the controller [s] which works in each period."""
         return _CONTROLLED_PERIOD_CPU_S * (test.from_ + test.to) / 2 * test.duration
 
     def frequency_at(self, test: SweptSine, fraction: float) -> float:
-        """Return the frequency at a fraction, 0 to 1, of the sweep, Hz."""
+        """Return the frequency at a fraction, 0 to 1, of the sweep [Hz]."""
         return float(test.frequency_at(fraction))
 
     def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:

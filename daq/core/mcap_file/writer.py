@@ -164,7 +164,7 @@ class ChunkedFile:
     ) -> None:
         """Compress and write the records of a chunk, and the message index of each of its channels.
 
-        `entries` are the entries of the indexes by channel, `earliest` and `latest` the log times of the chunk, ns.
+        `entries` are the entries of the indexes by channel, `earliest` and `latest` the log times of the chunk [ns].
         """
         name, packed, size = compressor.name, compressor.compress(content), len(content)
         begin = self._stream.tell()

@@ -79,7 +79,7 @@ class BenchLoop(ABC):
         return max(0, self.station.now - self.bench.latency - 1)
 
     def run_test(self, test: Excitation, drive: Array, max_duration: float = math.inf) -> bool:
-        """Run a test; return whether the test ran to completion within `max_duration`, s.
+        """Run a test; return whether the test ran to completion within `max_duration` [s].
 
         `drive`: drive of the first window. An error from `ending_error`, or the `RunError` of a test that gives up, is
         raised after the drive has been ramped to zero.

@@ -117,7 +117,7 @@ class Limits:
 
     @property
     def interval(self) -> float:
-        """Interval at which the channels are checked, s."""
+        """Interval at which the channels are checked [s]."""
         return _CHECK_INTERVAL_S if self.has_limits else _CONTROL_CHECK_INTERVAL_S
 
     def watch(self, first: int, readings: Array) -> Exceedance | None:

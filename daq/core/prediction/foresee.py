@@ -72,7 +72,7 @@ _MAX_LEVEL_RATIO = 4.0
 
 @dataclass(frozen=True)
 class _Duration:
-    """Expected, shortest and longest probable duration, s."""
+    """Expected, shortest and longest probable duration [s]."""
 
     expected: float
     shortest: float

@@ -24,7 +24,7 @@ _N_FREQUENCIES = 400
 
 
 def test_frequencies(test: Test | None, points: int) -> Array:
-    """Return the tones of a test, or `points` frequencies over its band, ascending, Hz; empty without a band."""
+    """Return the tones of a test, or `points` frequencies over its band, ascending [Hz]; empty without a band."""
     return np.array(() if test is None else test.tones(points))
 
 

@@ -87,7 +87,7 @@ def linear_waits(scene: Scene, system: HybridSystem, channels: Sequence[ChannelI
 def _run(
     scene: Scene, system: HybridSystem, channels: Sequence[ChannelInfo], modes: _RidingModes, number: int, limit: int
 ) -> tuple[Array, int]:
-    """Run the test up to a number of windows, with noise of a given seed; return the waits, s, and the windows used."""
+    """Run the test up to a number of windows, with noise of a given seed; return the waits [s] and the windows used."""
     test = scene.test
     assert isinstance(test, SteppedTest)
     rate = scene.converter.true_rate
@@ -124,7 +124,7 @@ class _RidingModes:
 
     @classmethod
     def of(cls, scene: Scene, system: HybridSystem, tones: Array) -> _RidingModes | None:
-        """Return the modes; None if their shapes are nearly dependent. `tones`: frequencies of the test, Hz."""
+        """Return the modes; None if their shapes are nearly dependent. `tones`: frequencies of the test [Hz]."""
         name = scene.at_driven("shaker")
         descriptor, state_matrix, input_vector = riding_equations(system, name)
         poles, shapes = np.linalg.eig(np.linalg.solve(descriptor, state_matrix))

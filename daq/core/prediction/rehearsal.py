@@ -129,7 +129,7 @@ class Rehearsal(BenchLoop):
         return self
 
     def frequency_at(self, sample: int) -> float | None:
-        """Return the frequency of the tone at a sample, Hz; None if there is no single tone."""
+        """Return the frequency of the tone at a sample [Hz]; None if there is no single tone."""
         test = self.scene.test
         if self.measured is not None and test is not None and sample >= self.measured[0]:
             fraction = (sample - self.measured[0]) / max(1, self.measured[1] - self.measured[0])

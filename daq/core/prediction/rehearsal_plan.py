@@ -61,7 +61,7 @@ class RehearsalPlan:
 
 
 def affordable_seconds(scene: Scene, cpu_seconds: float = 0.0) -> float:
-    """Return the duration of a test that can be rehearsed, s.
+    """Return the duration of a test that can be rehearsed [s].
 
     The CPU time of the rehearsal is limited to `cpu_seconds` or `_CPU_BUDGET_S`, whichever is longer.
     """
@@ -94,7 +94,7 @@ def plan_rehearsal(scene: Scene, channels: tuple[ChannelInfo, ...], cpu_seconds:
 
 
 def expected_seconds(scene: Scene, channels: Sequence[ChannelInfo]) -> float:
-    """Return the expected duration of a test with its waits for sensors and steady states, s."""
+    """Return the expected duration of a test with its waits for sensors and steady states [s]."""
     test = scene.test
     assert test is not None
     procedure = procedure_of(test)
@@ -104,7 +104,7 @@ def expected_seconds(scene: Scene, channels: Sequence[ChannelInfo]) -> float:
 def plan_about_peaks(scene: Scene, channels: tuple[ChannelInfo, ...], seconds: float) -> RehearsalPlan:
     """Plan groups of neighboring frequencies about the peaks, at the highest level, each started from rest.
 
-    `seconds` is the affordable duration of all groups, s.
+    `seconds` is the affordable duration of all groups [s].
     """
     test = scene.test
     assert test is not None

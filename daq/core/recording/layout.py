@@ -55,7 +55,7 @@ MAX_DISPLAY_CHANNELS = 64
 def block_length(rate: float) -> int:
     """Return the number of samples in a full block: the power of two nearest to 0.1 s of samples, at least 256.
 
-    `rate`: sample rate, Hz.
+    `rate`: sample rate [Hz].
 
     >>> block_length(5120.0), block_length(51200.0), block_length(100.0)
     (512, 4096, 256)
@@ -66,7 +66,7 @@ def block_length(rate: float) -> int:
 def flush_length(rate: float) -> int:
     """Return the number of samples that are committed to the disk together: whole blocks, about 0.5 s.
 
-    `rate`: sample rate, Hz.
+    `rate`: sample rate [Hz].
 
     >>> flush_length(5120.0) / 5120.0
     0.5

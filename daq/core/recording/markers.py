@@ -137,7 +137,7 @@ class Marker:
 
     @property
     def lowest_frequency(self) -> float:
-        """Lowest frequency of the tone or the band in this interval, Hz; 0 without one."""
+        """Lowest frequency of the tone or the band in this interval [Hz]; 0 without one."""
         return min((float(self.fields[key]) for key in ("frequency", "from", "to") if key in self.fields), default=0.0)
 
     @property
@@ -280,7 +280,7 @@ def event_to_json(time: float, damper: int, kind: str, speed: float, joint: int 
     """Encode a contact event as JSON.
 
     `time`: s after sample 0; `damper`, `joint`: number of the damper or the joint, from 1 (the other is 0); `kind`:
-    from `CONTACT_CHANGES`; `speed`: closing speed, m/s.
+    from `CONTACT_CHANGES`; `speed`: closing speed [m/s].
     """
     return _json({"time": time, **({"joint": joint} if joint else {"damper": damper}), "kind": kind, "speed": speed})
 

@@ -63,7 +63,7 @@ class Recorder:
     channels : sequence of ChannelInfo
         Description of each row of the samples.
     rate : float
-        Samples per second, Hz.
+        Samples per second [Hz].
     start_ns : int
         Time of sample 0, nanoseconds since an epoch of the user's choice; 0 keeps recordings reproducible.
     overwrite : bool

@@ -77,7 +77,7 @@ class Recording(Result):
     channels : dict of str to ChannelInfo
         In the order of their numbers in the file; recordings of shotrig have the order of the scene.
     rate : float
-        Samples per second, Hz.
+        Samples per second [Hz].
     start_ns : int
         Time of sample 0, nanoseconds since the recording's epoch.
     samples : int
@@ -407,7 +407,7 @@ class Recording(Result):
 
     @property
     def duration(self) -> float:
-        """Duration of the recording, s."""
+        """Duration of the recording [s]."""
         return self.samples / self.rate
 
     @property

@@ -134,7 +134,7 @@ class Truth:
         return messages
 
     def positions(self, samples: NDArray[np.int64]) -> Array:
-        """Return displacements of points and gaps of dampers at the next samples, m, shape (points + dampers, samples).
+        """Return displacements of points and gaps [m] of dampers at the next samples, (points + dampers, samples).
 
         Samples outside the last groups repeat the previous value.
         """

@@ -98,7 +98,7 @@ class Chain:
         self.channel_settings, self.channels = tuple(channel_settings), tuple(infos)
 
     def measure(self, motion: Motion, forces: Array | None = None) -> Array:
-        """Return the voltages of the next block, V, shape (channels, samples); see also `overload`.
+        """Return the voltages of the next block [V], shape (channels, samples); see also `overload`.
 
         `forces` are the forces or drives of the inputs at the motion samples, shape (inputs, motion samples); they are
         interpolated linearly.

@@ -17,7 +17,7 @@ from rig.core.scene.shaker import DRIVE_PER_VOLT, at_shaker
 
 
 def volts_per_count(settings: Settings) -> float | None:
-    """Return the voltage of one count, V; None if the converter has no bits or no range.
+    """Return the voltage of one count [V]; None if the converter has no bits or no range.
 
     >>> volts_per_count(Settings(bits=8, range="1 V"))
     0.0078125

@@ -34,7 +34,7 @@ class Sampler(Protocol):
         """
 
     def read(self, outputs: Array, sample_ends: slice) -> Array:
-        """Return the samples of a block, V, from the outputs (outputs, intervals) and the moments in the buffer.
+        """Return the samples of a block [V] from the outputs (outputs, intervals) and the moments in the buffer.
 
         `sample_ends` selects the intervals that end at a sample. The result is valid until the next call.
         """
@@ -130,7 +130,7 @@ class Jitter:
         self._voltage = Overlap(filter_delay + 1)
 
     def error(self, voltage: Array, timing_error: Array) -> Array:
-        """Return the error of each sample, V, from the voltages without jitter.
+        """Return the error of each sample [V] from the voltages without jitter.
 
         `timing_error` is in standard deviations of the jitter.
         """

@@ -15,7 +15,7 @@ from rig.core.simulation.motion import Motion
 class MotionAtRate:
     """Resamples a motion and its drive from ticks to instants: instant n is n / rate ticks after power-on.
 
-    A sample requires `group` instants; only complete groups are returned. `tick` is the duration of a tick, s; `first`
+    A sample requires `group` instants; only complete groups are returned. `tick` is the duration of a tick [s]; `first`
     is the index of the first instant. An instant at a tick has the motion of the tick. Between ticks and breaks (jumps
     of velocity or acceleration), the acceleration is the cubic of `daq.core.dsp.interpolation`, integrated to velocity
     and displacement. The drive is interpolated linearly.
@@ -106,7 +106,7 @@ def _between_ticks(
 ) -> tuple[Array, Array, Array, Array]:
     """Interpolate displacement, velocity, acceleration and drive at instants, in ticks after the block's first tick.
 
-    `last` has the values at the last tick of the previous block, `tick` is the duration of a tick, s.
+    `last` has the values at the last tick of the previous block, `tick` is the duration of a tick [s].
     """
     n_last = 1 if last else 0
     at_ticks = np.arange(-n_last, forces.shape[1])

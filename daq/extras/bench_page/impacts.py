@@ -48,9 +48,9 @@ class Impact:
 class ImpactDetector:
     """Detects impacts in the channel of the hammer, and checks each impact for faults at the end of its window.
 
-    `row` is the row of this channel in the readings, `min_peak` the smallest accepted peak, N. `window` is the duration
-    of a window, s: the time after the trigger, and a short time before it, that belong to one impact. `pending` is the
-    impact whose window is not yet complete, as far as it is known; None without such an impact.
+    `row` is the row of this channel in the readings, `min_peak` the smallest accepted peak [N]. `window` is the
+    duration of a window [s]: the time after the trigger, and a short time before it, that belong to one impact.
+    `pending` is the impact whose window is not yet complete, as far as it is known; None without such an impact.
     """
 
     def __init__(self, row: int, rate: float, min_peak: float, window: float) -> None:

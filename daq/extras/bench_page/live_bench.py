@@ -79,7 +79,7 @@ class TestController:
     has a shaker or a hammer, by title. `message` is the state of the test, or the reason why it did not start.
     `progress` is the completed fraction of the measurement; 0 while the test settles. `is_aborted` states whether the
     last test ended early. `tests` is the number of started tests; single impacts of the same settings belong to one
-    test. `target` is the level of the test, N. `frf_unavailable_reason` is the reason why there is no live frequency
+    test. `target` is the level of the test [N]. `frf_unavailable_reason` is the reason why there is no live frequency
     response.
     """
 
@@ -171,7 +171,7 @@ class TestController:
 
     @property
     def band(self) -> tuple[float, float] | None:
-        """Band of the last test, or of the settings before a test, Hz.
+        """Band of the last test, or of the settings before a test [Hz].
 
         The result is None for impacts, whose pulse determines the band.
         """
@@ -200,7 +200,7 @@ class TestController:
 
     @property
     def force(self) -> float | None:
-        """Measured force of the last test, N, as amplitude, rms or peak like its level.
+        """Measured force of the last test [N] as amplitude, rms or peak like its level.
 
         None before the first estimate.
         """
@@ -213,13 +213,13 @@ class TestController:
 
     @property
     def remaining(self) -> float | None:
-        """Expected time until the end of the measurement, s; None if it is unknown."""
+        """Expected time until the end of the measurement [s]; None if it is unknown."""
         if self._measures_from is None or not 0.0 < self.progress < 1.0 or not self.running:
             return None
         return (self._chassis.elapsed - self._measures_from) * (1.0 / self.progress - 1.0)
 
     def excited_band(self) -> tuple[float, float] | None:
-        """Return the lowest and highest frequency, Hz, that the test excites at present; None while it settles."""
+        """Return the lowest and highest frequency [Hz] that the test excites at present; None while it settles."""
         if self._controls is not None:
             frequency = self._controls.settings[0]
             return frequency, frequency
@@ -411,7 +411,7 @@ class LiveBench:
 
     @property
     def lag(self) -> float:
-        """Time by which the bench is behind real time, s."""
+        """Time by which the bench is behind real time [s]."""
         return max(0.0, (time.time_ns() - self.chassis.time_ns(self.chassis.position)) * 1e-9)
 
     def outputs(self) -> list[str]:

@@ -80,7 +80,7 @@ class LiveFrf:
     """Estimates the responses of all channels on bodies to the force on the structure.
 
     `scene` contains the test; `block` is the duration of a block, or of the window of an impact, in s; `band` contains
-    the lowest and the highest frequency, Hz. Raises `SceneError` if no channel measures the force.
+    the lowest and the highest frequency [Hz]. Raises `SceneError` if no channel measures the force.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class LiveFrf:
     def add(self, readings: Array, overload: NDArray[np.bool_], band: tuple[float, float] | None) -> None:
         """Add the next readings of a continuous test, and their overloads, both of shape (channels, samples).
 
-        `band`: lowest and highest frequency, Hz, that the test excites in these samples, equal for a tone; None before
+        `band`: lowest and highest frequency [Hz] that the test excites in these samples, equal for a tone; None before
         the measurement.
         """
         limits = np.full((2, readings.shape[1]), np.nan) if band is None else np.tile(band, (readings.shape[1], 1)).T

@@ -120,7 +120,7 @@ class _Segment:
 
     @property
     def phase(self) -> Array:
-        """Unwrapped phase of each block, rad."""
+        """Unwrapped phase of each block [rad]."""
         return _unwrapped(self.track, self.first_block, self.stop_block)
 
     @property

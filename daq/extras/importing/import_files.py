@@ -189,7 +189,7 @@ import_ = import_files
 
 
 def _common_rate(chosen: Sequence[ChosenSignal], scene: Scene) -> float:
-    """Return the sample rate of all signals, Hz, from the channel table, otherwise the files, otherwise the scene."""
+    """Return the sample rate of all signals [Hz] from the channel table, otherwise the files, otherwise the scene."""
 
     def rate_list(rates: Iterable[float]) -> str:
         return ", ".join(f"{rate:.10g} Hz" for rate in sorted(rates))
@@ -261,7 +261,7 @@ def _with_start_delays(assigned: Sequence[AssignedSignal]) -> list[AssignedSigna
 def _cut_to_times(
     assigned: Sequence[AssignedSignal], rate: float, from_s: float | None, to_s: float | None
 ) -> Sequence[AssignedSignal]:
-    """Return the signals cut to the samples between two times, s."""
+    """Return the signals cut to the samples between two times [s]."""
     if from_s is None and to_s is None:
         return assigned
     require_ordered_times(from_s, to_s)

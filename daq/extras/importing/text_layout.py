@@ -171,7 +171,7 @@ def _with_columns(layout: Layout, heading: Sequence[str], cells: Sequence[str], 
 
 
 def _without_interval(rows_above: list[list[str]]) -> tuple[list[list[str]], float | None]:
-    """Remove the cells of an oscilloscope's start and sample interval, s, from a heading; return the interval.
+    """Remove the cells of an oscilloscope's start and sample interval [s] from a heading; return the interval.
 
     >>> _without_interval([["X", "CH1", "Start", "Increment"], ["Sequence", "Volt", "-0.1", "1e-3"]])
     ([['X', 'CH1'], ['', 'Volt']], 0.001)
@@ -185,7 +185,7 @@ def _without_interval(rows_above: list[list[str]]) -> tuple[list[list[str]], flo
 
 
 def _stated_rate(heading: Sequence[str], decimal_comma: bool) -> float | None:
-    r"""Return the sample rate that a line of a heading states, Hz.
+    r"""Return the sample rate that a line of a heading states [Hz].
 
     >>> _stated_rate(["Sample rate: 51,2 kHz"], True), _stated_rate(["Sampling frequency [Hz]\t51200"], False)
     (51200.0, 51200.0)
@@ -313,7 +313,7 @@ def stamp_seconds(cell: str) -> float | None:
 
 
 def stamp_resolution(cell: str) -> float:
-    """Return the size of the last digit of a time of day, s.
+    """Return the size of the last digit of a time of day [s].
 
     >>> stamp_resolution("2024-05-01 10:00:00"), stamp_resolution("2024-05-01 10:00:00.0625")
     (1.0, 0.0001)

@@ -250,7 +250,7 @@ class _Table:
         return self._layout.cells[0] if self._layout.cells else 0
 
     def _times(self, scale: float) -> Iterator[Array]:
-        """Yield the first column in blocks, s."""
+        """Yield the first column in blocks [s]."""
         lines = islice(self._lines(), self.rows)
         while block := list(islice(lines, BLOCK_LINES)):
             numbers = self._parse_numbers(block, (self._first_position,))

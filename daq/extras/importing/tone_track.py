@@ -64,7 +64,7 @@ def _append(waiting: Array | None, samples: Array) -> Array:
 
 
 class _BlockAnalyzer:
-    """Computes the track of blocks of one length, for tones from `low` to `low` times `_LENGTH_RATIO`, Hz."""
+    """Computes the track of blocks of one length, for tones from `low` to `low` times `_LENGTH_RATIO` [Hz]."""
 
     def __init__(self, rate: float, low: float, reference: int) -> None:
         self._reference = reference

@@ -157,7 +157,7 @@ def _signal(path: Path, number: int, name: str, data_set: Mapping[str, Any]) -> 
 
 
 def _time_unit(data_set: Mapping[str, Any]) -> float:
-    """Return the SI value of the unit of the times, s; 1 if the label of their axis states no unit of time."""
+    """Return the SI value of the unit of the times [s]; 1 if the label of their axis states no unit of time."""
     try:
         return parse(f"1 {label(data_set, 'abscissa')}", TIME)
     except ValueError:
@@ -176,7 +176,7 @@ def _stated_rate(data_set: Mapping[str, Any]) -> float | None:
 
 
 def _resolution(times: np.ndarray, data_set: Mapping[str, Any]) -> float:
-    """Return the resolution of unevenly spaced times, s: six digits in text, or single precision."""
+    """Return the resolution of unevenly spaced times [s]: six digits in text, or single precision."""
     largest = float(abs(times).max(initial=0.0))
     if not int(data_set.get("binary", 0)):
         return _last_digit(largest)

@@ -128,11 +128,11 @@ class Chassis:
 
     @property
     def elapsed(self) -> float:
-        """Time that has passed on the bench since power-on, s."""
+        """Time that has passed on the bench since power-on [s]."""
         return self.position / self.rate
 
     def pass_time(self, seconds: float) -> None:
-        """Wait for a duration, s, in bench time; while bench time is stopped, wait only on the real clock."""
+        """Wait for a duration [s] in bench time; while bench time is stopped, wait only on the real clock."""
         with self.changed:
             end = self.position + round(seconds * self.rate)
 
@@ -146,7 +146,7 @@ class Chassis:
             threading.Event().wait(seconds)
 
     def time_ns(self, tick: int) -> int:
-        """Return the time of a tick, ns: since 1970 on the real clock, since power-on on the other clocks."""
+        """Return the time of a tick [ns]: since 1970 on the real clock, since power-on on the other clocks."""
         anchor, anchor_ns = self._anchors[max(0, bisect_right(self._anchors, (tick, 1 << 63)) - 1)]
         return anchor_ns + round((tick - anchor) * 1e9 / self.rate)
 

@@ -109,7 +109,7 @@ class Timeline(Protocol):
         """Store the wall-clock time at which bench time continues after a stop."""
 
     def report_delay(self, seconds: float) -> bool:
-        """Handle a delay of the bench relative to the wall clock, s; return whether to skip the missing time."""
+        """Handle a delay of the bench relative to the wall clock [s]; return whether to skip the missing time."""
 
 
 class Clock:
@@ -122,7 +122,7 @@ class Clock:
         """Start to advance a bench; called whenever a task starts."""
 
     def now(self, bench: Timeline) -> float:
-        """Return the time of a bench on this clock, s, for timeouts."""
+        """Return the time of a bench on this clock [s] for timeouts."""
         return bench.position / bench.rate
 
     def pass_query(self, bench: Timeline) -> None:
@@ -256,7 +256,7 @@ class _DelayReport:
 
 
 def longest_step(elapsed: float) -> float:
-    """Return the longest step of a delayed bench, s, given the wall-clock time since the previous step, s.
+    """Return the longest step of a delayed bench [s] given the wall-clock time since the previous step [s].
 
     >>> longest_step(0.004), longest_step(1.0)
     (0.008, 0.04)

@@ -275,7 +275,7 @@ class Task:
         samples
             Samples per channel. -1 reads all samples of a finite task, or the available samples of a continuous task.
         timeout
-            Timeout, s. 0 checks once; a negative timeout is infinite.
+            Timeout [s]. 0 checks once; a negative timeout is infinite.
         raw
             Whether to return the counts of the converter instead of readings.
         check
@@ -320,7 +320,7 @@ class Task:
                 self.end()
 
     def write(self, volts: Array, auto_start: bool, timeout: float) -> int:
-        """Write samples, V, shape (channels, n); return the number of samples per channel written.
+        """Write samples [V], shape (channels, n); return the number of samples per channel written.
 
         Raises `DaqError` -200292 after the timeout, -200561 for samples beyond the limits of a channel, -200524 for
         a wrong number of channels, or the error that ended the generation.

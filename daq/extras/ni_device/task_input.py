@@ -130,7 +130,7 @@ class TaskInput:
             self.log.start_new_file(path, self.run)
 
     def time_of_sample(self, sample: int) -> int:
-        """Return the time of a sample of the last acquisition, ns; without an acquisition the present time."""
+        """Return the time of a sample of the last acquisition [ns]; without an acquisition the present time."""
         run, chassis = self.run, self._chassis
         if run is None:
             return chassis.time_ns(chassis.position)

@@ -107,7 +107,7 @@ class TaskOutput:
     # Writes
 
     def write(self, volts: Array, timeout: float) -> int:
-        """Write samples, V, as soon as the buffer has space; return their number per channel.
+        """Write samples [V] as soon as the buffer has space; return their number per channel.
 
         `timeout`: s; a negative timeout is infinite.
         """
@@ -166,7 +166,7 @@ class TaskOutput:
                 )
 
     def write_on_demand(self, volts: Array) -> int:
-        """Output samples, V, at the tick rate, and keep the last value; return the number of samples per channel."""
+        """Output samples [V] at the tick rate, and keep the last value; return the number of samples per channel."""
         chassis, bench_indices = self._chassis, [channel.bench_index for channel in self._settings.channels]
         if volts.shape[1] > 1:
             buffer = OutputBuffer(volts.shape[0], None)
@@ -184,7 +184,7 @@ class TaskOutput:
 
 
 def check_volts(channels: Sequence[Channel], volts: Array) -> None:
-    """Raise `DaqError` -200524 if the shape of samples is not (channels, n), -200561 if they exceed the limits, V."""
+    """Raise `DaqError` -200524 if the shape of samples is not (channels, n), -200561 if they exceed the limits [V]."""
     if volts.ndim != 2 or volts.shape[0] != len(channels):
         raise DaqError(
             f"the data have {volts.shape[0]} channels, the task has {len(channels)}. Write a row for each channel.",

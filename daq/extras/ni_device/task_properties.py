@@ -95,7 +95,7 @@ def reset_value(task: Task, group: str, name: str) -> None:
 
 
 def time_of(task: Task, event: TimestampEvent, timeout: float) -> int:
-    """Wait for the first sample or a trigger of the task, and return its time, ns; see `Chassis.time_ns`.
+    """Wait for the first sample or a trigger of the task, and return its time [ns]; see `Chassis.time_ns`.
 
     Raises `DaqError` -209842 if the timestamp of the trigger is disabled, and -200284 if the event does not occur
     before the timeout.
@@ -158,7 +158,7 @@ def _counter(query: str, value: Callable[[Task], int]) -> Callable[[Task], int]:
 
 
 def _seconds_of(task: Task, event: TimestampEvent) -> float:
-    """Return the time of an event of the task, s; wait for the event up to 10 s."""
+    """Return the time of an event of the task [s]; wait for the event up to 10 s."""
     return time_of(task, event, 10.0) * 1e-9
 
 

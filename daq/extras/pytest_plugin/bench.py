@@ -71,7 +71,7 @@ class NidaqmxBench:
 
     @property
     def elapsed(self) -> float:
-        """Time that has passed on the bench, s; it passes while a task that has been started is open."""
+        """Time that has passed on the bench [s]; it passes while a task that has been started is open."""
         return self._chassis.elapsed
 
     @property
@@ -91,11 +91,11 @@ class NidaqmxBench:
         return self.transfers.samples("read", find_channel(self._devices, channel, "ai", "read")[0])
 
     def written(self, channel: str) -> Array:
-        """Return all samples that tasks have written to an output, V."""
+        """Return all samples that tasks have written to an output [V]."""
         return self.transfers.samples("written", find_channel(self._devices, channel, "ao", "written")[0])
 
     def assert_written(self, channel: str, expected: ArrayLike, tolerance: float = 1e-3) -> None:
-        """Fail unless the samples written to an output are the expected samples within a tolerance, V."""
+        """Fail unless the samples written to an output are the expected samples within a tolerance [V]."""
         written, wanted = self.written(channel), np.atleast_1d(np.asarray(expected, dtype=float))
         if written.shape != wanted.shape:
             raise AssertionError(f"{channel}: {written.size} samples were written; expected {wanted.size}.")
@@ -160,7 +160,7 @@ def open_bench(
         Connections of outputs to inputs, such as "ao0 -> ai0"; only for modules.
     sources : mapping, optional
         Voltage at inputs without a wire: {"ai1": "0.5 V"}, or {"ai1": {"amplitude": "1 V", "frequency": "50 Hz"}}, or a
-        function that returns the voltages, V, at an array of times, s; only for modules.
+        function that returns the voltages [V] at an array of times [s]; only for modules.
     clock : {'fast', 'real'} or Clock, optional
         With 'fast', time passes only during calls of tasks and in `time.sleep`, as fast as the machine computes, and
         at the speed of the wall clock while the program waits for a callback.

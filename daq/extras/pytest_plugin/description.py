@@ -141,7 +141,7 @@ class Source(Settings):
     """Frequency of the sine [Hz]."""
 
     def voltage(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the voltage, V, at times in s."""
+        """Return the voltage [V] at times in s."""
         return self.offset + self.amplitude * np.sin(2.0 * np.pi * self.frequency * time)
 
 

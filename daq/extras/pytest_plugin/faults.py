@@ -71,7 +71,7 @@ class Faults:
         raise error
 
     def overload(self, channel: str, seconds: float = 0.1) -> None:
-        """Overload an input from now on for a time on the bench, s: the input reads full scale, and is flagged."""
+        """Overload an input from now on for a time on the bench [s]: the input reads full scale, and is flagged."""
         index = find_channel(self._chassis.devices.all(), channel, "ai", "overload")[1]
         start = self._chassis.elapsed
         self._terminals.overloads.append((index, start, start + seconds))

@@ -109,7 +109,7 @@ def draw_picture(
     progress: FractionProgress | None = None,
     size: tuple[int, int] = (1600, 1000),
 ) -> float:
-    """Draw a replay into a PNG file without a window; return the drawn time, s.
+    """Draw a replay into a PNG file without a window; return the drawn time [s].
 
     `at_s` counts from the start of the recording; None takes `largest_motion_s`. `size` is in pixels.
 

@@ -19,7 +19,7 @@ from rig.core.laws.law import SPEED, Exit, Law, Mode, Row, Signal
 def friction_joint(stiffness: float, slip_displacement: float) -> Law:
     """Declare the law of a joint that sticks at the start.
 
-    `stiffness`: stiffness of the spring, N/m; `slip_displacement`: elongation of the spring at which the slider moves,
+    `stiffness`: stiffness of the spring [N/m]; `slip_displacement`: elongation of the spring at which the slider moves,
     m.
     """
     spring, slip_force = Row(gap=-stiffness, memory=stiffness), stiffness * slip_displacement

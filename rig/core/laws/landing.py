@@ -70,9 +70,9 @@ def dashpot(stiffness: float, restitution: float, mass: float) -> float:
 def spring_damper(duration: float, restitution: float, mass: float) -> tuple[float, float]:
     """Return stiffness [N/m] and damping [N s/m] of the contact with a duration and a restitution.
 
-    `duration`: from first contact to separation if no other force acts, s; `restitution`: ratio of rebound speed to
+    `duration`: from first contact to separation if no other force acts [s]; `restitution`: ratio of rebound speed to
     closing speed; 0 gives the lowest restitution that is possible with `RECOVERY_TIME_S`; `mass`: reduced mass of
-    damper and body, kg.
+    damper and body [kg].
 
     >>> stiffness, damping = spring_damper(duration=2e-3, restitution=0.3, mass=0.04)
     >>> [round(value, 9) for value in duration_and_restitution(stiffness, damping, mass=0.04)]
@@ -86,7 +86,7 @@ def spring_damper(duration: float, restitution: float, mass: float) -> tuple[flo
 def duration_and_restitution(stiffness: float, damping: float, mass: float) -> tuple[float, float]:
     """Return duration [s] and restitution of a contact; the inverse of `spring_damper`.
 
-    `stiffness`: N/m; `damping`: N s/m; `mass`: reduced mass of damper and body, kg.
+    `stiffness`: N/m; `damping`: N s/m; `mass`: reduced mass of damper and body [kg].
     """
     angular_frequency = math.sqrt(stiffness / mass)
     zeta = damping / (2.0 * mass * angular_frequency)

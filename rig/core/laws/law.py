@@ -79,7 +79,7 @@ class Signal(NamedTuple):
 class Mode(NamedTuple):
     """A mode: its signals, the force along the gap (None: held), and the wall that the element touches.
 
-    `wall`: contact in results (`FLIGHT`, `FLOOR`, `CEILING`). `wall_gap`: gap of a held element, m.
+    `wall`: contact in results (`FLIGHT`, `FLOOR`, `CEILING`). `wall_gap`: gap of a held element [m].
     """
 
     signals: tuple[Signal, ...]
@@ -105,7 +105,7 @@ class Mode(NamedTuple):
 
 
 class Wall(NamedTuple):
-    """A wall: gap at contact, m; stiffness, N/m, and damping, N s/m, of a contact of finite duration."""
+    """A wall: gap at contact [m]; stiffness [N/m] and damping [N s/m] of a contact of finite duration."""
 
     gap: float
     stiffness: float = 0.0
@@ -131,7 +131,7 @@ class Law(NamedTuple):
         return start.wall != FLIGHT or start.force is None
 
     def mode_at(self, wall: int, gap: float) -> str:
-        """Return the first mode that contains a gap, m, and touches a wall (`FLIGHT`: no wall).
+        """Return the first mode that contains a gap [m] and touches a wall (`FLIGHT`: no wall).
 
         If the gap is outside every mode due to rounding, the first mode at the wall is returned.
         """
@@ -149,7 +149,7 @@ class Law(NamedTuple):
         return any(force is not None and force.memory for force in self.forces)
 
     def mode_for(self, gap: float, speed: float) -> str:
-        """Return the first mode that contains a gap, m, and a speed, m/s, or the mode at the start if none does."""
+        """Return the first mode that contains a gap [m] and a speed, m/s, or the mode at the start if none does."""
         fitting = [
             name
             for name, mode in self.modes.items()

@@ -22,7 +22,7 @@ def stop(stiffness: float, damping: float, closes_upwards: bool, gap: float) -> 
     """Declare the law of an open stop.
 
     `stiffness`, `damping`: of spring and dashpot, N/m and N s/m; `closes_upwards`: whether the relative displacement is
-    positive at contact; `gap`: magnitude of the relative displacement at contact, m.
+    positive at contact; `gap`: magnitude of the relative displacement at contact [m].
     """
     wall_above, wall_below = (gap, -inf) if closes_upwards else (inf, -gap)
     law = wall_contact((stiffness, stiffness), (damping, damping), wall_above, wall_below)

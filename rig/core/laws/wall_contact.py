@@ -19,7 +19,7 @@ def wall_contact(
 ) -> Law:
     """Declare the law for stiffness [N/m] and damping [N s/m] of floor and ceiling.
 
-    `clearance`, `floor_gap`: gaps at the ceiling and at the floor, m; infinite if there is no such wall.
+    `clearance`, `floor_gap`: gaps at the ceiling and at the floor [m]; infinite if there is no such wall.
     """
     has_ceiling, has_floor = clearance < inf, floor_gap > -inf
     floor = Row(gap=-stiffness[0], speed=-damping[0], rest=floor_gap if has_floor else 0.0)

@@ -58,7 +58,7 @@ class Plan:
         return np.flatnonzero(self.sequence.wall[0] == kinds.FLYING)
 
     def instants(self, unknowns: Array) -> Array:
-        """Return the instants of the events, s: the last elements of an orbit's unknowns."""
+        """Return the instants of the events [s]: the last elements of an orbit's unknowns."""
         return unknowns[len(unknowns) - len(self.sequence.kind) :]
 
     @property

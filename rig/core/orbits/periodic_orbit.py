@@ -164,7 +164,7 @@ def _distance(propagator: Propagator, orbit: Orbit) -> float:
 
 
 def _largest_difference(propagator: Propagator, unknowns: Array, frequency: float) -> float:
-    """Return the largest deviation of displacement, or of velocity over angular frequency, from an orbit's start, m."""
+    """Return the largest deviation [m] of displacement, or of velocity over omega, from the start of an orbit."""
     nq = propagator.system.coordinates
     difference = propagator.state.z[: 2 * nq] - unknowns[: 2 * nq]
     difference[nq:] /= 2 * np.pi * frequency

@@ -396,7 +396,7 @@ class OrbitProblem:
         return above, below, 2.0 * RELATIVE_STEP * mass_factor
 
     def setting(self, frequency: float) -> OperatingPoint:
-        """Return the operating point of the unchanged scene at a frequency, Hz."""
+        """Return the operating point of the unchanged scene at a frequency [Hz]."""
         return OperatingPoint(frequency, self.level)
 
 

@@ -56,9 +56,9 @@ class Response(ResponseArithmetic, Sequence["Response"]):
     amplitude : ndarray, shape (n,), or None
         Amplitude of the input at each line, if it is a tone. With dampers, the value is valid at this amplitude only.
     omitted : ndarray, shape (m,)
-        Frequencies of the test without a line, Hz.
+        Frequencies of the test without a line [Hz].
     resolution : float
-        Bandwidth of each line, over which leakage averages the response, Hz; 0 for steady tones.
+        Bandwidth of each line, over which leakage averages the response [Hz]; 0 for steady tones.
     label : str
         Scene and setting, for legends.
     warnings : tuple of str

@@ -130,7 +130,7 @@ class ResponseArithmetic(ResponseValues):
         return result
 
     def _interpolated(self, frequency: Array) -> tuple[Self, Array]:
-        """Return `interpolated`, and the spacing that is needed at each frequency, Hz; infinite if lines resolve it."""
+        """Return `interpolated`, and the spacing [Hz] that each frequency needs; infinite where lines resolve it."""
         ordered = self.sorted()
         lines, is_line = nearest_lines(ordered.frequency, frequency)
         if is_line.all():

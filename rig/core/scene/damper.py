@@ -130,7 +130,7 @@ class Damper(Settings):
 
     @property
     def dashpot(self) -> float:
-        """Return the damping of the dashpot, N s/m; 0 without a dashpot."""
+        """Return the damping of the dashpot [N s/m]; 0 without a dashpot."""
         return self.damping or 0.0
 
     @property
@@ -140,12 +140,12 @@ class Damper(Settings):
 
     @property
     def below(self) -> float:
-        """Return the distance of a mass on a spring from its floor, m."""
+        """Return the distance of a mass on a spring from its floor [m]."""
         return self.clearance if self.clearance_below is None else self.clearance_below
 
     @property
     def distances(self) -> tuple[float, float]:
-        """Return the distances of the mass at rest from its floor and from its ceiling, m."""
+        """Return the distances of the mass at rest from its floor and from its ceiling [m]."""
         if self.friction is not None:
             return 0.5 * self.clearance, 0.5 * self.clearance
         return 0.0 if self.spring is None else self.below, self.clearance

@@ -129,7 +129,7 @@ def energy_balance(
     """Compute the energy balance of a simulated motion.
 
     `tables`: flow tables of the simulation; `start`, `end`: states before and after the motion; `segment_states`:
-    states at the starts of the segments; `durations`: durations of the segments, s.
+    states at the starts of the segments; `durations`: durations of the segments [s].
     """
     forms = quadratic_forms(tables.system, tables.drive.output)
     intervals = _intervals(tables, trajectory, segment_states, durations)
@@ -201,7 +201,7 @@ def _steps(
 ) -> Iterator[tuple[int, Array, Array, Array]]:
     """Split intervals into parts no longer than a step; yield groups of parts in the same contact configuration.
 
-    Yields the table index, the power series (terms, parts, size), the durations and the start times, s.
+    Yields the table index, the power series (terms, parts, size), the durations and the start times [s].
     """
     step, max_rows = tables.step, max(1, _MAX_VALUES // (tables.size * (N_COEFFICIENTS + 1)))
     while len(states):
@@ -250,7 +250,7 @@ def _integrate(
 
 
 def _dashpots(system: HybridSystem, forces: NDArray[np.int64]) -> list[tuple[Element, float]]:
-    """Return the elements whose dashpots act, with their damping, N s/m.
+    """Return the elements whose dashpots act, with their damping [N s/m].
 
     `forces`: number of the force of each element in its law.
     """
@@ -269,7 +269,7 @@ def _dashpot_power(dashpots: list[tuple[Element, float]], speeds: Array) -> Arra
 
 
 def _constant_forces(system: HybridSystem, forces: NDArray[np.int64]) -> Array:
-    """Return the constant forces of the elements, such as friction, on every coordinate, N; `forces`: their numbers."""
+    """Return the constant forces [N] of the elements, such as friction, on every coordinate; `forces`: numbers."""
     constant = np.zeros(system.coordinates)
     for element, index in zip(system.elements, forces.tolist(), strict=True):
         for i, factor in element.direction:

@@ -24,14 +24,14 @@ class Motion:
     displacement, velocity, acceleration : ndarray, shape (points, samples)
         m, m/s and m/s²; at a sample that coincides with a break, the value just after the break.
     gap : ndarray, shape (dampers, samples)
-        Height of each damper of the scene above its lower wall, m: 0 if it is locked; for a bed of grains, rise of
+        Height of each damper of the scene above its lower wall [m]: 0 if it is locked; for a bed of grains, rise of
         its center of mass.
     contact : ndarray of int8, shape (dampers, samples)
         0 in flight, 1 at the lower wall (always, if it is locked), 2 at the upper wall.
     break_sample : ndarray of int64, shape (breaks,)
         Index of the first sample at or after the break; in ascending order.
     break_offset : ndarray, shape (breaks,)
-        Time of the break after the previous sample, s: above 0, at most one sample interval.
+        Time of the break after the previous sample [s]: above 0, at most one sample interval.
     break_displacement : ndarray, shape (points, breaks)
         m.
     break_velocity, break_acceleration : ndarray, shape (2, points, breaks)
@@ -56,7 +56,7 @@ class Motion:
     def decimated(self, step: int, interval: float) -> Self:
         """Return the motion at the samples whose numbers are multiples of `step`.
 
-        The block must end at a multiple of `step`. `interval`: sample interval of this motion, s.
+        The block must end at a multiple of `step`. `interval`: sample interval of this motion [s].
         """
         selected = slice(-self.first % step, None, step)
         # Number of the last retained sample before each break, and the time from this sample to the last original

@@ -44,11 +44,11 @@ class Run(Result):
     points : tuple of str
         Rows of the motion: "body 1" ... and "table" ("table 2" at the second of several shakers) if there is one.
     time : ndarray, shape (samples,)
-        Time, s.
+        Time [s].
     displacement, velocity, acceleration : ndarray, shape (points, samples)
         SI; at a sample that coincides with an impact, the value after it.
     gap : ndarray, shape (dampers that move, samples)
-        Height of each damper above its floor, m; it includes the overlap of finite-duration contact. For a bed of
+        Height of each damper above its floor [m]; it includes the overlap of finite-duration contact. For a bed of
         grains, height of its center of mass above the initial position.
     contact : ndarray of int8, shape (dampers that move, samples)
         0 in flight, 1 at the floor, 2 at the ceiling.
@@ -274,7 +274,7 @@ def _assemble_run(
 ) -> Run:  # fmt: skip
     """Return the run from its initial state and a trajectory; row k of the trajectory is the end of segment k.
 
-    `sample_rows`: rows that are samples; `segment_starts`, `durations`: starts and durations of the segments, s;
+    `sample_rows`: rows that are samples; `segment_starts`, `durations`: starts and durations of the segments [s];
     `segment_states`: states at the starts; `started`: elements that change their mode at t = 0, and kinds of these
     events, shape (2, events).
     """

@@ -56,7 +56,7 @@ class SteadyResponse(Result):
     frf : complex ndarray, shape (bodies, frequencies)
         First harmonic of each displacement, divided by that of the reference, m/N or m/m; x(t) = Re(X e^{i w t}).
     peak : ndarray, shape (bodies, frequencies)
-        Half the peak-to-peak displacement, m.
+        Half the peak-to-peak displacement [m].
     reference_amplitude : ndarray, shape (frequencies,)
         Amplitude of the reference's first harmonic, N or m.
     motion_type : ndarray of str, shape (frequencies,)
@@ -68,7 +68,7 @@ class SteadyResponse(Result):
     impacts : ndarray, shape (dampers and joints, frequencies)
         Impacts per period of the drive.
     closing_speed : ndarray, shape (dampers and joints, frequencies)
-        Largest approach speed of each moving damper to a wall, and of each joint, m/s; 0 without contact.
+        Largest approach speed of each moving damper to a wall, and of each joint [m/s]; 0 without contact.
     converged : ndarray of bool, shape (frequencies,)
     repetition : ndarray of int, shape (frequencies,)
         Periods of the drive after which the motion repeats; 0 if no repetition was detected.
@@ -105,7 +105,7 @@ class SteadyResponse(Result):
 
     @property
     def force(self) -> Array:
-        """`reference_amplitude` if the reference is a force, N; raises `SceneError` with a different reference."""
+        """`reference_amplitude` if the reference is a force [N]; raises `SceneError` with a different reference."""
         return per_force(self.reference_amplitude, self.reference)
 
     @property
@@ -200,8 +200,8 @@ class SteadyMotion:
     """Steady-state motion at one frequency, over one repetition.
 
     `end_state`: initial state for the next frequency; `trajectory`, `initial_states`: see `integrate_cycle`;
-    `interval`: duration of its segments, s. For each element: `types`: type of motion; `impacts`: impacts per period of
-    the drive; `closing_speed`: as in `SteadyResponse`.
+    `interval`: duration of its segments [s]. For each element: `types`: type of motion; `impacts`: impacts per period
+    of the drive; `closing_speed`: as in `SteadyResponse`.
     """
 
     steady: SteadyState

@@ -17,7 +17,7 @@ def motion_types(trajectory: Trajectory, system: HybridSystem, n_periods: int, s
     """Classify the motion of every element (damper or joint) over one repetition of a steady-state motion.
 
     `trajectory`: one repetition; `n_periods`: number of drive periods after which the motion repeats, 0 if it does not;
-    `segment_duration`: duration of a segment of the trajectory, s.
+    `segment_duration`: duration of a segment of the trajectory [s].
 
     Returns one of these types for each element: "riding" (at rest on its wall, or sticking, throughout), "linear" (not
     at rest at the start, and no impacts), "k slips per n" (no impacts), "I" (one impact on the lower wall per period),

@@ -190,7 +190,7 @@ def _peak_table(response: SteadyResponse, motion: list[str]) -> list[str]:
 
 
 class _Jump(NamedTuple):
-    """A jump of the response between two frequencies, Hz; confirmed if the sweeps up and down differ at the peak."""
+    """A jump of the response between two frequencies [Hz]; confirmed if the sweeps up and down differ at the peak."""
 
     low: float
     high: float

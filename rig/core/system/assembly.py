@@ -94,7 +94,7 @@ def matrices_without_free_beds(scene: Scene) -> tuple[Array, Array, Array]:
 def _without_free_beds(scene: Scene, model: StructuralModel, weight: Array) -> Equations:
     """Return the equations of bodies and tables with their inputs.
 
-    `weight`: constant force of the locked beds on each body, N, shape (bodies,), upwards and therefore negative.
+    `weight`: constant force of the locked beds on each body [N], shape (bodies,), upwards and therefore negative.
     """
     structure = model.with_bed_masses()
     ground = partial(ground_connection, scene.structure, structure)
@@ -109,7 +109,7 @@ def _without_free_beds(scene: Scene, model: StructuralModel, weight: Array) -> E
 def _element(equations: Equations, scene: Scene, number: int, mass: float, inverse_mass: float) -> Element:
     """Return the element of a damper; if its gap must be a coordinate, add the bed to the equations first.
 
-    `mass`: mass of the bed, kg; `inverse_mass`: diagonal element of the inverse mass matrix of its body, 1/kg.
+    `mass`: mass of the bed [kg]; `inverse_mass`: diagonal element of the inverse mass matrix of its body, 1/kg.
     """
     damper, gap = scene.dampers[number - 1], -1
     if damper.spring is not None or damper.contact is not None:
@@ -219,7 +219,7 @@ def _add_bed(equations: Equations, body: int, mass: float, gravity: float) -> in
 
 
 def _stiffness_and_damping(damper: Damper, reduced_mass: float) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return stiffness [N/m] and damping [N s/m] of lower and upper wall; `reduced_mass`: of bed and body, kg."""
+    """Return stiffness [N/m] and damping [N s/m] of lower and upper wall; `reduced_mass`: of bed and body [kg]."""
     walls = walls_of(damper.contact)
     lower, upper = (
         _wall_stiffness_and_damping(wall, damper.restitution, reduced_mass) for wall in (walls[0], walls[-1])
@@ -228,7 +228,7 @@ def _stiffness_and_damping(damper: Damper, reduced_mass: float) -> tuple[tuple[f
 
 
 def _wall_stiffness_and_damping(wall: Wall, restitution: float, mass: float) -> tuple[float, float]:
-    """Return stiffness [N/m] and damping [N s/m] of a wall; `mass`: reduced mass of bed and body, kg."""
+    """Return stiffness [N/m] and damping [N s/m] of a wall; `mass`: reduced mass of bed and body [kg]."""
     if isinstance(wall, TimedContact):
         return spring_damper(wall.duration, restitution, mass)
     return wall.stiffness, wall.damping
@@ -250,7 +250,7 @@ def _initial_state(scene: Scene, system: HybridSystem) -> Array:
 
 
 def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
-    """Return the coordinates at rest under the weight of the dampers, m; joints with friction exert no force.
+    """Return the coordinates at rest under the weight of the dampers [m]; joints with friction exert no force.
 
     Raises `SceneError` if nothing supports the structure.
     """
@@ -292,7 +292,7 @@ def _is_singular(stiffness: Array) -> bool:
 
 
 def force_row(scene: Scene, system: HybridSystem) -> Array:
-    """Return the row whose product with the state is the force of the driven shaker on the structure, N.
+    """Return the row whose product with the state is the force of the driven shaker on the structure [N].
 
     The row is zero without a shaker, or if no state gives its force.
     """

@@ -29,10 +29,10 @@ FORCE_OF_BED = "grains"
 class Element:
     """A contact law at one place: a damper, or a joint.
 
-    `declare`: the law as a function of the clearance, m. `body`: coordinate of the body to which the gap is measured.
+    `declare`: the law as a function of the clearance [m]. `body`: coordinate of the body to which the gap is measured.
     `gap`: coordinate that is the gap; -1 for a *detached* mass, whose position is not a coordinate: its force is
     constant while it is not held. `mass`: mass of the damper, or the mass that the force of the joint accelerates along
-    the gap, kg. `clearance`: clearance of the damper, or the gap or slip displacement of the joint, m. `restitution`:
+    the gap [kg]. `clearance`: clearance of the damper, or the gap or slip displacement of the joint [m]. `restitution`:
     coefficient in the scene. `number`: number in the scene, from 1. `is_grains`: whether the damper is a bed of grains.
     `is_joint`: whether it is a joint. `base`: coordinate that is subtracted from `gap`; -1 if `gap` alone is the gap.
     `start`: mode at the start; empty: the start mode of the law. `memory`: coordinate that is the memory of the law and
@@ -69,7 +69,7 @@ class Element:
 
     @property
     def distance(self) -> float:
-        """Distance of the gap at rest from the nearest wall, or from the displacement at which it slips, m."""
+        """Distance of the gap at rest from the nearest wall, or from the displacement at which it slips [m]."""
         if self.memory >= 0:
             return self.clearance
         return min((abs(wall.gap) for wall in self.law.walls), default=np.inf)
@@ -100,7 +100,7 @@ class HybridSystem:
     states, states) and R_u (further states, inputs). `state_energy`, `state_loss`, `state_power`: energy, loss and
     power of the drive of further states r are r^2 state_energy / 2, r^2 state_loss and r state_power u; in SI, the last
     has the shape (further states, inputs). `prescribed`, `reaction`: coordinates with prescribed motion, and rows
-    (prescribed, states) whose product with the state is the force of their actuator, N. `elements`: the dampers that
+    (prescribed, states) whose product with the state is the force of their actuator [N]. `elements`: the dampers that
     can move in their cavities, then the joints. A bed of grains is here one mass at rest; `rig.extras.grains` computes
     its motion. Arrays with one value for each damper do not include the joints. `initial`: state at t = 0 without
     drive, with riding dampers.
@@ -164,12 +164,12 @@ class HybridSystem:
 
     @cached_property
     def damper_mass(self) -> np.ndarray:
-        """Mass of each damper, kg."""
+        """Mass of each damper [kg]."""
         return self.element_mass[: self.dampers]
 
     @cached_property
     def clearance(self) -> np.ndarray:
-        """Clearance of each damper, m."""
+        """Clearance of each damper [m]."""
         return np.array([element.clearance for element in self._damper_elements], dtype=np.float64)
 
     @cached_property
@@ -189,7 +189,7 @@ class HybridSystem:
 
     @cached_property
     def element_mass(self) -> np.ndarray:
-        """Mass of each element, kg."""
+        """Mass of each element [kg]."""
         return np.array([element.mass for element in self.elements], dtype=np.float64)
 
     @cached_property
@@ -209,12 +209,12 @@ class HybridSystem:
 
     @cached_property
     def wall_stiffness(self) -> np.ndarray:
-        """Stiffness of both walls of each element with finite-duration contact, N/m, shape (elements, 2)."""
+        """Stiffness of both walls of each element with finite-duration contact [N/m], shape (elements, 2)."""
         return self._of_walls("stiffness")
 
     @cached_property
     def wall_damping(self) -> np.ndarray:
-        """Damping of both walls of each element with finite-duration contact, N s/m, shape (elements, 2)."""
+        """Damping of both walls of each element with finite-duration contact [N s/m], shape (elements, 2)."""
         return self._of_walls("damping")
 
     def _of_walls(self, name: str) -> np.ndarray:
@@ -223,7 +223,7 @@ class HybridSystem:
 
     @cached_property
     def wall_gap(self) -> np.ndarray:
-        """Gap of each element at its lower and its upper wall, m; infinite without this wall; shape (elements, 2)."""
+        """Gap of each element at its lower and its upper wall [m]; infinite without this wall; shape (elements, 2)."""
         gaps = [[wall.gap for wall in element.law.walls] or [-np.inf, np.inf] for element in self.elements]
         return np.array(gaps, dtype=np.float64).reshape(-1, 2)
 
@@ -242,7 +242,7 @@ class HybridSystem:
         return np.array([element.is_grains for element in self._damper_elements], dtype=bool)
 
     def with_clearance(self, clearance: float) -> HybridSystem:
-        """Return the system with the same clearance of all dampers that have walls, m."""
+        """Return the system with the same clearance of all dampers that have walls [m]."""
         return replace(
             self,
             elements=tuple(
@@ -294,7 +294,7 @@ class HybridSystem:
 
     @property
     def take_off_acceleration(self) -> np.ndarray:
-        """Acceleration of the body at which each damper starts to move in its cavity, m/s²; infinite if not at rest."""
+        """Acceleration [m/s²] of the body at which each damper starts to move; infinite for a damper in motion."""
         return np.array([self._take_off_acceleration(element) for element in self._damper_elements], dtype=np.float64)
 
     def _take_off_acceleration(self, element: Element) -> float:
@@ -307,7 +307,7 @@ class HybridSystem:
 
     @property
     def reduced_mass(self) -> np.ndarray:
-        """Reduced mass of each damper and its body for finite-duration contact, kg; NaN for instantaneous contact."""
+        """Reduced mass of each damper and its body for finite-duration contact [kg]; NaN for instantaneous contact."""
         # The index -1 of a damper with instantaneous contact gives NaN.
         inverse_mass = np.append(np.diag(np.linalg.inv(self.mass)), np.nan)
         return np.asarray(1.0 / inverse_mass[self.gap_coordinate[: self.dampers]])
@@ -376,7 +376,7 @@ class HybridSystem:
     def contact_forces(self, configuration: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the forces of the elements along their gaps in a configuration, without the forces that hold elements.
 
-        Returns the matrix (coordinates, states) that multiplies the state, and constant forces (coordinates,), N.
+        Returns the matrix (coordinates, states) that multiplies the state, and constant forces (coordinates,) [N].
         """
         n = self.coordinates
         force, constant = np.zeros((n, self.states)), np.zeros(n)
@@ -408,12 +408,12 @@ class HybridSystem:
 
     @property
     def poles(self) -> np.ndarray:
-        """Poles while no damper is in contact, rad/s; shape (states,), complex."""
+        """Poles while no damper is in contact [rad/s]; shape (states,), complex."""
         return np.asarray(np.linalg.eigvals(self.matrix()), dtype=complex)
 
     @cached_property
     def max_rate(self) -> float:
-        """Largest rate (magnitude of a pole) of the system in any configuration, rad/s.
+        """Largest rate (magnitude of a pole) of the system in any configuration [rad/s].
 
         Held elements are omitted, because they reduce the rates. Forces increase the rates, which are computed for each
         force alone and for the stiffest forces of all elements together.
@@ -443,7 +443,7 @@ def hold_coordinates(mass: np.ndarray, coordinates: list[int]) -> None:
 class Drive:
     """The inputs u within a time segment, from drive states p: p' = generator p, u = output p.
 
-    `max_rate`: angular frequency of a tone, rad/s; 0 for a sampled drive.
+    `max_rate`: angular frequency of a tone [rad/s]; 0 for a sampled drive.
     """
 
     generator: np.ndarray
@@ -469,7 +469,7 @@ def pure_tone(amplitudes: np.ndarray, angular_frequency: float) -> Drive:
 def first_order_hold(inputs: int, interval: float) -> Drive:
     """Return the drive of linearly interpolated samples: p = (u, change of u over the sample interval).
 
-    `inputs`: number of inputs; `interval`: sample interval, s.
+    `inputs`: number of inputs; `interval`: sample interval [s].
     """
     generator = np.zeros((2 * inputs, 2 * inputs))
     generator[:inputs, inputs:] = np.eye(inputs) / interval

@@ -13,7 +13,7 @@ _STEP_OVERSHOOT = 2.0
 def impact_acceleration(
     system: HybridSystem, row: int, closing_speed: Sequence[float], resonance: float | None
 ) -> float:
-    """Compute the largest acceleration indicated by an accelerometer due to damper impacts, m/s².
+    """Compute the largest acceleration indicated by an accelerometer due to damper impacts [m/s²].
 
     An instantaneous impact causes a velocity jump of the body. The sensor then indicates the jump times 2 pi times the
     resonance frequency of the sensor; without a resonance the value is unbounded. In a finite-duration contact, the
@@ -21,7 +21,7 @@ def impact_acceleration(
     damping, v sqrt(k m).
 
     `system`: the assembled system of the scene; `row`: coordinate of the sensor location; `closing_speed`, shape
-    (dampers,): closing speed of each damper and a wall, m/s; `resonance`: resonance frequency of the sensor, Hz;
+    (dampers,): closing speed of each damper and a wall [m/s]; `resonance`: resonance frequency of the sensor [Hz];
     None without a resonance.
 
     >>> import rig

@@ -38,7 +38,7 @@ class ToneDrive:
 
 
 def tone_drive(scene: Scene, system: HybridSystem, frequency: float | None = None) -> ToneDrive | None:
-    """Return the tone of a test at a frequency, Hz.
+    """Return the tone of a test at a frequency [Hz].
 
     The default is the test's `tone`; without one, the result is None.
     Raises `SceneError` if the frequency is not positive, or the scene has no level or no shaker.
@@ -108,7 +108,7 @@ def force_per_drive(scene: Scene, system: HybridSystem, omega: float | Array) ->
 
 
 def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float | Array) -> Array:
-    """Return the acceleration amplitude of each body per unit of level, m/s²; shape (bodies,) + omega.shape.
+    """Return the acceleration amplitude of each body per unit of level [m/s²]; shape (bodies,) + omega.shape.
 
     All dampers ride. `omega`: rad/s.
     """
@@ -120,7 +120,7 @@ def gaps_per_level(scene: Scene, system: HybridSystem, omega: Array) -> tuple[Ar
     """Return the amplitude of the gap of each element that rests between walls, and its distance from the nearer wall.
 
     For a joint with friction, the slip displacement replaces the wall. `omega`: rad/s, shape (frequencies,). Shapes:
-    (elements, frequencies), in m per unit of level, and (elements,), m.
+    (elements, frequencies), in m per unit of level, and (elements,) [m].
     """
     response = riding_response(system, scene.at_driven("shaker"), omega) * drive_per_level(scene, system, omega)
     elements = [element for element in system.elements if element.distance < np.inf and not element.law.starts_at_rest]
@@ -191,7 +191,7 @@ def riding_response(system: HybridSystem, name: str, omega: float | Array) -> Co
 
 
 def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float) -> Array:
-    """Return the drive (inputs, samples) of a test whose drive is not a tone; `rate`: sample rate, Hz.
+    """Return the drive (inputs, samples) of a test whose drive is not a tone; `rate`: sample rate [Hz].
 
     Raises `SceneError` for tests whose signal is generated only during a recording.
     """

@@ -33,7 +33,7 @@ class Spheres:
     seed: int  # seed of the random diameters and positions
 
     def diameters(self) -> NDArray[np.float64]:
-        """Draw the diameters, m; shape (count,)."""
+        """Draw the diameters [m]; shape (count,)."""
         deviations = np.random.default_rng([self.seed, 0]).uniform(-1.0, 1.0, self.count)
         return np.asarray(self.settings.diameter * (1.0 + self.settings.spread * deviations))
 
@@ -42,7 +42,7 @@ class Spheres:
         return self.mass / (math.pi / 6.0 * float((self.diameters() ** 3).sum()))
 
     def longest_step(self) -> float:
-        """Return the longest time step of the simulation, s: the setting, or the default for this restitution."""
+        """Return the longest time step of the simulation [s]: the setting, or the default for this restitution."""
         if self.settings.time_step is not None:
             return self.settings.time_step
         reduction = min(1.0, max(self.settings.restitution, _MIN_STEP_RESTITUTION) / _REDUCED_STEP_RESTITUTION)
@@ -78,7 +78,7 @@ def spheres_of(scene: Scene) -> dict[int, Spheres]:
 
 
 def rayleigh_time(grains: Grains, density: float) -> float:
-    """Return the time in which a surface (Rayleigh) wave travels half the circumference of the smallest grain, s.
+    """Return the time in which a surface (Rayleigh) wave travels half the circumference of the smallest grain [s].
 
     >>> round(1e6 * rayleigh_time(Grains(diameter="2 mm", modulus="10 MPa"), 11340.0), 1)
     189.3
@@ -90,7 +90,7 @@ def rayleigh_time(grains: Grains, density: float) -> float:
 
 
 def contact_time(grains: Grains) -> float:
-    """Return the duration of a central collision of two equal grains at 1 m/s without loss, s.
+    """Return the duration of a central collision of two equal grains at 1 m/s without loss [s].
 
     By Hertz it is 2.87 (m^2 / (R E^2 v))^(1/5), with reduced mass m, radius R and modulus E, and closing speed v.
 

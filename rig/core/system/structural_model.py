@@ -34,7 +34,7 @@ _MAX_AMPLIFIED_ROUNDING = 1e6
 class NaturalModes:
     """Modes of the undamped structure; coupling of modes by damping is neglected.
 
-    `mass`, `damping`, shape (modes,): modal mass, kg, and the diagonal of the modal damping matrix, N s/m.
+    `mass`, `damping`, shape (modes,): modal mass [kg] and the diagonal of the modal damping matrix [N s/m].
     """
 
     omega: Array  # natural frequencies, increasing, rad/s; 0 for a rigid-body motion, shape (modes,)
@@ -44,7 +44,7 @@ class NaturalModes:
 
     @property
     def frequency(self) -> Array:
-        """Natural frequencies, Hz."""
+        """Natural frequencies [Hz]."""
         return np.asarray(self.omega / (2.0 * np.pi))
 
     @property
@@ -69,7 +69,7 @@ class TunedMass:
     damping: float
 
     def dynamic_stiffness(self, omega: Array) -> ComplexArray:
-        """Return the force on the body that is needed for its motion, per displacement, N/m; `omega`: rad/s."""
+        """Return the force on the body that is needed for its motion, per displacement [N/m]; `omega`: rad/s."""
         spring = self.stiffness + 1j * omega * self.damping
         inertia = -(omega**2) * self.mass
         return np.asarray(spring * inertia / (spring + inertia))
@@ -129,8 +129,8 @@ class StructuralModel:
     def response(self, frequencies_hz: Array, force: Array | ComplexArray) -> ComplexArray:
         """Compute the complex displacement amplitude of each body under harmonic forces, m, (bodies, frequencies).
 
-        `frequencies_hz`: shape (frequencies,); `force`: amplitudes, N, shape (bodies,) or (bodies, frequencies). Raises
-        `SceneError` if a frequency is exactly an undamped resonance, or 0 for a structure without support.
+        `frequencies_hz`: shape (frequencies,); `force`: amplitudes [N], shape (bodies,) or (bodies, frequencies).
+        Raises `SceneError` if a frequency is exactly an undamped resonance, or 0 for a structure without support.
         """
         response = np.empty((len(self.mass), frequencies_hz.size), dtype=np.complex128)
         step = max(1, _MAX_ELEMENTS // self.mass.size)
@@ -175,7 +175,7 @@ def structural_model(scene: Scene) -> StructuralModel:
 
 
 def bed_masses(scene: Scene, mass: Array) -> Array:
-    """Return the mass of each damper's bed, kg, in the scene's order; `mass`: mass matrix of the structure."""
+    """Return the mass of each damper's bed [kg] in the scene's order; `mass`: mass matrix of the structure."""
     masses = (
         damper.mass if damper.mass is not None else (damper.mass_ratio or 0.0) * mass[damper.body - 1, damper.body - 1]
         for damper in scene.dampers
@@ -263,7 +263,7 @@ def driven_bodies(scene: Scene) -> list[int]:
 
 
 def coil_spring(scene: Scene) -> float:
-    """Return the stiffness of the driven shaker's coil spring, N/m; raises `SceneError` without a coil spring."""
+    """Return the stiffness of the driven shaker's coil spring [N/m]; raises `SceneError` without a coil spring."""
     spring = None if scene.driven_shaker is None else scene.driven_shaker.coil_spring
     if spring is None:
         raise SceneError(f"scene {scene.name!r} has no coil spring. Use a shaker of kind table or electrodynamic.")
@@ -306,7 +306,7 @@ def ground_connection(structure: Structure, model: StructuralModel) -> Ground:
 
 
 def mass_matrix(structure: Structure) -> Array:
-    """Return the mass matrix of the structure without beds, kg, shape (bodies, bodies)."""
+    """Return the mass matrix of the structure without beds [kg], shape (bodies, bodies)."""
     if structure.matrices is not None:
         return _symmetric(np.array(structure.matrices.mass))
     return np.diag(np.array(structure.masses or ()))
@@ -331,7 +331,7 @@ def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
     """Compute natural frequencies and mode shapes of the undamped structure.
 
     `mass`, `stiffness`, shape (bodies, bodies): symmetric; mass positive definite, stiffness positive semidefinite.
-    Returns `omega`, shape (bodies,): natural frequencies, increasing, rad/s; 0 for a rigid-body motion; and `shapes`,
+    Returns `omega`, shape (bodies,): natural frequencies, increasing [rad/s]; 0 for a rigid-body motion; and `shapes`,
     shape (bodies, bodies): column i is the shape of mode i, with largest element +1. Raises `SceneError` if the
     modes cannot be computed, or the structure is statically unstable (a negative eigenvalue larger than rounding
     errors).
@@ -373,7 +373,7 @@ def _modes_of_extreme_masses(mass: Array, stiffness: Array) -> tuple[Array, Arra
 
 
 def _damping(structure: Structure, mass: Array, stiffness: Array) -> Array:
-    """Return the damping matrix, N s/m, shape (bodies, bodies)."""
+    """Return the damping matrix [N s/m], shape (bodies, bodies)."""
     damping = structure.damping
     if structure.matrices is not None and structure.matrices.damping is not None:
         return np.array(structure.matrices.damping)

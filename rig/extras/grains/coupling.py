@@ -49,7 +49,7 @@ class CoupledState(NamedTuple):
 class CoupledPropagator:
     """Propagates a system with beds of grains; has the interface of `rig.core.engine.propagator.Propagator`.
 
-    `interval`: sample interval of the drive, s.
+    `interval`: sample interval of the drive [s].
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class CoupledPropagator:
     bodies : ndarray of int, shape (beds,)
         Coordinate of the body of each bed.
     step, substeps : float, int
-        Time step of the grains, s, and number of time steps in a sample interval.
+        Time step of the grains [s] and number of time steps in a sample interval.
     """
 
     def __init__(self, scene: Scene, interval: float) -> None:

@@ -41,7 +41,7 @@ class GrainsState(NamedTuple):
 class GrainsRun:
     """Simulation of a scene with beds of grains in sections.
 
-    `samples`: number of samples of the whole run, including the sample at its start; `rate`: sample rate, Hz; `drive`,
+    `samples`: number of samples of the whole run, including the sample at its start; `rate`: sample rate [Hz]; `drive`,
     shape (inputs, samples): a tone is evaluated at every grain time step; samples are interpolated linearly.
     """
 

@@ -53,7 +53,7 @@ _MAX_REST_CHECKS = 40_000
 
 
 def settled_positions(spheres: Spheres) -> Array:
-    """Return the positions of the grains at rest on the floor, m; shape (grains, 3).
+    """Return the positions of the grains at rest on the floor [m]; shape (grains, 3).
 
     Raises `RunError` if the grains do not come to rest.
     """
@@ -82,12 +82,12 @@ def _pack(spheres: Spheres) -> Array:
 
 
 def bed_top(spheres: Spheres, positions: Array) -> float:
-    """Return the height of the highest point of a bed, m."""
+    """Return the height of the highest point of a bed [m]."""
     return float((positions[:, 2] + 0.5 * spheres.diameters()).max())
 
 
 def _new_bed(spheres: Spheres, positions: Array, ceiling: float) -> Bed:
-    """Create a bed with the time step of packing; `ceiling`: height of the ceiling, m."""
+    """Create a bed with the time step of packing; `ceiling`: height of the ceiling [m]."""
     step = _STEP_RATIO * rayleigh_time(spheres.settings, spheres.density())
     return Bed(spheres, positions, ceiling, STANDARD_GRAVITY, step)
 

@@ -25,7 +25,7 @@ def restitution_at_step(grains: Grains, mass: float, radius: float, step: float)
     """Compute the setting of LAMMPS with which grains rebound as specified, although the time step is finite.
 
     `mass`, `radius`: reduced mass [kg] and reduced radius [m] of the contact: equal to mass and radius of the grain at
-    a wall, and half as large between two equal grains; `step`: time step, s.
+    a wall, and half as large between two equal grains; `step`: time step [s].
 
     >>> lead = Grains(diameter="2 mm", modulus="10 MPa")
     >>> round(restitution_at_step(lead, mass=4.75e-5, radius=1e-3, step=5.7e-6), 3)

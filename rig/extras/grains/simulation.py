@@ -20,7 +20,7 @@ from rig.extras.grains.ranks import rank_count
 
 
 def propagator(scene: Scene, interval: float) -> tuple[CoupledPropagator, int]:
-    """Return the propagator of a scene, and its number of steps in a sample interval, s."""
+    """Return the propagator of a scene, and its number of steps in a sample interval [s]."""
     coupled = CoupledPropagator(scene, interval)
     return coupled, coupled.substeps
 

@@ -107,7 +107,7 @@ def integrate(
 ) -> ComputedMotion:
     """Compute the motion with an adaptive solver.
 
-    `guard_pause`: time for which a guard at rounding level is disabled, s; `max_cpu`: CPU time limit, s.
+    `guard_pause`: time for which a guard at rounding level is disabled [s]; `max_cpu`: CPU time limit [s].
     Raises `RunError` if events repeat endlessly, or the solver stops or takes too long.
     """
     n, contacts = len(problem.system.points), _Contacts(problem, guard_pause)

@@ -42,7 +42,7 @@ def bed_models(scene: Scene, frequency: float, progress: Callable[[str], None] |
     """Measure cost and error of models of a scene's beds of grains at one frequency.
 
     `scene`: has beds of grains that can move. If its test controls the amplitude of the spring force, that force acts
-    on the body as a pure sinusoid; `frequency`: excitation frequency, Hz. Raises `SceneError` if LAMMPS is not
+    on the body as a pure sinusoid; `frequency`: excitation frequency [Hz]. Raises `SceneError` if LAMMPS is not
     installed.
     """
     report = progress if progress is not None else lambda name: None

@@ -119,7 +119,7 @@ class FirstOrderForm:
 
     @property
     def times(self) -> Array:
-        """Return the sample times, s."""
+        """Return the sample times [s]."""
         return np.arange(self.samples) / (SAMPLES_PER_PERIOD * self.tone.frequency)
 
     @property
@@ -140,7 +140,7 @@ class FirstOrderForm:
         return self._solve(modes)[0]
 
     def _solve(self, modes: Modes) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Compute M (size, size), and rows (elements, size) whose products with z are the holding forces, N."""
+        """Compute M (size, size), and rows (elements, size) whose products with z are the holding forces [N]."""
         n, ns, elements = self.system.coordinates, self.system.states, len(self.system.elements)
         mass, force, columns = self.mass.copy(), self._force.copy(), self._driven_columns
         matrix, hold = np.full((self.size, self.size), self._zero), np.full((elements, self.size), self._zero)

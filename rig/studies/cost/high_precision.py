@@ -136,8 +136,8 @@ def events_of(events: Any, system: HybridSystem) -> list[Event]:
 class DecimalMotion:
     """Motion of a system in decimal arithmetic, given the order and approximate times of its events.
 
-    `z`: current state, as in `FirstOrderForm`; `modes`: mode of each element; `now`: current time, s; `samples`: states
-    at the sample times; `times`: event times, s.
+    `z`: current state, as in `FirstOrderForm`; `modes`: mode of each element; `now`: current time [s]; `samples`:
+    states at the sample times; `times`: event times [s].
     """
 
     def __init__(self, system: HybridSystem, tone: ToneDrive, digits: int, integrals: bool = False) -> None:
@@ -215,7 +215,7 @@ class DecimalMotion:
         return wall is None or self.form.mode(j, [*self.modes[:j], mode]).wall == wall
 
     def _root_distance(self, end: End) -> Decimal:
-        """Return the time to the root of a signal by its rate, s."""
+        """Return the time to the root of a signal by its rate [s]."""
         value, rate = np.dot(end.row, self.z), np.dot(end.row @ self._flow()[0], self.z)
         if value == 0:
             return Decimal(0)

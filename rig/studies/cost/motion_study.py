@@ -84,7 +84,7 @@ class MotionStudy:
 
 
 def default_frequency(scene: Scene, system: HybridSystem) -> float:
-    """Return the frequency of largest linear acceleration among the tones of the test, or in its band, Hz.
+    """Return the frequency of largest linear acceleration among the tones of the test, or in its band [Hz].
 
     Raises `SceneError` if the scene has no shaker, or its test no frequency.
     """
@@ -102,7 +102,7 @@ def motion_study(
 ) -> MotionStudy:
     """Measure all methods for the first periods of a scene's motion under a sinusoidal drive.
 
-    `frequency`: excitation frequency, Hz; None: `default_frequency`. Raises `SceneError` if nothing drives the
+    `frequency`: excitation frequency [Hz]; None: `default_frequency`. Raises `SceneError` if nothing drives the
     scene, or its impacts are coupled by a full mass matrix.
     """
     system, periods = assemble(scene), count(periods, 1, "periods")
@@ -277,7 +277,7 @@ def _by_element(events: list[tuple[float, int, str]], elements: int) -> list[lis
 
 
 def timed(compute: Callable[[], T]) -> tuple[float, T]:
-    """Return the CPU time of the fastest of several calls, s, and the result."""
+    """Return the CPU time of the fastest of several calls [s] and the result."""
     shortest, total = np.inf, 0.0
     while True:
         start = time.process_time()

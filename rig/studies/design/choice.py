@@ -108,7 +108,7 @@ class Choice:
 
     @property
     def mass(self) -> float:
-        """Total added mass, kg."""
+        """Total added mass [kg]."""
         return sum(self.masses)
 
     @property

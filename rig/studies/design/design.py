@@ -72,7 +72,7 @@ class Design(Result):
     question : Objective
         The objective of the search; `space` is the space of candidate designs.
     levels : ndarray, shape (levels,)
-        Forces of the chart, including the requested levels, N.
+        Forces of the chart, including the requested levels [N].
     clearance_factors : ndarray, shape (factors,)
         Clearances of the chart, relative to the clearances of `charted`.
     charted : Choice
@@ -146,7 +146,7 @@ class Design(Result):
         return pareto_front(self.trials)
 
     def reduction(self, peak: Peak) -> float:
-        """Return the reduction of a peak relative to the bare structure, dB."""
+        """Return the reduction of a peak relative to the bare structure [dB]."""
         return peak.reduction_from(self.bare)
 
 
@@ -277,7 +277,7 @@ def design(
 
 
 def chart_levels(requested: Sequence[float]) -> Array:
-    """Return the requested levels, with further levels between and beyond them, N.
+    """Return the requested levels, with further levels between and beyond them [N].
 
     >>> chart_levels([1.0, 4.0]).round(2).tolist()
     [0.5, 0.71, 1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0]

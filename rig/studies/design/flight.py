@@ -28,8 +28,8 @@ _EFFECTIVE_G = 3.0
 class Flight:
     """Take-off and flight height of the dampers of a design.
 
-    `height`: largest height above the floor without a ceiling, over the band and the levels of the objective, m; NaN if
-    the motion at some frequency is irregular, or if the dampers reach their ceiling.
+    `height`: largest height above the floor without a ceiling, over the band and the levels of the objective [m]; NaN
+    if the motion at some frequency is irregular, or if the dampers reach their ceiling.
     """
 
     take_off: float  # lowest level at which a damper takes off in the band, N or drive
@@ -56,7 +56,7 @@ def _damped_scene(objective: Objective, trial: Trial) -> Scene:
 
 
 def _height(objective: Objective, trial: Trial) -> float:
-    """Compute the largest height of dampers without ceilings, m; NaN if the motion at some frequency is irregular."""
+    """Compute the largest height of dampers without ceilings [m]; NaN if the motion at some frequency is irregular."""
     dampers = trial.choice.without_ceiling().dampers(objective.impact_law)
     highest = 0.0
     for scene in objective.scenes:

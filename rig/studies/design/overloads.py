@@ -108,7 +108,7 @@ def overload_lines(overloads: Sequence[Overload], finite_contact: bool) -> list[
 
 
 def _steady_acceleration(scene: Scene, at: str, peak: Peak, level: float) -> float:
-    """Estimate an upper bound of the steady acceleration at a point, m/s², from the largest acceleration of a body."""
+    """Estimate an upper bound of the steady acceleration at a point [m/s²] from the largest acceleration of a body."""
     acceleration = peak.acceleration * level / peak.level
     spring = None if scene.driven_shaker is None else scene.driven_shaker.coil_spring
     # The displacement of the shaker table includes the elongation of the spring.
@@ -125,7 +125,7 @@ def _voltage(sensor: Accelerometer, integrator: Integrator | None, acceleration:
 
 
 def _remedies(number: int, sensor: Accelerometer | None, acceleration: float) -> tuple[str, ...]:
-    """Return changes of a channel's accelerometer that remove its overload at an acceleration, m/s²."""
+    """Return changes of a channel's accelerometer that remove its overload at an acceleration [m/s²]."""
     assert sensor is not None
     key = f"channels[{number}].accelerometer"
     if np.isfinite(acceleration):

@@ -40,7 +40,7 @@ _UNCERTAINTIES = "`uncertain`"
 
 
 def mass_limit(budget: float | str | None, scene: Scene) -> float:
-    """Return the limit of the added mass, kg, from a mass or a share of the structure's mass; None for the default.
+    """Return the limit of the added mass [kg] from a mass or a share of the structure's mass; None for the default.
 
     Raises `SceneError` if the budget is neither a mass nor a share.
     """
@@ -85,7 +85,7 @@ def _with_controlled_force(scene: Scene, levels: Sequence[float | str] | None) -
 
 
 def total_mass(scene: Scene) -> float:
-    """Return the mass of the structure without dampers, kg."""
+    """Return the mass of the structure without dampers [kg]."""
     return float(np.trace(structural_model(scene).mass))
 
 

@@ -205,7 +205,7 @@ def _optimize_common_factor(
 ) -> None:
     """Optimize a common factor of all clearances within one step of the grid, by Brent's method.
 
-    `cost`: objective of a choice; `step`: logarithmic; `bounds`: smallest and largest clearance, m.
+    `cost`: objective of a choice; `step`: logarithmic; `bounds`: smallest and largest clearance [m].
     """
     middle = np.log(start.clearances[0])
 

@@ -26,7 +26,7 @@ _MIN_END_DISTANCE = 0.15
 class Tolerance:
     """Clearances of the heaviest damper for which the worst peak rises by at most `MAX_RISE_DB`.
 
-    All clearances change by the same factor. `low`, `high`: ends of the interval, m. `high` is infinite if the peak is
+    All clearances change by the same factor. `low`, `high`: ends of the interval [m]. `high` is infinite if the peak is
     low without a ceiling, too. Both ends are infinite if the peak is low only without a ceiling.
     """
 

@@ -38,7 +38,7 @@ MAX_MASS_RATIO = 1.0
 
 @dataclass(frozen=True)
 class TunedMass:
-    """A tuned mass damper and its peak; `frequency`: natural frequency on a body at rest, Hz."""
+    """A tuned mass damper and its peak; `frequency`: natural frequency on a body at rest [Hz]."""
 
     damper: Damper
     frequency: float
@@ -54,7 +54,7 @@ class TunedMass:
 
 
 def _damper(body: int, mass: float, frequency: float, damping_ratio: float) -> Damper:
-    """Return the settings of a damper with a natural frequency, Hz, and a damping ratio."""
+    """Return the settings of a damper with a natural frequency [Hz] and a damping ratio."""
     omega = 2.0 * pi * frequency
     return Damper(body=body, mass=mass, spring=mass * omega**2, damping=2.0 * damping_ratio * mass * omega)
 

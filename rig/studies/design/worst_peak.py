@@ -32,7 +32,7 @@ class Peak:
     irregular_share: float  # share of the band's frequencies with irregular motion, which is simulated and averaged
 
     def reduction_from(self, bare: Peak) -> float:
-        """Return the reduction relative to the peak without dampers, dB."""
+        """Return the reduction relative to the peak without dampers [dB]."""
         return 20.0 * float(np.log10(bare.magnitude / self.magnitude))
 
 

@@ -53,7 +53,7 @@ def vertical_axis(scene: Scene, over: str | None) -> tuple[str, Kind]:
 def select_frequencies(
     scene: Scene, low: float | None = None, high: float | None = None, points: int = DEFAULT_POINTS
 ) -> Array:
-    """Select frequencies from low to high, half evenly spaced and half near the natural frequencies, Hz.
+    """Select frequencies from low to high, half evenly spaced and half near the natural frequencies [Hz].
 
     `low`, `high`: Hz; None: the ends of the test's range, or 20 % below and above its single frequency. Raises
     `SceneError` if the ends are not a valid range.
@@ -110,7 +110,7 @@ def take_off_levels(scene: Scene, frequency: Array) -> Array:
 
 
 def damper_accelerations(scene: Scene, frequency: Array) -> Array:
-    """Compute the acceleration of each damper that can leave its floor, per unit of level, m/s².
+    """Compute the acceleration of each damper that can leave its floor, per unit of level [m/s²].
 
     All these dampers are on their floors. `frequency`: Hz. Returns shape (dampers, frequencies).
     """
@@ -155,7 +155,7 @@ def _levels(scene: Scene, frequency: Array) -> tuple[float, tuple[float, float]]
 
 
 def _clearances(scene: Scene, frequency: Array) -> tuple[float, tuple[float, float]]:
-    """Return the scene's own clearance (geometric mean of several) and the ends of the default range, m."""
+    """Return the scene's own clearance (geometric mean of several) and the ends of the default range [m]."""
     system, level = assemble(scene), level_of(scene)
     gaps, _ = gaps_per_level(scene, system, 2.0 * np.pi * frequency)
     displacement = level * float(gaps.max(initial=0.0))

@@ -78,7 +78,7 @@ class MotionMap(Result):
     periods : ndarray of int, shape (rows, frequencies)
         Periods computed to reach steady state from the previous frequency; a test on the rig waits differently.
     cpu : ndarray, shape (rows, frequencies)
-        CPU time, s; excluded from tables and figures, so these do not depend on the machine.
+        CPU time [s]; excluded from tables and figures, so these do not depend on the machine.
     take_off : ndarray, shape (frequencies,)
         Level below which the motion is linear: all dampers ride. At this level the first damper starts to move
         in its body (1 g for a bed) or hits a wall, or the first joint closes or slips.
@@ -157,7 +157,7 @@ class MotionMap(Result):
 
     @property
     def settling_time(self) -> Array:
-        """Return the time to reach steady state from the motion at the previous frequency, s; NaN without repetition.
+        """Return the time to reach steady state from the motion at the previous frequency [s]; NaN without repetition.
 
         The time is a multiple of the interval between checks of the computation. On the rig, the wait begins at a
         different motion.

@@ -28,7 +28,7 @@ END_REASONS = ("the ride on the floor vanishes", "the flight vanishes", "the sta
 
 
 def ordering_margins(kind: MotionType, instants: Array) -> Array:
-    """Return the durations of ride, shortest flight (less its minimum) and stay at the ceiling (Type III only), rad.
+    """Return the durations of ride, shortest flight (less its minimum) and stay at the ceiling (Type III only) [rad].
 
     At least one duration is negative if the instants are out of order.
     """

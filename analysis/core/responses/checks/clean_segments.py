@@ -113,8 +113,8 @@ def remedy(rec: Recording, all_flaws: Sequence[Flaw]) -> str:
 def settling_flaws(rec: Recording, names: Sequence[str], first: int, stop: int, lowest: float) -> list[Flaw]:
     """Return a flaw at the beginning of a test for each channel whose bias is not constant there.
 
-    `lowest`: lowest excited frequency, Hz. Over a period of this frequency, the mean of the motion is zero. A mean that
-    differs from later means is therefore an error of the sensor, and in a force channel an apparent force.
+    `lowest`: lowest excited frequency [Hz]. Over a period of this frequency, the mean of the motion is zero. A mean
+    that differs from later means is therefore an error of the sensor, and in a force channel an apparent force.
     """
     stop = min([stop, *(dead for name, dead in dead_channels(rec).items() if name in names)])
     block_samples = int(np.ceil(rec.rate / lowest))

@@ -59,7 +59,7 @@ def supplies_power(curve: Response) -> bool:
 def find_jumps(frf: Response) -> list[tuple[float, str]]:
     """Locate the frequencies at which a curve jumps from one branch to another.
 
-    `frf`: points in the order of measurement. Returns for each jump the mean frequency of the two points, Hz, and
+    `frf`: points in the order of measurement. Returns for each jump the mean frequency of the two points [Hz] and
     ``"jump up"`` or ``"jump down"`` in the order of measurement.
 
     >>> f = np.linspace(10.0, 20.0, 11)

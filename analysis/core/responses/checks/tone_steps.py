@@ -68,7 +68,7 @@ class ToneInterval:
         return self.start * math.exp(self.growth * offset) + self.slope * offset
 
     def phase(self, offsets: NDArray[np.int64]) -> Array:
-        """Return the phase at samples after the first, rad."""
+        """Return the phase at samples after the first [rad]."""
         periods = np.expm1(self.growth * offsets) / self.growth if self.growth else offsets
         return np.asarray(2.0 * np.pi * (self.start * periods + 0.5 * self.slope * offsets**2))
 

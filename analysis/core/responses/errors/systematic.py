@@ -296,7 +296,7 @@ def clock_deviation(rec: Recording) -> float:
 
 
 def _change_by_shift(frequency: Array, value: ComplexArray, shift: Array) -> Array:
-    """Compute the largest change of a curve if its frequencies, in ascending order, are shifted by up to `shift`, Hz.
+    """Compute the largest change of a curve if its frequencies, in ascending order, are shifted by up to `shift` [Hz].
 
     A *chord* is the slope between two lines. Between sparse lines a peak is steeper than its chords. A pole and a
     constant, ``a / (f - p) + b``, are therefore fitted to each line and its two neighbors. The slope of this function

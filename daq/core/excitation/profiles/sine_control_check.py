@@ -71,7 +71,7 @@ def loop_gain(speed: float, delay: float, amplification: Array | None = None) ->
 def sideband_amplification(required: float, frequency: float, drives: Array, frequencies: Array) -> Array:
     """Return the amplification of the sidebands of a changing drive by the structure, relative to the tone.
 
-    `required`: drive at the frequency in Hz; `drives`: required drives at `frequencies`, Hz.
+    `required`: drive at the frequency in Hz; `drives`: required drives at `frequencies` [Hz].
     """
     distance = _SIDEBANDS * frequency / WINDOW_PERIODS
     below, above = (np.interp(frequency + sign * distance, frequencies, 1.0 / drives) for sign in (-1.0, 1.0))
@@ -79,7 +79,7 @@ def sideband_amplification(required: float, frequency: float, drives: Array, fre
 
 
 def widened(test: SineControl) -> tuple[float, float]:
-    """Return the lowest and the highest frequency at which the response is needed, Hz."""
+    """Return the lowest and the highest frequency at which the response is needed [Hz]."""
     low, high = test.band
     return low / _WIDER, high * _WIDER
 

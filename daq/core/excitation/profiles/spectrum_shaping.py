@@ -28,7 +28,7 @@ _LEVEL_TOLERANCE = 0.03
 
 
 def lines_between(first: float, last: float, period: int, rate: float) -> Lines:
-    """Return the numbers of the lines from `first` to `last`, Hz, for a period in samples and a sample rate in Hz."""
+    """Return the numbers of the lines from `first` to `last` [Hz] for a period in samples and a sample rate in Hz."""
     low = np.ceil(first * period / rate - 1e-9)
     high = np.floor(min(last * period / rate + 1e-9, (period - 1) // 2))
     lines = np.arange(max(1, int(low)), int(high) + 1)
@@ -68,8 +68,8 @@ def equalize(
 ) -> Generator[Array, Array, tuple[Array, Array, Array]]:
     """Compute the drive with a flat spring force over the lines, by iteration with measurements.
 
-    `phases`: phases of the lines, rad. Returns, for each line, the drive amplitude and the ratio of force to drive; and
-    the present period of the drive, shape (period,).
+    `phases`: phases of the lines [rad]. Returns, for each line, the drive amplitude and the ratio of force to drive;
+    and the present period of the drive, shape (period,).
     """
     level = station.level
     target = equal_amplitudes(level, lines)

@@ -52,11 +52,11 @@ class Observation:
 
     @property
     def middle(self) -> float:
-        """Time of the middle of the observation, s."""
+        """Time of the middle of the observation [s]."""
         return self.end - self.length / 2
 
     def angular_frequency(self, time: float) -> float:
-        """Return the angular frequency of the tone at a time, rad/s."""
+        """Return the angular frequency of the tone at a time [rad/s]."""
         return 2 * pi * (self.frequency + self.sweep_rate * (time - self.middle))
 
 

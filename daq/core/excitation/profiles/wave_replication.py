@@ -123,7 +123,7 @@ class SpectrumPulse:
         return np.maximum(largest, -smallest)
 
     def deviation(self, wave: Array) -> tuple[float, str]:
-        """Return the largest difference from the spectrum, dB."""
+        """Return the largest difference from the spectrum [dB]."""
         difference = in_decibels(self.spectrum(wave) / self._required)
         index = int(np.argmax(abs(difference)))
         side = "above" if difference[index] > 0.0 else "below"

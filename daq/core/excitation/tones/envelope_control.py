@@ -64,7 +64,7 @@ class EnvelopeControl:
     """PI control of an envelope: the SIMC rules for an integrating plant with dead time.
 
     The gain margin is 3, the phase margin 47 degrees (S. Skogestad, J. Process Control 13 (2003) 291). `target`:
-    required envelope; `drive`: present envelope of the drive; `window`: time from one update to the next, s;
+    required envelope; `drive`: present envelope of the drive; `window`: time from one update to the next [s];
     `dead_time`: s; `limit`: largest drive.
 
     >>> control, motion, drive = EnvelopeControl(1.0, 0j, 0.1, 0.15), 0j, 0.1j

@@ -25,7 +25,7 @@ _DEVIATING_WINDOWS = 5
 class ToneControls:
     """Frequency (Hz) and force amplitude (N) of the operator; they take effect with the next window of the drive.
 
-    `highest`: highest permitted frequency, Hz.
+    `highest`: highest permitted frequency [Hz].
 
     >>> controls = ToneControls(13.0, 0.0, highest=1000.0)
     >>> controls.set(34.8, 2.6)

@@ -26,8 +26,8 @@ _MAX_CHANGE_RATIO = 0.02
 class PhaseLoop:
     """PI control of the angular frequency by the deviation of the phase.
 
-    `frequency`: first frequency, Hz; `lowest`, `highest`: limits of the frequency, Hz; `phase`: required phase of the
-    displacement relative to the force, rad; `tolerance`: permitted deviation of the phase, rad; `settings`: initial
+    `frequency`: first frequency [Hz]; `lowest`, `highest`: limits of the frequency [Hz]; `phase`: required phase of the
+    displacement relative to the force [rad]; `tolerance`: permitted deviation of the phase [rad]; `settings`: initial
     settings; the loop is slowed down where the phase scatters.
 
     >>> loop = PhaseLoop(10.3, 5.0, 20.0, -math.pi / 2, 0.02, LoopSettings(0.4, 1.0, 1.0))
@@ -54,11 +54,11 @@ class PhaseLoop:
         self._lowest, self._highest = 2.0 * math.pi * lowest, 2.0 * math.pi * highest
 
     def error(self, phase: float) -> float:
-        """Return the deviation of a phase, rad, from -pi to pi."""
+        """Return the deviation of a phase [rad] from -pi to pi."""
         return math.remainder(phase - self.phase, 2.0 * math.pi)
 
     def next_frequency(self, phase: float, window: float, dead_time: float) -> float:
-        """Compute the next frequency, Hz, from the phase in the last window; `window`, `dead_time`: s."""
+        """Compute the next frequency [Hz] from the phase in the last window; `window`, `dead_time`: s."""
         error = self.error(phase)
         self._errors.append(error)
         if len(self._errors) == 2 * _COMPARED_ERRORS:

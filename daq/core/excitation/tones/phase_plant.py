@@ -36,7 +36,7 @@ class LoopSettings(NamedTuple):
 
 
 def loop_settings(scene: Scene, latency: float) -> LoopSettings:
-    """Return the settings of the fastest stable loop; `latency`: latency of the readings, s."""
+    """Return the settings of the fastest stable loop; `latency`: latency of the readings [s]."""
     modulation = np.geomspace(1e-2, np.pi / WINDOW_S, _MODULATIONS)
     plant = _plant(scene, modulation)
     slope_rate = 1.0 / float(abs(plant[0]))

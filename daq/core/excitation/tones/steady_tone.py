@@ -76,7 +76,7 @@ class Tone:
         return wave
 
     def _advance(self, elapsed: Array) -> Array:
-        """Return the phases of a window, rad, and move `phase` to the next window.
+        """Return the phases of a window [rad] and move `phase` to the next window.
 
         `elapsed`: phase since the start of the window, at each of its samples and at the first sample of the next
         window.
@@ -87,14 +87,14 @@ class Tone:
 
 
 def _phases(periods: Array) -> Array:
-    """Return the phases, rad, that correspond to numbers of periods; whole periods are removed."""
+    """Return the phases [rad] that correspond to numbers of periods; whole periods are removed."""
     return 2 * np.pi * (periods - np.trunc(periods))
 
 
 # Cached, because most transitions have one of a few lengths.
 @lru_cache(maxsize=4)
 def half_cosine(samples: int) -> tuple[Array, Array, Array]:
-    """Return relative times from 0 to 1, a rise from 0 to 1 along half a cosine, and the integral of the rise, samples.
+    """Return relative times from 0 to 1, a rise from 0 to 1 along half a cosine, and its integral [samples].
 
     The relative times and the integral have one more value, at the end.
     """
@@ -105,7 +105,7 @@ def half_cosine(samples: int) -> tuple[Array, Array, Array]:
 # Cached, because all windows in which a tone settles have the same length.
 @lru_cache(maxsize=2)
 def _elapsed_phases(frequency: float, samples: int) -> Array:
-    """Return the phases since the start of a window and at its end, rad; `frequency`: in periods per sample."""
+    """Return the phases since the start of a window and at its end [rad]; `frequency`: in periods per sample."""
     return _phases(frequency * np.arange(samples + 1, dtype=float))
 
 
@@ -160,7 +160,7 @@ class SteadyTones:
         """Settle and measure groups of simultaneous tones, one group after another, and end the tones.
 
         `groups`: frequencies in Hz of each group, in the order of the tones; `levels`: of the tones; `measured_s`:
-        duration of the measurement of each group, s. Raises `SceneError` as `check_spacing`.
+        duration of the measurement of each group [s]. Raises `SceneError` as `check_spacing`.
         """
         for group in groups:
             check_spacing(group, settle.longest)
@@ -196,7 +196,7 @@ class SteadyTones:
         return self._transition(self.station.samples(TRANSITION_S), {tone.frequency: 0.0 for tone in self.tones})
 
     def amplitudes(self, readings: Array, phases: Sequence[float]) -> ComplexArray:
-        """Return the complex amplitudes (tones, quantities) in a window; `phases`: of the tones at its start, rad."""
+        """Return the complex amplitudes (tones, quantities) in a window; `phases`: of the tones at its start [rad]."""
         frequencies = [tone.frequency for tone in self.tones]
         if frequencies != self._weights_frequencies:
             self._weights_frequencies = frequencies
@@ -353,7 +353,7 @@ class AmplitudeControl:
     """Control of a force amplitude in N: secant method in log(drive) and log(force), with a bracket.
 
     The bracket is the interval between the nearest drives with forces below and above the level. `level`: required
-    force, N; `limit`: largest drive.
+    force [N]; `limit`: largest drive.
 
     >>> control, drive = AmplitudeControl(2.6), 0.1
     >>> for step in range(12):

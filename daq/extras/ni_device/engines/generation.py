@@ -14,7 +14,7 @@ from rig.core.base.arrays import Array
 
 
 class OutputBuffer:
-    """Samples to play, V, in a ring buffer that is played in a loop.
+    """Samples to play [V] in a ring buffer that is played in a loop.
 
     `size` is the capacity of the buffer, samples per channel. If None, the buffer grows with every write until the task
     starts.
@@ -114,7 +114,7 @@ class Generation:
         return math.ceil(samples / self.plan.per_tick) - self._ticks
 
     def produce(self, tick: int, count: int, event_tick: EventTick) -> Array:
-        """Return the output voltages of `count` ticks from `tick` on, V, shape (channels, count)."""
+        """Return the output voltages of `count` ticks from `tick` on [V], shape (channels, count)."""
         out = np.repeat(self.last_volts[:, None], count, axis=1)
         if self.done:
             return out

@@ -261,7 +261,7 @@ def open_log(name: str, task: TaskSettings, bench: Bench, plan: InputPlan, time_
     """Open a log for a task at its start.
 
     `name` is the name of the task, `task` contains its settings. The suffix of the log's path, `.mcap` or `.tdms`,
-    selects the format. `time_ns` returns the time of a sample, ns, from its number. Raises `DaqError` if the file
+    selects the format. `time_ns` returns the time of a sample [ns] from its number. Raises `DaqError` if the file
     cannot be opened with these settings.
     """
     settings = task.groups["read"]

@@ -145,7 +145,7 @@ class Channel:
         return str(self.settings[f"{self.direction}_custom_scale_name"])
 
     def _largest_volts(self) -> float:
-        """Return the larger magnitude of both limits, V."""
+        """Return the larger magnitude of both limits [V]."""
         limits = (abs(self.settings[f"{self.direction}_{bound}"]) for bound in ("min", "max"))
         return max(limits) * self.volts_per_unit
 

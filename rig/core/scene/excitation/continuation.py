@@ -54,7 +54,7 @@ class Continuation(KindOfTest):
 
     @property
     def tone(self) -> float:
-        """First frequency, Hz."""
+        """First frequency [Hz]."""
         return self.from_
 
     def controlled_terms(self, shaker: Shaker, table: str) -> dict[str, float]:

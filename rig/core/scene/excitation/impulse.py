@@ -88,21 +88,21 @@ class Impulse(KindOfTest):
 
     @property
     def shortest(self) -> float:
-        """Duration of all impacts with their intervals, s."""
+        """Duration of all impacts with their intervals [s]."""
         return self.repeats * self.interval
 
     @property
     def simulated(self) -> float:
-        """Duration of all impacts with their intervals, s."""
+        """Duration of all impacts with their intervals [s]."""
         return self.shortest
 
     @property
     def peaks(self) -> tuple[float, ...]:
-        """Peak of each impact, N."""
+        """Peak of each impact [N]."""
         return self.peak if isinstance(self.peak, tuple) else (self.peak,) * self.repeats
 
     def at_level(self, level: float) -> Self:
-        """Return the test with a different highest peak, N, and the same ratios of the peaks."""
+        """Return the test with a different highest peak [N] and the same ratios of the peaks."""
         if not isinstance(self.peak, tuple):
             return self.replace(peak=level)
         return self.replace(peak=tuple(peak * (level / max(self.peak)) for peak in self.peak))
@@ -112,7 +112,7 @@ class Impulse(KindOfTest):
         return self.double_hit is not None and (self.double_hit.hits is None or hit in self.double_hit.hits)
 
     def pulses(self, rate: float) -> list[Array]:
-        """Return the force of each impact with its bounce, N, from the first sample of the impact; `rate`: Hz."""
+        """Return the force of each impact with its bounce [N] from the first sample of the impact; `rate`: Hz."""
         shape = half_sine(1.0, self.width, rate)
 
         def pulse(peak: float, is_double: bool) -> Array:
@@ -130,7 +130,7 @@ class Impulse(KindOfTest):
         return [pulses[hit] for hit in hits]
 
     def wave(self, samples: int, rate: float) -> Pulses:
-        """Return the force, N: the impacts of a recording, of which the first begins at t = 0."""
+        """Return the force [N]: the impacts of a recording, of which the first begins at t = 0."""
         force, interval = np.zeros(samples), max(1, round(self.interval * rate))
         for first, pulse in zip(range(0, samples, interval), self.pulses(rate), strict=False):
             force[first : first + pulse.size] = pulse[: samples - first]

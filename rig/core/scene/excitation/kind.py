@@ -166,12 +166,12 @@ class KindOfTest(Settings):
 
     @property
     def held_phase(self) -> tuple[str, float] | None:
-        """Location of the displacement whose phase relative to the force is constant, and this phase, rad; or None."""
+        """Location of the displacement whose phase relative to the force is constant, and this phase [rad]; or None."""
         return None
 
     @property
     def hits(self) -> tuple[int, float]:
-        """Number of impacts or pulses, and time between them, s; default: the keys `repeats` and `interval`."""
+        """Number of impacts or pulses, and time between them [s]; default: the keys `repeats` and `interval`."""
         return int(getattr(self, "repeats", 1)), float(getattr(self, "interval", 0.0))
 
     @property
@@ -186,13 +186,13 @@ class KindOfTest(Settings):
 
     @property
     def band(self) -> tuple[float, float] | None:
-        """Lowest and highest frequency of the drive, Hz; default: from the keys; None without a band."""
+        """Lowest and highest frequency of the drive [Hz]; default: from the keys; None without a band."""
         given = self.given_frequencies.values()
         return (min(given), max(given)) if given else None
 
     @property
     def given_frequencies(self) -> dict[KeyPath, float]:
-        """Frequencies by key path, Hz: of the keys `from` and `to`, otherwise of `frequencies` or `frequency`."""
+        """Frequencies by key path [Hz]: of the keys `from` and `to`, otherwise of `frequencies` or `frequency`."""
         first, last = getattr(self, "from_", None), getattr(self, "to", None)
         if first is not None and last is not None:
             return {("to",): last, ("from",): first}
@@ -203,7 +203,7 @@ class KindOfTest(Settings):
 
     @property
     def dwells(self) -> tuple[float, ...]:
-        """Frequencies of the tones that are held until steady state, in the order of one level, Hz."""
+        """Frequencies of the tones that are held until steady state, in the order of one level [Hz]."""
         return ()
 
     @property
@@ -222,14 +222,14 @@ class KindOfTest(Settings):
         return self.steady_state.tolerance if getattr(self, "settle", None) is not None else 0.0
 
     def tones(self, points: int) -> tuple[float, ...]:
-        """Return the tones of the test, or `points` frequencies over its band, ascending, Hz; () without a band."""
+        """Return the tones of the test, or `points` frequencies over its band, ascending [Hz]; () without a band."""
         if self.dwells:
             return tuple(sorted(set(self.dwells)))
         return () if self.band is None else spaced_frequencies(*self.band, points, "log")
 
     @property
     def highest(self) -> tuple[KeyPath, float] | None:
-        """Key path and value of the highest frequency, Hz; None without a band."""
+        """Key path and value of the highest frequency [Hz]; None without a band."""
         if self.band is None:
             return None
         return next(
@@ -238,17 +238,17 @@ class KindOfTest(Settings):
 
     @property
     def shortest(self) -> float:
-        """Duration without waits for steady states, s; default: the key `duration`."""
+        """Duration without waits for steady states [s]; default: the key `duration`."""
         return float(getattr(self, "duration", 0.0))
 
     @property
     def simulated(self) -> float:
-        """Duration of the open-loop drive in `rig simulate`, s; default: the key `duration`, or 2 s."""
+        """Duration of the open-loop drive in `rig simulate` [s]; default: the key `duration`, or 2 s."""
         return float(getattr(self, "duration", 2.0))
 
     @property
     def tone(self) -> float | None:
-        """Frequency of the open-loop drive, Hz, if it is a tone."""
+        """Frequency of the open-loop drive [Hz] if it is a tone."""
         return self.dwells[0] if self.dwells else None
 
     def wave(self, samples: int, rate: float) -> Chirp | Pulses | Rest | None:
@@ -288,9 +288,9 @@ class KindOfTest(Settings):
         return ()
 
     def pulse(self, time: Array) -> tuple[Array, float] | None:
-        """Return the prescribed acceleration of a shock and its tolerance, m/s²; None without a prescribed pulse.
+        """Return the prescribed acceleration of a shock and its tolerance [m/s²]; None without a prescribed pulse.
 
-        `time`: from the middle of the pulse, s.
+        `time`: from the middle of the pulse [s].
         """
         return None
 

@@ -70,5 +70,5 @@ class Multisine(KindOfTest):
 
     @property
     def shortest(self) -> float:
-        """Time of all measured periods, s."""
+        """Time of all measured periods [s]."""
         return self.realisations * self.periods * self.period_s

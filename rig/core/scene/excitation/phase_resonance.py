@@ -73,12 +73,12 @@ class PhaseResonance(KindOfTest):
 
     @property
     def tone(self) -> float:
-        """First frequency, Hz."""
+        """First frequency [Hz]."""
         return self.frequency
 
     @property
     def shortest(self) -> float:
-        """Time of all measurements, s."""
+        """Time of all measurements [s]."""
         return len(self.levels) * self.measure.periods / self.frequency
 
     def references(self, valid: Mapping[str, Any]) -> Iterable[Problem]:

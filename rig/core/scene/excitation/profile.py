@@ -82,7 +82,7 @@ class MotionProfile(Breakpoints):
     """Instead of `acceleration`: amplitude of the displacement [m]."""
 
     def at(self, frequency: Array) -> Array:
-        """Return the amplitude of the acceleration, m/s², at frequencies in Hz; beyond the breakpoints NaN."""
+        """Return the amplitude of the acceleration [m/s²] at frequencies in Hz; beyond the breakpoints NaN."""
         order = 2 - self.value_keys.index(self.key)
         return super().at(frequency) * (2.0 * np.pi * np.asarray(frequency)) ** order
 
@@ -163,8 +163,8 @@ class Prescription(NamedTuple):
 def limits_drive(control: Array, limited: Array, margin: float) -> NDArray[np.bool_]:
     """Return where a channel limits the drive (notching): it is near its limit, and the control below the profile.
 
-    `control`, `limited`: required over measured values, dB, as `Prescription.required`; `margin`: distance of the
-    channel to its limit that counts as near, dB.
+    `control`, `limited`: required over measured values [dB] as `Prescription.required`; `margin`: distance of the
+    channel to its limit that counts as near [dB].
 
     >>> limits_drive(np.array([2.0, -1.0, 3.0]), np.array([0.1, 0.1, 9.0]), 1.5).tolist()
     [True, False, False]

@@ -74,17 +74,17 @@ class RandomControl(ProfileControl, KindOfTest):
 
     @property
     def band(self) -> tuple[float, float]:
-        """Lowest and highest frequency of the profile, Hz."""
+        """Lowest and highest frequency of the profile [Hz]."""
         return self.profile.frequencies[0], self.profile.frequencies[-1]
 
     @property
     def highest(self) -> tuple[KeyPath, float]:
-        """Key path and value of the highest frequency, Hz."""
+        """Key path and value of the highest frequency [Hz]."""
         return ("profile", "frequencies"), self.band[1]
 
     @property
     def shortest(self) -> float:
-        """Duration of the ramp and of the test at full level, s."""
+        """Duration of the ramp and of the test at full level [s]."""
         return len(self.ramp) * self.hold + self.duration
 
     @property
@@ -94,7 +94,7 @@ class RandomControl(ProfileControl, KindOfTest):
 
     @property
     def resolution(self) -> float:
-        """Distance of the spectral lines, Hz."""
+        """Distance of the spectral lines [Hz]."""
         return (self.band[1] - self.band[0]) / self.lines
 
     def rms(self, level: float = 0.0) -> float:

@@ -39,7 +39,7 @@ class HalfSine(Settings):
     """Largest deviation from the pulse, relative to its peak."""
 
     def wave(self, time: Array) -> Array:
-        """Return the compensated pulse, m/s², with its middle at t = 0; `time`: s."""
+        """Return the compensated pulse [m/s²] with its middle at t = 0; `time`: s."""
         long = self.width / (2.0 * COMPENSATION)
         center = (self.width + long) / 2.0
         return self.peak * (
@@ -61,7 +61,7 @@ class ShockProfile(Breakpoints):
 
     @property
     def lines(self) -> Array:
-        """Natural frequencies at which the spectrum is controlled, six per octave, Hz."""
+        """Natural frequencies at which the spectrum is controlled, six per octave [Hz]."""
         low, high = self.frequencies[0], self.frequencies[-1]
         return np.geomspace(low, high, max(2, round(_PER_OCTAVE * np.log2(high / low)) + 1))
 
@@ -105,7 +105,7 @@ class Shock(KindOfTest):
 
     @property
     def band(self) -> tuple[float, float]:
-        """Lowest and highest frequency of the pulse's spectrum, Hz, as far as the sample rate permits."""
+        """Lowest and highest frequency of the pulse's spectrum [Hz] as far as the sample rate permits."""
         if self.half_sine is not None:
             return 0.02 / self.half_sine.width, 1.5 / self.half_sine.width
         assert self.spectrum is not None
@@ -113,7 +113,7 @@ class Shock(KindOfTest):
 
     @property
     def highest(self) -> tuple[KeyPath, float]:
-        """Key path and value of the highest frequency, Hz."""
+        """Key path and value of the highest frequency [Hz]."""
         return ("half_sine", "width") if self.half_sine is not None else ("spectrum", "frequencies"), self.band[1]
 
     def sentence(self, shaker: Shaker | None) -> str:
@@ -133,7 +133,7 @@ class Shock(KindOfTest):
         return f"{shock} at {self.control}", repeats
 
     def pulse(self, time: Array) -> tuple[Array, float] | None:
-        """Return the half sine and its tolerance, m/s²."""
+        """Return the half sine and its tolerance [m/s²]."""
         pulse = self.half_sine
         return None if pulse is None else (pulse.wave(time), pulse.tolerance * pulse.peak)
 
@@ -144,7 +144,7 @@ class Shock(KindOfTest):
 
     @property
     def shortest(self) -> float:
-        """Time of the practice pulses and the shocks, s."""
+        """Time of the practice pulses and the shocks [s]."""
         return (len(self.practice) + self.repeats) * self.interval
 
 

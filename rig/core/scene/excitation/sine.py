@@ -25,5 +25,5 @@ class Sine(KindOfTest):
 
     @property
     def dwells(self) -> tuple[float, ...]:
-        """The frequency, Hz."""
+        """The frequency [Hz]."""
         return (self.frequency,)

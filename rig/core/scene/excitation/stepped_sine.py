@@ -80,7 +80,7 @@ class SteppedTest(KindOfTest):
 
     @property
     def band(self) -> tuple[float, float]:
-        """Lowest and highest frequency, Hz."""
+        """Lowest and highest frequency [Hz]."""
         return min(self.order), max(self.order)
 
     @property
@@ -90,7 +90,7 @@ class SteppedTest(KindOfTest):
 
     @property
     def dwells(self) -> tuple[float, ...]:
-        """The frequencies of one level in the order of the test, Hz."""
+        """The frequencies of one level in the order of the test [Hz]."""
         return self.order
 
     @property
@@ -106,7 +106,7 @@ class SteppedTest(KindOfTest):
 
     @property
     def shortest(self) -> float:
-        """Time of all measurements, s."""
+        """Time of all measurements [s]."""
         return len(self.levels) * self.measure.periods * sum(1.0 / frequency for frequency in self.order)
 
 

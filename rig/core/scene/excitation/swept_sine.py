@@ -32,7 +32,7 @@ class FrequencySweep:
 
     @property
     def band(self) -> tuple[float, float]:
-        """Lowest and highest frequency of the tone, Hz."""
+        """Lowest and highest frequency of the tone [Hz]."""
         return min(self.from_, self.to), max(self.from_, self.to)
 
     @property
@@ -49,7 +49,7 @@ class FrequencySweep:
         return f"{self.sweep_direction}ward at {rate}"
 
     def frequency_at(self, fraction: Any) -> Any:
-        """Return the frequency, Hz, at a fraction, 0 to 1, of the sweep: a number, or an array of fractions."""
+        """Return the frequency [Hz] at a fraction, 0 to 1, of the sweep: a number, or an array of fractions."""
         if self.spacing == "linear":
             return self.from_ + (self.to - self.from_) * fraction
         return self.from_ * (self.to / self.from_) ** fraction

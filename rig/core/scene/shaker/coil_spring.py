@@ -22,7 +22,7 @@ class CoilSpringShaker(KindOfShaker):
 
     @property
     def coil_spring(self) -> float:
-        """Stiffness of the coil spring, N/m."""
+        """Stiffness of the coil spring [N/m]."""
         return self.spring
 
     def force_terms(self, drive: str, table: str) -> dict[str, float]:

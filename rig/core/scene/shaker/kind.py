@@ -101,12 +101,12 @@ class KindOfShaker(Settings):
 
     @property
     def coil_spring(self) -> float | None:
-        """Stiffness of the spring between the table and the driven body, N/m; None without a spring."""
+        """Stiffness of the spring between the table and the driven body [N/m]; None without a spring."""
         return None
 
     @property
     def corner(self) -> float:
-        """Corner frequency of the servo of the table, Hz; 0 without a servo."""
+        """Corner frequency of the servo of the table [Hz]; 0 without a servo."""
         return 0.0
 
     @property
@@ -127,7 +127,7 @@ class KindOfShaker(Settings):
 
     @property
     def newtons_per_drive(self) -> float:
-        """Rough static force on the structure per unit of drive, N."""
+        """Rough static force on the structure per unit of drive [N]."""
         raise NotImplementedError
 
     def add_to(self, equations: Equations, drive: str, table: str) -> None:
@@ -143,7 +143,7 @@ class KindOfShaker(Settings):
         return {}
 
     def force_row(self, states: int, table: int | None) -> Array:
-        """Return the row whose product with the state is the force on the structure, N, shape (states,).
+        """Return the row whose product with the state is the force on the structure [N], shape (states,).
 
         `table`: row of the table. The result is zero if the force does not depend on the state.
         """
@@ -170,5 +170,5 @@ class KindOfShaker(Settings):
 
 
 def servo_inverse(corner: float, s: complex | ComplexArray) -> ComplexArray:
-    """Return the command of a position servo per displacement; `corner`: corner frequency, Hz."""
+    """Return the command of a position servo per displacement; `corner`: corner frequency [Hz]."""
     return np.asarray(np.square(1.0 + s / (2.0 * np.pi * corner)), dtype=np.complex128)

@@ -34,7 +34,7 @@ class TableShaker(CoilSpringShaker):
 
     @property
     def corner(self) -> float:
-        """Corner frequency of the position servo, Hz."""
+        """Corner frequency of the position servo [Hz]."""
         return self.bandwidth
 
     @property

@@ -20,7 +20,8 @@ from rig.core.results.uncertainty import CLOCK, COVERAGE_FACTOR, SENSITIVITY, SY
 # A band extends below the natural frequency of the bare structure by this fraction of the frequency, and above it by
 # half as much.
 _BAND_BELOW_RATIO = 0.15
-# The curve has a jump at a point if the point deviates from the prediction of its neighbors by more than this fraction.
+# The curve has a jump at a point if the point deviates from the prediction of its neighbors by more than this fraction,
+# which a resolved resonance never does.
 _MAX_LEAVE_ONE_OUT_ERROR = 0.2
 # Frequencies of the interpolated curve between the neighbors of the highest point, so its maximum needs no refinement.
 _GRID_POINTS = 801
@@ -33,7 +34,8 @@ _SAME_TOLERANCE = 1e-6
 _CLOCK_ERRORS_IN_HEIGHT = 2.0
 # The height of a peak is stated if its relative expanded uncertainty is at most this.
 _MAX_PEAK_UNCERTAINTY = 0.5
-# An interval is stated by its ends if its lower part is less than this fraction of its upper part.
+# An interval is stated by its ends if its lower part is less than this fraction of its upper part; a symmetric ± would
+# be misleading.
 _MIN_SYMMETRY = 0.9
 # A peak above its highest measured point by more than half-power is extrapolated: the points are on its flanks.
 _HALF_POWER = sqrt(2.0)

@@ -28,9 +28,10 @@ from rig.core.scene.scene import Scene
 
 # This fraction of the segment is excluded at each end, because the correction mirrors the samples there.
 _EXCLUDED_END_RATIO = 0.05
-# The restitution is estimated from at least this number of flights that are consistent with the impacts.
+# The restitution is estimated from at least this number of flights that are consistent with the impacts: few flights
+# can be consistent by chance.
 _MIN_FLIGHTS = 6
-# At least this fraction of the intervals between impacts must be flights.
+# At least this fraction of the intervals between impacts must be flights; otherwise impacts were missed.
 _MIN_FLIGHT_RATIO = 0.25
 # A flight is consistent if the computed position at its end deviates from the wall by at most this fraction of its
 # height.

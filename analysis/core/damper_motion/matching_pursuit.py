@@ -58,7 +58,8 @@ _MAX_CENTERINGS = 4
 _MIN_DISTANCE_SAMPLES = 4
 # Minimum distance at which two jumps may be resolved, samples.
 MIN_RESOLVED_SAMPLES = 6
-# Two jumps are resolved if a joint fit increases the standard uncertainty of each jump by at most this factor.
+# Two jumps are resolved if a joint fit increases the standard uncertainty of each jump by at most this factor: their
+# times are then still well determined.
 _MAX_RESOLVED_ERROR_RATIO = 1.1
 # A segment is searched for groups of jumps if its residual exceeds this multiple of the detection limit.
 _GROUP_SEARCH_RATIO = 3.0
@@ -73,7 +74,7 @@ _UNRESOLVED_LIMIT_RATIO = 10.0
 _UNRESOLVED_JUMP_RATIO = 0.5
 # Additional polynomial orders for the smooth motion.
 _HIGHER_ORDERS = (2, 4, 6)
-# A higher order must reduce the residual variance by this factor.
+# A higher order must reduce the residual variance by this factor, more than its additional coefficients do by chance.
 _MIN_VARIANCE_REDUCTION = 2.0
 # A filter of higher order is used if the noise of the jumps is below this fraction of that with the present filter.
 NOISE_REDUCTION = 0.7

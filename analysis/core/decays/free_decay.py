@@ -43,7 +43,7 @@ _MIN_SAMPLES = 256
 _MAX_FINAL_ENERGY_FRACTION = 0.02
 #: Energy levels between which the slope of the initial decay is fitted, dB.
 INITIAL_DECAY_DB = -1.0, -11.0
-# Below this fraction of the initial energy, only rounding errors remain.
+# Below this fraction of the initial energy, only rounding errors remain in the backward integral.
 _MIN_ENERGY_RATIO = 1e-30
 # If the channel is overloaded for more than this fraction of a decay, its amplitudes are unusable.
 _MAX_OVERLOADED_FRACTION = 0.1

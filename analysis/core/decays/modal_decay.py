@@ -16,7 +16,8 @@ from rig.core.results.uncertainty import expand
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Two spectral peaks belong to the same mode if their frequencies differ by less than this fraction.
+# Two spectral peaks belong to the same mode if their frequencies differ by less than this fraction: dampers shift a
+# frequency during the decay.
 _SAME_MODE_RATIO = 0.1
 # Largest relative standard uncertainty, due to noise, of a reported damping ratio: 10 % expanded is still useful.
 MAX_RELATIVE_UNCERTAINTY = 0.05

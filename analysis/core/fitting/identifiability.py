@@ -13,7 +13,8 @@ from rig.core.results.uncertainty import COVERAGE_FACTOR
 
 # A combination of parameters is reported if the relative half-width of its 95 % interval is at least this.
 _MIN_HALF_WIDTH = 0.02
-# A parameter is listed in a combination if its component is at least this fraction of the largest component.
+# A parameter is listed in a combination if its component is at least this fraction of the largest component; smaller
+# components would make the list unreadable.
 _MIN_COMPONENT_RATIO = 0.3
 # A sensor is named if the correlation of its error with the error of a parameter is at least this.
 _MIN_CORRELATION = 0.7

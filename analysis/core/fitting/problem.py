@@ -35,7 +35,8 @@ _PARAMETER_STEP = 1e-6
 _FAILED_RESIDUAL = 30.0
 # A point is an outlier above this residual, in standard deviations or, if larger, in medians of the residuals.
 _OUTLIER_LIMIT = 6.0
-# A fitted sensitivity is plausible if it deviates from the data sheet by at most this multiple of the tolerance.
+# A fitted sensitivity is plausible if it deviates from the data sheet by at most this multiple of the tolerance:
+# tolerances may be optimistic, but not wrong by more.
 _MAX_SENSOR_DEVIATION = 2.0
 # Points are neighbors up to this frequency ratio: wider than a resonance, narrower than the spacing of most modes.
 _NEIGHBOR_FREQUENCY_RATIO = 1.15

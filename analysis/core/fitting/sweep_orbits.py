@@ -31,7 +31,8 @@ from rig.core.scene.structure import Structure
 from rig.core.system.open_loop_drive import riding_response
 from rig.core.system.structural_model import driven_bodies, structural_model
 
-# The orbit at a nearby frequency and drive is corrected by at most this number of Newton steps.
+# The orbit at a nearby frequency and drive is corrected by at most this number of Newton steps: from a good start,
+# Newton converges in fewer.
 _MAX_CORRECTIONS = 8
 # The motion must become periodic within this number of simulated periods.
 _MAX_PERIODS = 1500

@@ -13,9 +13,10 @@ from rig.core.base.arrays import Array, ComplexArray
 _HALF_POWER = 0.5 * float(np.log(2.0))
 # A peak exceeds its surroundings by at least this difference of logarithms.
 _MIN_PROMINENCE = 0.5 * _HALF_POWER
-# A peak exceeds the scatter of its lines by at least this factor in a curve.
+# A peak exceeds the scatter of its lines by at least this factor in a curve, more than noise does by chance.
 _MIN_SIGNAL_RATIO = 6.0
-# The scatter of a line is the largest value among this number of neighboring lines.
+# The scatter of a line is the largest value among this number of neighboring lines: the estimate at one line is itself
+# uncertain.
 _NOISE_LINES = 31
 # A window extends to this distance from its peaks, in half-widths and at least this number of lines.
 _WINDOW_HALF_WIDTHS = 6.0

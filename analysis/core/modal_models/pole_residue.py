@@ -19,7 +19,7 @@ from rig.core.base.arrays import Array, ComplexArray
 
 # Maximum number of evaluations: a fit from good initial values converges earlier, others are stopped.
 MAX_EVALUATIONS = 25
-# A series with this number of terms represents the modes above the band.
+# A series with this number of terms represents the modes above the band, whose contributions are smooth in the band.
 UPPER_TERMS = 3
 # At least this number of lines is needed for all terms of the series; fewer lines determine only the first term.
 _MIN_LINES = 20

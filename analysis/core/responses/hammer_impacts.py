@@ -21,15 +21,18 @@ from rig.core.base.errors import RecordingError
 
 # Interval before an impact, s, in which residual motion is detected and the zero offset of each channel is measured.
 PRE_IMPACT_S = 0.2
-# Motion before an impact is estimated from at least this number of samples.
+# Motion before an impact is estimated from at least this number of samples; fewer do not separate it from noise.
 _MIN_PRE_IMPACT_SAMPLES = 4
-# The rig is at rest in this interval if its motion is at most this fraction of the response to the impact.
+# The rig is at rest in this interval if its motion is at most this fraction of the response to the impact, which then
+# has no visible effect.
 _MAX_REST_RATIO = 2e-3
-# Motion is detected if the estimate exceeds its noise by this number of standard deviations.
+# Motion is detected if the estimate exceeds its noise by this number of standard deviations, which noise does not reach
+# by chance.
 _DETECTION_SIGMAS = 4.0
 # Smallest accepted ratio of the largest force within an impact's marker to the largest force until the next impact.
 _MIN_MARKED_RATIO = 0.5
-# A rebound of the hammer is detected if its force is at least this fraction of the force within the marker.
+# A rebound of the hammer is detected if its force is at least this fraction of the force within the marker: smaller
+# rebounds hardly change the spectrum.
 _MIN_REBOUND_RATIO = 0.05
 # The force of a rebound must also be at least this multiple of the noise, the median change between samples.
 _REBOUND_SIGMAS = 8.0

@@ -48,7 +48,8 @@ _MAX_RESIDUALS = 192
 _MAX_SAMPLES = 3 << 20
 #: Name of the systematic error due to motion before an impact.
 MOTION_BEFORE = "motion before the impact"
-# Motion before an impact causes a warning if its amplitude exceeds this fraction of the response to the impact.
+# Motion before an impact causes a warning if its amplitude exceeds this fraction of the response to the impact: the
+# error of a peak is then of this order.
 _MAX_MOTION_RATIO = 0.01
 
 

@@ -37,7 +37,7 @@ _LIMIT_RATIO = 0.3
 _BAND_RATIO = 0.4
 # A sensor without response at 0 Hz is corrected down to this fraction of the lowest natural frequency.
 _CORRECTED_RATIO = 0.1
-# Lost samples are interpolated if they are at most this fraction.
+# Lost samples are interpolated if they are at most this fraction; more would change the peak of the spectrum.
 _MAX_LOST_FRACTION = 0.01
 # Memory of the computation, in multiples of the memory of the samples.
 _COPIES = 12.0

@@ -42,7 +42,8 @@ _FREQUENCY_DEVIATION_RATIO = 2.0
 # The quadrature part of other modes is assumed to be at most their in-phase part times the damping ratio of the
 # resonant mode times this.
 _MAX_QUADRATURE_PER_DAMPING = 10.0
-# The level of a point is written on its left if the distance of the next point is less than this fraction of the axis.
+# The level of a point is written on its left if the distance of the next point is less than this fraction of the axis,
+# so that two labels do not overlap.
 _LABEL_RATIO = 0.08
 
 

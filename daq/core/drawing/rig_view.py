@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
     from rig.core.scene.scene import Scene
 
-# The drawn length of a spring changes by at most this fraction.
+# The drawn length of a spring changes by at most this fraction: its turns must not touch.
 _MAX_STRETCH_RATIO = 0.6
 # Largest exaggeration; a larger factor would show the noise of a rig at rest.
 _MAX_EXAGGERATION = 1e4

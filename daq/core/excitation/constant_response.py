@@ -31,7 +31,7 @@ _FIRST_FORCE_RATIO = 0.05
 _AMPLITUDE_WAIT_S = 15.0
 # No further attempt begins if the remaining time is shorter than this, s.
 _MIN_WAIT_S = 1.0
-# A drive above this fraction of the amplifier's limit counts as limited.
+# A drive above this fraction of the amplifier's limit counts as limited: the control needs some reserve.
 AT_LIMIT_RATIO = 0.99
 # Points of a test on the bench page: a form has no list of frequencies.
 _FORM_POINTS = 40

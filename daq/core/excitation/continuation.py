@@ -63,7 +63,8 @@ _SHORTEST_TURN = 0.125
 _MAX_BAND_RATIO = 0.05
 # The curve begins at the first of these positions in the band, from 0 to 1, where the motion repeats.
 _STARTS = 0.0, 0.05, 0.1, 0.2
-# Without feedback, a response that changes by more than this factor has jumped to another branch.
+# Without feedback, a response that changes by more than this factor has jumped to another branch: the step along a
+# branch is smaller.
 _JUMP_RATIO = 2.0
 # A motion that has not jumped returns to the last point with a deviation of ln(amplitude) below this value.
 _MAX_RETURN_DEVIATION = 0.05

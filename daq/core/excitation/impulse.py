@@ -28,7 +28,7 @@ _WINDOW_S = 0.1
 _MAX_TIME_CONSTANTS, _MAX_SETTLING_S = 10.0, 60.0
 # Length of the window in which a drift is detected, s.
 _DRIFT_WINDOW_S = 0.5
-# A drift is detected above this number of standard deviations of its estimate.
+# A drift is detected above this number of standard deviations of its estimate, which noise does not reach by chance.
 _DRIFT_SIGMAS = 4.0
 
 

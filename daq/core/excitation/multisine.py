@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
 
-# The motion is in steady state if successive periods differ by at most this fraction.
+# The motion is in steady state if successive periods differ by at most this fraction: the remaining transient is of
+# this order.
 _TOLERANCE = 1e-4
 # Longest wait for the steady state, in s and in periods; the longer wait applies. A test must end also if dampers move
 # irregularly.

@@ -46,9 +46,10 @@ _MIN_UNIFORMITY = 2.0
 # At the time of a step, the gains of the other channels change by less than this fraction of the step, or by the same
 # factor.
 _MAX_COMMON = 0.25
-# A channel whose gain falls below this fraction is dead.
+# A channel whose gain falls below this fraction is dead: only noise and crosstalk remain.
 _DEAD_RATIO = 0.05
-# A line is evaluated if the power of its largest input exceeds this fraction of the mean power.
+# A line is evaluated if the power of its largest input exceeds this fraction of the mean power; at other lines, noise
+# dominates.
 _MIN_POWER = 1e-3
 
 

@@ -19,7 +19,7 @@ _MAX_UNCERTAINTY = 0.3
 _MIN_STEP = 0.25
 # A jump exceeds the larger of the steps on either side, scaled to the same frequency spacing, by this factor.
 _MIN_RATIO_TO_NEIGHBORS = 4.0
-# A jump exceeds this number of standard uncertainties of the step.
+# A jump exceeds this number of standard uncertainties of the step, which noise does not reach at thousands of points.
 _MIN_SIGMAS = 5.0
 # A step at a point is not a jump, but noise, if the expanded random uncertainty of the point exceeds this fraction of
 # its value.

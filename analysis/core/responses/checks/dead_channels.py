@@ -23,9 +23,10 @@ _MIN_DEAD = 2
 _COMPARED = 8
 # Fewest blocks, or impacts, without which the live part cannot be compared with the dead part.
 _MIN_BLOCKS = 4
-# A signal is dead if it is below this fraction of the previous signal.
+# A signal is dead if it is below this fraction of the previous signal: only noise and crosstalk remain.
 _DEAD_RATIO = 0.01
-# The signal of at least one other motion channel falls by less than this fraction of the fall of a dead channel.
+# The signal of at least one other motion channel falls by less than this fraction of the fall of a dead channel: the
+# excitation has not ended.
 _MIN_CONTRAST = 10.0
 # The last live sample is the last one whose deviation exceeds the largest deviation in the first dead block by this
 # factor, which noise hardly reaches.

@@ -49,7 +49,8 @@ _MAX_COMMON = 0.25
 # A channel is searched in a block if its readings span more than this number of counts of the converter. A smaller
 # tone, as at an antiresonance, appears suddenly when it exceeds half a count.
 _MIN_COUNTS = 8.0
-# The tone is hidden by noise if the relative residual of a channel remains above this fraction.
+# The tone is hidden by noise if the relative residual of a channel remains above this fraction; a step of the tone is
+# then not detectable.
 _MAX_FRACTION_OF_STEP = 0.7
 
 

@@ -76,9 +76,9 @@ class Observation(NamedTuple):
     limiting: int  # index of the limit that determines the drive; -1: the profile
 
 
-def next_drive(drive: float, ratio: float, gain: float) -> float:
-    """Return the next drive amplitude; `ratio`: required over measured amplitude."""
-    return drive * float(np.exp(gain * np.clip(log(max(ratio, 1e-12)), -_MAX_DECREASE, _MAX_INCREASE)))
+def limited_error(ratio: float) -> float:
+    """Return the logarithm of required over measured amplitude, limited to the largest steps."""
+    return min(max(log(max(ratio, 1e-12)), -_MAX_DECREASE), _MAX_INCREASE)
 
 
 def _observation_samples(frequency: float, rate: float) -> int:
@@ -172,8 +172,8 @@ class SineSweep:
             required = self.drive * float(ratios.min())
             sidebands = sideband_amplification(required, frequency, self._required[ratios.argmin()], self._frequencies)
             gain = loop_gain(self.test.speed, delay, sidebands)
-            error = float(np.clip(log(max(ratios.min(), 1e-12)), -_MAX_DECREASE, _MAX_INCREASE))
-            drive = next_drive(self.drive, float(ratios.min()), gain * self._caution.factor(error))
+            error = limited_error(float(ratios.min()))
+            drive *= float(np.exp(gain * self._caution.factor(error) * error))
             self.limited |= drive > self.station.output_limit
             drive = min(drive, self.station.output_limit)
             deviation, now = -float(in_decibels(ratios[0])), self.station.now - self.station.latency

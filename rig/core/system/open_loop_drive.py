@@ -16,7 +16,7 @@ from rig.core.base.errors import RunError, SceneError
 from rig.core.scene.excitation.kind import Chirp, Pulses
 from rig.core.scene.scene import Scene
 from rig.core.scene.shaker import ForceShaker
-from rig.core.system.assembly import force_row
+from rig.core.system.assembly import assemble, force_row
 from rig.core.system.hybrid_system import HybridSystem, hold_coordinates
 
 # Minimum number of frequencies between which the drive per level of a sweep is interpolated.
@@ -105,6 +105,16 @@ def drive_per_level(scene: Scene, system: HybridSystem, omega: float | Array) ->
 def force_per_drive(scene: Scene, system: HybridSystem, omega: float | Array) -> Any:
     """Return the complex amplitude of the coil spring's force per unit of drive at omega (rad/s), in N."""
     return force_row(scene, system) @ riding_response(system, scene.at_driven("shaker"), omega)
+
+
+def accelerations_per_drive(scene: Scene, places: Sequence[str], omega: Array) -> Array:
+    """Return the acceleration amplitude at each place per unit of drive, m/s²; shape (places,) + omega.shape.
+
+    All dampers ride. `omega`: rad/s.
+    """
+    system = assemble(scene)
+    rows = [system.points.index(place) for place in places]
+    return np.asarray(omega**2 * np.abs(riding_response(system, scene.at_driven("shaker"), omega)[rows]))
 
 
 def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float | Array) -> Array:

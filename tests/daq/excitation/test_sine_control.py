@@ -13,7 +13,7 @@ import daq
 import rig
 from analysis.commands.cli import app
 from daq.core.excitation.profiles.sine_control_check import loop_gain
-from daq.core.excitation.sine_control import Caution, next_drive
+from daq.core.excitation.sine_control import Caution, limited_error
 from rig.core.base.errors import SceneError
 from tests.daq.excitation.virtual_device import run_device
 from tests.daq.measurement.bench_run import run
@@ -48,7 +48,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_loop_is_stable_below_its_limit(delay: int, speed: float, is_stable: bool) -> None:
     drives = [1.0] * (delay + 1)
     for _ in range(600):
-        drives.append(next_drive(drives[-1], 1.01 / drives[-1 - delay], loop_gain(speed, delay)))
+        drives.append(drives[-1] * np.exp(loop_gain(speed, delay) * limited_error(1.01 / drives[-1 - delay])))
     errors = abs(np.log(np.array(drives) / 1.01))
     assert (errors[-20:].max() < errors[:20].max()) == is_stable
 
@@ -65,8 +65,7 @@ def test_oscillation_reduces_the_gain() -> None:
 
 
 def test_steps_down_are_larger_than_steps_up() -> None:
-    assert next_drive(1.0, 100.0, 1.0) == pytest.approx(1.5)
-    assert next_drive(1.0, 0.01, 1.0) == pytest.approx(0.25)
+    assert np.exp([limited_error(100.0), limited_error(0.01)]) == pytest.approx([1.5, 0.25])
 
 
 def test_table_follows_profile_and_unit_its_limit(recording: Path) -> None:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rig.core.system.assembly import assemble
-from rig.core.system.open_loop_drive import riding_response
+from rig.core.system.open_loop_drive import accelerations_per_drive
 
 if TYPE_CHECKING:
     from daq.core.signal_chain.channel import ChannelInfo
@@ -33,11 +32,9 @@ def line_warnings(prescription: Prescription, scene: Scene, channels: Iterable[C
     assert prescription.resolution is not None
     low, high = prescription.profile.frequencies[0], prescription.profile.frequencies[-1]
     count = round((high - low) / prescription.resolution)
-    frequency, system = np.linspace(low, high, _OVERSAMPLING * count + 1), assemble(scene)
-    places = {info.name: info.at for info in channels}
+    frequency, places = np.linspace(low, high, _OVERSAMPLING * count + 1), {info.name: info.at for info in channels}
     names = (*prescription.control.channels, *(limit.channel for limit in prescription.limits))
-    states = riding_response(system, scene.at_driven("shaker"), 2.0 * pi * frequency)
-    amplitudes = abs(states[[system.points.index(places[name]) for name in names]]) * (2.0 * pi * frequency) ** 2
+    amplitudes = accelerations_per_drive(scene, [places[name] for name in names], 2.0 * pi * frequency)
     required = prescription.decibels(prescription.required(amplitudes**2, frequency))
     # Where another channel begins to determine the drive, its density may jump.
     determining, drive = required.argmin(axis=0), required.min(axis=0)

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
 from rig.core.numerics.runs import runs_of
-from rig.core.system.assembly import assemble
-from rig.core.system.open_loop_drive import riding_response
+from rig.core.system.open_loop_drive import accelerations_per_drive
 
 if TYPE_CHECKING:
     from daq.core.signal_chain.channel import ChannelInfo
@@ -149,11 +148,9 @@ class SweepCheck(NamedTuple):
 
 def check_sweep(test: SineControl, scene: Scene, channels: Sequence[ChannelInfo], latency: float = 0.0) -> SweepCheck:
     """Check a sweep with the linear response of the scene, with all dampers on their floors; `latency`: s."""
-    system, places = assemble(scene), {info.name: info.at for info in channels}
-    frequency = np.geomspace(*widened(test), _FREQUENCIES)
-    states = riding_response(system, scene.at_driven("shaker"), 2.0 * pi * frequency)
-    rows = [system.points.index(places[name]) for _, name in test.named_channels]
-    required = required_drives(test, np.abs(states[rows]) * (2.0 * pi * frequency) ** 2, frequency)
+    places, frequency = {info.name: info.at for info in channels}, np.geomspace(*widened(test), _FREQUENCIES)
+    motion = accelerations_per_drive(scene, [places[name] for _, name in test.named_channels], 2.0 * pi * frequency)
+    required = required_drives(test, motion, frequency)
     limiting, drives = required.argmin(axis=0), required.min(axis=0)
     slopes = abs(np.gradient(np.log(drives), np.log(frequency)))
     inside = np.flatnonzero(in_band(test, frequency))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from daq.core.excitation.controlled import Controlled
 from daq.core.excitation.station import Station
-from rig.core.base.arrays import Array
+from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
 
 # Numbers of spectral lines; shape (lines,).
@@ -40,7 +40,7 @@ def lines_between(first: float, last: float, period: int, rate: float) -> Lines:
     return lines
 
 
-def sum_of_tones(lines: Lines, amplitudes: Array, phases: Array, period: int) -> Array:
+def sum_of_tones(lines: Lines, amplitudes: Array | ComplexArray, phases: Array, period: int) -> Array:
     """Return one period of a sum of cosines at `lines`, with phases in rad; shape (period,)."""
     spectrum = np.zeros(period // 2 + 1, dtype=complex)
     spectrum[lines] = amplitudes * np.exp(1j * phases) * (period / 2)

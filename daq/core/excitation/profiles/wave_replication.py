@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from daq.core.dsp.shock_response import shock_response
-from daq.core.excitation.profiles.spectrum_shaping import Lines
+from daq.core.excitation.profiles.spectrum_shaping import Lines, sum_of_tones
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
 from rig.core.scene.excitation.profile import in_decibels
@@ -51,9 +51,7 @@ class Replication:
 
     def to_wave(self, amplitudes: ComplexArray) -> Array:
         """Return one period of the sum of tones with complex amplitudes at the lines, shape (period,)."""
-        spectrum = np.zeros(self._period // 2 + 1, dtype=complex)
-        spectrum[self.lines] = amplitudes * (self._period / 2.0)
-        return np.fft.irfft(spectrum, self._period)
+        return sum_of_tones(self.lines, amplitudes, np.zeros(1), self._period)
 
     def correct(self, response: ComplexArray, level: float) -> None:
         """Correct the drive after a pulse at a level; `response`: accelerations at the lines, m/s^2."""

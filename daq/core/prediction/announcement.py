@@ -20,9 +20,11 @@ def reject_certain_abort(name: str, foresight: Foresight) -> None:
     """Raise `SceneError` if the test will abort; `name`: name of the scene."""
     if foresight.aborts is None:
         return
-    remedy = "Raise the limit"
+    # The reason of a test that gives up within its limits contains the remedy.
+    remedy = "Raise the limit" if any(entry.share >= 1.0 for entry in foresight.expectations) else "Change the test"
     if foresight.limited_by is not None and foresight.largest_level < foresight.level:
         remedy = f"Lower {foresight.key}, raise the limit"
+    reason = foresight.aborts.rstrip(".")
     raise SceneError(
-        f"{name}: the test will abort ({foresight.aborts}). {remedy}, or record the test up to the abort with --anyway."
+        f"{name}: the test will abort: {reason}. {remedy}, or record the test up to the abort with --anyway."
     )

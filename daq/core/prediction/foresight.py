@@ -140,7 +140,7 @@ class Foresight(Result):
         return (
             f"{statement}\n{self.key}: at most {about}"
             f"{format_quantity(_round_down(self.largest_level), self.level_unit)} stays within all limits "
-            f"({self.limited_by.name}, {self.limited_by.limited_by})"
+            f"({', '.join(dict.fromkeys((self.limited_by.name, self.limited_by.limited_by)))})"
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:

@@ -284,6 +284,7 @@ def test_required_drive_exceeds_weak_amplifier() -> None:
     with_weak_amplifier = daq.foresee(scene.replace(shaker=scene.shaker.replace(amplifier={"limit": required / 2})))
     assert with_weak_amplifier["amplifier"].share == pytest.approx(2.0, rel=0.05)
     assert with_weak_amplifier.largest_level == pytest.approx(2.6 / 2, rel=0.05)
+    assert "within all limits (amplifier)" in str(with_weak_amplifier)
 
 
 @pytest.mark.parametrize("level", [{"drive": "1 V"}, {"force": "30 N"}])

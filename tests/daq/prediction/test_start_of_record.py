@@ -5,8 +5,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+import daq
 import rig
 from daq.commands.cli import app
+from daq.core.prediction.announcement import reject_certain_abort
 from daq.extras.ni_device.connecting import connect_scene
 from daq.extras.ni_server.serve import announcement
 from rig.commands.cli import app as rig_app
@@ -32,6 +34,14 @@ def test_test_that_will_abort_does_not_start(tmp_path: Path) -> None:
     assert "body1" in str(result.exception)
     assert "--anyway" in str(result.exception)
     assert not path.exists()
+
+
+def test_remedy_within_limits_is_no_limit() -> None:
+    scene = rig.load("continuation")
+    assert scene.test is not None
+    foresight = daq.foresee(scene.replace(test=scene.test.replace(settle={"longest": 0.2})))
+    with pytest.raises(SceneError, match=r"or raise test\.settle\.longest\. Change the test, or record"):
+        reject_certain_abort("curve", foresight)
 
 
 def test_anyway_starts_test_that_will_abort(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ import typer
 
 # Upper limit of numbers whose type gives none ("int, at least 1"), so typing errors are rejected.
 _MAX_COUNT = 100_000
-# Options of parameters that have another name in Python.
+# Options whose parameters have a different name in Python.
 _OPTIONS = {
     "changes": "--set", "first": "--from", "from_s": "--from", "last": "--to", "to_s": "--to", "host": "--address",
 }  # fmt: skip
@@ -112,7 +112,7 @@ def _options_of(package: str, call: str, usage: str) -> Iterator[inspect.Paramet
 
 
 def _kind_and_text(package: str, call: str, parameter: str) -> tuple[str, str]:
-    """Return the type and the text of a parameter in the docstring of a call, or of the call to which this refers."""
+    """Return type and text of a parameter from the docstring of a call; the docstring may refer to a different call."""
     docstring = ast.get_docstring(_read(package, call)) or ""
     for names, kind, lines in re.findall(r"^(\w[\w, ]*) : (.*)\n((?:    .*\n?)+)", docstring, re.MULTILINE):
         if parameter in names.split(", "):

@@ -109,7 +109,7 @@ def _sweep_names(labels: Sequence[str], reference: str) -> list[str]:
 
 
 def _sweep_styles(labels: Sequence[str], reference: str) -> list[CurveStyle]:
-    """Return the styles of recordings that are compared with a reference, or of the levels of a single recording."""
+    """Return the styles of recordings that are compared with the baseline, or of the levels of a single recording."""
     of_reference = [belongs_to(label, reference) for label in labels]
     return recording_styles([each and (len(labels) == 1 or not all(of_reference)) for each in of_reference])
 
@@ -425,7 +425,7 @@ def _extremes(f: NDArray[np.float64], value: Array | ComplexArray) -> NDArray[np
 
 
 def damper_charts(measurement: Measurement) -> list[Chart]:
-    """Return a chart of impacts per period of each body, and of the share of energy that all dampers dissipate.
+    """Return a chart of the impacts per period on each body and the share of energy that all dampers dissipate.
 
     All sweeps share it.
     """

@@ -56,7 +56,7 @@ class Jump:
 
 
 class Deviations(NamedTuple):
-    """Standard deviations of the noise of a reading, and of the Gaussian priors of steps and kinks."""
+    """Standard deviations: noise of a reading, and Gaussian priors of steps and kinks."""
 
     reading: float
     step: float

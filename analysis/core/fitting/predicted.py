@@ -45,7 +45,7 @@ def scene_of_test(model: Scene, curves: Curves) -> Scene:
 
 
 def linear_response(test_scene: Scene, curves: Curves, frequency: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Return displacement / reference of the bodies, and of the beds (masses of dampers) that could leave their floors.
+    """Return displacement / reference of the bodies and of all beds that could leave their floors.
 
     A bed with finite-duration contact moves on the spring of its floor. Whether the bed leaves the floor depends on the
     motion of the bed, not on the motion of the body. Shapes: (bodies, frequencies) and (beds, frequencies).

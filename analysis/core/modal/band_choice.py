@@ -1,4 +1,4 @@
-"""Confirmation of poles by parts of the lines, and the contribution of the choice of lines to the uncertainty of modes.
+"""Effect of the choice of lines: confirmation of poles by parts of the lines, and a contribution to the uncertainty.
 
 Errors of curves without stated uncertainty act like additional poles, which depend on the choice of lines. Statistics
 of the residual do not show their effect. The modes are therefore identified again without the lines at either end, and

@@ -1,4 +1,4 @@
-"""Fit of the significant poles to the curves of a band, or of a part of a band."""
+"""Fit of the significant poles to the curves in a band or a part of it."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Windows of lines around the peaks of curves, in which modes are identified independently of the rest of the band."""
+"""Windows of lines around peaks. Modes are identified in each window independently of the rest of the band."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -75,7 +75,7 @@ class Blocks:
 
 
 class Source(Protocol):
-    """Spectra or amplitudes of a sweep, or of a test without sweeps, from which responses are estimated."""
+    """Spectra or amplitudes from which responses are estimated: those of a sweep, or of a test without sweeps."""
 
     def frf(
         self, rec: Recording, numerator: Measurand, denominator: Measurand, others: Sequence[Measurand] = ()

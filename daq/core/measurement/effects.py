@@ -12,7 +12,7 @@ from rig.core.system.assembly import assemble
 
 
 def measurement_effects(scene: Scene) -> Iterable[Effect]:
-    """Yield the effects of each channel's devices, of the converter, and of the recording."""
+    """Yield the effects of the devices of each channel, the converter and the recording."""
     # Computed before the chain is created: with thousands of bodies, the matrices of both would exceed the memory.
     intervals = choose_oversampling(scene)
     system = assemble(scene)

@@ -199,7 +199,7 @@ class _PredictedTone(SteadyTone):
         return round(samples * self.rate / self.station.rate)
 
     def _decay_over(self, points: int) -> ComplexArray:
-        """Return the factors by which the transient of each mode decays in 0 to `points` intervals of the points."""
+        """Return the decay factors of the transient of each mode after 0, 1, ..., `points` intervals between points."""
         if self._decay.shape[0] <= points:
             self._decay = np.exp(np.outer(np.arange(points + 1) / self.rate, self._modes.poles))
         return self._decay[: points + 1]

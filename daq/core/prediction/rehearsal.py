@@ -202,7 +202,7 @@ class Rehearsal(BenchLoop):
 
 
 def recording_size(scene: Scene, bench: Bench, blocks: Iterable[Block], seconds: float) -> float:
-    """Return the estimated size in bytes of the recording of a test that takes `seconds`, from some of its blocks."""
+    """Estimate the size [bytes] of the recording of a test that takes `seconds`, from some of its blocks."""
     with temporary_folder() as folder:
         path = folder / "size.mcap"
         written_samples = 0

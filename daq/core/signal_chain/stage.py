@@ -120,7 +120,7 @@ def channel_info(
 
 
 def channel_effects(stages: Sequence[Stage], converter: Converter, delay: float) -> dict[str, int]:
-    """Return the effects of a channel, from sensor to converter, with the number of states that each adds."""
+    """Return the effects in a channel from sensor to converter, and the number of states that each effect adds."""
     effects: dict[str, int] = {}
     for stage in stages:
         for name, states in stage.effects.items():

@@ -58,7 +58,7 @@ def keyed_heading(rows: Sequence[Sequence[str]], column_count: int) -> Heading |
 
 
 def _for_columns(cells: Mapping[str, Sequence[str]], keys: Sequence[str], count: int) -> list[str] | None:
-    """Return a text for each column after the first, of the first keyword whose number of texts fits, or None."""
+    """Return a text for each column after the first; None if no keyword has this number of texts."""
     for key in keys:
         texts = list(cells.get(key, []))
         stated = [text for text in texts if text]

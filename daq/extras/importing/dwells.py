@@ -1,4 +1,4 @@
-"""Detection of dwells, and of the steady part of each dwell, in a track of frequency and phase (see `tone_track`).
+"""Detection of dwells and their steady parts in a track of frequency and phase (see `tone_track`).
 
 A dwell is a tone of constant frequency, so its phase is linear in time. Segments of a track are extended as
 long as a straight line fits their phase, and rejected if the frequency drifts as in a sweep.

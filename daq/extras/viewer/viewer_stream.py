@@ -1,4 +1,4 @@
-"""Stream of the curves of channels and dampers, and of the motion of the rig, to a viewer, block by block."""
+"""Streams curves of channels and dampers and the motion of the rig to a viewer, block by block."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ class RunWarning(UserWarning):
 
 @contextmanager
 def add_path(path: Path | str) -> Iterator[None]:
-    """Add the path of a recording, or one of its topics, to errors of the body that do not begin with this path."""
+    """Prefix errors in the `with` block with the path of a recording or one of its topics, unless they begin with it."""
     try:
         yield
     except RecordingError as error:

@@ -1,4 +1,4 @@
-"""Kinds of events of an orbit, and contact with a wall (wall state) of a damper between them."""
+"""Kinds of events of an orbit, and wall states: the contact of a damper with a wall between two events."""
 
 # Kinds of events: separation from a wall, impact on a wall after which the damper rides (FLOOR, CEILING), and bounces.
 # In a bounce, a damper separates at the instant of impact, with the common velocity (osculating contact) or with its

@@ -184,7 +184,7 @@ class ResponseValues(Result):
         return np.broadcast_to(self.uncertainty.bound(confidence), self.value.shape).copy()
 
     def expanded(self) -> Array:
-        """Return the expanded uncertainty U of the magnitude, with about 95 % coverage, of the shape of `value`."""
+        """Return the expanded uncertainty U (95 %) of the magnitude, with the shape of `value`."""
         return np.broadcast_to(self.uncertainty.expanded(), self.value.shape).copy()
 
     def random_bound(self, confidence: float = 0.95) -> Array:

@@ -23,7 +23,7 @@ STEPS_PER_SECTION = 20_000
 
 
 class GrainsState(NamedTuple):
-    """Results of a run up to the end of a section, and the state of beds and structure from which it continues."""
+    """Results of a run up to the end of a section, and the state of beds and structure at this end."""
 
     coupled: CoupledState
     rows: Array  # shape (rows of `MotionSamples`, samples so far)

@@ -164,7 +164,7 @@ def _initial_positions(spheres: Spheres) -> Array:
 
 
 def _stored_file(spheres: Spheres) -> Path:
-    """Return the file of a settled bed, whose name is a digest of all inputs of the packing and of its code."""
+    """Return the file of a settled bed. Its name is a digest of the inputs and the code of the packing."""
     # Time step and friction of the motion do not affect the packing; density and diameters follow from the inputs.
     grains = spheres.settings.replace(time_step=None, friction=0.0, side_friction=None)
     inputs = (

@@ -49,7 +49,7 @@ STYLE_OF_METHOD = {
 
 @dataclass(frozen=True, repr=False)
 class Cost(Result):
-    """Error and computing time of methods, or of models of beds of grains.
+    """Error and computing time of methods, or of models of granular beds.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ class Cost(Result):
 
 
 def cost(scene: Scene, frequency: float | None, periods: int, report: Callable[[str], None] | None = None) -> Cost:
-    """Measure error and CPU time of every method for a scene, or of every model of its moving beds of grains.
+    """Measure error and CPU time of every method for a scene; with moving grains, of every model of the beds.
 
     The arguments are those of `rig.cost`, the frequency in Hz. Grains are simulated until their motion is steady.
     """

@@ -92,7 +92,7 @@ def _find(rec: Recording) -> dict[str, int]:
 
 
 def _block_samples(rec: Recording, marks: Sequence[Marker]) -> int:
-    """Return the length of the blocks, which contain a period, a burst or an impact, or several periods of a tone."""
+    """Return the length of a block. It contains a period, a burst or an impact, or several periods of a tone."""
     impacts = [mark.first_sample for mark in marks if mark.kind == "hit"]
     lengths = [_MIN_SAMPLES, *np.diff(impacts).tolist()]
     for mark in marks:

@@ -1,1 +1,1 @@
-"""Devices that scripts can use, names of devices and channels, types of measurement, and TEDS of sensors."""
+"""Devices for scripts: names of devices and channels, types of measurement, and TEDS of sensors."""

@@ -214,16 +214,16 @@ def _fastest_rebound(motion: BodyMotion, dampers: list[Damper], estimate: Restit
     detected = motion.impacts
     if detected.contact_duration:
         return np.inf
-    restitution_bound = max((damper.restitution for damper in dampers), default=0.0)
-    if estimate is not None and (restitution_bound > 0.0 or estimate.value > _RESTITUTION_SIGMAS * estimate.error):
-        restitution_bound = min(estimate.value + float(expand(estimate.error)), 1.0)
-    if restitution_bound <= 0.0:
+    max_restitution = max((damper.restitution for damper in dampers), default=0.0)
+    if estimate is not None and (max_restitution > 0.0 or estimate.value > _RESTITUTION_SIGMAS * estimate.error):
+        max_restitution = min(estimate.value + float(expand(estimate.error)), 1.0)
+    if max_restitution <= 0.0:
         return 0.0
     at_ceiling = replace(detected, jump=detected.jump[detected.wall == "ceiling"])
     speeds = [inelastic_closing_speeds(motion.rec.scene, at_ceiling, damper) for damper in dampers]
     # All bounces together take as long as one bounce with the sum of their speeds (geometric series).
     return float(
-        np.max(speeds, initial=0.0) * restitution_bound / (1.0 + restitution_bound) / max(1.0 - restitution_bound, 1e-9)
+        np.max(speeds, initial=0.0) * max_restitution / (1.0 + max_restitution) / max(1.0 - max_restitution, 1e-9)
     )
 
 

@@ -150,12 +150,12 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
     notes = [f"{name} is omitted: it reads zero throughout (dead or not connected)." for name in zero_responses]
     frfs = [frf for frf in frfs if frf.response not in zero_responses]
     value = np.stack([frf.value for frf in frfs])
-    bounds = np.vstack([_bounds(frfs, without=_EXCLUDED_FROM_CORRELATED), _bounds(frfs, IRREGULAR)])
-    is_bounded = np.isfinite(bounds).all(axis=0)
+    limits = np.vstack([_limits(frfs, without=_EXCLUDED_FROM_CORRELATED), _limits(frfs, IRREGULAR)])
+    is_limited = np.isfinite(limits).all(axis=0)
     is_unsteady = np.any(
-        [frf.unsteady for frf in frfs if frf.unsteady is not None] or [np.zeros(is_bounded.size, bool)], axis=0
+        [frf.unsteady for frf in frfs if frf.unsteady is not None] or [np.zeros(is_limited.size, bool)], axis=0
     )
-    is_valid = np.isfinite(value).all(axis=0) & is_bounded & ~is_unsteady & (frfs[0].frequency > 0.0)
+    is_valid = np.isfinite(value).all(axis=0) & is_limited & ~is_unsteady & (frfs[0].frequency > 0.0)
     if is_valid.sum() < _MIN_POINTS:
         raise RecordingError(
             f"{label}: only {int(is_valid.sum())} points have a value and a finite uncertainty; expected "
@@ -173,8 +173,8 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
         value=value[:, is_valid] * (1.0 + relative_bias),
         whitening=_whitening(frfs, errors),
         errors=errors,
-        line_limit=_bounds(frfs, IRREGULAR),
-        correlated_limit=_bounds(
+        line_limit=_limits(frfs, IRREGULAR),
+        correlated_limit=_limits(
             frfs, without=_FITTED_ERRORS if errors.reference is None else _EXCLUDED_FROM_CORRELATED
         ),
         reference_noise_limit=reference_noise_limit,
@@ -190,7 +190,7 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
     )
 
 
-def _bounds(frfs: Sequence[Response], names: Collection[str] | None = None, without: Collection[str] = ()) -> Array:
+def _limits(frfs: Sequence[Response], names: Collection[str] | None = None, without: Collection[str] = ()) -> Array:
     """Return the root sum of squares of the limits of systematic errors; shape (responses, n).
 
     `names`: included errors, by default all; `without`: excluded errors.
@@ -211,9 +211,9 @@ def _reference_noise(frfs: Sequence[Response], errors: Covariance) -> tuple[Arra
     magnitude = np.stack([np.maximum(abs(frf.value), 1e-300) for frf in frfs])
     # The coherence of a response is lowered by noise of the response, too, and gives only an upper bound of the
     # reference noise. The smallest bound is therefore the best estimate.
-    bias_bound: Array = np.asarray((_bounds(frfs, [REFERENCE_NOISE]) / magnitude).min(axis=0))
+    bias_limit: Array = np.asarray((_limits(frfs, [REFERENCE_NOISE]) / magnitude).min(axis=0))
     if errors.reference is None or len(frfs) < 2:
-        return np.zeros(bias_bound.size), bias_bound
+        return np.zeros(bias_limit.size), bias_limit
     noise_ratio = np.minimum(errors.reference, 0.5)
     return noise_ratio / (1.0 - noise_ratio), _REFERENCE_NOISE_UNCERTAINTY * noise_ratio
 
@@ -230,9 +230,9 @@ def _whitening(frfs: Sequence[Response], errors: Covariance) -> ComplexArray:
         _MIN_UNCERTAINTY_RELATIVE_TO_PEAK * magnitude.max(axis=0)
     ) ** 2
     # A variance from few degrees of freedom is multiplied by the variance of Student's t distribution, at most by 2.
-    inflation, systematic = np.ones(variance.shape), _bounds(frfs, IRREGULAR)
+    inflation, systematic = np.ones(variance.shape), _limits(frfs, IRREGULAR)
     if errors.reference is None:
-        systematic = _bounds(frfs, without=_FITTED_ERRORS)
+        systematic = _limits(frfs, without=_FITTED_ERRORS)
         freedom = np.stack([frf.degrees_of_freedom for frf in frfs], axis=1)
         inflation = np.where(freedom > 4.0, freedom / np.maximum(freedom - 2.0, 1.0), 2.0)
     index = np.arange(len(frfs))

@@ -15,7 +15,7 @@ from analysis.core.modal.modal_fit import (
     measured_curves,
     nearest_lines,
     remove_unbounded,
-    systematic_bound,
+    systematic_limit,
 )
 from analysis.core.modal.mode_warnings import mode_warnings, rejections
 from analysis.core.modal.modes import Modes
@@ -212,7 +212,7 @@ def _refine(weighted: Curves, model: ModalModel, frfs: Sequence[Response]) -> Re
     curves = [frf.at(lines) for frf in frfs]
     errors = stack(curves).covariance()
     magnitude = np.stack([abs(frf.value) for frf in curves])
-    line_deviation = np.hypot(standard_of_limit(systematic_bound(curves, IRREGULAR)), MIN_RELATIVE_ERROR * magnitude)
+    line_deviation = np.hypot(standard_of_limit(systematic_limit(curves, IRREGULAR)), MIN_RELATIVE_ERROR * magnitude)
     if not (np.isfinite(errors.lines).all() and np.isfinite(line_deviation).all()):
         return None
     return refine(weighted, model, errors, line_deviation)

@@ -215,7 +215,7 @@ def _systematic_ratio(model: ModalModel, frfs: Sequence[Response]) -> Array:
     frequency: Array = np.asarray(abs(model.poles) / (2 * np.pi), dtype=float)
     bounds = [
         bound[nearest_lines(frf, frequency, np.isfinite(frf.value + bound))]
-        for frf, bound in zip(frfs, systematic_bound(frfs, (*IRREGULAR, ALIASING)), strict=True)
+        for frf, bound in zip(frfs, systematic_limit(frfs, (*IRREGULAR, ALIASING)), strict=True)
     ]
     height = abs(model.residue) / -model.poles.real
     return np.asarray(np.min(bounds / np.maximum(height, 1e-300), axis=0))
@@ -241,7 +241,7 @@ def _standard_deviations(curves: Sequence[Response]) -> Array:
         row[:] = np.maximum(row, _local_median(row, curve.degrees_of_freedom))
     # Systematic errors that differ from line to line act like noise. Smooth errors are omitted, because they do not
     # resemble a mode.
-    error = np.hypot(error, standard_of_limit(systematic_bound(curves, IRREGULAR)))
+    error = np.hypot(error, standard_of_limit(systematic_limit(curves, IRREGULAR)))
     largest = np.nanmax(magnitude, axis=1, keepdims=True)
     return np.hypot(error, MIN_RELATIVE_ERROR * np.maximum(magnitude, 1e-6 * largest))
 
@@ -259,7 +259,7 @@ def _local_median(error: Array, degrees_of_freedom: Array) -> Array:
     )
 
 
-def systematic_bound(curves: Sequence[Response], names: Sequence[str]) -> Array:
+def systematic_limit(curves: Sequence[Response], names: Sequence[str]) -> Array:
     """Return the root sum of squares of the named systematic errors, shape (responses, lines); infinite if unknown."""
     bounds = [[curve.limits.get(name, np.zeros(curve.value.size)) for name in names] for curve in curves]
     return np.asarray(np.nan_to_num(np.linalg.norm(bounds, axis=1), nan=np.inf, posinf=np.inf))

@@ -25,9 +25,9 @@ from analysis.core.responses.errors.systematic import (
     REFERENCE_NOISE,
     ChannelContributions,
     common_scale,
-    reference_noise_bound,
-    rounding_bound,
-    shared_noise_bound,
+    reference_noise_limit,
+    rounding_limit,
+    shared_noise_limit,
     zero_safe_product,
 )
 from analysis.core.responses.measurands import Measurand, reject_zero_reference
@@ -81,7 +81,7 @@ class AveragedSpectra:
     resolution: float  # bandwidth of the window in Hz; 0 without leakage (bursts that end inside their block)
     label: str = ""  # for legends
     warnings: tuple[str, ...] = ()  # in full sentences
-    # largest relative change of each channel's gain due to rounding, as in `rounding_bound`; shape (channels, n)
+    # largest relative change of each channel's gain due to rounding, as in `rounding_limit`; shape (channels, n)
     rounding_gain_error: Array = field(default_factory=lambda: np.zeros((1, 1)))
     # local fits to the same test; their difference from the averages is the leakage. None: the averages have no leakage
     leakage_free: SegmentFits | None = None
@@ -132,22 +132,22 @@ class AveragedSpectra:
         error = np.full(value.shape, np.nan)
         if n_free_averages > 0.0:
             error = abs(value) * np.sqrt(incoherence / (2.0 * n_free_averages))
-        bounds: dict[str, Array] = {}
+        limits: dict[str, Array] = {}
         if self.leakage_free is not None:
             leakage_free = self.leakage_free.frf(rec, numerator, denominator, others)
-            bounds[LEAKAGE] = leakage(self.frequency, value, error, leakage_free)
+            limits[LEAKAGE] = leakage(self.frequency, value, error, leakage_free)
         contributions = ChannelContributions(
             names, self.frequency, numerator.motion, value, response_weights * readings, reference_weights * readings
         )
         change_per_reading = response_weights - value * reference_weights
-        noise_bias = reference_noise_bound(value, coherence)
+        noise_bias = reference_noise_limit(value, coherence)
         if len(denominator.channels) > 1:
             noise = self._incoherent_power(factor, [names.index(name) for name in denominator.channels])
-            noise_bias = np.maximum(noise_bias, shared_noise_bound(noise, change_per_reading, reference_weights, sff))
+            noise_bias = np.maximum(noise_bias, shared_noise_limit(noise, change_per_reading, reference_weights, sff))
         if several is not None:
             noise_bias = several.noise_bias()
-        bounds[REFERENCE_NOISE] = noise_bias
-        bounds |= rounding_bound(rounding, contributions)
+        limits[REFERENCE_NOISE] = noise_bias
+        limits |= rounding_limit(rounding, contributions)
         # Incoherent part of the response, relative to the reference (Bendat and Piersol, chapter 7).
         deviations = np.einsum("in,rin->nr", change_per_reading / np.sqrt(sff * max(n_free_averages, 1e-300)), factor)
         if several is not None:
@@ -155,9 +155,9 @@ class AveragedSpectra:
             coherence = several.multiple_coherence()
             value = np.where(is_coherent, np.nan, value)
         degrees_of_freedom = np.full(value.shape, max(2.0 * n_free_averages, 0.0))
-        reference_bounds = [np.sum(zero_safe_product(np.abs(contributions.reference), rounding), axis=0)]
+        reference_limits = [np.sum(zero_safe_product(np.abs(contributions.reference), rounding), axis=0)]
         budget = assemble_budget(
-            rec, contributions, error, degrees_of_freedom, bounds, reference_bounds,
+            rec, contributions, error, degrees_of_freedom, limits, reference_limits,
             MeanErrors.of(self.factor, deviations),
             scale=common_scale(rec, numerator.channels, denominator.channels),
         )  # fmt: skip
@@ -358,7 +358,7 @@ def block_spectra(
     """
     names, block_samples = list(channels), window.size
     all_flaws = find_flaws(rec, names, starts[0], starts[-1] + block_samples)
-    flaw_bounds = np.array([[flaw.first, flaw.stop] for flaw in all_flaws]).reshape(-1, 2)
+    flaw_ends = np.array([[flaw.first, flaw.stop] for flaw in all_flaws]).reshape(-1, 2)
     frequency = scipy.fft.rfftfreq(block_samples, 1.0 / rec.rate)
     in_band = (frequency >= low) & (frequency <= min(high, 0.45 * rec.rate)) & (frequency > 0)
     averages = _Averages(min(len(starts), len(names)), len(names), int(in_band.sum()), f"{rec.path}: averaging blocks")
@@ -367,7 +367,7 @@ def block_spectra(
     for n_completed, (begin, samples) in enumerate(zip(starts, blocks, strict=True), 1):
         if progress is not None:
             progress(n_completed, len(starts))
-        if np.any((flaw_bounds[:, 0] < begin + block_samples) & (flaw_bounds[:, 1] > begin)):
+        if np.any((flaw_ends[:, 0] < begin + block_samples) & (flaw_ends[:, 1] > begin)):
             continue
         samples = samples - samples.mean(axis=1, keepdims=True)
         averages.add(scipy.fft.rfft(samples * window, axis=1)[:, in_band])

@@ -106,17 +106,17 @@ class Lines:
             expected = noise.local_variance(weights, self.n_neighbors)
             variance, degrees_of_freedom = moderate(variance, degrees_of_freedom, expected, self.n_neighbors)
         error = np.sqrt(variance / 2.0)
-        bounds: dict[str, Array] = {}
-        reference_bounds = [self._reference_noise(reference_weights, noise) / abs(f)]
+        limits: dict[str, Array] = {}
+        reference_limits = [self._reference_noise(reference_weights, noise) / abs(f)]
         # Residual transients and rounding add up in the worst case.
         unsettled = None if residual_transient is None else _TRANSIENT_FACTOR * residual_transient
         for name, bound in ((RESOLUTION, resolution), (UNSETTLED, unsettled)):
             if bound is not None:
-                bounds[name] = np.sum(abs(weights) * bound, axis=0)
-                reference_bounds.append(np.sum(abs(reference_weights / f) * bound, axis=0))
+                limits[name] = np.sum(abs(weights) * bound, axis=0)
+                reference_limits.append(np.sum(abs(reference_weights / f) * bound, axis=0))
         if self.wait is not None and self.duration is not None:
             free_vibration = ringing(value, self.frequency, self.wait, self.duration, error)
-            bounds[UNSETTLED] = np.maximum(bounds.get(UNSETTLED, 0.0), free_vibration)
+            limits[UNSETTLED] = np.maximum(limits.get(UNSETTLED, 0.0), free_vibration)
         with np.errstate(invalid="ignore", divide="ignore"):
             averages = 1.0 + scatter.degrees_of_freedom / 2.0
             unexplained = variance / abs(value) ** 2
@@ -128,7 +128,7 @@ class Lines:
         )
         amplitude = None if self.unsteady is None else abs(f)
         budget = assemble_budget(
-            rec, contributions, error, degrees_of_freedom, bounds, reference_bounds,
+            rec, contributions, error, degrees_of_freedom, limits, reference_limits,
             MeanErrors.of(self.scatter.rows, np.einsum("cn,rcn->nr", weights, scatter.rows)),
             scale=common_scale(rec, numerator.channels, denominator.channels),
         )  # fmt: skip

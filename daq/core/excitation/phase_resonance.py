@@ -188,7 +188,7 @@ class PhaseResonanceProcedure(SteadyTonesProcedure["PhaseResonance"]):
         return test.at_level(max(test.levels))
 
     def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
-        """Return a tone at the given force that follows the resonance of the body in the scene's test; default: body 1."""
+        """Return a tone at the given force that follows the resonance of the body in the test; default: body 1."""
         at, _ = (test and test.held_phase) or ("body 1", 0.0)
         band = {"from": values.low, "to": values.high, "frequency": values.frequency}
         return {"kind": "phase_resonance", "at": at, "force": values.level, **band}

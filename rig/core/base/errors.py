@@ -48,7 +48,7 @@ class RunWarning(UserWarning):
 
 @contextmanager
 def add_path(path: Path | str) -> Iterator[None]:
-    """Prefix errors in the `with` block with the path of a recording or one of its topics, unless they begin with it."""
+    """Prefix errors in the `with` block with the path of a recording or a topic, unless they begin with it."""
     try:
         yield
     except RecordingError as error:

@@ -64,7 +64,7 @@ class OrbitBranch(Result):
 
     @property
     def frf(self) -> NDArray[np.complex128]:
-        """First harmonic of each displacement divided by that of the reference [m/N, or m/m], shape (bodies, points)."""
+        """First harmonic of each displacement divided by that of the reference [m/N or m/m], (bodies, points)."""
         return np.array([orbit.frf for orbit in self.orbits]).T
 
     @property

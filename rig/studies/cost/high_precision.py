@@ -199,7 +199,7 @@ class DecimalMotion:
         self.form.leave(self.z, j, self.modes, end, target)
 
     def _possible_ends(self, j: int, mode: int, kind: str) -> Iterable[tuple[int, End]]:
-        """Yield the exits of a mode with an event of this kind; also of modes that follow this mode without an event."""
+        """Yield the exits of a mode with this kind of event; also of modes that follow it without an event."""
         modes = [mode]
         for each in modes:
             for end in self._flow([*self.modes[:j], each, *self.modes[j + 1 :]])[1][j]:

@@ -12,7 +12,7 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.core.responses.errors.aliasing import _free_acceleration, _impact_ratio, aliasing_bound
+from analysis.core.responses.errors.aliasing import _free_acceleration, _impact_ratio, aliasing_limit
 from analysis.core.responses.errors.systematic import ALIASING, ChannelContributions
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.results.response import MOTIONS
@@ -48,7 +48,7 @@ def aliasing_bounds(info, value, motion="acceleration", scene=SCENE, reference_s
     in_response = np.array([[1.0 - reference_share], [reference_share]]) * np.ones(value.size)
     in_reference = in_response[::-1]
     contributions = ChannelContributions([info.name, "b"], FREQUENCY, motion, value, value * in_response, in_reference)
-    return aliasing_bound(rec, contributions)
+    return aliasing_limit(rec, contributions)
 
 
 def relative_to_reading(ratio):
@@ -194,7 +194,7 @@ def test_imported_recordings_have_no_images():
     for source, errors in (("other.uff", set()), ("", {ALIASING})):
         rec = SimpleNamespace(source=source, channels={"a": info}, scene=scene)
         contributions = ChannelContributions(["a"], FREQUENCY, "acceleration", value, in_response, 0.0 * in_response)
-        assert set(aliasing_bound(rec, contributions)) == errors
+        assert set(aliasing_limit(rec, contributions)) == errors
 
 
 IMPACTS = """
@@ -216,7 +216,7 @@ def test_error_due_to_impacts_between_samples_is_bounded(tmp_path):
         with daq.open(path) as rec:
             [[frf]] = analysis.frequency_responses(rec)
         error = abs(frf.value - exact) / abs(exact)
-        aliasing_bound = frf.limits[ALIASING] / abs(frf.value)
+        aliasing_limit = frf.limits[ALIASING] / abs(frf.value)
         assert (error > 0.03).all() == (sampling == "point")
         assert (error <= frf.bound(0.95) / abs(frf.value)).all()
-        assert (aliasing_bound < 1.2 * expected_limit).all()
+        assert (aliasing_limit < 1.2 * expected_limit).all()

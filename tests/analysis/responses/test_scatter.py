@@ -7,7 +7,7 @@ from scipy import stats
 from analysis.core.responses import estimators
 from analysis.core.responses.errors.scatter import Scatter, moderate
 from analysis.core.responses.estimators import AveragedSpectra, square_root
-from analysis.core.responses.local_models.jitter import jitter_bound
+from analysis.core.responses.local_models.jitter import jitter_limit
 from analysis.core.responses.measurands import motion_of, reference_of
 from analysis.core.responses.stepped_sine import LockIn, parts_of_whole_periods
 from daq.core.recording.recording import Recording
@@ -159,7 +159,7 @@ def test_bound_of_canceled_jitter_is_not_negative():
     factor = np.random.default_rng(6).standard_normal((2, 3))
     orthogonal = np.cross(factor[0], factor[1])[:, None].repeat(5, axis=1) + 0j
 
-    (bound,) = jitter_bound(factor, orthogonal, np.ones(5)).values()
+    (bound,) = jitter_limit(factor, orthogonal, np.ones(5)).values()
 
     assert (bound >= 0.0).all()
     assert bound.max() < 1e-12

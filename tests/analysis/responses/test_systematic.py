@@ -10,18 +10,18 @@ from scipy.stats import norm
 import rig
 from analysis.core.responses.errors.systematic import (
     ChannelContributions,
-    clock_bound,
+    clock_limit,
     noise_gain_error,
     power_in_counts,
     quantization_steps,
-    reference_noise_bound,
+    reference_noise_limit,
     reproducible_rounding,
-    rounding_bound,
-    sensitivity_bound,
-    shared_noise_bound,
+    rounding_limit,
+    sensitivity_limit,
+    shared_noise_limit,
     tolerance,
     tone_gain_error,
-    uncertain_reference_bound,
+    uncertain_reference_limit,
 )
 from daq.core.signal_chain.channel import ChannelInfo
 
@@ -86,7 +86,7 @@ def test_sensor_tolerances_bound_the_response(tolerances):
         weights[:, None] * readings / reference for weights in (response_weights, reference_weights)
     )
     rec = recording(*channels_with_tolerance(*tolerances))
-    bound = only_bound(sensitivity_bound(rec, contributions_of(value, in_response, in_reference, names="abc")))
+    bound = only_bound(sensitivity_limit(rec, contributions_of(value, in_response, in_reference, names="abc")))
     max_error = np.zeros(40)
     for errors in product(*((-size, size) for size in tolerances)):
         true_readings = readings / (1.0 + np.array(errors))[:, None]
@@ -101,7 +101,7 @@ def test_single_sensor_tolerance_is_exact():
     rec = recording(*channels_with_tolerance(0.2, 0.0))
 
     def bound(in_response, in_reference):
-        return only_bound(sensitivity_bound(rec, contributions_of(value, value * in_response, in_reference)))
+        return only_bound(sensitivity_limit(rec, contributions_of(value, value * in_response, in_reference)))
 
     assert bound(first_channel, second_channel) == pytest.approx(abs(value / 0.8 - value))
     # A reference that reads 20 % high makes the true response 20 % larger.
@@ -110,23 +110,23 @@ def test_single_sensor_tolerance_is_exact():
     assert bound(second_channel, 4.0 * first_channel - 3.0 * second_channel) == pytest.approx(abs(value) * 2.0)
     assert bound(second_channel, 6.0 * first_channel - 5.0 * second_channel) == np.inf
     without_tolerance = recording(channel("a"), channel("b"))
-    assert sensitivity_bound(without_tolerance, contributions_of(value, first_channel, second_channel)) == {}
+    assert sensitivity_limit(without_tolerance, contributions_of(value, first_channel, second_channel)) == {}
 
 
 def test_h1_bias_reaches_its_bound():
     truth, noise = 2.0 - 1.0j, np.array([0.0, 0.1, 1.0, 9.0])
     h1, coherence = truth / (1.0 + noise), 1.0 / (1.0 + noise)
-    assert reference_noise_bound(h1, coherence) == pytest.approx(abs(truth - h1))
+    assert reference_noise_limit(h1, coherence) == pytest.approx(abs(truth - h1))
 
 
 def test_smaller_reference_increases_the_error():
     deviation = np.array([0.0, 0.1, 0.5, 0.99, 1.0, 1.5])
     first_error = np.full(6, 0.3)
-    total = np.hypot(first_error, only_bound(uncertain_reference_bound(first_error, deviation)))
+    total = np.hypot(first_error, only_bound(uncertain_reference_limit(first_error, deviation)))
     assert total[:4] == pytest.approx(first_error[:4] / (1.0 - deviation[:4]))
     assert (total[4:] == np.inf).all()
     # If the response is unbounded, an exact reference adds no error.
-    assert only_bound(uncertain_reference_bound(np.array([np.inf]), np.array([0.0]))) == 0.0
+    assert only_bound(uncertain_reference_limit(np.array([np.inf]), np.array([0.0]))) == 0.0
 
 
 def test_gaussian_rounding_gain_is_bounded():
@@ -159,11 +159,11 @@ def test_rounding_of_all_channels_is_summed():
     value = np.array([2.0 + 0j])
     in_response, in_reference = np.array([[2.0], [0.0]]), np.array([[0.0], [1.0]])
     contributions = contributions_of(value, in_response, in_reference)
-    assert only_bound(rounding_bound(np.array([[0.1], [0.02]]), contributions)) == pytest.approx([2.0 * (0.1 + 0.02)])
-    assert rounding_bound(np.zeros((2, 1)), contributions) == {}
+    assert only_bound(rounding_limit(np.array([[0.1], [0.02]]), contributions)) == pytest.approx([2.0 * (0.1 + 0.02)])
+    assert rounding_limit(np.zeros((2, 1)), contributions) == {}
     # A zero reading has an unbounded error, even if its contribution is zero.
     no_contributions = contributions_of(value, 0 * in_response, 0 * in_reference)
-    assert only_bound(rounding_bound(np.array([[np.inf], [0.0]]), no_contributions)) == np.inf
+    assert only_bound(rounding_limit(np.array([[np.inf], [0.0]]), no_contributions)) == np.inf
 
 
 @pytest.mark.parametrize(("motion", "order"), [("acceleration", 0), ("velocity", 1), ("displacement", 2)])
@@ -174,7 +174,7 @@ def test_clock_error_shifts_and_scales_curve(motion, order):
 
     def bound(points, converter="rate: 5120 Hz, clock_error: -50 ppm"):
         rec = recording(channel(), force, converter=converter)
-        return clock_bound(rec, ratio_contributions(frequency[:points], value[:points], motion, ["a1", "f"]))
+        return clock_limit(rec, ratio_contributions(frequency[:points], value[:points], motion, ["a1", "f"]))
 
     assert only_bound(bound(4)) == pytest.approx(abs(value) * 50e-6 * (1 + order))
     # Two lines may lie on the flank of a peak: the assumed slope of 10 |H| / f exceeds the slope between them.
@@ -189,7 +189,7 @@ def test_steeper_neighboring_chord_determines_the_slope():
 
     def slope(points):
         f = frequency[:points]
-        return only_bound(clock_bound(rec, ratio_contributions(f, value[:points]))) / (50e-6 * f)
+        return only_bound(clock_limit(rec, ratio_contributions(f, value[:points]))) / (50e-6 * f)
 
     first_slope, last_slope = (5.0 - 1.0) / (12.0 - 10.0), abs(8.0 - 4.0j)
     # Two points at one frequency have no slope between them.
@@ -209,7 +209,7 @@ def test_clock_bound_contains_shifted_peak(ppm):
 
     rec = recording(channel("a"), channel("b"), converter=f"rate: 5120 Hz, clock_error: {ppm} ppm")
     value = curve(frequency)
-    bound = only_bound(clock_bound(rec, ratio_contributions(frequency, value, "displacement")))[1:-1]
+    bound = only_bound(clock_limit(rec, ratio_contributions(frequency, value, "displacement")))[1:-1]
     shifted_errors = [abs(curve(frequency * (1.0 + sign * ppm * 1e-6)) - value)[1:-1] for sign in (1.0, -1.0)]
     ratio = bound / np.maximum(*shifted_errors)
     # On the flanks the bound uses the steeper chord to a neighboring line, which exceeds the slope.
@@ -220,7 +220,7 @@ def test_clock_error_cancels_between_equal_channels():
     value = np.full(4, 0.3 - 0.4j)
     rec = recording(channel("a"), channel("b"), converter="rate: 5120 Hz, clock_error: 50 ppm")
     contributions = ratio_contributions(np.arange(1.0, 5.0), value, "displacement")
-    assert only_bound(clock_bound(rec, contributions)).max() < 1e-18
+    assert only_bound(clock_limit(rec, contributions)).max() < 1e-18
 
 
 def test_bias_due_to_shared_noise_reaches_its_bound():
@@ -233,9 +233,9 @@ def test_bias_due_to_shared_noise_reaches_its_bound():
     h1 = cross_power / reference_power
     change_per_reading = response_weight - h1[None] * reference_weight
     reference_weights = np.full((1, 30), reference_weight)
-    bound = shared_noise_bound(noise, change_per_reading, reference_weights, reference_power)
+    bound = shared_noise_limit(noise, change_per_reading, reference_weights, reference_power)
     assert bound == pytest.approx(abs(h1 - truth))
-    assert (shared_noise_bound(noise, change_per_reading, reference_weights, 0.1 * noise[0]) == np.inf).all()
+    assert (shared_noise_limit(noise, change_per_reading, reference_weights, 0.1 * noise[0]) == np.inf).all()
 
 
 def test_noise_reduces_reproducible_rounding():

@@ -8,7 +8,7 @@ import numpy as np
 from analysis.core.responses.errors.systematic import (
     ALIASING,
     ChannelContributions,
-    gain_error_bound,
+    gain_error_limit,
     relative_to_reading,
 )
 from daq.core.recording.recording import Recording
@@ -28,7 +28,7 @@ _MIN_IMAGE_RATIO = 0.1
 _TOP_OF_BAND = 0.8
 
 
-def aliasing_bound(rec: Recording, contributions: ChannelContributions) -> dict[str, Array]:
+def aliasing_limit(rec: Recording, contributions: ChannelContributions) -> dict[str, Array]:
     """Compute the maximum error of a response due to aliasing of components above half the sample rate.
 
     The drive is interpolated linearly between samples. Its images are therefore smaller than the drive by the square of
@@ -37,7 +37,7 @@ def aliasing_bound(rec: Recording, contributions: ChannelContributions) -> dict[
     contains the images that the structure transmits above its modes.
     """
     true_ratio, recorded_ratio = aliased_ratios(rec, contributions)
-    return {ALIASING: gain_error_bound(true_ratio, recorded_ratio, contributions)} if recorded_ratio.any() else {}
+    return {ALIASING: gain_error_limit(true_ratio, recorded_ratio, contributions)} if recorded_ratio.any() else {}
 
 
 def aliased_ratios(rec: Recording, contributions: ChannelContributions) -> tuple[Array, Array]:

@@ -82,10 +82,10 @@ def tolerance(info: ChannelInfo) -> float:
     return setting("sensitivity_tolerance", RATIO) + thermal + transverse
 
 
-def sensitivity_bound(rec: Recording, contributions: ChannelContributions) -> dict[str, Array]:
+def sensitivity_limit(rec: Recording, contributions: ChannelContributions) -> dict[str, Array]:
     """Compute the maximum error of a response due to the tolerances of its channels; empty without tolerances."""
     gain = np.array([[tolerance(rec.channels[name])] for name in contributions.names])
-    return {SENSITIVITY: gain_error_bound(gain, relative_to_reading(gain), contributions)} if gain.any() else {}
+    return {SENSITIVITY: gain_error_limit(gain, relative_to_reading(gain), contributions)} if gain.any() else {}
 
 
 def sensor_sources(rec: Recording, contributions: ChannelContributions) -> dict[str, Sources]:
@@ -122,7 +122,7 @@ def relative_to_reading(error: Array) -> Array:
     return np.divide(error, 1.0 - error, out=np.full(error.shape, np.inf), where=error < 1.0)
 
 
-def gain_error_bound(true_ratio: Array, recorded_ratio: Array, contributions: ChannelContributions) -> Array:
+def gain_error_limit(true_ratio: Array, recorded_ratio: Array, contributions: ChannelContributions) -> Array:
     """Compute the maximum error of a response if the reading of each channel is 1 + e times its true value.
 
     The response is the ratio of two sums over the channels. With their recorded contributions u to the numerator and v
@@ -157,7 +157,7 @@ def zero_safe_product(size: Array, factor: Array) -> Array:
     return np.asarray(np.where(size > 0.0, size * factor, 0.0))
 
 
-def reference_noise_bound(value: ComplexArray, coherence: Array) -> Array:
+def reference_noise_limit(value: ComplexArray, coherence: Array) -> Array:
     """Compute the maximum bias of H1 towards zero: the bias if all incoherent power is noise in the reference.
 
     The true value is between H1 and H2 = H1 / coherence (Bendat and Piersol, section 6.1.4).
@@ -165,7 +165,7 @@ def reference_noise_bound(value: ComplexArray, coherence: Array) -> Array:
     return np.asarray(abs(value) * (1.0 / np.maximum(coherence, 1e-6) - 1.0))
 
 
-def shared_noise_bound(
+def shared_noise_limit(
     noise: Array, change_per_reading: ComplexArray, reference_weights: ComplexArray, reference_power: Array
 ) -> Array:
     """Compute the maximum error of H1 due to noise of channels that contribute to both response and reference.
@@ -181,7 +181,7 @@ def shared_noise_bound(
         return np.asarray(np.where(noise_free > 0.0, bias / noise_free, np.inf))
 
 
-def uncertain_reference_bound(first_order_error: Array, deviation: Array) -> dict[str, Array]:
+def uncertain_reference_limit(first_order_error: Array, deviation: Array) -> dict[str, Array]:
     """Compute the additional error of a response whose reference may be smaller than its reading.
 
     With errors dx of a response x = H f and df of its reference, x / f has the error ``(dx - H df) / (f - df)``: the
@@ -193,7 +193,7 @@ def uncertain_reference_bound(first_order_error: Array, deviation: Array) -> dic
         return {REFERENCE: np.where(deviation < 1.0, np.where(excess > 0.0, first_order_error * excess, 0.0), np.inf)}
 
 
-def rounding_bound(gain: Array, contributions: ChannelContributions) -> dict[str, Array]:
+def rounding_limit(gain: Array, contributions: ChannelContributions) -> dict[str, Array]:
     """Compute the maximum error of a response due to rounding, for readings of a few counts.
 
     `gain`, shape (channels, lines): maximum relative change of each channel's gain due to rounding, from
@@ -248,7 +248,7 @@ def quantization_steps(rec: Recording, names: Sequence[str]) -> Array:
     return np.array([0.0 if info.volts_per_count is None else info.unit_per_count for info in infos])
 
 
-def clock_bound(rec: Recording, contributions: ChannelContributions) -> dict[str, Array]:
+def clock_limit(rec: Recording, contributions: ChannelContributions) -> dict[str, Array]:
     """Compute the maximum error of a response due to the error of the sample clock.
 
     A wrong frequency has two effects: the curve is shifted, and the powers of frequency that convert an acceleration to

@@ -47,13 +47,13 @@ def jitter_factor(
     return factor
 
 
-def jitter_bound(factor: Array, weights: ComplexArray, power: Array) -> dict[str, Array]:
+def jitter_limit(factor: Array, weights: ComplexArray, power: Array) -> dict[str, Array]:
     """Compute the maximum error of a response due to jitter during and shortly after the impacts.
 
     `weights`, shape (channels, lines): change of the response per unit change of each reading, for a reference of 1.
     `power`: power of the reference, summed over all impacts.
 
-    >>> part = jitter_bound(np.array([[2.0, 1.0]]), np.array([[1.0], [-2.0]]) + 0j, np.ones(1))
+    >>> part = jitter_limit(np.array([[2.0, 1.0]]), np.array([[1.0], [-2.0]]) + 0j, np.ones(1))
     >>> {name: size.tolist() for name, size in part.items()}  # equal relative errors
     {'jitter of the sampling instants': [0.0]}
     """

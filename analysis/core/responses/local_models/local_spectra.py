@@ -16,12 +16,12 @@ from analysis.core.responses.errors.systematic import (
     REFERENCE_NOISE,
     ChannelContributions,
     common_scale,
-    reference_noise_bound,
-    rounding_bound,
-    shared_noise_bound,
+    reference_noise_limit,
+    rounding_limit,
+    shared_noise_limit,
 )
 from analysis.core.responses.force_pulse import slow_and_fast
-from analysis.core.responses.local_models.jitter import jitter_bound
+from analysis.core.responses.local_models.jitter import jitter_limit
 from analysis.core.responses.local_models.local_rational import (
     ORDER,
     POWER_RATIO_95,
@@ -49,7 +49,7 @@ class LocalSpectra:
     lines: NDArray[np.int64]  # bins at which the response is estimated; shape (lines,)
     half_width: int  # bins on either side of a line that a local fit uses
     measured_share: float  # measured share of the samples of the spectra, as in `local_fit`
-    # largest relative change of each channel's gain due to rounding, as in `rounding_bound`; shape (channels, lines)
+    # largest relative change of each channel's gain due to rounding, as in `rounding_limit`; shape (channels, lines)
     rounding_gain_error: Array
     noise: Array  # known noise power of each channel at each line; shape (channels, lines)
     jitter: Array  # factor of the covariance of errors due to jitter, from `jitter_factor`; shape (rows, channels)
@@ -117,29 +117,29 @@ class LocalSpectra:
             names, frequency, numerator.motion, value, response_weights * readings, reference_weights * readings
         )
         change_per_reading = response_weights - value * reference_weights
-        bounds = (
-            rounding_bound(self.rounding_gain_error, contributions)
-            | jitter_bound(self.jitter, change_per_reading, len(force) * self.power(force, self.half_width))
+        limits = (
+            rounding_limit(self.rounding_gain_error, contributions)
+            | jitter_limit(self.jitter, change_per_reading, len(force) * self.power(force, self.half_width))
             | {MODEL: main_fit.model_error * scale}
         )
-        reference_bounds = []
+        reference_limits = []
         if reference_noise_power.any():
             # The relative change of the value due to noise in the reference is the uncertainty of the reference. If the
             # value is zero, the whole reference may be noise.
             squared = abs(main_fit.value) ** 2
             noise_ratio = np.full(squared.shape, np.inf)
             np.divide(2.0 * noise_variance, squared, out=noise_ratio, where=squared > 0.0)
-            reference_bounds.append(np.sqrt(POWER_RATIO_95 * noise_ratio))
+            reference_limits.append(np.sqrt(POWER_RATIO_95 * noise_ratio))
         if reference_noise is None:
-            noise_bias = reference_noise_bound(value, main_fit.coherence)
+            noise_bias = reference_noise_limit(value, main_fit.coherence)
             if len(denominator.channels) > 1:
                 power = np.minimum(self.power(force, 1), self.power(force, self.half_width))
                 power = power * main_fit.independent_share
                 channel_noise = self._reference_noise(rec, denominator)
                 noise_bias = np.maximum(
-                    noise_bias, shared_noise_bound(channel_noise, change_per_reading, reference_weights, power)
+                    noise_bias, shared_noise_limit(channel_noise, change_per_reading, reference_weights, power)
                 )
-            bounds[REFERENCE_NOISE] = abs(value) * self.stored_noise[denominator] if others else noise_bias
+            limits[REFERENCE_NOISE] = abs(value) * self.stored_noise[denominator] if others else noise_bias
             common_error = np.zeros((frequency.size, 0), dtype=complex)
         else:
             common_error = value[:, None] * reference_noise
@@ -159,7 +159,7 @@ class LocalSpectra:
             common_error=common_error,
         )
         budget = assemble_budget(
-            rec, contributions, np.sqrt(variance), main_fit.degrees_of_freedom, bounds, reference_bounds,
+            rec, contributions, np.sqrt(variance), main_fit.degrees_of_freedom, limits, reference_limits,
             SharedErrors.of(errors), self.shared, common_scale(rec, numerator.channels, denominator.channels),
         )  # fmt: skip
         coherence = main_fit.coherence

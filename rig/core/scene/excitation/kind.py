@@ -161,7 +161,7 @@ class KindOfTest(Settings):
 
     @property
     def held_motion(self) -> tuple[str, int] | None:
-        """Location and quantity (number of time derivatives of displacement) of the motion whose amplitude is the level; None without one."""
+        """Location and number of time derivatives of the motion whose amplitude is the level; None without one."""
         return None
 
     @property

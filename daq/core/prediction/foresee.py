@@ -14,7 +14,7 @@ import numpy as np
 
 from daq.core.excitation import procedure_of, test_of
 from daq.core.excitation.controlled import controlled
-from daq.core.excitation.impulse import settling_time
+from daq.core.excitation.sensor_settling import settling_time
 from daq.core.excitation.station import Station
 from daq.core.measurement.estimate import estimate
 from daq.core.measurement.impact_remedy import instantaneous_impact_remedy

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.core.excitation import excitation, procedure_of
-from daq.core.excitation.impulse import settling_time
+from daq.core.excitation.sensor_settling import settling_time
 from daq.core.excitation.station import GivenUp
 from daq.core.measurement.bench_loop import BenchLoop
 from daq.core.recording.recorder import Recorder

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rig
-from daq.core.excitation.impulse import _wait_for_sensors
+from daq.core.excitation.sensor_settling import wait_for_sensors
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.errors import SceneError
 from rig.core.scene.excitation.impulse import half_sine
@@ -221,7 +221,7 @@ def test_drift_at_longest_wait_is_not_settled(bias_settling: str, is_settled: bo
     sensor = {"accelerometer.bias": "9 V", "accelerometer.bias_settling": bias_settling}
     station = Mock(channels=[ChannelInfo("a1", "body 2", "acceleration", 1.0, 100.0, sensor=sensor)], rate=100.0, now=0)
     station.samples, station.zero_drive = lambda seconds: round(100.0 * seconds), lambda samples: samples
-    wait = _wait_for_sensors(station)
+    wait = wait_for_sensors(station)
     samples = next(wait)
     while not station.mark.called:
         station.now += samples

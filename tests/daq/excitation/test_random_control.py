@@ -175,6 +175,26 @@ def test_coarse_lines_and_early_limit_are_named() -> None:
     assert len([*PROCEDURE.check(fine.test, fine, channels)]) == 1
 
 
+BIAS: dict[str, Any] = {"bias": "2 V", "bias_settling": "1 s"}
+
+
+@pytest.mark.parametrize("sensor", [BIAS, {"noise": "5 mg/sqrt(Hz)"}])
+def test_identification_stays_below_full_level(sensor: dict[str, Any]) -> None:
+    table = {"name": "table", "at": "table", "accelerometer": {"sensitivity": "50 mV/g", **sensor}}
+    bench_run = run(scene().replace(shaker={"kind": "base"}, channels=[table]))
+    first, last, _ = bench_run.marks_of("identification")[0]
+    start, stop, _ = bench_run.marks_of("measure")[0]
+    assert abs(bench_run.drive[0, first:last]).max() < abs(bench_run.drive[0, start:stop]).max()
+
+
+def test_dead_control_channel_ends_weak_identification() -> None:
+    table = {"name": "table", "at": "table", "accelerometer": {"sensitivity": "1 nV/g"}}
+    bench_run = run(scene().replace(shaker={"kind": "base"}, channels=[table]))
+    assert "table does not follow the drive" in bench_run.reason
+    # The profile has an rms of 3.25 m/s^2; its peak is at most five times as high.
+    assert abs(bench_run.drive[0]).max() < 5.0 * 3.25
+
+
 def test_foresight_states_duration() -> None:
     assert daq.foresee(scene()).seconds == pytest.approx(run(scene()).station.now / 512.0, rel=0.2)
 

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.core.excitation.profiles.spectrum_shaping import Lines, crossfade, sum_of_tones
+from daq.core.excitation.sensor_settling import wait_for_sensors
 from daq.core.excitation.station import GivenUp, Station
 from rig.core.base.arrays import Array, ComplexArray
 
 #: Lines with a lower coherence are not used.
 MIN_COHERENCE = 0.9
-# The level is raised until the response has this fraction of the response in the test.
+# The level is raised until the response has this fraction of the response in the test; a larger one if noise requires.
 _RESPONSE_RATIO = 0.1
 # The first level is this fraction of the level that a table, or a structure of 1 kg, requires.
 _FIRST_RATIO = 0.1
@@ -66,12 +67,16 @@ def identify(
     name for the generator of the random phases.
     """
     phases, first = station.generator(purpose).uniform(0.0, 2.0 * np.pi, lines.size), station.now
-    # Lines without power in the test are measured too.
-    floor = 0.1 * float(np.sqrt(np.mean(required**2)))
-    desired = _RESPONSE_RATIO * np.sqrt(required**2 + floor**2)
-    amplitudes, wave, shapings = _first_drive(station, lines, period, desired), np.zeros(period), 0
+    yield from wait_for_sensors(station)
     station.report(0.0, "measuring the noise")
     noise = _rms(accelerations(station, rows, (yield station.zero_drive(period)), lines, period))
+    full_level = _rms(required[None])[0]
+    response_ratio = float(np.clip(2.0 * _MIN_SIGNAL_TO_NOISE * noise[0] / full_level, _RESPONSE_RATIO, 1.0))
+    # Lines without power in the test are measured too.
+    floor = 0.1 * float(np.sqrt(np.mean(required**2)))
+    desired = response_ratio * np.sqrt(required**2 + floor**2)
+    amplitudes, max_increase = _first_drive(station, lines, period, desired, response_ratio)
+    wave, shapings = np.zeros(period), 0
     for _ in range(_MAX_SEARCHES + _MAX_SHAPINGS):
         station.report(0.0, "searching the level of the identification")
         previous, wave = wave, sum_of_tones(lines, amplitudes, phases, period)
@@ -82,17 +87,21 @@ def identify(
             amplitudes, wave = factor * amplitudes, factor * wave
         yield station.drive(crossfade(previous, wave))
         response = np.abs(accelerations(station, rows, (yield station.drive(wave)), lines, period))
-        if _rms(response)[0] < _MIN_SIGNAL_TO_NOISE * noise[0]:
-            if is_limited:
+        size = _rms(response)
+        if size[0] <= _MIN_SIGNAL_TO_NOISE * noise[0]:
+            # No response may exceed that in the test.
+            allowed = np.min(np.minimum(limits, full_level) / np.maximum(size, np.finfo(float).tiny))
+            step = float(min(_MAX_STEP, max_increase, allowed))
+            if is_limited or step <= 1.0:
                 break
-            amplitudes = _MAX_STEP * amplitudes
+            amplitudes, max_increase = step * amplitudes, max_increase / step
             continue
         if shapings == _MAX_SHAPINGS:
             break
         shapings += 1
         ratio = desired / np.maximum(response[0], np.finfo(float).tiny)
         # No channel may exceed this fraction of its limit.
-        excess = float(np.max(_rms(np.asarray(response * ratio)) / (_RESPONSE_RATIO * limits)))
+        excess = float(np.max(_rms(np.asarray(response * ratio)) / (response_ratio * limits)))
         amplitudes = amplitudes * np.clip(ratio / max(excess, 1.0), 1.0 / _MAX_STEP, _MAX_STEP)
     station.report(0.0, "identifying the responses to the drive")
     for _ in range(_SETTLING_PERIODS):
@@ -116,14 +125,21 @@ def identify(
     return Identified(lines, np.asarray(mean / drive), coherence)
 
 
-def _first_drive(station: Station, lines: Lines, period: int, desired: Array) -> Array:
-    """Return amplitudes of a weak drive: from the model of a table, or equal values from a rough static estimate."""
+def _first_drive(
+    station: Station, lines: Lines, period: int, desired: Array, response_ratio: float
+) -> tuple[Array, float]:
+    """Return amplitudes of a weak drive, and their largest increase, which is infinite if the estimate is rough.
+
+    The drive of a table follows from its model. The drive of a force is equal at all lines, estimated for a mass of
+    1 kg. `response_ratio`: ratio of the desired response to that of the test.
+    """
     shaker = station.scene.driven_shaker
     assert shaker is not None
     if shaker.prescribed:
         s = np.asarray(2j * np.pi * lines * station.rate / period)
-        return np.asarray(_FIRST_RATIO * desired * abs(shaker.required_drive(s)[0] / s**2))
-    return np.full(lines.size, _FIRST_RATIO * float(np.sqrt(np.mean(desired**2))) / shaker.newtons_per_drive)
+        drive = np.asarray(_FIRST_RATIO * desired * abs(shaker.required_drive(s)[0] / s**2))
+        return drive, 1.0 / (_FIRST_RATIO * response_ratio)
+    return np.full(lines.size, _FIRST_RATIO * float(np.sqrt(np.mean(desired**2))) / shaker.newtons_per_drive), np.inf
 
 
 def _rms(amplitudes: Array | ComplexArray) -> Array:

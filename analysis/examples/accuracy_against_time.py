@@ -32,7 +32,7 @@ seed: SEED
 
 
 def measured(periods: int, seed: int) -> complex:
-    """Return the compliance of the arm at 100 Hz from a test with one realization of the noise, m/N."""
+    """Return the compliance of the arm at 100 Hz from a test with one realization of the noise [m/N]."""
     scene = rig.loads(BRACKET.replace("PERIODS", str(periods)).replace("SEED", str(seed)))
     with daq.open(daq.record(scene, "tone.mcap", overwrite=True)) as recording:
         return complex(analysis.frfs(recording)["arm"].value[0])

@@ -213,7 +213,7 @@ def _draw_curve(
 ) -> None:
     """Draw one measured curve into the three panels: tones as points, with a thin curve where the points resolve it.
 
-    `top`: upper end of the phase axis, degrees; `marks`: marked peaks, which the thin curve reaches.
+    `top`: upper end of the phase axis [degrees]; `marks`: marked peaks, which the thin curve reaches.
     """
     # A downward sweep has larger, open markers, so an upward sweep remains visible where both coincide.
     is_folded = folds_back(frf.frequency)

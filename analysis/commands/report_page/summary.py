@@ -158,7 +158,7 @@ def _change_line(described: SweepChange) -> str:
 
 
 def _baseline_height(change: SweepChange) -> float:
-    """Return the height of the peak in the baseline, m/N."""
+    """Return the height of the peak in the baseline [m/N]."""
     return change.change.bare.value
 
 

@@ -75,12 +75,12 @@ class Peak:
 
     @property
     def bound(self) -> float:
-        """Expanded uncertainty of the height (95 %) with all errors, m/N."""
+        """Expanded uncertainty of the height (95 %) with all errors [m/N]."""
         return self._expanded(self.own_bound)
 
     @property
     def low(self) -> float:
-        """Lower end of the 95 % interval of the height, m/N."""
+        """Lower end of the 95 % interval of the height [m/N]."""
         if self.at_end:
             return 0.0
         return self.value if isinf(self.own_bound) else self.value - self._expanded(self.value - self._own_low)
@@ -92,7 +92,7 @@ class Peak:
 
     @property
     def _own_low(self) -> float:
-        """Lower end of the 95 % interval of the height without errors that are common to all frequencies, m/N."""
+        """Lower end of the 95 % interval of the height without errors that are common to all frequencies [m/N]."""
         return max(self.value - self.own_bound, self.lower_limit)
 
     def _expanded(self, own_bound: float) -> float:

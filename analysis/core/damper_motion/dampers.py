@@ -47,7 +47,7 @@ class Dampers(Result):
     energy : EnergyBalance or None
         Energy balance; None if a required channel is missing.
     true_impact_energy : ndarray, shape (n,), or None
-        True energy loss in impacts per period, J, if the truth was recorded.
+        True energy loss in impacts per period [J] if the truth was recorded.
     missing : tuple of str
         Bodies without a result, with the reason.
     warnings : tuple of str

@@ -20,15 +20,15 @@ class EnergyBalance:
 
     frequency: Array  # Hz; shape (n,)
     supplied: Array
-    """Work of the force on the structure, J; shape (n,)."""
+    """Work of the force on the structure [J]; shape (n,)."""
     structure: Array
-    """Energy dissipated by the structural damping of the scene, J; shape (n,)."""
+    """Energy dissipated by the structural damping of the scene [J]; shape (n,)."""
     bound: Array
-    """Expanded uncertainty of `dampers`, J; shape (n,)."""
+    """Expanded uncertainty of `dampers` [J]; shape (n,)."""
 
     @property
     def dampers(self) -> Array:
-        """Energy dissipated by the dampers: difference of `supplied` and `structure`, J."""
+        """Energy dissipated by the dampers: difference of `supplied` and `structure` [J]."""
         return self.supplied - self.structure
 
 
@@ -133,7 +133,7 @@ def _expanded(
 
 
 def impact_energy_per_period(rec: Recording, sweep: Sweep) -> Array:
-    """Compute the true energy lost in impacts per period of each tone, J, from the recorded truth.
+    """Compute the true energy lost in impacts per period of each tone [J] from the recorded truth.
 
     An instantaneous impact dissipates (1 - e²) times half the reduced mass of damper and body times the closing speed
     squared. For finite-duration contact the loss is the work of the walls (floor and ceiling) in steady state. Over
@@ -169,7 +169,7 @@ def impact_energy_per_period(rec: Recording, sweep: Sweep) -> Array:
 
 
 def _work_of_walls(rec: Recording, j: int, mass: float, frequency: float, first: int, stop: int) -> float:
-    """Return the mean of the integral of -m a v over a period, minus the loss in a dashpot, J.
+    """Return the mean of the integral of -m a v over a period, minus the loss in a dashpot [J].
 
     See `impact_energy_per_period`.
 

@@ -67,7 +67,7 @@ class UncertainMode(NamedTuple):
         return _damping_text(self.damping, self.damping_error)
 
     def cells(self) -> tuple[str, str]:
-        """Write natural frequency, Hz, and damping ratio, %, without their units, for a table."""
+        """Write natural frequency [Hz] and damping ratio, %, without their units, for a table."""
         return _cells(self.frequency, self.frequency_error, self.damping_text())
 
     def without_exponential_window(self, time_constant: float) -> UncertainMode:
@@ -159,7 +159,7 @@ class Modes(Result):
         return _damping_text(self.damping[mode], self.damping_error[mode])
 
     def cells(self, mode: int) -> tuple[str, str]:
-        """Write natural frequency, Hz, and damping ratio, %, without their units, for a table."""
+        """Write natural frequency [Hz] and damping ratio, %, without their units, for a table."""
         return _cells(self.frequency[mode], self.frequency_error[mode], self.damping_text(mode))
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -299,7 +299,7 @@ class Modes(Result):
         return _poles(self.frequency, self.damping)
 
     def receptance(self, frequency: Array) -> ComplexArray:
-        """Compute the compliance of the modal model, m/N, shape (responses, frequencies); frequencies in Hz."""
+        """Compute the compliance of the modal model [m/N], shape (responses, frequencies); frequencies in Hz."""
         terms = np.column_stack([self.lower, self.upper])
         return modal_receptance(np.asarray(frequency, dtype=float), self.poles, self.residue, terms)
 
@@ -307,8 +307,8 @@ class Modes(Result):
     def collinearity(self) -> Array:
         """Compute the modal phase collinearity: 1 if all points move in phase or in antiphase, 0 for a traveling wave.
 
-        The collinearity is abs(r^T r)^2 / (r^H r)^2 for the residues r (J.-N. Juang, R. S. Pappa, J. Guid. Control Dyn.
-        8 (1985)).
+        The collinearity is abs(r^T r)^2 / (r^H r)^2 for the residues r (J.-N. Juang, R. S. Pappa [J]. Guid. Control
+        Dyn. 8 (1985)).
         """
         return np.array([(abs(np.sum(shape**2)) / np.sum(abs(shape) ** 2)) ** 2 for shape in self.residue.T])
 

@@ -129,7 +129,7 @@ def residual_terms(s: NDArray[np.complexfloating]) -> list[NDArray[np.complexflo
 
 
 def modal_receptance(frequency: Array, poles: ComplexArray, residue: ComplexArray, terms: Array) -> ComplexArray:
-    """Compute compliances of modes, m/N, shape (responses, frequencies); frequencies in Hz.
+    """Compute compliances of modes [m/N], shape (responses, frequencies); frequencies in Hz.
 
     `terms`: factors of the residual terms, shape (responses, 1 + `UPPER_TERMS`).
     """

@@ -137,7 +137,7 @@ def srs(
     lowest : float, optional
         Lowest natural frequency [Hz]. Default: 5 Hz.
     highest : float, optional
-        Highest natural frequency, at most 0.3 times the sample rate, Hz. Default: a fifth of the sample rate.
+        Highest natural frequency, at most 0.3 times the sample rate [Hz]. Default: a fifth of the sample rate.
     per_octave : int
         Number of natural frequencies per octave.
     from_s : float, optional

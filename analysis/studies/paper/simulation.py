@@ -159,7 +159,7 @@ def peaks_by_weighting(scene: Scene, bands: dict[int, tuple[float, float]]) -> A
     """Compute the peak of each mode by exact orbits, and by the approximate method with both weightings of the mass.
 
     `bands`: frequency band in Hz around each mode (from 1). Returns the modes, and three arrays of shape (3, modes):
-    the peak compliance of the body that moves most in the mode, m/N; the frequency of the peak [Hz]; and the mass
+    the peak compliance of the body that moves most in the mode [m/N]; the frequency of the peak [Hz]; and the mass
     ratio. Row 0: exact orbits, for which the mass ratio is NaN. Row 1: weighting by Eq 13 as printed; NaN if this sum
     is not a positive mass. Row 2: energy-consistent weighting.
     """

@@ -11,7 +11,7 @@ the motion is held at points on the normal to this direction until the force equ
 
 Distances along the curve are relative changes of the response: the change of the angular frequency divided by |l|, and
 the change of the logarithm of the amplitude. l is the pole of the nearest mode minus the imaginary angular frequency of
-the tone, 1/s. (J. Sieber et al., Phys. Rev. Lett. 100 (2008) 244101; L. Renson, D. A. W. Barton, S. A. Neild, Int. J.
+the tone [1/s]. (J. Sieber et al., Phys. Rev. Lett. 100 (2008) 244101; L. Renson, D. A. W. Barton, S. A. Neild, Int. J.
 Bifurc. Chaos 27 (2017) 1730002.)
 """
 
@@ -349,7 +349,7 @@ class _Curve:
         return self._holding and abs(self._turn(point)) > _MAX_TURN and length > _SHORTEST_TURN * self._test.step
 
     def _growth(self) -> Generator[Array, Array, float]:
-        """Return the rate at which the motion leaves the last point without feedback, 1/s.
+        """Return the rate at which the motion leaves the last point without feedback [1/s].
 
         The result is 0 if the point is not reached.
         """
@@ -368,7 +368,7 @@ class _Curve:
     def _reason(self, growth: float = 0.0) -> str:
         """Return the reason why no further point was measured.
 
-        `growth`: growth rate of the last motion without feedback, 1/s.
+        `growth`: growth rate of the last motion without feedback [1/s].
         """
         if limitation := self._limitation():
             return limitation

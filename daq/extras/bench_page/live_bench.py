@@ -183,7 +183,7 @@ class TestController:
         return (low, high) if high > low else None
 
     def theory(self, frequency: Array) -> ComplexArray:
-        """Return the compliance of the linear structure without dampers, m/N, for comparison with the live response.
+        """Return the compliance of the linear structure without dampers [m/N] for comparison with the live response.
 
         Shape (channels on bodies, frequencies). Raises `SceneError` if shakers remain attached in an impact test.
         """

@@ -162,7 +162,7 @@ class Terminals:
         return settings.coupling or "DC", settings.excitation
 
     def supply(self, bench_index: int) -> float | None:
-        """Return the present supply current of a channel's sensor, A; None if not needed or not modeled."""
+        """Return the present supply current of a channel's sensor [A]; None if not needed or not modeled."""
         channel = self.bench.channel_settings[bench_index]
         return self._conditioning(channel)[1] if needs_supply(channel) else None
 

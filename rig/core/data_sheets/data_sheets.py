@@ -29,7 +29,7 @@ class DataSheet:
     sources: tuple[str, ...]
     """Sources of the figures."""
     unsourced: tuple[str, ...]
-    """Figures without a source (key `unchecked` of the file)."""
+    """Values without a source (key `unchecked` of the file)."""
     settings: dict[str, dict[str, Any]]
     """Data-sheet values for each part of a scene that accepts the preset (`KINDS`), as in scene files."""
     facts: dict[str, Any]

@@ -84,7 +84,7 @@ class Inputs:
     terminals : tuple of {"pseudo_differential", "differential", "rse"}
         Terminal configurations; the first is the default.
     supply : tuple of float
-        Supply currents for IEPE sensors other than zero, A.
+        Supply currents for IEPE sensors other than zero [A].
     supply_coupling : {"AC", "any"}
         Coupling required by the supply.
     conversion : {"delta_sigma", "sar"}

@@ -87,7 +87,7 @@ class _ConfigurationMatrices(NamedTuple):
     `generator`: as in `Equations`, but without drive, upper walls of finite-duration contacts and angular frequency.
     `drive_input`: input matrix B of x' = A x + B u. `clearance_input`: derivative of the accelerations with respect to
     each damper's clearance, nonzero while the damper is pressed on its upper wall. `norm_bound`: upper bound of the
-    norm of the state matrix, 1/s.
+    norm of the state matrix [1/s].
     """
 
     generator: Array

@@ -102,7 +102,7 @@ class FrictionJoint(_Joint):
     damping: ClassVar[float] = 0.0
     restitution: ClassVar[float | None] = None
     slip_force: Annotated[float, Quantity(FORCE, above=0.0)]
-    """Force at which the slider moves [N]; it is without force at rest."""
+    """Force at which the slider moves [N]; at rest the joint has no force."""
     stiffness: Annotated[float, Quantity(STIFFNESS, above=0.0)]
     """Stiffness of the spring in series with the slider [N/m]."""
 

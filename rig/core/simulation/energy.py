@@ -32,7 +32,7 @@ _MAX_VALUES = 1 << 21
 
 @dataclass(frozen=True)
 class Energy:
-    """Energy balance over a run, J.
+    """Energy balance over a run [J].
 
     `stored`, `stored_before`: kinetic, elastic (including contacts), gravitational (dampers) and magnetic energy at
     the end and at the start. `contacts`: energy lost in finite-duration contacts, by dashpots and by contact springs
@@ -226,7 +226,7 @@ def _integrate(
     lengths: Array,
     starts: Array,
 ) -> tuple[float, float, dict[str, float]]:
-    """Return work of the drive, energy transferred to grains, and losses in structure and in each element, J."""
+    """Return work of the drive, energy transferred to grains, and losses in structure and in each element [J]."""
     work = to_grains = 0.0
     lost = {"dissipated": 0.0, "contacts": 0.0}
     system = tables.system
@@ -263,7 +263,7 @@ def _dashpots(system: HybridSystem, forces: NDArray[np.int64]) -> list[tuple[Ele
 
 
 def _dashpot_power(dashpots: list[tuple[Element, float]], speeds: Array) -> Array:
-    """Return the power that dashpots dissipate at velocities of the coordinates, W; shape (states,)."""
+    """Return the power that dashpots dissipate at velocities of the coordinates [W]; shape (states,)."""
     gap_speeds = np.array([element.along_gap(speeds) for element, _ in dashpots]).reshape(len(dashpots), len(speeds))
     return np.asarray(gap_speeds.T**2 @ np.array([damping for _, damping in dashpots]))
 
@@ -284,7 +284,7 @@ def _force_numbers(tables: FlowTables) -> NDArray[np.int64]:
 
 
 def _spring_energy(system: HybridSystem, numbers: NDArray[np.int64], states: Array) -> Array:
-    """Return the energy in the springs of the elements, J; `numbers`: `_force_numbers` of each state."""
+    """Return the energy in the springs of the elements [J]; `numbers`: `_force_numbers` of each state."""
     energy = np.zeros(len(states))
     for element, number in zip(system.elements, numbers.T, strict=True):
         if element.gap < 0:
@@ -339,7 +339,7 @@ def _sum_series(terms: Array, tau: Array) -> Array:
 
 
 def _stored_energy(tables: FlowTables, forms: QuadraticForms, state: State) -> float:
-    """Return the stored energy of structure, dampers and contact springs in a state, J."""
+    """Return the stored energy of structure, dampers and contact springs in a state [J]."""
     system = tables.system
     n, body = system.coordinates, system.damper_coordinate
     z = state.z[: tables.size]
@@ -356,7 +356,7 @@ def _stored_energy(tables: FlowTables, forms: QuadraticForms, state: State) -> f
 
 
 def _impact_losses(system: HybridSystem, trajectory: Trajectory) -> float:
-    """Return the kinetic energy lost at the breaks, J.
+    """Return the kinetic energy lost at the breaks [J].
 
     The loss is summed over the jumps of velocity. The difference of the total energies before and after each break
     would add a rounding error for every break, even without a jump.

@@ -102,7 +102,7 @@ class Run(Result):
 
     @cached_property
     def energy(self) -> Energy:
-        """The energy balance of the run, J."""
+        """The energy balance of the run [J]."""
         return self._energy_balance()
 
 

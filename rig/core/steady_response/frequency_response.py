@@ -100,7 +100,7 @@ class SteadyResponse(Result):
 
     @property
     def compliance(self) -> NDArray[np.complex128]:
-        """`frf` with the force as reference, m/N; raises `SceneError` with a different reference."""
+        """`frf` with the force as reference [m/N]; raises `SceneError` with a different reference."""
         return per_force(self.frf, self.reference)
 
     @property

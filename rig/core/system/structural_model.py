@@ -49,7 +49,7 @@ class NaturalModes:
 
     @property
     def decay_rate(self) -> Array:
-        """Decay rate of each mode, 1/s; coupling of modes by damping is neglected."""
+        """Decay rate of each mode [1/s]; coupling of modes by damping is neglected."""
         return np.asarray(self.damping / (2.0 * self.mass))
 
     @property
@@ -190,8 +190,8 @@ def receptance(scene: Scene, frequencies_hz: ArrayLike, riding: Iterable[int] = 
     to their bodies. The masses of dampers that are locked or have no clearance are always added. Masses on springs are
     included with their springs and dashpots.
 
-    Returns X / F, complex, shape (bodies, frequencies), m/N. Raises `SceneError` if a frequency is negative, not finite
-    or exactly an undamped resonance, a damper does not exist, or the scene has neither shaker nor hammer.
+    Returns X / F, complex, shape (bodies, frequencies) [m/N]. Raises `SceneError` if a frequency is negative, not
+    finite or exactly an undamped resonance, a damper does not exist, or the scene has neither shaker nor hammer.
 
     >>> import rig
     >>> scene = rig.load("bare-structure")

@@ -182,7 +182,7 @@ def _driving_force(scene: Scene, system: HybridSystem, harmonics: ComplexArray, 
 
 
 def _phase(phasor: ComplexArray, amplitudes: ComplexArray) -> Array:
-    """Return the mean phase of each wall force after the positive-going zero of the drive Re(A e^{i w t}), degrees.
+    """Return the mean phase of each wall force after the positive-going zero of the drive Re(A e^{i w t}) [degrees].
 
     `phasor`: sum of wall force times e^{i w t}; `amplitudes`: A of each input, of which one is not zero.
     """

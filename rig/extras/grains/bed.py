@@ -110,7 +110,7 @@ class Bed:
 
     @property
     def kinetic_energy(self) -> float:
-        """Kinetic energy of the grains in the cavity without their rotation, J."""
+        """Kinetic energy of the grains in the cavity without their rotation [J]."""
         return 0.5 * float(self._sum_over_processes(self._masses @ (self._velocity**2).sum(axis=1)))
 
     @property

@@ -348,7 +348,7 @@ class _ClosedOrbit:
         return motion.z
 
     def compliance(self, start: Vector) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Compute the compliance of the bodies from first harmonics; return real and imaginary part, m/N."""
+        """Compute the compliance of the bodies from first harmonics; return real and imaginary part [m/N]."""
         with decimal.localcontext(self._motion.context):
             n, bodies = self._system.coordinates, self._scene.structure.bodies
             end, first = self._integrate(start), self._motion.form.constant_index + 3

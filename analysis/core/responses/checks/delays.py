@@ -67,7 +67,7 @@ _MAX_OTHER_DELAY = 0.2
 
 
 class _Delay(NamedTuple):
-    """Delay of a curve, s."""
+    """Delay of a curve [s]."""
 
     time: float
     expanded: float  # expanded uncertainty
@@ -241,7 +241,7 @@ class _DelayFit:
         self._weight = self._weight * np.sqrt(min(expected / max(float(misfits[best]), 1e-300), 1.0))
 
     def squares(self, delays: Array) -> Array:
-        """Return the sum of squares of weighted residuals and penalties at each delay, s."""
+        """Return the sum of squares of weighted residuals and penalties at each delay [s]."""
         columns, size = self._columns()
         modes = np.arange(self._poles.size)
         penalties = np.zeros((modes.size, size.size))

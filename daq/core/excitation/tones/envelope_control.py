@@ -63,7 +63,7 @@ _LEFT_RATIO = 2.0
 class EnvelopeControl:
     """PI control of an envelope: the SIMC rules for an integrating plant with dead time.
 
-    The gain margin is 3, the phase margin 47 degrees (S. Skogestad, J. Process Control 13 (2003) 291). `target`:
+    The gain margin is 3, the phase margin 47 degrees (S. Skogestad [J]. Process Control 13 (2003) 291). `target`:
     required envelope; `drive`: present envelope of the drive; `window`: time from one update to the next [s];
     `dead_time`: s; `limit`: largest drive.
 
@@ -289,7 +289,7 @@ class EnvelopeTone(SteadyTone):
 
 
 def _growth(motions: ComplexArray, target: float, window: float, tolerance: float) -> float:
-    """Return the rate at which a motion leaves its target amplitude, 1/s; 0 if the motion stays.
+    """Return the rate at which a motion leaves its target amplitude [1/s]; 0 if the motion stays.
 
     `window`: s; `tolerance`: relative tolerance of the amplitude.
     """

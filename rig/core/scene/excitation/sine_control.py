@@ -76,5 +76,5 @@ class SineControl(FrequencySweep, ProfileControl, KindOfTest):
         return Prescription(self.control, self.profile, self.limits, self.tolerance, self.abort, None)
 
     def rate_at(self, frequency: float) -> float:
-        """Return the relative change of the frequency per second, 1/s, at a frequency in Hz."""
+        """Return the relative change of the frequency per second [1/s] at a frequency in Hz."""
         return abs(self.frequency_slope(frequency)) / frequency

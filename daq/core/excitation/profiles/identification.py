@@ -90,7 +90,7 @@ def identify(
         size = _rms(response)
         if size[0] <= _MIN_SIGNAL_TO_NOISE * noise[0]:
             # No response may exceed that in the test.
-            allowed = np.min(np.minimum(limits, full_level) / np.maximum(size, np.finfo(float).tiny))
+            allowed = np.min(np.minimum(limits, full_level)[size > 0.0] / size[size > 0.0], initial=np.inf)
             step = float(min(_MAX_STEP, max_increase, allowed))
             if is_limited or step <= 1.0:
                 break
@@ -116,6 +116,11 @@ def identify(
     share = float(np.sum(required[coherence[0] >= MIN_COHERENCE] ** 2) / np.sum(required**2))
     level = float(np.sqrt(np.mean(wave**2)))
     station.mark("identification", first, station.now, drive=level, coherent=round(share, 3))
+    if not abs(measured[:, 0]).any():
+        raise GivenUp(
+            f"the readings of {station.channels[rows[0]].name} are constant while the drive changes. Check its cable, "
+            "whether it is at the end of its range, and for an IEPE sensor converter.excitation and converter.coupling."
+        )
     if share < _MIN_SHARE:
         raise GivenUp(
             f"{station.channels[rows[0]].name} does not follow the drive: for {100 * (1 - share):.0f} % of the "

@@ -25,7 +25,7 @@ _MAX_HEADING_LINES = 200
 # ``X (100g)`` is the 100 g sensor of a logger.
 _UNIT_IN_BRACKETS = re.compile(r"(.*?)\s*[\[(](?!\d)([^\[\]()]*(?:\([^\[\]()]*\)[^\[\]()]*)?)[\])]\s*")
 # A unit after an underscore, as `analysis export` writes it.
-_UNIT_AFTER_UNDERSCORE = re.compile(r"(.+)_(m/s\^2|m/s²|m/s|m|N|V|g|s|ms|k?Hz)")
+_UNIT_AFTER_UNDERSCORE = re.compile(r"(.+)_(m/s\^?2|m/s²|m/s|m|N|V|g|s|ms|us|ns|k?Hz)")
 # A unit after a slash between blanks (ISO 80000-1), or after "in": ``f / kHz``, ``force in N``.
 _UNIT_AFTER_SLASH = re.compile(r"(.+?) (?:/|in) (\S+(?: re .+)?)")
 # Units that are not products of powers of other units.
@@ -33,7 +33,7 @@ _ANGLE_OR_DECIBEL = re.compile(r"deg(rees?)?|°|rad(ians?)?|grad|dB\b.*", re.IGN
 # Name of a column of line numbers; the abscissa is the next column.
 _LINE_NUMBER = re.compile(r"(#|no|nr|n|line|index|idx|sample|point|row)\.?( ?(#|no|nr|number)\.?)?", re.IGNORECASE)
 #: Units of time: the first cell of a line of units is one of them, or empty.
-TIME_UNITS = ("s", "ms", "us", "sec", "second", "Seconds")
+TIME_UNITS = ("s", "ms", "us", "µs", "ns", "sec", "second", "Seconds")
 # Units of time or of frequency.
 _ABSCISSA_UNITS = ("", *TIME_UNITS, "Hz", "kHz")
 # Length of the longest unit, characters.
@@ -46,10 +46,17 @@ _COMPLEX_CELL = re.compile(r"\(?[-+]?[\d.]+(?:e[-+]?\d+)?[-+][\d.]+(?:e[-+]?\d+)
 _FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[-+]\d+$)")
 # A number with dots between thousands and a decimal comma.
 _GROUPED_NUMBER = re.compile(r"[-+]?\d{1,3}(?:\.\d{3})+,\d*")
+# A column of texts at the end of the lines.
+_COMMENTS = re.compile(r"(comment|remark|note|event|bemerkung|kommentar)(s|en)?", re.IGNORECASE)
 # The sample rate in a line of a heading: ``Sample rate: 51.2 kHz``, ``Sampling frequency [Hz]\t51200``.
 _STATED_RATE = re.compile(
     r"\W*(?:sampl\w*|scan|abtast|mess)[ _-]?(?:rate|freq\w*)\W*(k?Hz|k?S/s)?\W*"
     r"(\d[\d.,]*(?:e[-+]?\d+)?)\W*(k?Hz|k?S/s)?\b.*",
+    re.IGNORECASE,
+)
+# The sample interval in a line of a heading: ``Delta T (s): 0.001``.
+_STATED_INTERVAL = re.compile(
+    r"\W*(?:delta[ _]?t|dt|sampl\w*[ _-]?(?:interval|period))\W*(m?s)?\W*(\d[\d.,]*(?:e[-+]?\d+)?)\W*(m?s)?\b.*",
     re.IGNORECASE,
 )
 # Last cells of the heading of an oscilloscope, above the time of the first sample and the sample interval.
@@ -108,7 +115,7 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
     for number, line in enumerate(lines):
         for delimiter in ("\t", ";", ",", None):
             cells = split_cells(line, delimiter)
-            decimal_comma = delimiter != "," and "," in line
+            decimal_comma = any("," in cell for cell in cells)
             counts = {_settings_count(split_cells(each, delimiter), decimal_comma) for each in lines[:2]}
             first_cell = counts.pop() if number == 0 and len(counts) == 1 else 0
             if len(cells) >= (1 if delimiter is None else 2) and _are_numbers(cells[first_cell:], decimal_comma):
@@ -146,11 +153,11 @@ def _are_numbers(cells: Sequence[str], decimal_comma: bool) -> bool:
 
 def _with_columns(layout: Layout, heading: Sequence[str], cells: Sequence[str], first_cell: int) -> Layout:
     """Add the columns to a layout: their names, units and positions, from the heading and the first line of numbers."""
-    rows_above = [
-        split_cells(line.lstrip("#%").strip() if line[:1] in "#%" else line, layout.delimiter)
-        for line in heading
-        if line.strip()
-    ]
+    lines = [line.lstrip("#%").strip() if line[:1] in "#%" else line for line in heading if line.strip()]
+    rows_above = [split_cells(line, layout.delimiter) for line in lines]
+    if layout.delimiter is None and lines and len(rows_above[-1]) > len(cells):
+        # A single blank separates a name from its unit.
+        rows_above[-1] = re.split(r"\s{2,}", lines[-1].strip())
     rows_above, interval = _without_interval(rows_above)
     stop = len(cells)
     if stop > 2 and not cells[-1] and rows_above and not "".join(rows_above[-1][stop - 1 :]):
@@ -165,8 +172,10 @@ def _with_columns(layout: Layout, heading: Sequence[str], cells: Sequence[str], 
     is_numbered = _LINE_NUMBER.fullmatch(names[0]) or names[0] == UNNAMED.format(1)
     if interval or (len(names) > 2 and is_numbered and _is_abscissa(names[1], units[1])):
         first_cell, names, units = first_cell + 1, names[1:], units[1:]
+    if len(names) > 2 and _COMMENTS.fullmatch(names[-1]):
+        stop, names, units = stop - 1, names[:-1], units[:-1]
     positions = None if (first_cell, stop) == (0, len(cells)) else tuple(range(first_cell, stop))
-    rate = 1.0 / interval if interval else _stated_rate(heading, layout.decimal_comma)
+    rate = rate_of_interval(interval) if interval else _stated_rate(heading, layout.decimal_comma)
     return layout._replace(names=names, units=units, cells=positions, rate=rate)
 
 
@@ -189,10 +198,14 @@ def _stated_rate(heading: Sequence[str], decimal_comma: bool) -> float | None:
 
     >>> _stated_rate(["Sample rate: 51,2 kHz"], True), _stated_rate(["Sampling frequency [Hz]\t51200"], False)
     (51200.0, 51200.0)
+    >>> _stated_rate(["Delta T (ms):;0.5"], False)
+    2000.0
     """
-    for match in filter(None, map(_STATED_RATE.fullmatch, heading)):
-        if rate := parse_number(match[2], decimal_comma):
-            return rate * (1e3 if (match[1] or match[3] or "")[:1] == "k" else 1.0)
+    for pattern in (_STATED_RATE, _STATED_INTERVAL):
+        for match in filter(None, map(pattern.fullmatch, heading)):
+            if number := parse_number(match[2], decimal_comma):
+                number *= {"k": 1e3, "m": 1e-3}.get((match[1] or match[3] or "").lower()[:1], 1.0)
+                return number if pattern is _STATED_RATE else rate_of_interval(number)
     return None
 
 
@@ -237,7 +250,7 @@ def _name_and_unit(cell: str) -> tuple[str, str]:
         if match := pattern.fullmatch(cell):
             unit = match[2].strip()
             is_known = pattern is not _UNIT_AFTER_SLASH or _ANGLE_OR_DECIBEL.fullmatch(unit) or is_unit(unit)
-            return (match[1], unit) if is_known else (cell, "")
+            return (match[1].rstrip("/ "), unit) if is_known else (cell, "")
     return cell, ""
 
 
@@ -251,7 +264,7 @@ def _without_brackets(cell: str) -> str:
     >>> _without_brackets("[ m/s / N ]"), _without_brackets("(m/s²)/N")
     ('m/s / N', '(m/s²)/N')
     """
-    match = re.fullmatch(r"\[(.*)\]|\(([^()]*)\)", cell)
+    match = re.fullmatch(r"\[(.*)\]|\(((?:[^()]|\([^()]*\))*)\)", cell)
     return cell if match is None else (match[1] or match[2] or "").strip()
 
 

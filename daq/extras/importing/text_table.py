@@ -258,9 +258,7 @@ class _Table:
             yield times * scale
 
     def _time(self, line_number: int, line: str) -> float:
-        delimiter, position = self._layout.delimiter, self._first_position
-        cell = self._first_cell(line) if delimiter is None else line.split(delimiter, position + 1)[position]
-        value = parse_number(cell.strip(' "\r\n'), self._layout.decimal_comma)
+        value = parse_number(self._first_cell(line), self._layout.decimal_comma)
         return self._parse_line(line_number, line)[0] if value is None else value
 
     def signal(
@@ -334,8 +332,8 @@ class _Table:
         import pyarrow
         import pyarrow.csv
 
-        delimiter = self._layout.delimiter
-        if delimiter is None:
+        delimiter, decimal_comma = self._layout.delimiter, self._layout.decimal_comma
+        if delimiter is None or (delimiter == "," and decimal_comma):
             return None
         # LabVIEW files may have a column of comments.
         text, count = "".join(line for _, line in lines), lines[0][1].count(delimiter) + 1
@@ -343,7 +341,7 @@ class _Table:
         included = columns if cells is None else [str(cell) for cell in cells]
         try:
             table = pyarrow.csv.read_csv(
-                pyarrow.BufferReader((text.replace(",", ".") if self._layout.decimal_comma else text).encode()),
+                pyarrow.BufferReader((text.replace(",", ".") if decimal_comma else text).encode()),
                 pyarrow.csv.ReadOptions(use_threads=False, column_names=columns),
                 pyarrow.csv.ParseOptions(delimiter=delimiter, quote_char=False),
                 pyarrow.csv.ConvertOptions(

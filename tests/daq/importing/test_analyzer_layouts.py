@@ -61,6 +61,8 @@ def write(path: Path, heading: str, rows: np.ndarray, comma: bool = False) -> Pa
         ("Frequency (Hz)\ttip Magnitude (dB re 1 m/s²/N)\ttip Phase (deg)\n", DECIBELS, "tip"),
         ("Frequenz [Hz]\t|H1| [dB re 1 m/s²/N]\tPhase [°]\n", DECIBELS, "H1"),
         ("f / kHz\tBetrag / m/s²/N\tPhase / Grad\n", POLAR * [1e-3, 1.0, 1.0], "response"),
+        ("f/Hz\tRe/(m/s²/N)\tIm/(m/s²/N)\n", REAL_IMAG, "response"),
+        ("Freq\tMag\tPhase\n(Hz)\t((m/s²)/N)\t(deg)\n", POLAR, "response"),
         (
             "\tfrequency_Hz\ttip_real [m/s²/N]\ttip_imag [m/s²/N]\n",
             np.insert(REAL_IMAG, 0, np.arange(199), axis=1),
@@ -164,12 +166,22 @@ SIGNALS = ["force", "tip"]
         ("Zeit;force in N;tip in m/s²", "30.11.2026 10:15:0{time:.6f};{force:.6f};{tip:.6f}"),
         ("Sample Number;Date/Time;force (N);tip (g)", "{number};11/30/2026 9:15:0{time:.6f} PM;{force:.6f};{tip:.6f}"),
         ("Sampling rate [Hz]:;1024\nforce (N);tip (g)", "{force:.6f};{tip:.6f}"),
+        ("Delta T (ms):;0.9765625\nforce (N);tip (g)", "{force:.6f};{tip:.6f}"),
+        ("time_ms;force_N;tip_m/s2", "{ms:.5f};{force:.6f};{tip:.6f}"),
+        ("Time (s);force (N);tip (g);Comment", "{time:.8f};{force:.6f};{tip:.6f};{comment}"),
+        ("Time [s]   force [N]   tip [m/s²]", "{time:.8f}   {force:.6f}   {tip:.6f}"),
     ],
 )
 def test_columns_without_signals_are_omitted(heading: str, row: str, tmp_path: Path) -> None:
     rows = [
         row.format(
-            number=number, time=time, ms=1e3 * time, force=force, tip=tip, fortran=f"{tip:.6E}".replace("E", "D")
+            number=number,
+            time=time,
+            ms=1e3 * time,
+            force=force,
+            tip=tip,
+            fortran=f"{tip:.6E}".replace("E", "D"),
+            comment="hit" if number == 100 else "",
         )
         for number, (time, force, tip) in enumerate(SAMPLES)
     ]
@@ -177,6 +189,15 @@ def test_columns_without_signals_are_omitted(heading: str, row: str, tmp_path: P
     with ExitStack() as stack:
         signals = signals_of(tmp_path / "a.prn", stack)
         assert [signal.name for signal in signals] == ["force", "tip"]
+        assert [signal.rate for signal in signals] == [1024.0, 1024.0]
+        np.testing.assert_allclose(signals[1].read(0, 300), SAMPLES[:, 2], atol=1e-6)
+
+
+def test_decimal_commas_may_be_quoted(tmp_path: Path) -> None:
+    rows = [f'"{time:.8f}","{force:.6f}","{tip:.6f}"'.replace(".", ",") for time, force, tip in SAMPLES]
+    (tmp_path / "a.csv").write_text("\n".join(['"Time (s)","force (N)","tip (g)"', *rows]), encoding="utf-8")
+    with ExitStack() as stack:
+        signals = text_signals(tmp_path / "a.csv", stack)
         assert [signal.rate for signal in signals] == [1024.0, 1024.0]
         np.testing.assert_allclose(signals[1].read(0, 300), SAMPLES[:, 2], atol=1e-6)
 

@@ -114,16 +114,14 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     is_in_gap = ~is_unbounded & are_in_gaps(measured.frequency, found.poles)
     accepted = ~(is_unbounded | is_in_gap)
     uncertain, unmeasured = frequency[is_unbounded], frequency[is_in_gap]
-    if not accepted.any() and unmeasured.size:
-        raise RecordingError(
-            f"{curves[0].label}: all resonances ({', '.join(f'{f:.4g}' for f in unmeasured)} Hz) lie where points of "
-            "the curves were omitted. `analysis frf` prints the reasons; correct them, and record again."
-        )
     if not accepted.any():
+        place, remedy = "the uncertainty of the curves is too large", "Reduce its largest contributions, which"
+        if unmeasured.size:
+            place, remedy = "points of the curves were omitted", "Correct the reasons, which"
+        listed = ", ".join(f"{f:.4g}" for f in (unmeasured if unmeasured.size else uncertain))
         raise RecordingError(
-            f"{curves[0].label}: all resonances ({', '.join(f'{f:.4g}' for f in uncertain)} Hz) lie where the "
-            "uncertainty of the curves is too large. Reduce the largest contributions to the uncertainty, which "
-            "`analysis frf` lists."
+            f"{curves[0].label}: all resonances ({listed} Hz) lie where {place}. {remedy} `analysis frf` lists, and "
+            "record again."
         )
     poles, residue = found.poles[accepted], found.residue[:, accepted]
     # A clock error changes all frequencies by the same factor, because it is common to all lines.

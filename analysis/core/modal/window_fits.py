@@ -15,7 +15,6 @@ import scipy
 from numpy.typing import NDArray
 
 from analysis.core.modal.band_choice import Part, band_choice, end_parts, half_parts
-from analysis.core.modal.line_choice import reduce_lines
 from analysis.core.modal.modal_fit import MODEL_ERRORS, FittedModes, fit_modes, remove_unbounded
 from analysis.core.modal.modes import UncertainMode
 from analysis.core.modal.peak_windows import Window, peak_windows
@@ -83,8 +82,9 @@ def identify_windows(curves: Sequence[Response], value: ComplexArray, count: int
 
     halves = list(half_parts(curves[0].frequency, poles_of))
     parts = [no_poles(value), *(_confirm(fit, halves) for fit in fits)]
-    poles = np.concatenate([part.poles for part in parts])
-    residue = np.concatenate([part.residue for part in parts], axis=1)
+    poles, residue, frequency_error, damping_error = (
+        np.concatenate(column, axis=-1) for column in list(zip(*parts, strict=True))[:4]
+    )
     # Heights of peaks are compared as accelerations, because displacements would favor low frequencies. A peak without
     # width, such as mains hum, counts only with its height at the resolution of the lines.
     resolution = max(curve.resolution for curve in curves)
@@ -94,8 +94,8 @@ def identify_windows(curves: Sequence[Response], value: ComplexArray, count: int
     return IdentifiedPoles(
         poles[chosen],
         residue[:, chosen],
-        np.concatenate([part.frequency_error for part in parts])[chosen],
-        np.concatenate([part.damping_error for part in parts])[chosen],
+        frequency_error[chosen],
+        damping_error[chosen],
         max(part.model_error for part in parts),
         [each for part in parts for each in part.rejected],
         [each for part in parts for each in part.uncertain],
@@ -127,7 +127,7 @@ def _window_fits(curves: Sequence[Response], required: ComplexArray | None = Non
 
 def _fit_window(curves: list[Response], window: Window, n_lines: int) -> _WindowFit:
     """Fit a model to a window; `n_lines`: number of lines of the whole band."""
-    fitted = fit_modes(_fitted_lines(curves))
+    fitted = fit_modes(remove_unbounded(curves))
     poles, frequency = fitted.model.poles, fitted.weighted.frequency
     natural, half = abs(poles) / (2 * np.pi), half_width(poles)
     accepted = are_in_band(fitted.weighted, poles) & (natural > window.low) & (natural <= window.high)
@@ -140,10 +140,6 @@ def _fit_window(curves: list[Response], window: Window, n_lines: int) -> _Window
     return _WindowFit(curves, fitted, accepted, rejected)
 
 
-def _fitted_lines(curves: Sequence[Response]) -> list[Response]:
-    return remove_unbounded(reduce_lines(curves))
-
-
 def _confirm(window: _WindowFit, halves: Sequence[Part]) -> IdentifiedPoles:
     """Return the poles of a window that the halves of all lines and the parts of the window confirm."""
     curves, fitted, poles = window.curves, window.fitted, window.fitted.model.poles
@@ -154,11 +150,11 @@ def _confirm(window: _WindowFit, halves: Sequence[Part]) -> IdentifiedPoles:
     assumed_errors = [each for each in MODEL_ERRORS if each >= fitted.assumed_error]
 
     def identify(lines: NDArray[np.intp]) -> ComplexArray:
-        part = fit_modes(_fitted_lines([curve.at(lines) for curve in curves]), None, assumed_errors)
+        part = fit_modes(remove_unbounded([curve.at(lines) for curve in curves]), None, assumed_errors)
         return part.model.poles[are_in_band(part.weighted, part.model.poles)]
 
     choice = band_choice(poles, [*end_parts(curves[0].frequency, identify), *halves])
-    systematic = [standard_of_limit(each) for each in systematic_pole_errors(_fitted_lines(curves), poles)]
+    systematic = [standard_of_limit(each) for each in systematic_pole_errors(remove_unbounded(curves), poles)]
     of_choice = choice.frequency_error, choice.damping_error
     smallest = -_MIN_UNCERTAINTY * poles.real / np.stack([np.full(poles.size, 2 * np.pi), abs(poles)])
     errors = np.linalg.norm([pole_errors(fitted.weighted, fitted.model), systematic, of_choice, smallest], axis=0)

@@ -30,7 +30,6 @@ from rig.core.results.universal_file import BOUND_LINE, DEVIATION_LINE, FRF, GEN
 from rig.core.settings.quantities import FREQUENCY
 
 _ARRAY_ENDINGS = (".mat", ".h5", ".hdf5", ".npz", ".npy")
-ENDINGS = (".uff", ".unv", ".csv", ".txt", ".tsv", ".asc", ".dat", *_ARRAY_ENDINGS)
 # Heading of a column: name of the response, component, and unit of the phase.
 _COLUMN_NAME = re.compile(
     r"(.*?)[\s_.:,|-]*(?<![^\W_])(real|re|imaginary|imag|im|magnitude|mag|amplitude|ampl|amp|abs|phase|pha|arg"
@@ -131,7 +130,7 @@ def _checked(curves: Sequence[Response]) -> Response:
 
 def is_frf_file(path: Path) -> bool:
     """Return whether a file may contain frequency responses instead of a recording."""
-    return path.suffix.lower() in ENDINGS
+    return path.suffix.lower() != ".mcap"
 
 
 def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Response]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
-from rig.core.base.palette import place_styles
+from rig.core.base.palette import location_styles
 from rig.core.results import format_number
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def _draw(curve_axes: Axes, residual_axes: Axes, compared: Comparison) -> None:
     breaks = (
         np.flatnonzero(steps > _MIN_BREAK_RATIO * neighboring_steps) + 1 if steps.size > 1 else np.empty(0, dtype=int)
     )
-    styles = place_styles([sensor.at for sensor in curves.sensors])
+    styles = location_styles([sensor.at for sensor in curves.sensors])
     for k, (sensor, style) in enumerate(zip(curves.sensors, styles, strict=True)):
         magnitude, residual = factor * abs(curves.value[k, order]), compared.normalized_residuals[k, order]
         for ax, y in ((curve_axes, magnitude), (residual_axes, residual)):

@@ -13,7 +13,7 @@ from analysis.core.damper_motion.comparison import Peak, local_model, resonance_
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
-from rig.core.base.palette import CurveStyle, faded, place_style, place_styles
+from rig.core.base.palette import CurveStyle, faded, location_style, location_styles
 from rig.core.results.resonances import Resonance
 from rig.core.results.response import MOTIONS, Response
 from rig.core.results.uncertainty import SENSITIVITY, SYSTEMATIC
@@ -103,14 +103,14 @@ def frf_figure(
     if high <= low:
         low, high = low / 1.2, high * 1.2
     several = bool(styles)
-    styles = styles or place_styles([frf.outputs[0].at for frf in frfs])
+    styles = styles or location_styles([frf.outputs[0].at for frf in frfs])
     if len(frfs) == 1:
         styles = [styles[0]._replace(dashes=())]
     top = phase_top(frfs)
     with new_figure(6.8) as figure:
         magnitude_axes, phase_axes, coherence_axes = figure.subplots(3, 1, height_ratios=[3.2, 1.3, 0.9])
         for curve in theory:
-            color = place_style(curve.outputs[0].at).color if curve.outputs[0].at and not several else _THEORY_COLOR
+            color = location_style(curve.outputs[0].at).color if curve.outputs[0].at and not several else _THEORY_COLOR
             style: dict[str, Any] = {"color": color, "lw": 0.9, "ls": ":", "zorder": 3.5}
             magnitude_axes.plot(curve.frequency, curve.shown_in[1] * abs(curve.value), **style)
             phase_axes.plot(*break_at_wraps(curve.frequency, phase_degrees(curve.value, top)), **style)

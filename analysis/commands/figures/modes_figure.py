@@ -12,7 +12,7 @@ from analysis.core.modal.modes import Modes
 from rig.core.base.arrays import Array
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
-from rig.core.base.palette import faded, place_styles
+from rig.core.base.palette import faded, location_styles
 from rig.core.results.response import MAX_MARKERS, Response
 from rig.core.results.uncertainty import expand
 
@@ -55,7 +55,7 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
         dense = dense[(dense >= low) & (dense <= high)]
         # Few points are drawn as dots with a line for the model, many points as a broad line with a thin line.
         is_sparse = curves[0].frequency.size <= MAX_MARKERS
-        styles = place_styles([curve.outputs[0].at for curve in curves])
+        styles = location_styles([curve.outputs[0].at for curve in curves])
         unit, factor = curves[0].shown_in
         for index, (curve, style) in enumerate(zip(curves, styles, strict=True)):
             color = style.color

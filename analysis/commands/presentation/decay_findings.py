@@ -25,7 +25,7 @@ from analysis.core.recordings.names import (
     scene_labels,
     with_recordings,
 )
-from rig.core.base.palette import place_styles, recording_styles
+from rig.core.base.palette import location_styles, recording_styles
 from rig.core.results.text import format_interval, format_limited, table_lines
 from rig.core.results.uncertainty import expand
 
@@ -80,7 +80,7 @@ def present_decay(
     if excitations[0] and len(set(excitations)) == 1:
         title += f" ({excitations[0]})"
     reference = baseline_label(moving)
-    styles = recording_styles([name == reference for name in moving]) if reference else place_styles(places)
+    styles = recording_styles([name == reference for name in moving]) if reference else location_styles(places)
     files = save_figure(decay_figure(decays, title, styles), stem)
     files += [envelope_table(envelopes, decays), damping_table(dampings, decays)]
     return CommandOutput(

@@ -20,7 +20,7 @@ from analysis.core.signals.shock_spectrum import ShockSpectrum, prescribed_spect
 from daq.core.recording.recorded_test import deviation_unit, shocks_of
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import COLORS, add_legend_below, add_title, new_figure, save_figure, set_log_scale
-from rig.core.base.palette import REFERENCE, place_style
+from rig.core.base.palette import REFERENCE, location_style
 from rig.core.results.text import table_lines
 
 if TYPE_CHECKING:
@@ -69,13 +69,13 @@ def present_srs(
         axes = figure.add_subplot()
         for index, (label, spectrum) in enumerate(spectra):
             name = f"{label}, {spectrum.channel}" if len(paths) > 1 else spectrum.channel
-            color = COLORS[index % len(COLORS)] if len(paths) > 1 else place_style(places[spectrum.channel]).color
+            color = COLORS[index % len(COLORS)] if len(paths) > 1 else location_style(places[spectrum.channel]).color
             style = {"color": color, "label": escape_figure(name)}
             if len(spectra) == 1:
                 spectrum.draw(axes, **style)
             else:
                 # With several channels, the signed spectra would hide each other; they are in the table only.
-                dashes = "-" if len(paths) > 1 else place_style(places[spectrum.channel]).line
+                dashes = "-" if len(paths) > 1 else location_style(places[spectrum.channel]).line
                 axes.loglog(spectrum.frequency, spectrum.maximax, ls=dashes, lw=1.6, **style)
                 axes.set(xlabel="natural frequency / Hz", ylabel=f"shock response / ({spectrum.unit})")
         if required is not None:

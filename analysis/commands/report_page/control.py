@@ -21,7 +21,7 @@ from analysis.core.tracking.body_motion import CurvePart
 from analysis.core.tracking.continuation import AmplitudeCurve
 from daq.core.recording.recorded_test import shocks_of
 from rig.core.base.arrays import Array
-from rig.core.base.palette import REFERENCE, CurveStyle, place_style, place_styles
+from rig.core.base.palette import REFERENCE, CurveStyle, location_style, location_styles
 from rig.core.results import format_percent
 from rig.core.scene.excitation import FORCE_TOLERANCE
 from rig.core.scene.excitation.profile import from_decibels
@@ -36,7 +36,7 @@ _PULSE_VIEW = 3.0
 
 def _profile_chart(check: ProfileCheck) -> Chart:
     """Return a chart of control and limited channels with their bounds."""
-    control, *limited = place_styles([level.place for level in (check.channels[0], *check.limited)])
+    control, *limited = location_styles([level.place for level in (check.channels[0], *check.limited)])
     frequency = check.frequency
     curves = [
         Curve("control", frequency, check.control, style=control._replace(dashes=())),
@@ -133,7 +133,7 @@ def control_charts(measurement: Measurement) -> list[Chart]:
     wave = correct_motion(rec.channels[control], samples, "acceleration", 2.0 / test.shortest, 0.4 * rec.rate)
     center = int(mark.fields["center"]) - mark.first_sample
     time = EvenlySpaced(-1e3 * center / rec.rate, 1e3 / rec.rate, wave.size)
-    curves = [Curve(control, time, wave, style=place_style(rec.channels[control].at))]
+    curves = [Curve(control, time, wave, style=location_style(rec.channels[control].at))]
     elapsed = (np.arange(wave.size) - center) / rec.rate
     pulse, view = test.pulse(elapsed), None
     if pulse is not None:
@@ -152,7 +152,7 @@ def control_charts(measurement: Measurement) -> list[Chart]:
         x_view=view,
     )
     curves = [
-        Curve(each.channel, each.frequency, each.maximax, style=place_style(rec.channels[each.channel].at))
+        Curve(each.channel, each.frequency, each.maximax, style=location_style(rec.channels[each.channel].at))
         for each in measurement.spectra
     ]
     prescribed = test.shock_spectrum()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from analysis.commands.figures.modes_figure import is_known_shape
 from analysis.commands.report_page.tables import typeset
 from rig.core.base.escaping import escape_html
-from rig.core.base.palette import DAMPER, HAMMER, TABLE, place_style, place_styles
+from rig.core.base.palette import DAMPER, HAMMER, TABLE, location_style, location_styles
 from rig.core.results import format_number
 from rig.core.results.uncertainty import expand
 
@@ -95,7 +95,7 @@ def _table(shaker: Shaker, y: float) -> str:
 def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
     """Draw a body, the spring below it (dashed if the scene gives matrices) and the dampers inside."""
     structure = scene.structure
-    color = place_style(f"body {body}").color
+    color = location_style(f"body {body}").color
     middle = _LEFT + _BODY_WIDTH / 2
     body_mass = "" if structure.masses is None else f", {structure.masses[body - 1]:.4g} kg"
     yield (
@@ -172,7 +172,7 @@ def _channels(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
     for channel in scene.channels or ():
         names_at.setdefault(channel.at, []).append(channel.name)
     for location, names in names_at.items():
-        color = place_style(location).color
+        color = location_style(location).color
         carries_structure = location in tables and tables[location].carries_structure
         if location.startswith("body ") or carries_structure:
             number = 0 if carries_structure else int(location.removeprefix("body "))
@@ -203,7 +203,7 @@ def mode_drawing(shapes: BodyShapes, locations: Sequence[str], mode: int, title:
     opacity = 1.0 if is_known_shape(bounds) else 0.4
     height = count * (_SHAPE_HEIGHT + _SHAPE_SPACING)
     parts = []
-    for k, (name, style) in enumerate(zip(shapes.names, place_styles(locations), strict=True)):
+    for k, (name, style) in enumerate(zip(shapes.names, location_styles(locations), strict=True)):
         y = height - _SHAPE_SPACING // 2 - k * (_SHAPE_HEIGHT + _SHAPE_SPACING) - _SHAPE_HEIGHT
         element, bound = float(shapes.shapes[k, mode].real), float(bounds[k])
         bar = _MAX_AMPLITUDE * min(bound, 1.0)

@@ -9,7 +9,7 @@ from scipy import fft
 
 from analysis.commands.report_page.charts import IMAGE_SPAN_DB, Chart, Curve, EvenlySpaced, Panel, level_image
 from rig.core.base.arrays import Array
-from rig.core.base.palette import place_styles
+from rig.core.base.palette import location_styles
 from rig.core.system.structural_model import structural_model
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def time_histories(rec: Recording) -> Chart:
     units = list(dict.fromkeys(rec.channels[name].unit for name in names))
     panels = []
     # Solid lines, because dashes would look like samples.
-    styles = [style._replace(dashes=()) for style in place_styles([rec.channels[name].at for name in names])]
+    styles = [style._replace(dashes=()) for style in location_styles([rec.channels[name].at for name in names])]
     for unit in units:
         selected = [name for name in names if rec.channels[name].unit == unit]
         scale, shown_unit = (1e3, "mm") if unit == "m" else (1.0, unit.replace("^2", "²"))

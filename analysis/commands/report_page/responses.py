@@ -40,7 +40,7 @@ from analysis.core.decays.modal_decay import ModalDecay
 from analysis.core.recordings.names import acquisition_text, belongs_to, excitation_text, without_common_direction
 from analysis.core.responses.estimator import Blocks
 from rig.core.base.arrays import Array, ComplexArray
-from rig.core.base.palette import DAMPER, REFERENCE, CurveStyle, place_style, place_styles, recording_styles
+from rig.core.base.palette import DAMPER, REFERENCE, CurveStyle, location_style, location_styles, recording_styles
 from rig.core.results import format_decimals, format_frequencies, format_percent
 from rig.core.results.response import Response
 from rig.core.scene.excitation import FORCE_TOLERANCE
@@ -160,7 +160,7 @@ def response_chart(
     `styles`: styles of the curves, by default those of their bodies; `peaks`: marked peaks of each curve; `marks`:
     labels, see `Panel`. `view`: part of the band that is shown first, and determines the vertical axis.
     """
-    styles = styles or place_styles([frf.outputs[0].at for frf in frfs])
+    styles = styles or location_styles([frf.outputs[0].at for frf in frfs])
     ordered = [frf.with_gaps() for frf in frfs]
     unit, factor = ordered[0].shown_in
     magnitude, phase, coherence, relative = [], [], [], []
@@ -443,7 +443,7 @@ def damper_charts(measurement: Measurement) -> list[Chart]:
         order = np.arange(frequency.size) if draw == "dots" else np.argsort(frequency)
         for motions in result.bodies:
             place, count = motions[0].channel, np.array([sum(motion.impacts_per_period) for motion in motions])
-            label, at = (place, place_style(measurement.rec.channels[place].at)) if is_single else (name, style)
+            label, at = (place, location_style(measurement.rec.channels[place].at)) if is_single else (name, style)
             impacts.setdefault(place, []).append(Curve(label, frequency[order], count[order], style=at, draw=draw))
         energy = result.energy
         if energy is not None:

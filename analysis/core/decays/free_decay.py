@@ -272,8 +272,8 @@ def _overload_warnings(rec: Recording, info: ChannelInfo, hit: int, start: int, 
     fraction = overloaded / max(stop - first, 1)
     if fraction > _MAX_OVERLOADED_FRACTION:
         raise RecordingError(
-            f"{rec.path}: {info.name} was overloaded for {format_percent(fraction)} of impact {hit}'s decay. Hit more "
-            "softly, widen the converter's range, or lower the sensitivity in the scene."
+            f"{rec.path}: {info.name} was overloaded for {format_percent(fraction)} of the decay after impact {hit}. "
+            "Hit more softly, widen the converter's range, or lower the sensitivity in the scene."
         )
     if not fraction:
         return []

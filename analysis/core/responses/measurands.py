@@ -128,7 +128,7 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
         table = motion_channel_at(rec, location)
         if table is None:
             raise RecordingError(
-                f"{rec.path}: no channel on the table ({_places(rec)}). "
+                f"{rec.path}: no channel on the table ({_locations(rec)}). "
                 f"Add {{name: table, at: {location}}} to the scene's channels."
             )
         return Measurand((table.name,), (1.0,), "displacement", "table")
@@ -141,7 +141,7 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
         return force_of(forces[0].name)
     if rec.scene.hammer is not None:
         raise RecordingError(
-            f"{rec.path}: no channel measures the force of the hammer ({_places(rec)}). "
+            f"{rec.path}: no channel measures the force of the hammer ({_locations(rec)}). "
             "Add {name: hammer, at: hammer} to the scene's channels, or use `analysis decay`."
         )
     shaker = rec.scene.driven_shaker
@@ -151,14 +151,14 @@ def reference_of(rec: Recording, reference: str) -> Measurand:
             hint = f"{rec.scene.at_driven('shaker')}: {shaker.force_hint(rec.scene.at_driven('table'))}"
         elif shaker is not None:
             hint = f"Add {{name: force, at: {rec.scene.at_driven('shaker')}}} to the scene's channels."
-        raise RecordingError(f"{rec.path}: no channel measures the force ({_places(rec)}, no coil spring). {hint}")
+        raise RecordingError(f"{rec.path}: no channel measures the force ({_locations(rec)}, no coil spring). {hint}")
     ends, terms = [], shaker.force_terms("", rec.scene.at_driven("table"))
     for at in terms:
         info = motion_channel_at(rec, at)
         if info is None:
             raise RecordingError(
                 f"{rec.path}: the spring force k0 (x0 - x{shaker.bodies[0]}) needs a motion channel at {at} "
-                f"({_places(rec)}). Add {{name: {at.replace(' ', '')}, at: {at}}} to the scene's channels."
+                f"({_locations(rec)}). Add {{name: {at.replace(' ', '')}, at: {at}}} to the scene's channels."
             )
         ends.append(info.name)
     return Measurand(tuple(ends), tuple(terms.values()), "displacement", "force")
@@ -197,7 +197,7 @@ def reject_zero_reference(rec: Recording, denominator: Measurand, amplitude: NDA
         )
 
 
-def _places(rec: Recording) -> str:
+def _locations(rec: Recording) -> str:
     """List the channels of a recording with their quantities and locations, for messages."""
     channels = [f"{name}: {info.quantity} at {info.at}" for name, info in rec.channels.items()]
     return f"it has {', '.join(channels) or 'no channels'}"

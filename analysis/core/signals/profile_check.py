@@ -20,7 +20,7 @@ from daq.core.excitation.profiles.random_control_check import line_warnings
 from daq.core.excitation.profiles.sweep_control import estimate_amplitudes, observation_samples
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
-from rig.core.base.palette import REFERENCE, place_styles
+from rig.core.base.palette import REFERENCE, location_styles
 from rig.core.numerics.runs import runs_of
 from rig.core.results import Result, complete_style, format_frequencies
 from rig.core.scene.excitation.kind import Chirp
@@ -202,7 +202,7 @@ class ProfileCheck(Result):
         """Draw control and limited channels with profile, tolerance, limits, and strips where a limit acts."""
         ax.loglog(self.frequency, self.profile, "--", color=REFERENCE, lw=1.2, label="profile", zorder=3)
         ax.fill_between(self.frequency, *self.band, color="#999999", alpha=0.3, lw=0)
-        control, *limited = place_styles([level.place for level in (self.channels[0], *self.limited)])
+        control, *limited = location_styles([level.place for level in (self.channels[0], *self.limited)])
         names = " and ".join(level.channel for level in self.channels)
         line = complete_style(style, color=control.color, lw=1.8, label=f"control: {names}")
         ax.loglog(self.frequency, self.control, **line)

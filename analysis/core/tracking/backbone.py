@@ -26,7 +26,7 @@ from analysis.core.tracking.body_motion import CurvePart, LevelPoint, body_motio
 from daq.core.recording.recorded_test import HELD_PHASE
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
-from rig.core.base.palette import place_styles
+from rig.core.base.palette import location_styles
 from rig.core.results import Result, complete_style, format_limited, format_number
 from rig.core.results.uncertainty import SENSITIVITY
 from rig.core.system.structural_model import structural_model
@@ -128,7 +128,7 @@ class Backbone(Result):
 
     def parts(self) -> list[CurvePart]:
         """Return the settled points."""
-        return [CurvePart("phase resonance", place_styles([self.body])[0], self.settled, True)]
+        return [CurvePart("phase resonance", location_styles([self.body])[0], self.settled, True)]
 
     def marks(self) -> list[tuple[float, float, str]]:
         """Return frequency, amplitude and level of each point."""
@@ -155,7 +155,7 @@ class Backbone(Result):
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the amplitude over the frequency: the measured points with their levels, joined in their order."""
-        color = place_styles([self.body])[0].color
+        color = location_styles([self.body])[0].color
         # Dotted: nothing is measured between the points.
         line = {"color": color, "ls": ":", "lw": 1.0, "marker": "o", "markersize": 4.5}
         bars = complete_style(style, label=self.label, capsize=2, elinewidth=1.0, **line)

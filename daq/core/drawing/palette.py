@@ -37,7 +37,7 @@ def channel_color(at: str) -> Color:
     >>> channel_color("body 2") == body_color(2)
     True
     """
-    return _rgb(palette.place_style(at).color)
+    return _rgb(palette.location_style(at).color)
 
 
 def hex_color(color: Color) -> str:

@@ -53,10 +53,10 @@ def body_style(body: int) -> CurveStyle:
     return CurveStyle(BODIES[index], _DASHES[index], _MARKERS[index])
 
 
-def place_style(place: str) -> CurveStyle:
+def location_style(place: str) -> CurveStyle:
     """Return the style of a location such as ``body 2``, ``table`` or ``hammer``.
 
-    >>> place_style("body 2") == body_style(2), place_style("table").color == TABLE
+    >>> location_style("body 2") == body_style(2), location_style("table").color == TABLE
     (True, True)
     """
     if body := _BODY.fullmatch(place):
@@ -64,18 +64,18 @@ def place_style(place: str) -> CurveStyle:
     return CurveStyle(TABLE, (4, 2)) if place.startswith(("table", "drive")) else CurveStyle(HAMMER, (1, 2))
 
 
-def place_styles(places: Sequence[str]) -> list[CurveStyle]:
+def location_styles(places: Sequence[str]) -> list[CurveStyle]:
     """Return the styles of curves by their locations; an unknown location gets the style of the body of its position.
 
     Further curves of the same location have other dashes and markers.
 
-    >>> [style.color == BODIES[2] for style in place_styles(["body 3", "shaker", "", "body 3"])]
+    >>> [style.color == BODIES[2] for style in location_styles(["body 3", "shaker", "", "body 3"])]
     [True, False, True, True]
     """
     styles: list[CurveStyle] = []
     for position, place in enumerate(places, 1):
         known = _BODY.fullmatch(place) or place.startswith(("table", "drive", "hammer", "shaker"))
-        style = place_style(place) if known else body_style(position)
+        style = location_style(place) if known else body_style(position)
         repeated = sum(style.color == other.color for other in styles)
         other = body_style(_DASHES.index(style.dashes) + 1 + repeated) if repeated else style
         styles.append(style._replace(dashes=other.dashes, marker=other.marker))

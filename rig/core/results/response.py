@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.base.errors import SceneError
-from rig.core.base.palette import place_styles, recording_styles
+from rig.core.base.palette import location_styles, recording_styles
 from rig.core.results.points import MOTIONS, Point, body_number
 from rig.core.results.response_arithmetic import MAX_PEAK_UNCERTAINTY_RATIO, ResponseArithmetic
 from rig.core.results.response_values import stack
@@ -205,7 +205,7 @@ class Response(ResponseArithmetic, Sequence["Response"]):
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the magnitude with its expanded uncertainty, both axes logarithmic, for each element."""
         if not self.is_curve:
-            place_colors = place_styles([curve.outputs[0].at for curve in self.curves()])
+            place_colors = location_styles([curve.outputs[0].at for curve in self.curves()])
             for curve, (color, *_) in zip(self.curves(), place_colors, strict=True):
                 curve.draw(
                     ax,
@@ -220,7 +220,7 @@ class Response(ResponseArithmetic, Sequence["Response"]):
             return
         curve, (unit, factor) = self.with_gaps(), self.shown_in
         magnitude, expanded = factor * abs(curve.value), factor * np.nan_to_num(curve.expanded())
-        color, *_ = place_styles([self.outputs[0].at])[0]
+        color, *_ = location_styles([self.outputs[0].at])[0]
         # Another curve of the same body gets the next color of the axes.
         default = None if any(line.get_color() == color for line in ax.lines) else color
         dense, through = curve.continued(np.ones(magnitude.size, dtype=bool))

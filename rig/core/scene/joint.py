@@ -56,7 +56,7 @@ class _Joint(Settings):
         if self.between[0] == self.between[1]:
             yield Problem(("between",), f"both ends are {self.between[0]}; expected two bodies, or a body and ground")
 
-    def _places(self, label: Callable[[int], str]) -> str:
+    def _locations(self, label: Callable[[int], str]) -> str:
         """Name both ends; `label`: returns the name of a body for its number."""
         lower, upper = (end if isinstance(end, str) else label(end) for end in self.between)
         return f"between {lower} and {upper}"
@@ -92,7 +92,7 @@ class Stop(_Joint):
         dashpot = f", {self.damping:.4g} N s/m" if self.damping else ""
         if self.restitution is not None:
             dashpot = f", restitution {self.restitution:.4g}"
-        return f"stop {self._places(label)}, gap {self.short_text}, {self.stiffness:.4g} N/m{dashpot}"
+        return f"stop {self._locations(label)}, gap {self.short_text}, {self.stiffness:.4g} N/m{dashpot}"
 
 
 class FrictionJoint(_Joint):
@@ -113,7 +113,7 @@ class FrictionJoint(_Joint):
 
     def text(self, label: Callable[[int], str]) -> str:
         """Describe the joint; `label`: returns the name of a body for its number."""
-        return f"friction joint {self._places(label)}, {self.short_text}, {self.stiffness:.4g} N/m"
+        return f"friction joint {self._locations(label)}, {self.short_text}, {self.stiffness:.4g} N/m"
 
 
 Joint = Annotated[Stop | FrictionJoint, Alternatives(by_key)]

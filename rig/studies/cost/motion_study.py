@@ -123,8 +123,8 @@ def motion_study(
     margin = best / max(exact.agreement, 10.0 ** (-DIGITS))
     if margin < MIN_REFERENCE_MARGIN:
         raise RunError(
-            "the reference motion is less than a thousand times more accurate than the best method. Please report this "
-            "as a bug, and attach the scene."
+            "the reference motion must be a thousand times more accurate than the best method, but is not. Please "
+            "report this as a bug, and attach the scene."
         )
     reference = (
         f"decimal arithmetic of {DIGITS} digits, with every event located again. With fewer digits, the motion changes "

@@ -137,7 +137,9 @@ def single_mode(
     restitution 0.
     """
     if scene.joints:
-        raise SceneError("joints: the reduction to one mode requires a linear structure with dampers. Remove them.")
+        raise SceneError(
+            "joints: the reduction to one mode requires a linear structure with dampers. Remove the joints."
+        )
     model = structural_model(scene)
     mass = model.mass.copy()
     damper_masses: dict[int, float] = {}
@@ -148,8 +150,8 @@ def single_mode(
             continue
         if damper.spring is not None:
             raise SceneError(
-                f"damper in body {damper.body}: a mass on a spring; the approximate method assumes a floor. Remove the "
-                "damper, or use rig.orbit_response."
+                f"damper in body {damper.body}: it is a mass on a spring, but the approximate method requires a "
+                "floor. Remove the damper, or use rig.orbit_response."
             )
         if damper.grains is not None:
             raise SceneError(
@@ -158,13 +160,13 @@ def single_mode(
             )
         if damper.contact is not None:
             raise SceneError(
-                f"damper in body {damper.body}: its contact has a finite duration; the approximate "
-                "method assumes instantaneous contact. Remove the damper's key contact, or use rig.orbit_response."
+                f"damper in body {damper.body}: its contact has a finite duration, but the approximate "
+                "method requires instantaneous contact. Remove the damper's key contact, or use rig.orbit_response."
             )
         if damper.restitution != 0:
             raise SceneError(
-                f"damper in body {damper.body}: restitution {damper.restitution}; the approximate "
-                "method assumes 0. Set restitution to 0, or use rig.orbit_response."
+                f"damper in body {damper.body}: restitution {damper.restitution}, but the approximate "
+                "method requires 0. Set restitution to 0, or use rig.orbit_response."
             )
         damper_masses[damper.body] = damper_masses.get(damper.body, 0.0) + float(md)
         clearances.add(damper.clearance)

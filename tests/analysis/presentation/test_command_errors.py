@@ -31,7 +31,7 @@ CASES = [
     ("dead", IMPULSE, 3, np.zeros(9000), [("hit", 900, 910, {})], "decay", "is constant throughout the decay"),
     (
         "all clipped", IMPULSE, 3, np.sin(np.arange(9000)), [("hit", 900, 910, {}), *overload_markers(8999)], "decay",
-        "was overloaded for 100 % of impact 1's decay",
+        "was overloaded for 100 % of the decay after impact 1",
     ),
     ("short", IMPULSE, 3, np.ones(1000), [("hit", 900, 910, {})], "decay", "expected 256 or more"),
     (

@@ -158,29 +158,6 @@ def test_file_without_responses_is_rejected(name, tmp_path):
 
 # In pure noise, the driving-point response may appear reversed.
 @pytest.mark.filterwarnings("ignore:.*channel is reversed")
-def test_block_average_agrees_with_scipy(tmp_path):
-    random = np.random.default_rng(5)
-    force = random.standard_normal(40960)
-    rows = np.vstack([signal.lfilter([1.0], [1.0, -1.8, 0.9], force), signal.lfilter([0.3], [1.0, 0.9], force), force])
-    rows[:2] += 0.1 * random.standard_normal((2, 40960))
-    write_tdms(tmp_path / "a.tdms", rows / np.array([[9.80665], [1.0], [1.0]]))
-    daq.import_files(tmp_path / "a.tdms", make_scene(), tmp_path / "r.mcap")
-    block = {"fs": RATE, "window": "hann", "nperseg": 2048, "noverlap": 1536}
-    frequency, power = signal.welch(force, **block)
-    with daq.open(tmp_path / "r.mcap") as recording:
-        for estimator in ("H1", "H2"):
-            (curves,) = analysis.frequency_responses(
-                recording, motion="acceleration", estimator=estimator, block=1.0, overlap=0.75
-            )
-            for curve, row in zip(curves, rows, strict=False):
-                cross = signal.csd(force, row, **block)[1]
-                expected = cross / power if estimator == "H1" else signal.welch(row, **block)[1] / cross.conj()
-                indices = np.searchsorted(frequency, curve.frequency - 1e-6)
-                np.testing.assert_allclose(curve.value, expected[indices], rtol=1e-9)
-
-
-# In pure noise, the driving-point response may appear reversed.
-@pytest.mark.filterwarnings("ignore:.*channel is reversed")
 def test_averaged_hits_are_ratio_of_averaged_spectra(tmp_path):
     pulse = np.sin(np.pi * np.arange(1, 9) / 9)
     force = np.zeros(24000)

@@ -67,24 +67,19 @@ def test_short_blocks_warn_of_high_damping(random_file):
     assert any("widens the peaks" in warning and "blocks of at least" in warning for warning in modes.warnings)
 
 
-def test_h1_agrees_with_scipy(random_file):
+@pytest.mark.parametrize(("estimator", "overlap"), [("H1", None), ("H1", 0.75), ("H2", 0.75)])
+def test_block_average_agrees_with_scipy(estimator, overlap, random_file):
     with daq.open(random_file) as rec:
-        [[frf]] = analysis.frequency_responses(rec, ["body2"], block=4.0)
+        [[frf]] = analysis.frequency_responses(rec, ["body2"], estimator=estimator, block=4.0, overlap=overlap)
         x, force = rec.read("body2"), rec.read("force")
-        block_samples = int(4.0 * RATE)
-        options = {
-            "fs": RATE,
-            "window": "hann",
-            "nperseg": block_samples,
-            "noverlap": block_samples // 2,
-            "detrend": "constant",
-        }
-        f, cross = signal.csd(force, x, **options)
-        _, power = signal.csd(force, force, **options)
-        _, coherence = signal.coherence(force, x, **options)
+    samples = int(4.0 * RATE)
+    options = {"fs": RATE, "window": "hann", "nperseg": samples, "noverlap": int((overlap or 0.5) * samples)}
+    f, cross = signal.csd(force, x, **options)
+    force_power, power = (signal.welch(each, **options)[1] for each in (force, x))
+    expected = cross / force_power if estimator == "H1" else power / cross.conj()
     in_band = (f >= 8.0) & (f <= 60.0)
-    np.testing.assert_allclose(frf.value, (cross / power)[in_band], rtol=1e-9)
-    np.testing.assert_allclose(frf.coherence, coherence[in_band], rtol=1e-9)
+    np.testing.assert_allclose(frf.value, expected[in_band], rtol=1e-9)
+    np.testing.assert_allclose(frf.coherence, (abs(cross) ** 2 / (force_power * power))[in_band], rtol=1e-9)
 
 
 def test_hv_lies_between_h1_and_h2():

@@ -130,7 +130,9 @@ def test_record_cut_within_a_chunk_is_rejected():
             opcodes_and_contents(records[:cut])
 
 
-@pytest.mark.parametrize("fields", [(Opcode.CHUNK, b""), (Opcode.FOOTER, b""), (Opcode.MESSAGE, bytes(21))])
+@pytest.mark.parametrize(
+    "fields", [(Opcode.CHUNK, b""), (Opcode.FOOTER, b""), (0xEE, b""), (Opcode.MESSAGE, bytes(21))]
+)
 def test_records_foreign_to_a_chunk_are_rejected(fields):
     wrong = record(*fields)
     with pytest.raises(Damage, match=r"does not belong in a chunk|truncated"):

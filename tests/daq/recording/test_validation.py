@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import daq
-from daq.core.mcap_file.chunk import Damage, messages_in, unpack_chunk
 from daq.core.mcap_file.compression import zstd
 from daq.core.mcap_file.reader import Container
 from daq.core.mcap_file.writer import ChunkedFile, Message
@@ -25,7 +24,6 @@ from daq.core.signal_chain.channel import ChannelInfo
 from daq.extras.viewer.description import describe
 from rig.core.base.errors import RecordingError, RunWarning, add_path
 from rig.core.base.escaping import is_single_line
-from tests.daq.mcap_file.mcap_records import message, packed_chunk, record
 from tests.daq.recording.recordings import (
     CONVERTER_24_BIT,
     FLUSH_LENGTH,
@@ -147,17 +145,6 @@ def test_unmarked_missing_samples_are_reported(intact_file: Path, shift: int) ->
             RecordingError, match=f"samples {first} to {stop - 1} of body1 are missing without a marker"
         ):
             recording.check()
-
-
-def test_excessively_compressed_chunk_is_rejected() -> None:
-    records = message(1, b"") * 2000
-    with pytest.raises(Damage, match="more than"):
-        messages_in(memoryview(records), stored_bytes=100)
-    with pytest.raises(Damage, match="does not belong in a chunk"):
-        messages_in(memoryview(record(0xEE, b"")), stored_bytes=100)
-    content = packed_chunk(b"zstd", bytes(8), size=1 << 25, checksum=0)
-    with pytest.raises(Damage, match="bytes after decompression"):
-        unpack_chunk(memoryview(content))
 
 
 @pytest.mark.parametrize("reason", ["a message is not a marker", "r.mcap is damaged"])

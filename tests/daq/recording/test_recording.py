@@ -424,7 +424,7 @@ def test_block_logged_half_a_sample_late_is_rejected(tmp_path, late_ns):
     with pytest.raises(
         RecordingError,
         match=rf"/raw/a: the block that begins at sample 5 states the times 50000000 ns to {end_ns} ns; "
-        "expected 50000000 ns to 70000000 ns",
+        "its sample numbers and the rate give 50000000 ns to 70000000 ns",
     ):
         daq.open(path).read("a", 5, 7)
 

@@ -73,14 +73,17 @@ def test_type_i_branch_ends_at_full_period_flight() -> None:
     )
 
 
+@pytest.mark.parametrize("change", [{"clearance": 0.0}, {"locked": True}])
 @pytest.mark.parametrize(
     ("name", "frequency"), [("fig9", 49.7), ("fig5-three-dampers", 48.0), ("fig8-two-dampers", 13.0)]
 )
-def test_zero_clearance_response_is_linear_with_damper_masses(name: str, frequency: float) -> None:
+def test_response_of_fixed_dampers_is_linear_with_their_masses(
+    name: str, frequency: float, change: dict[str, object]
+) -> None:
     scene = with_ideal_force(rig.load(name))
-    without_clearance = scene.replace(dampers=[damper.replace(clearance=0.0) for damper in scene.dampers])
+    fixed = scene.replace(dampers=[damper.replace(**change) for damper in scene.dampers])
 
-    orbit = rig.periodic_orbit(without_clearance, frequency)
+    orbit = rig.periodic_orbit(fixed, frequency)
 
     all_dampers = range(1, len(scene.dampers) + 1)
     exact = receptance(scene, [frequency], riding=all_dampers)[:, 0]

@@ -27,7 +27,7 @@ from rig.core.orbits.periodic_orbit import period_steps, periodic_orbit, set_to_
 from rig.core.orbits.problem import OrbitProblem, Parameter
 from rig.core.scene.scene import Scene
 from rig.core.system.open_loop_drive import with_ideal_force
-from rig.core.system.structural_model import receptance, structure_matrices
+from rig.core.system.structural_model import structure_matrices
 from rig.studies.cost.high_precision import exact_orbit
 from rig.studies.single_mode.approximate_response import Approximation, follow_mode
 from rig.studies.single_mode.reduction import SingleMode, single_mode
@@ -255,17 +255,6 @@ def test_stable_branches_cover_range_and_end_at_borders(
         assert all(orbit.residual < 1e-11 and not orbit.flaw for orbit in branch.orbits)
         for end, orbit in zip(branch.ends, (branch.orbits[0], branch.orbits[-1]), strict=True):
             assert end in ("range", "closed") or (end in orbit.plan.borders and orbit.margin < 1e-5)
-
-
-def test_locked_damper_orbit_is_the_linear_response() -> None:
-    scene = rig.load("fig9")
-    locked = scene.replace(dampers=[scene.dampers[0].replace(locked=True)])
-
-    orbit = periodic_orbit(locked, 48.9)
-
-    exact = receptance(locked, [48.9])[:, 0]
-    assert np.abs(orbit.compliance - exact).max() < 1e-8 * np.abs(exact).max()
-    assert orbit.motion_type == "linear"
 
 
 @cache

@@ -27,6 +27,7 @@ for decay, color in zip(decays, colors, strict=True):
 # %%
 # Damping ratio of each mode over its own amplitude. Without dampers it is constant. With them it is larger while the
 # acceleration, the sum of all modes, exceeds 1 g.
+# sphinx_gallery_thumbnail_number = 2
 panels = plt.subplots(1, 3, figsize=(9, 3), sharex=True, sharey=True, layout="constrained")[1]
 for decay, color in zip(decays, colors, strict=True):
     for number, mode in enumerate(sorted(decay.modes, key=lambda mode: mode.frequency)):

@@ -36,7 +36,6 @@ for number, branch in enumerate(orbits.branches):
     axes.plot(branch.value, 1e3 * amplitude, "#777777", lw=0.9, zorder=1, label=None if number else "exact orbits")
 curve.draw(axes)
 backbone.draw(axes, label="backbone (numbers: force in N)", color="black")
-axes.set_title("Continuation at 1 N, and the backbone")
 axes.legend()
 exact = np.concatenate([abs(b.frf[0]) * [orbit.reference_amplitude for orbit in b.orbits] for b in orbits.branches])
 exact_frequency = np.concatenate([branch.value for branch in orbits.branches])

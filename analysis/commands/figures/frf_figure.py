@@ -16,7 +16,7 @@ from rig.core.base.figure_style import add_legend_below, add_title, frequency_ax
 from rig.core.base.palette import CurveStyle, faded, location_style, location_styles
 from rig.core.results.resonances import Resonance
 from rig.core.results.response import MOTIONS, Response
-from rig.core.results.uncertainty import SENSITIVITY, SYSTEMATIC
+from rig.core.results.uncertainty import CLOCK, SENSITIVITY, SYSTEMATIC
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -46,6 +46,10 @@ _ANTIRESONANCE_LINES = 5
 _STRIP_HEIGHT = 0.015
 # Curves with more lines than this are drawn without points.
 MAX_POINTS = 600
+#: Curves with more lines than this are drawn as lines with some of their points: adjacent symbols would touch.
+MAX_MARKED = 200
+# Only the highest of the arrows within this relative distance in frequency is drawn: they would hide the curves.
+_ARROW_RANGE = 0.02
 # A peak between points is marked if it exceeds the highest point by this fraction.
 _MIN_PEAK_EXCESS = 0.01
 # A drawn curve contains a peak if it reaches this fraction of the peak's height.
@@ -117,6 +121,8 @@ def frf_figure(
         if theory:
             magnitude_axes.plot([], [], color=_THEORY_COLOR, lw=0.9, ls=":", label=escape_figure(theory[0].label))
         marked_peaks = [peak_marks(measured, resonance_peaks(measured)) for measured in frfs]
+        if not several:
+            marked_peaks = _without_hidden_arrows(marked_peaks)
         heights = []
         for measured, curve_style, marked in zip(frfs, styles, marked_peaks, strict=True):
             _draw_curve(measured, curve_style, top, marked, magnitude_axes, phase_axes, coherence_axes)
@@ -229,7 +235,9 @@ def _draw_curve(
         points["marker"] = ""
         # Short dashes show the scatter of neighboring lines.
         line["ls"] = (0.0, tuple(_DASH_SCALE * length for length in style.dashes)) if style.dashes else "-"
-    if points["marker"]:
+    elif frf.frequency.size > MAX_MARKED and not is_folded:
+        points["markevery"] = frf.frequency.size // MAX_MARKED + 3
+    else:
         line |= {"ls": "" if is_folded else "-", "lw": 0.7}
     factor = frf.shown_in[1]
     magnitude, random = factor * abs(frf.value), factor * np.nan_to_num(frf.expanded_random())
@@ -328,6 +336,18 @@ def peak_marks(frf: Response, resonances: Iterable[tuple[Resonance, Peak]]) -> l
         else:
             marks.append(PeakMark("points", line_frequency, point, peak))
     return marks
+
+
+def _without_hidden_arrows(marked: Sequence[Sequence[PeakMark]]) -> list[list[PeakMark]]:
+    """Remove the arrows next to a higher marked peak of another curve."""
+    marks = [mark for of_curve in marked for mark in of_curve]
+
+    def is_highest(mark: PeakMark) -> bool:
+        return all(
+            other.height <= mark.height or abs(other.frequency / mark.frequency - 1.0) > _ARROW_RANGE for other in marks
+        )
+
+    return [[mark for mark in of_curve if mark.symbol != "arrows" or is_highest(mark)] for of_curve in marked]
 
 
 def _draw_marks(marks: Iterable[PeakMark], factor: float, color: str, axes: Axes) -> list[float]:
@@ -440,9 +460,9 @@ def includes_sensors(frfs: Sequence[Response]) -> bool:
 
 def intervals_text(frfs: Sequence[Response]) -> str:
     """Write which errors the intervals of results contain, for a caption."""
-    return "95 % intervals" + " (without calibration and clock, whose tolerances are not stated)" * (
-        not includes_sensors(frfs)
-    )
+    missing = ["calibration"] * (not includes_sensors(frfs))
+    missing += ["clock"] * (not all(CLOCK in frf.limits for frf in frfs))
+    return "95 % intervals" + f" (without {' and '.join(missing)}: no tolerance is stated)" * bool(missing)
 
 
 def _visible_edges(frf: Response) -> Array:

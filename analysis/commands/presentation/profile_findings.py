@@ -28,12 +28,13 @@ def _draw(result: ProfileCheck, figure: Figure, axes: Axes) -> None:
     result.draw(axes)
     frequency_axis(axes, float(result.frequency[0]), float(result.frequency[-1]), True)
     log_axis(axes, [result.control, result.profile, *(level.values for level in result.limited)], 5.0)
-    sentences = [f"Band: tolerance of {result.tolerance:g} dB."]
+    # The title names the scene.
+    verdict = result.summary().removeprefix(f"{result.label}: ")
+    sentences = [f"{verdict[0].upper()}{verdict[1:]}.", f"Band: tolerance of {result.tolerance:g} dB."]
     if result.limited:
         sentences.append("Colored strips: a limit of another channel keeps the control channel below the tolerance.")
     if result.is_outside.any():
         sentences.append("Black strips: outside the tolerance, where no limit acts.")
-    sentences += [f"{text[0].upper()}{text[1:]}." for text in result.excesses()]
     add_legend_below(figure, *sentences)
 
 

@@ -14,6 +14,7 @@ from analysis.commands.report_page.charts import (
     side_limits,
 )
 from analysis.commands.report_page.measurements import Measurement
+from analysis.commands.report_page.responses import value_ranges
 from analysis.core.decays.sensor_correction import correct_motion
 from analysis.core.signals.profile_check import ProfileCheck
 from analysis.core.tracking.backbone import Backbone
@@ -39,15 +40,17 @@ def _profile_chart(check: ProfileCheck) -> Chart:
     control, *limited = location_styles([level.place for level in (check.channels[0], *check.limited)])
     frequency = check.frequency
     curves = [
+        Curve("profile", frequency, check.profile, *check.band, CurveStyle(REFERENCE)),
         Curve("control", frequency, check.control, style=control._replace(dashes=())),
-        Curve("profile", frequency, check.profile, *check.band, CurveStyle(REFERENCE, (6, 3))),
     ]
     for level, style in zip(check.limited, limited, strict=True):
         curves.append(Curve(level.channel, frequency, level.values, level.low, level.high, style._replace(dashes=())))
-        curves.append(Curve(f"limit of {level.channel}", frequency, level.bound, style=style._replace(dashes=(6, 3))))
+        curves.append(Curve(f"limit of {level.channel}", frequency, level.bound, style=style._replace(dashes=(1, 1.5))))
     highest = max(float(np.nanmax(np.asarray(curve.y))) for curve in curves)
     return Chart(
-        f"Control channel with profile and tolerance of {check.tolerance:g} dB; limited channels with limits.",
+        f"Control channel with profile and tolerance of {check.tolerance:g} dB; limited channels with limits (dotted)"
+        + " and 95 % intervals" * check.is_density
+        + ". Strip at the axis: outside the tolerance, where no limit acts." * bool(check.is_outside.any()),
         "Control and limited channels against the profile.",
         [
             Panel(
@@ -56,6 +59,7 @@ def _profile_chart(check: ProfileCheck) -> Chart:
                 curves,
                 height=280,
                 logarithmic=True,
+                strips=value_ranges(frequency, check.is_outside),
                 limits=(_SHOWN_BELOW * float(np.nanmin(check.profile)), 2.0 * highest),
             )
         ],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -47,10 +48,10 @@ def level_points(measurement: Measurement) -> dict[str, list[LevelPoint]]:
     modes = sorted(zip(sweeps[0].modes.frequency.tolist(), ratios, strict=True))
     return {
         f"mode at {format_decimals(frequency, 2)} Hz" * (len(modes) > 1): [
-            _with_energy(_mode_point(measurement, sweep, level, frequency, ratio), dampers.get(sweep.label, ()))
+            _with_energy(_mode_point(measurement, sweep, level, band, ratio), dampers.get(sweep.label, ()))
             for sweep, level in zip(sweeps, levels, strict=True)
         ]
-        for frequency, ratio in modes
+        for (frequency, ratio), band in zip(modes, _bands([frequency for frequency, _ in modes]), strict=True)
     }
 
 
@@ -88,15 +89,33 @@ def level_table(measurements: Sequence[Measurement]) -> str:
     return table(caption, ["level", *keys, "remark"], rows) if rows else ""
 
 
-def _mode_point(measurement: Measurement, sweep: SweepResults, level: str, reference: float, ratio: str) -> LevelPoint:
-    """Return natural frequency and damping of a mode in a sweep, and the highest measured point near it.
+def _bands(frequencies: Sequence[float]) -> list[tuple[float, float]]:
+    """Return the band, Hz, in which each mode of ascending frequencies at the first level may be at other levels."""
+    middles = [0.0, *((low + high) / 2.0 for low, high in pairwise(frequencies)), np.inf]
+    return [
+        (max(low, (1.0 - MODE_SHIFT) * each), min(high, (1.0 + MODE_SHIFT) * each))
+        for each, (low, high) in zip(frequencies, pairwise(middles), strict=True)
+    ]
 
-    `reference`: natural frequency of the mode at the first level [Hz]; `ratio`: response whose peak is stated.
+
+def _mode_point(
+    measurement: Measurement, sweep: SweepResults, level: str, band: tuple[float, float], ratio: str
+) -> LevelPoint:
+    """Return the highest measured point in a band, and natural frequency and damping of the mode next to it.
+
+    `band`: that of the mode [Hz]; `ratio`: response whose peak is stated.
     """
     modes, test = sweep.modes, measurement.rec.scene.test
     assert modes is not None
-    mode = int(np.argmin(abs(modes.frequency - reference)))
-    if abs(modes.frequency[mode] / reference - 1.0) >= MODE_SHIFT:
+    curve = next((frf for frf in sweep.frfs if frf.ratio == ratio), None)
+    line, excited_at = None, sum(band) / 2.0
+    if curve is not None:
+        inside = np.where((curve.frequency > band[0]) & (curve.frequency < band[1]), abs(curve.value), np.nan)
+        if np.isfinite(inside).any():
+            line = int(np.nanargmax(inside))
+            excited_at = float(curve.frequency[line])
+    mode = int(np.argmin(abs(modes.frequency - excited_at)))
+    if not band[0] < modes.frequency[mode] < band[1]:
         return LevelPoint(level, np.nan, {}, "not identified")
     frequency, damping = float(modes.frequency[mode]), 100.0 * float(modes.damping[mode])
     bounds = (float(expand(error[mode])) for error in (modes.frequency_error, 100.0 * modes.damping_error))
@@ -105,12 +124,8 @@ def _mode_point(measurement: Measurement, sweep: SweepResults, level: str, refer
         "damping ratio / %": (damping, format_limited(damping, next(bounds), 100.0)),
     }
     note = "damping extrapolated" * bool(extrapolates_damping(modes, sweep.frfs)[mode])
-    curve = next((frf for frf in sweep.frfs if frf.ratio == ratio), None)
-    is_near = np.zeros(0, dtype=bool) if curve is None else abs(curve.frequency / frequency - 1.0) < MODE_SHIFT
-    if curve is None or not np.isfinite(curve.value[is_near]).any():
+    if curve is None or line is None:
         return LevelPoint(level, np.nan, quantities, note)
-    line = int(np.nanargmax(np.where(is_near, abs(curve.value), np.nan)))
-    excited_at = float(curve.frequency[line])
     quantities["excitation frequency / Hz"] = excited_at, f"{excited_at:.4g}"
     held = None if test is None else test.held_motion
     shown = next((frf for frf in sweep.frfs if held is not None and frf.outputs[0].at == held[0]), curve)

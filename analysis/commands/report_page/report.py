@@ -224,9 +224,7 @@ def _modes(results: Sequence[Measurement], baseline: Measurement) -> list[str]:
             if reference is not None:
                 bodies = bodies.with_signs_of(reference)
             drawings = [
-                mode_drawing(
-                    bodies, bodies.places, k, f"{modes.frequency_text(k)}, damping ratio {sweep.damping_text(k)}"
-                )
+                mode_drawing(bodies, bodies.places, k, f"{modes.frequency_text(k)}, ζ = {sweep.damping_text(k)}")
                 for k in range(modes.frequency.size)
             ]
             sections += [

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from analysis.commands.figures.decay_figure import frequency_title, group_modes
 from analysis.commands.figures.frf_figure import (
-    MAX_POINTS,
+    MAX_MARKED,
     MODE_SHIFT,
     PEAK_SYMBOLS,
     PeakMark,
@@ -180,7 +180,7 @@ def response_chart(
         f, modulus, expanded = frf.frequency, factor * abs(frf.value), factor * frf.expanded()
         low, high = (np.where(known, modulus + sign * expanded, np.nan) for sign in (-1.0, 1.0))
         curve = Curve(name, f, np.where(known, modulus, np.nan), low, high, style)
-        draw = "points" if full.frequency.size <= MAX_POINTS else "line"
+        draw = "points" if full.frequency.size <= MAX_MARKED else "line"
         if folds_back(original.frequency):
             # Several responses at one frequency are not a function of frequency, and have no band.
             draw, curve = "dots", replace(curve, low=None, high=None)
@@ -199,7 +199,7 @@ def response_chart(
         magnitude.append(curve)
         unknown = ~known & np.isfinite(frf.value)
         if unknown.any():
-            strips += _ranges(f, unknown)
+            strips += value_ranges(f, unknown)
             # One more point at either end makes the curve continuous where it becomes gray.
             joined = unknown | np.roll(unknown, 1) | np.roll(unknown, -1)
             stored = joined | np.roll(joined, 1)
@@ -385,10 +385,10 @@ def _first_view(band: NDArray[np.float64], modes: NDArray[np.float64]) -> tuple[
     return view if high / low > 2.0 * view[1] / view[0] else None
 
 
-def _ranges(f: NDArray[np.float64], selected: NDArray[np.bool_]) -> list[tuple[float, float]]:
+def value_ranges(f: NDArray[np.float64], selected: NDArray[np.bool_]) -> list[tuple[float, float]]:
     """Return the ends of the ranges of selected frequencies; an end is halfway to the next frequency.
 
-    >>> _ranges(np.arange(5.0), np.array([False, True, True, False, True]))
+    >>> value_ranges(np.arange(5.0), np.array([False, True, True, False, True]))
     [(0.5, 2.5), (3.5, 4.0)]
     """
     middle = np.concatenate([f[:1], (f[1:] + f[:-1]) / 2.0, f[-1:]])

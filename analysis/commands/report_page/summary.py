@@ -9,13 +9,13 @@ from operator import le
 
 import numpy as np
 
-from analysis.commands.figures.frf_figure import includes_sensors
 from analysis.commands.presentation.damper_findings import detection_limits
 from analysis.commands.report_page.levels import level_headline, level_points
 from analysis.commands.report_page.measurements import Measurement, SweepChange, SweepResults, force_deviation
 from analysis.commands.report_page.tables import change_text
 from analysis.core.damper_motion.dampers import Dampers
 from analysis.core.modal.mode_warnings import MAX_LINEAR_RESIDUAL
+from analysis.core.responses.errors.systematic import clock_deviation, tolerance
 from daq.core.recording.markers import faults_of_impacts, impacts_of
 from daq.core.recording.recorded_test import deviation_unit, shocks_of
 from rig.core.results import format_decimals, format_frequencies, format_limited, format_percent
@@ -53,8 +53,8 @@ def limitations(measurements: Sequence[Measurement]) -> list[str]:
         if residual > MAX_LINEAR_RESIDUAL:
             faults.append(f"the modes leave a residual of {format_percent(residual)} of the peak height")
         if faulty := faults_of_impacts(rec.markers):
-            count = len(impacts_of(rec.markers))
-            faults.append(f"of {count} impacts, {faulty}{'; clipped samples are omitted' * bool(rec.overloads)}")
+            omission = "; all are averaged, without clipped samples" * bool(rec.overloads)
+            faults.append(f"of {len(impacts_of(rec.markers))} impacts, {faulty}{omission}")
         elif rec.overloads:
             faults.append(f"{len(rec.overloads)} overload{'s' * (len(rec.overloads) > 1)}")
         faults += [] if measurement.profile is None else measurement.profile.excesses()
@@ -72,12 +72,11 @@ def limitations(measurements: Sequence[Measurement]) -> list[str]:
                 faults.append(f"force up to {format_percent(float(deviation.max()))} from its level at {where}")
         if any(faults):
             texts.append(f"“{measurement.label}”: {'; '.join(dict.fromkeys(filter(None, faults)))}.")
-    curves = [frf for measurement in measurements for sweep in measurement.sweeps for frf in sweep.frfs]
-    if not includes_sensors(curves):
-        texts.append(
-            "The intervals do not include calibration errors, because no tolerance of the sensors' "
-            "sensitivity is stated."
-        )
+    infos = [info for measurement in measurements for info in measurement.rec.channels.values()]
+    missing = ["calibration errors"] * (not all(map(tolerance, infos)))
+    missing += ["errors of the sample clock"] * (not all(clock_deviation(each.rec) for each in measurements))
+    if missing:
+        texts.append(f"The intervals do not include {' and '.join(missing)}: no tolerance is stated.")
     return texts
 
 
@@ -173,7 +172,7 @@ def _resonance_texts(measurement: Measurement) -> list[str]:
     for sweep in measurement.sweeps:
         if sweep.modes is not None and (count := sweep.modes.frequency.size):
             lines = [
-                f"{sweep.modes.frequency_text(k)}, damping ratio {sweep.damping_text(k)}"
+                f"{sweep.modes.frequency_text(k)}: damping ratio {sweep.damping_text(k)}"
                 for k in np.argsort(sweep.modes.frequency).tolist()
             ]
             uncertain = sweep.modes.uncertain_count_text()
@@ -192,8 +191,7 @@ def _highest_peak(sweep: SweepResults) -> str:
     if mode is not None and sweep.modes is not None:
         where = f"mode at {format_decimals(float(sweep.modes.frequency[mode]), 2)} Hz"
     unit, factor = curve.shown_in
-    height = f"is {highest.height_text(factor, unit)}"
-    return f"the highest {curve.name} ({curve.ratio}, {where}) {height}"
+    return f"highest {curve.name}: {highest.height_text(factor, unit)} ({curve.ratio}, {where})"
 
 
 def _impact_texts(measurement: Measurement) -> list[str]:

@@ -244,7 +244,7 @@
   // An axis with a title, or without title and labels if `size` is small.
   function axis(label, log, size, space, ticks) {
     return {
-      ...(log ? { filter: logarithmicLabels, splits: logarithmicTicks } : {}), ...(ticks ? { splits: () => ticks.filter((_, k) => !printing || (k - ticks.indexOf(0)) % 2 === 0) } : {}),
+      ...(log ? { filter: logarithmicLabels, splits: logarithmicTicks } : {}), ...(ticks ? { splits: () => ticks } : {}),
       ...(label ? { label, labelSize: 18, labelFont: FONT } : {}), size, font: FONT, gap: 3,
       stroke: () => theme("text"), grid: { stroke: () => theme("grid"), width: 1 },
       ticks: { stroke: () => theme("grid"), width: 1, size: label ? 6 : 0 },

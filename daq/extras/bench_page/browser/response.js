@@ -139,8 +139,8 @@ const response = {
     const peaks = this.head?.peaks ?? [];
     if (!peaks.length) return $("peaks").replaceChildren();
     const uncertain = peaks.map((peak) => this.isUncertain(peak));
-    fillTable($("peaks"), [["peak", "frequency", "value", "damping"], ...peaks.map(([name, f, value, damping, relation], k) => [
-      name, `${digits(f, 5)} Hz`, relation === "?" ? "clipped" : `${relation || (uncertain[k] ? "~" : "")}${withUnit(value, "m/N")}`, damping == null || uncertain[k] ? "–" : `${digits(100 * damping, 2)} %`])]);
+    fillTable($("peaks"), [["peak", "f / Hz", "value", "≈ damping"], ...peaks.map(([name, f, value, damping, relation], k) => [
+      name, digits(f, 5), relation === "?" ? "clipped" : `${relation || (uncertain[k] ? "~" : "")}${withUnit(value, "m/N")}`, damping == null || uncertain[k] ? "–" : `${digits(100 * damping, 2)} %`])]);
     peaks.forEach(([, , , damping, relation], k) => {
       const row = $("peaks").rows[k + 1];
       row.classList.toggle("bound", relation !== "");

@@ -10,7 +10,7 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.core.modal.modes import Modes
+from analysis.core.modal.modes import BodyShapes, Modes
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.errors import RecordingError, SceneError, ShotrigError
 from rig.core.results.response import Response
@@ -150,6 +150,14 @@ def test_shapes_of_bodies_average_their_sensors(hit_responses: Response) -> None
     # Eigenvectors of the bracket (base of each mode), scaled so that the arm is 1.
     assert bodies.shapes[0] == pytest.approx([0.827, -0.3167], abs=0.01)
     assert abs(bodies.shapes).max(axis=0) == pytest.approx(1.0)
+
+
+def test_shapes_have_the_signs_of_the_baseline() -> None:
+    shapes, bounds = np.array([[0.9, 1.0], [1.0, -0.5]], dtype=complex), np.zeros((2, 2))
+    baseline = BodyShapes(("base", "arm"), shapes, bounds)
+    other = BodyShapes(("base", "arm"), shapes[:, ::-1] * [-1.0, 1.0], bounds)
+    assert other.with_signs_of(baseline).shapes.real == pytest.approx(shapes[:, ::-1].real)
+    assert other._replace(names=("a", "b")).with_signs_of(baseline).shapes is other.shapes
 
 
 def test_average_of_sensors_is_weighted_by_variance() -> None:

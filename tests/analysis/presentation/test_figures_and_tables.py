@@ -29,7 +29,7 @@ from analysis.core.modal.modes import Modes, UncertainMode
 from analysis.core.modal_models.lscf import ChartPole
 from analysis.core.recordings.names import baseline_label, belongs_to, excitation_text
 from rig.core.base.errors import RecordingError
-from rig.core.base.palette import BODIES, REFERENCE, faded, recording_styles
+from rig.core.base.palette import BODIES, RECORDINGS, REFERENCE, faded, recording_styles
 from rig.core.results.response import Response
 from tests.analysis.responses import synthetic
 
@@ -306,6 +306,18 @@ def test_peak_between_tones_has_a_marker():
     assert marker.get_ydata()[0] == pytest.approx(50.0, rel=0.01)
     [drawn] = [line for line in axes.lines if line.get_xdata().size > f.size]
     assert np.nanmax(drawn.get_ydata()) == pytest.approx(50.0, rel=0.01)
+
+
+def test_compared_peaks_have_labels_in_their_colors():
+    f = np.linspace(10.0, 30.0, 41)
+    exact = {"error": 1e-12 * np.ones(41), "coherence": np.ones(41)}
+    curves = [
+        Response.curve(f, 1e-6 / (1.0 - (f / natural) ** 2 + 2j * damping * f / natural), "body1", label=label, **exact)
+        for natural, damping, label in ((20.2, 0.01, "bare"), (19.0, 0.06, "damped"))
+    ]
+    axes = frf_figure(curves, "Compliance", styles=recording_styles([True, False])).axes[0]
+    labels = {text.get_text(): text.get_color() for text in axes.texts if text.get_text().endswith(" Hz")}
+    assert labels == {"20.2 Hz": REFERENCE, "19 Hz": RECORDINGS[0]}
 
 
 def test_rough_phase_is_not_drawn():

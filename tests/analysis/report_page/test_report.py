@@ -161,7 +161,7 @@ def test_peak_without_determined_height_has_no_value(recordings: list[Path]) -> 
         [sweep] = measurement.sweeps
         peak = Peak(1e-3, 2e-3, 13.0, 12.9, 13.1)
         [sentence] = summarize([replace(measurement, sweeps=(replace(sweep, highest=(curve, peak)),))], [])
-    assert "is not determined" in sentence and "µm/N" not in sentence
+    assert "highest compliance: not determined (" in sentence and "µm/N" not in sentence
 
 
 def test_modes_have_equal_digits_in_all_outputs(recordings: list[Path], tmp_path: Path) -> None:
@@ -657,9 +657,11 @@ def test_first_box_states_faulty_impacts_and_steady_state(recordings: list[Path]
         [first, *_] = [marker for marker in hits.rec.markers if marker.kind == "hit"]
         overload = Marker("overload", first.first_sample + 5, first.first_sample + 9, {"channel": "body1"})
         markers = [*hits.rec.markers, overload]
-        rec = SimpleNamespace(markers=markers, overloads=[overload], gaps=[], scene=hits.rec.scene)
+        rec = SimpleNamespace(
+            markers=markers, overloads=[overload], gaps=[], scene=hits.rec.scene, channels=hits.rec.channels
+        )
         texts = limitations([sweep, replace(hits, rec=rec)])  # type: ignore[arg-type]
-    assert "no steady state at 12 Hz" in texts[0] and "impacts, impact 1 clipped (body1); clipped samples" in texts[1]
+    assert "no steady state at 12 Hz" in texts[0] and "impacts, impact 1 clipped (body1); all are averaged" in texts[1]
 
 
 def test_damping_between_lines_is_called_extrapolated() -> None:

@@ -8,6 +8,9 @@ import pytest
 import analysis
 import daq
 from analysis.core.responses.checks import channel_changes
+from analysis.core.responses.checks.dead_channels import dead_channels
+from analysis.core.responses.checks.gain_steps import step_warnings
+from rig.core.results.response import Response, stack
 from tests.analysis.responses import synthetic
 
 SECONDS = 40.0
@@ -197,6 +200,34 @@ def test_dead_channel_is_named_and_omitted(request, tmp_path, kind, channel):
     # What is measured before is right.
     value = np.array([np.interp(response.frequency, intact.frequency, row) for row in intact.value[:, :, 0].T])
     assert np.median(abs(response.value[:, :, 0].T / value - 1.0)) < 0.01
+
+
+def test_signal_below_a_count_is_not_dead(random_test, tmp_path):
+    with daq.open(random_test) as rec:
+        samples = np.stack([rec.read(name) for name in rec.channels])
+        infos, middle = list(rec.channels.values()), rec.samples // 2
+        count = 0.8 * samples[0].std()
+        infos[0] = replace(infos[0], volts_per_count=count * infos[0].sensitivity)
+        samples[0, middle:] *= 0.05
+        samples[0] = count * np.round(samples[0] / count)
+        marks = [(mark.kind, mark.first_sample, mark.last_sample, mark.fields) for mark in rec.markers]
+        path = synthetic.write(tmp_path / "b.mcap", rec.scene, infos, samples, marks)
+    with daq.open(path) as rec:
+        assert not dead_channels(rec)
+
+
+def test_noise_at_antiresonance_is_no_change_of_gain():
+    # Three neighboring lines of a sweep have a common error.
+    frequency = np.linspace(11.0, 90.0, 390)
+    modes = [1.0 / (natural**2 - frequency**2 + 0.04j * natural * frequency) for natural in (22.0, 60.0)]
+    random, error = np.random.default_rng(2), np.full(390, 2e-5)
+    noise = error[0] * np.repeat(random.standard_normal(130) + 1j * random.standard_normal(130), 3)
+    curves = []
+    for name, value in (("body1", modes[0]), ("body2", modes[0] + modes[1] + noise)):
+        curve = Response.curve(frequency, value, name, error=error, degrees_of_freedom=np.full(390, 38.0))
+        curves.append(replace(curve, uncertainty=replace(curve.uncertainty, shared=3.0)))
+    assert abs(curves[1].value).min() < 5.0 * error[0]
+    assert not step_warnings(stack(curves), is_linear=True)
 
 
 def test_dead_hammer_is_named(tmp_path):

@@ -25,6 +25,9 @@ _COMPARED = 8
 _MIN_BLOCKS = 4
 # A signal is dead if it is below this fraction of the previous signal: only noise and crosstalk remain.
 _DEAD_RATIO = 0.01
+# The standard deviation of a signal before is at least this number of counts of the converter. A smaller signal reads
+# zero as soon as it falls below half a count.
+_MIN_COUNTS = 3.0
 # The signal of at least one other motion channel falls by less than this fraction of the fall of a dead channel: the
 # excitation has not ended.
 _MIN_CONTRAST = 10.0
@@ -80,7 +83,9 @@ def _find(rec: Recording) -> dict[str, int]:
     dead = {}
     for row, name in enumerate(names):
         block = _first_dead_block(levels[row])
-        if block is None:
+        info = rec.channels[name]
+        min_level = 0.0 if info.volts_per_count is None else _MIN_COUNTS * info.unit_per_count
+        if block is None or np.median(levels[row, max(block - 1 - _COMPARED, 0) : block - 1]) < min_level:
             continue
         # Motion is compared with other motion: beyond the last resonance, all motion falls while the force continues.
         others = is_motion if is_motion.sum() > is_motion[row] else ~is_motion

@@ -33,8 +33,10 @@ _BLURRED_SIDE = 5
 # At a resonance, the gain ratio of such a step cannot be fitted. A channel then has a step if its relative residual
 # exceeds this limit, ...
 _MIN_BLURRED_RESIDUAL = 0.03
-# ... and the residuals of the other channels are below this fraction of its residual.
+# ... the residuals of the other channels are below this fraction of its residual, ...
 _MAX_OTHER_RESIDUAL = 0.2
+# ... and the relative standard uncertainty of its points, as at an antiresonance, is below this fraction.
+_MAX_NOISE_RATIO = 0.2
 # A step is sought where the relative residual of a fit with equal gains has an rms above this limit.
 _MIN_RESIDUAL = 0.01
 # A fit with a gain ratio must reduce the rms residual to at most this fraction of the residual with equal gains, ...
@@ -73,6 +75,7 @@ def step_warnings(response: Response, is_linear: bool) -> list[str]:
     frequency, curves = response.frequency[::stride], response.value[::stride, :, 0].T
     valid = (np.isfinite(curves) & (abs(curves) > 0.0)).all(axis=0)
     frequency, curves = frequency[valid], curves[:, valid]
+    noise = np.nan_to_num(response.error[::stride, :, 0].T[:, valid] / abs(curves), nan=np.inf)
     positions = np.arange(_SIDE + excluded, frequency.size - _SIDE - excluded)
     if not positions.size or (len(curves) == 1 and not is_linear):
         return []
@@ -84,7 +87,8 @@ def step_warnings(response: Response, is_linear: bool) -> list[str]:
         if step is None or abs(step.log_ratio) < min_change:
             others = np.delete(residuals, k, axis=0).max(axis=0, initial=0.0)
             largest = int(np.argmax(residuals[k] - others))
-            limit = max(_MIN_BLURRED_RESIDUAL, others[largest] / _MAX_OTHER_RESIDUAL)
+            noise_there = np.sqrt(np.mean(noise[k, _points(positions[largest], excluded)] ** 2))
+            limit = max(_MIN_BLURRED_RESIDUAL, others[largest] / _MAX_OTHER_RESIDUAL, noise_there / _MAX_NOISE_RATIO)
             if is_linear and excluded and len(names) > 1 and residuals[k, largest] > limit:
                 warnings.append(describe_change(name, np.nan, _place(frequency[positions[largest]])))
             continue
@@ -129,6 +133,12 @@ def _fit_ratio(frequency: Array, curve: ComplexArray, position: int, excluded: i
     return _Step(position, log_ratio, residual, smallest)
 
 
+def _points(position: NDArray[np.int64], excluded: int) -> NDArray[np.int64]:
+    """Return the points on both sides of a position to which a function is fitted."""
+    offsets = np.arange(excluded + 1, excluded + 1 + _SIDE)
+    return np.asarray(position + np.concatenate([-offsets[::-1], offsets]))
+
+
 def _residuals(
     frequency: Array, curve: ComplexArray, positions: NDArray[np.int64], excluded: int, log_ratio: float | Array
 ) -> Array:
@@ -136,9 +146,7 @@ def _residuals(
 
     The points at a position, and `excluded` points on either side of it, are omitted: they may contain the step.
     """
-    offsets = np.arange(excluded + 1, excluded + 1 + _SIDE)
-    points = positions[:, None] + np.concatenate([-offsets[::-1], offsets])
-    points = np.clip(points, 0, frequency.size - 1)
+    points = np.clip(_points(positions[:, None], excluded), 0, frequency.size - 1)
     gains = np.exp(np.where(np.arange(2 * _SIDE) < _SIDE, 0.0, np.reshape(log_ratio, (-1, 1))))
     values = curve[points] / gains
     f = frequency[points]

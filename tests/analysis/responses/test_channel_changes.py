@@ -150,7 +150,7 @@ def test_intact_channels_are_not_reported(random_test, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("channel", "text"), [("body2", "Body2 seems to be (2.0"), ("force", "The force seems to be (2.0")]
+    ("channel", "text"), [("body2", "body2 seems to be (2.0"), ("force", "The force seems to be (2.0")]
 )
 def test_late_channel_is_named(random_test, channel, text):
     with daq.open(random_test) as rec:

@@ -42,25 +42,25 @@ STIFFNESS_PROPORTIONAL = 2.0 * 0.01 / (2.0 * np.pi * 13.5) * chain(SPRINGS)
 @pytest.mark.parametrize(("body", "delay_s", "text"), [(1, 2e-3, "ms late"), (3, -1e-3, "ms early")])
 def test_late_response_is_named(body: int, delay_s: float, text: str) -> None:
     warning = delayed_channels(curves_of(compliances(STIFFNESS_PROPORTIONAL), {body: delay_s}), "the force")
-    assert warning.startswith(f"Body{body} seems to be ({1e3 * abs(delay_s):.2g}") and text in warning
+    assert warning.startswith(f"body{body} seems to be ({1e3 * abs(delay_s):.2g}") and text in warning
 
 
 def test_late_force_makes_all_responses_early() -> None:
     delays = dict.fromkeys(range(1, 5), -2e-3)
     warning = delayed_channels(curves_of(compliances(STIFFNESS_PROPORTIONAL), delays), "f2")
-    assert warning.startswith("F2 seems to be (2.0")
+    assert warning.startswith("f2 seems to be (2.0")
 
 
 def test_delay_of_single_response_is_ambiguous() -> None:
     curves = curves_of(compliances(STIFFNESS_PROPORTIONAL), {1: 2e-3})[:1]
-    assert "Body1 seems to be (2.0" in (warning := delayed_channels(curves, "the force"))
+    assert "body1 seems to be (2.0" in (warning := delayed_channels(curves, "the force"))
     assert "or the force early" in warning
 
 
 def test_delay_is_determined_by_few_points() -> None:
     frequency = np.linspace(8.0, 64.0, 24)
     curves = curves_of(compliances(STIFFNESS_PROPORTIONAL, frequency), {2: 2e-3}, frequency)
-    assert delayed_channels(curves, "the force").startswith("Body2 seems to be (2.")
+    assert delayed_channels(curves, "the force").startswith("body2 seems to be (2.")
 
 
 @pytest.mark.parametrize("dashpot", range(4))

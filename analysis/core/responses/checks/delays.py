@@ -109,8 +109,10 @@ def delayed_channels(curves: Sequence[Response], source: str) -> str:
         late = f"{source} seems to be {_describe(opposite)}"
     else:
         late = f"{name} seems to be {_describe(delay)}, or {source} {_sense(opposite)}"
+    # A force without a name of its own has an article, the names of channels keep their letters.
+    late = "The " + late.removeprefix("the ") if late.startswith("the ") else late
     return (
-        f"{late[0].upper()}{late[1:]}: the phases of the modes increase in proportion to frequency. Check cable, "
+        f"{late}: the phases of the modes increase in proportion to frequency. Check cable, "
         "filter and time base of this channel, and give its delay in the table of `daq import`."
     )
 

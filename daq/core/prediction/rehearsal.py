@@ -36,15 +36,18 @@ class Extremes:
     def __init__(self, rows: int) -> None:
         self.magnitude, self.sample = np.zeros(rows), np.zeros(rows, dtype=np.int64)
 
-    def add(self, first: int, values: Array) -> None:
-        """Update with the next values (rows, samples), starting at sample `first`."""
-        if values.size:
-            magnitudes = np.abs(values)
-            samples = magnitudes.argmax(axis=1)
-            for row, sample in enumerate(samples.tolist()):
-                largest = magnitudes[row, sample]
-                if largest > self.magnitude[row]:
-                    self.magnitude[row], self.sample[row] = largest, first + sample
+    def add(self, first: int, values: Array) -> Array:
+        """Update with the next values (rows, samples), starting at sample `first`; return their largest magnitudes."""
+        if not values.size:
+            return np.zeros(len(values))
+        magnitudes = np.abs(values)
+        samples = magnitudes.argmax(axis=1)
+        largest = magnitudes[np.arange(samples.size), samples]
+        is_larger = largest > self.magnitude
+        if is_larger.any():
+            self.magnitude[is_larger] = largest[is_larger]
+            self.sample[is_larger] = first + samples[is_larger]
+        return largest
 
 
 @dataclass(frozen=True)
@@ -157,8 +160,7 @@ class Rehearsal(BenchLoop):
         if self._excluded_dwells:
             return
         motion = block.motion
-        self.readings.add(block.first, readings)
-        self._block_maxima.append((block.first, np.abs(readings).max(axis=1, initial=0.0)))
+        self._block_maxima.append((block.first, self.readings.add(block.first, readings)))
         if self.driven_readings is not self.readings:
             is_driven = block.first >= self._powered_on
             self.driven_readings.add(block.first, np.where(is_driven[:, None], readings, 0.0))
@@ -172,9 +174,11 @@ class Rehearsal(BenchLoop):
 
     def _add_events(self, events: NDArray[Any]) -> None:
         """Update the closing speeds and the times of impacts."""
-        impacts = events[(events["speed"] > 0.0) & (events["damper"] > 0)]
-        np.maximum.at(self.closing_speed, impacts["damper"] - 1, impacts["speed"])
-        for number, time in zip(impacts["damper"].tolist(), impacts["time"].tolist(), strict=True):
+        columns = (events[name].tolist() for name in ("damper", "speed", "time"))
+        for number, speed, time in zip(*columns, strict=True):
+            if number == 0 or speed == 0.0:
+                continue
+            self.closing_speed[number - 1] = max(self.closing_speed[number - 1], speed)
             times = self.impact_times[number - 1]
             if not times or time - times[-1] > _MIN_IMPACT_INTERVAL_S:
                 times.append(time)

@@ -9,5 +9,5 @@ ComplexArray = NDArray[np.complex128]
 
 # scipy copies every name in numpy, also the names of these packages, which would import them. This would take as long
 # as all imports of scipy itself. They are therefore imported at their first use.
-for _package in ("f2py", "testing"):
+for _package in ("ctypeslib", "f2py", "ma", "testing"):
     setattr(np, _package, lazy_loader.load(f"numpy.{_package}", suppress_warning=True))

@@ -24,27 +24,29 @@ if TYPE_CHECKING:
 
 # Points over which the median roughness of a curve is computed: enough that one resonance does not determine it.
 _ROUGHNESS_POINTS = 25
-# A point with a smaller coherence is drawn as noise.
+# A point with a smaller coherence is drawn as noise: more than half of its power does not depend on the force.
 _MIN_COHERENCE = 0.5
 # A limit of systematic error below this fraction of the magnitude would be invisible, and is not drawn.
 _MIN_VISIBLE_RATIO = 3e-3
 # On a logarithmic axis, this fraction of the magnitude replaces zero, and the inverse replaces infinity.
 _ZERO_RATIO = 1e-9
-# A point is drawn as noise if its standard uncertainty exceeds this fraction of the magnitude.
+# A point is drawn as noise if its standard uncertainty exceeds this fraction of the magnitude: its 95 % interval then
+# includes zero.
 _MAX_ERROR_RATIO = 0.5
 # A point of a curve without error bars is drawn as noise if its roughness exceeds this fraction of the magnitude.
 _MAX_ROUGHNESS = 0.35
-# The phase is not drawn where a quarter of the steps between neighboring points exceed this angle, rad.
+# The phase is not drawn where a quarter of the steps between neighboring points exceed this angle, rad: the line would
+# show noise.
 _MAX_PHASE_STEP = 0.3
 # Upper ends of the phase axis, degrees, the preferred first: compliances of a driven body are from 0° to -180°.
 _PHASE_TOPS = (90.0, 180.0, 0.0)
 # A line is undetermined if less than this fraction of the lines around it is determined.
 _MIN_DETERMINED = 0.75
-# A gap of fewer undetermined lines does not end a determined range.
+# A gap of fewer undetermined lines does not end a determined range; it is an antiresonance.
 _ANTIRESONANCE_LINES = 5
 # Height of the strip that marks undetermined points, relative to the axes.
 _STRIP_HEIGHT = 0.015
-# Curves with more lines than this are drawn without points.
+# Curves with more lines than this are drawn without points, which would hide each other.
 MAX_POINTS = 600
 #: Curves with more lines than this are drawn as lines with some of their points: adjacent symbols would touch.
 MAX_MARKED = 200
@@ -52,11 +54,11 @@ MAX_MARKED = 200
 _ARROW_RANGE = 0.02
 # A peak between points is marked if it exceeds the highest point by this fraction.
 _MIN_PEAK_EXCESS = 0.01
-# A drawn curve contains a peak if it reaches this fraction of the peak's height.
+# A drawn curve contains a peak if it reaches this fraction of the peak's height; the difference is not visible.
 _CONTAINING_RATIO = 0.99
 # A peak at a line with a smaller coherence is a peak of the noise, and is not marked.
 _MIN_PEAK_COHERENCE = 0.9
-# A peak is marked if it is the highest point within this relative distance in frequency.
+# A peak is marked if it is the highest point within this relative distance in frequency, so labels do not overlap.
 _PEAK_RANGE = 0.05
 # Length of the dashes of a curve with many lines, relative to the dashes of other curves.
 _DASH_SCALE = 0.5

@@ -79,8 +79,8 @@ def present_decay(
     title = f"Free decay of {first.channel}{f' after impact {hit}' if has_impacts else ''}"
     if excitations[0] and len(set(excitations)) == 1:
         title += f" ({excitations[0]})"
-    reference = baseline_label(moving)
-    styles = recording_styles([name == reference for name in moving]) if reference else location_styles(places)
+    baseline = baseline_label(moving)
+    styles = recording_styles([name == baseline for name in moving]) if baseline else location_styles(places)
     files = save_figure(decay_figure(decays, title, styles), stem)
     files += [envelope_table(envelopes, decays), damping_table(dampings, decays)]
     return CommandOutput(

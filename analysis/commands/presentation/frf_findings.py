@@ -209,13 +209,13 @@ def _draw_figures(
     curves: Sequence[Response],
     theory: Sequence[Response],
     stem: Path,
-    reference: str,
+    baseline: str,
     excitations: Mapping[str, str],
     acquisitions: Collection[str] = (),
 ) -> list[Path]:
     """Draw one figure for a single sweep, or one figure for each FRF of several sweeps; return the files.
 
-    `reference`: label of the recording with which all others are compared; `excitations`: test and level by recording;
+    `baseline`: label of the recording with which all others are compared; `excitations`: test and level by recording;
     `acquisitions`: averages, lines and sample rates of all recordings.
     """
     from analysis.commands.figures.frf_figure import frf_figure
@@ -245,7 +245,7 @@ def _draw_figures(
         same_frf = [frf for frf in theory if (frf.response, frf.input) == (first.response, first.input)]
         name = first.response if len(inputs) == 1 else first.ratio.replace(" / ", "-by-").replace(" ", "-")
         title = f"{quantity}, {first.ratio}{f': {next(iter(excitations))}' if len(excitations) == 1 else ''}{test}"
-        styles = recording_styles([belongs_to(curve.label, reference) for curve in labeled])
+        styles = recording_styles([belongs_to(curve.label, baseline) for curve in labeled])
         named = [_with_test(curve, {} if test else excitations) for curve in labeled]
         if len(excitations) == 1:
             # The title names the recording.

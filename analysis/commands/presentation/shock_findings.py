@@ -20,7 +20,7 @@ from analysis.core.signals.shock_spectrum import ShockSpectrum, prescribed_spect
 from daq.core.recording.recorded_test import deviation_unit, shocks_of
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import COLORS, add_legend_below, add_title, new_figure, save_figure, set_log_scale
-from rig.core.base.palette import REFERENCE, location_style
+from rig.core.base.palette import BASELINE, location_style
 from rig.core.results.text import table_lines
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ def present_srs(
                 axes.loglog(spectrum.frequency, spectrum.maximax, ls=dashes, lw=1.6, **style)
                 axes.set(xlabel="natural frequency / Hz", ylabel=f"shock response / ({spectrum.unit})")
         if required is not None:
-            axes.loglog(*required, color=REFERENCE, lw=4.0, alpha=0.25, label="prescribed pulse")
+            axes.loglog(*required, color=BASELINE, lw=4.0, alpha=0.25, label="prescribed pulse")
         for axis in (axes.xaxis, axes.yaxis):
             set_log_scale(axis)
         add_title(axes, title)

@@ -22,7 +22,7 @@ from analysis.core.tracking.body_motion import CurvePart
 from analysis.core.tracking.continuation import AmplitudeCurve
 from daq.core.recording.recorded_test import shocks_of
 from rig.core.base.arrays import Array
-from rig.core.base.palette import REFERENCE, CurveStyle, location_style, location_styles
+from rig.core.base.palette import BASELINE, CurveStyle, location_style, location_styles
 from rig.core.results import format_percent
 from rig.core.scene.excitation import FORCE_TOLERANCE
 from rig.core.scene.excitation.profile import from_decibels
@@ -40,7 +40,7 @@ def _profile_chart(check: ProfileCheck) -> Chart:
     control, *limited = location_styles([level.place for level in (check.channels[0], *check.limited)])
     frequency = check.frequency
     curves = [
-        Curve("profile", frequency, check.profile, *check.band, CurveStyle(REFERENCE)),
+        Curve("profile", frequency, check.profile, *check.band, CurveStyle(BASELINE)),
         Curve("control", frequency, check.control, style=control._replace(dashes=())),
     ]
     for level, style in zip(check.limited, limited, strict=True):
@@ -144,7 +144,7 @@ def control_charts(measurement: Measurement) -> list[Chart]:
         target, tolerance = pulse
         # The measured pulse is drawn over the prescribed pulse.
         band = target - tolerance, target + tolerance
-        curves.insert(0, Curve("prescribed", time, target, *band, CurveStyle(REFERENCE)))
+        curves.insert(0, Curve("prescribed", time, target, *band, CurveStyle(BASELINE)))
         moving = 1e3 * elapsed[abs(target) > _VISIBLE_PART * abs(target).max()]
         view = _PULSE_VIEW * float(moving.min()), _PULSE_VIEW * float(moving.max())
     waveform = Chart(
@@ -163,7 +163,7 @@ def control_charts(measurement: Measurement) -> list[Chart]:
     if prescribed is not None:
         frequency, values, tolerance = prescribed
         ratio = from_decibels(tolerance)
-        curves.append(Curve("prescribed", frequency, values, values / ratio, values * ratio, CurveStyle(REFERENCE)))
+        curves.append(Curve("prescribed", frequency, values, values / ratio, values * ratio, CurveStyle(BASELINE)))
     response = Chart(
         "Shock response spectra (maximax) of the first shock, Q = 10.",
         "Shock response spectra of the control channel and the bodies.",

@@ -212,7 +212,7 @@ def _modes(results: Sequence[Measurement], baseline: Measurement) -> list[str]:
     The signs are those of the most similar shapes of the baseline.
     """
     sections = []
-    reference = next((sweep.modes.of_bodies() for sweep in baseline.sweeps[:1] if sweep.modes is not None), None)
+    baseline_shapes = next((sweep.modes.of_bodies() for sweep in baseline.sweeps[:1] if sweep.modes is not None), None)
     for measurement in results:
         for sweep in measurement.sweeps[:1]:
             modes = sweep.modes
@@ -221,8 +221,8 @@ def _modes(results: Sequence[Measurement], baseline: Measurement) -> list[str]:
             bodies = modes.of_bodies()
             if len(bodies.names) < 2 or not modes.frequency.size:
                 continue
-            if reference is not None:
-                bodies = bodies.with_signs_of(reference)
+            if baseline_shapes is not None:
+                bodies = bodies.with_signs_of(baseline_shapes)
             drawings = [
                 mode_drawing(bodies, bodies.places, k, f"{modes.frequency_text(k)}, ζ = {sweep.damping_text(k)}")
                 for k in range(modes.frequency.size)
@@ -236,7 +236,7 @@ def _modes(results: Sequence[Measurement], baseline: Measurement) -> list[str]:
 
 
 def _macs(results: Sequence[Measurement], first: Measurement) -> list[str]:
-    """Compare the mode shapes of the first sweep of each recording with those of the reference, as HTML."""
+    """Compare the mode shapes of the first sweep of each recording with those of the baseline, as HTML."""
     modes = {each.label: each.sweeps[0].modes for each in (first, *results) if each.sweeps}
     known = [each for each in modes.values() if each is not None and each.frequency.size]
     return ['<div class="pairs">', *(mac_table(known[0], each) for each in known), "</div>"] if known else []

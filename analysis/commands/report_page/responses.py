@@ -40,7 +40,7 @@ from analysis.core.decays.modal_decay import ModalDecay
 from analysis.core.recordings.names import acquisition_text, belongs_to, excitation_text, without_common_direction
 from analysis.core.responses.estimator import Blocks
 from rig.core.base.arrays import Array, ComplexArray
-from rig.core.base.palette import DAMPER, REFERENCE, CurveStyle, location_style, location_styles, recording_styles
+from rig.core.base.palette import BASELINE, DAMPER, CurveStyle, location_style, location_styles, recording_styles
 from rig.core.results import format_decimals, format_frequencies, format_percent
 from rig.core.results.response import Response
 from rig.core.scene.excitation import FORCE_TOLERANCE
@@ -62,11 +62,11 @@ _GAP_RATIO = 0.005
 _SENTENCE_END = re.compile(r"(?<=[.)]) (?=[A-Z])")
 
 
-def response_charts(measurements: Sequence[Measurement], reference: str) -> list[Chart]:
+def response_charts(measurements: Sequence[Measurement], baseline_name: str) -> list[Chart]:
     """Return charts of all frequency responses.
 
     The responses of a single sweep share a chart. With several recordings or levels, each response has its own chart,
-    which compares them. Responses to different inputs never share a chart. `reference`: label of the recording with
+    which compares them. Responses to different inputs never share a chart. `baseline_name`: label of the recording with
     which the others are compared.
     """
     with_responses = [measurement for measurement in measurements if measurement.sweeps]
@@ -76,11 +76,13 @@ def response_charts(measurements: Sequence[Measurement], reference: str) -> list
     stated = set[str]()
     for key in dict.fromkeys((frf.ratio if several else frf.input) for frf in frfs):
         group = [frf for frf in frfs if key == (frf.ratio if several else frf.input)]
-        names = _sweep_names([frf.label for frf in group], reference) if several else [frf.response for frf in group]
-        styles = _sweep_styles([frf.label for frf in group], reference) if several else None
+        names = (
+            _sweep_names([frf.label for frf in group], baseline_name) if several else [frf.response for frf in group]
+        )
+        styles = _sweep_styles([frf.label for frf in group], baseline_name) if several else None
         sweeps = [sweep for measurement in with_responses for sweep in measurement.sweeps]
         marks = [marked for frf in group for sweep in sweeps for each, marked in sweep.marked if each is frf]
-        baseline = next((each for each in with_responses if each.label == reference), with_responses[0]).sweeps[0]
+        baseline = next((each for each in with_responses if each.label == baseline_name), with_responses[0]).sweeps[0]
         band = np.concatenate([frf.frequency for frf in group])
         view = None if baseline.modes is None else _first_view(band, baseline.modes.frequency)
         chart = response_chart(group, names, styles, marks, _mode_marks(sweeps, baseline, group, styles), view)
@@ -102,16 +104,16 @@ def _test_text(measurement: Measurement) -> str:
     return ", ".join(filter(None, [excitation_text(rec), estimate]))
 
 
-def _sweep_names(labels: Sequence[str], reference: str) -> list[str]:
+def _sweep_names(labels: Sequence[str], baseline_name: str) -> list[str]:
     """Return names of recordings and levels for a legend; only the levels if all sweeps are from one recording."""
-    common = f"{reference}, " if all(belongs_to(label, reference) for label in labels) else ""
+    common = f"{baseline_name}, " if all(belongs_to(label, baseline_name) for label in labels) else ""
     return without_common_direction([label.removeprefix(common) for label in labels])
 
 
-def _sweep_styles(labels: Sequence[str], reference: str) -> list[CurveStyle]:
+def _sweep_styles(labels: Sequence[str], baseline_name: str) -> list[CurveStyle]:
     """Return the styles of recordings that are compared with the baseline, or of the levels of a single recording."""
-    of_reference = [belongs_to(label, reference) for label in labels]
-    return recording_styles([each and (len(labels) == 1 or not all(of_reference)) for each in of_reference])
+    of_baseline = [belongs_to(label, baseline_name) for label in labels]
+    return recording_styles([each and (len(labels) == 1 or not all(of_baseline)) for each in of_baseline])
 
 
 def _mode_marks(
@@ -273,7 +275,7 @@ def _symbols(name: str, style: CurveStyle, draw: str, points: Iterable[tuple[flo
     return [Curve(name, x, y, style=style, draw=draw)] if x.size else []
 
 
-def force_charts(measurements: Sequence[Measurement], reference: str) -> list[Chart]:
+def force_charts(measurements: Sequence[Measurement], baseline_name: str) -> list[Chart]:
     """Return a chart of the force of separate tones over frequency, with the tolerance of its controller."""
     sweeps = [
         (measurement, sweep.frfs[0])
@@ -285,7 +287,7 @@ def force_charts(measurements: Sequence[Measurement], reference: str) -> list[Ch
     if not sweeps:
         return []
     labels = [frf.label for _, frf in sweeps]
-    names, styles = _sweep_names(labels, reference), _sweep_styles(labels, reference)
+    names, styles = _sweep_names(labels, baseline_name), _sweep_styles(labels, baseline_name)
     curves, outside = list[Curve](), list[str]()
     for (measurement, measured), name, style in zip(sweeps, names, styles, strict=True):
         frf = measured.sorted()
@@ -348,7 +350,7 @@ def stabilization_charts(measurements: Sequence[Measurement]) -> list[Chart]:
             for (name, draw), selected in kinds.items()
             for curve in _symbols(
                 name,
-                styles.get(draw, CurveStyle(REFERENCE)),
+                styles.get(draw, CurveStyle(BASELINE)),
                 draw,
                 zip(frequency[selected], order[selected], strict=True),
             )
@@ -489,7 +491,7 @@ def _percent(part: NDArray[np.float64], total: NDArray[np.float64]) -> NDArray[n
     return np.where(total > 0, 100.0 * part / np.where(total > 0, total, 1.0), np.nan)
 
 
-def decay_charts(measurements: Sequence[Measurement], reference: str) -> list[Chart]:
+def decay_charts(measurements: Sequence[Measurement], baseline_name: str) -> list[Chart]:
     """Return charts of the envelopes and energies of free decays, and of damping ratio against amplitude."""
     labeled_decays = [
         (measurement.label, measurement.decay) for measurement in measurements if measurement.decay is not None
@@ -497,8 +499,8 @@ def decay_charts(measurements: Sequence[Measurement], reference: str) -> list[Ch
     if not labeled_decays:
         return []
     envelopes, energies = [], []
-    is_reference = [label == reference for label, _ in labeled_decays]
-    for (label, result), style in zip(labeled_decays, recording_styles(is_reference), strict=True):
+    is_baseline = [label == baseline_name for label, _ in labeled_decays]
+    for (label, result), style in zip(labeled_decays, recording_styles(is_baseline), strict=True):
         envelopes.append(Curve(label, result.peak_time, result.peak, style=style))
         step = max(result.time.size // _INTERVALS, 1)
         energies.append(Curve(label, result.time[::step], result.energy[::step], style=style))
@@ -517,7 +519,7 @@ def decay_charts(measurements: Sequence[Measurement], reference: str) -> list[Ch
     ]
     groups = group_modes([result for _, result in labeled_decays])
     if groups:
-        charts.append(_damping_chart(groups, labeled_decays, recording_styles(is_reference)))
+        charts.append(_damping_chart(groups, labeled_decays, recording_styles(is_baseline)))
     return charts
 
 

@@ -55,12 +55,12 @@ class Peak:
     value: float  # height, m/N; a lower bound of the height if `bound` is infinite
     # expanded uncertainty of the height (95 %) without errors that are common to all frequencies, m/N; infinite if the
     # curve has a jump or few points, or if a point next to the highest was omitted
-    own_bound: float
+    own_expanded: float
     frequency: float  # Hz
     lowest_frequency: float  # lower end of the 95 % interval of the frequency, Hz
     highest_frequency: float  # upper end of the 95 % interval of the frequency, Hz
     lower_limit: float = 0.0  # lower end of the 95 % interval of the highest measured point, m/N
-    interpolation_bound: float = 0.0  # part of `own_bound` due to interpolation between the points, m/N
+    interpolation_bound: float = 0.0  # part of `own_expanded` due to interpolation between the points, m/N
     step: float = 0.0  # largest frequency step next to the highest point, Hz; 0 if there is no interpolation
     at_end: bool = False  # whether the highest point is at an end of the band, on the flank of another peak
     # tolerances of the sensors, relative to the height; they are common to all frequencies and included in `bound`
@@ -76,36 +76,36 @@ class Peak:
     @property
     def bound(self) -> float:
         """Expanded uncertainty of the height (95 %) with all errors [m/N]."""
-        return self._expanded(self.own_bound)
+        return self._expanded(self.own_expanded)
 
     @property
     def low(self) -> float:
         """Lower end of the 95 % interval of the height [m/N]."""
         if self.at_end:
             return 0.0
-        return self.value if isinf(self.own_bound) else self.value - self._expanded(self.value - self._own_low)
+        return self.value if isinf(self.own_expanded) else self.value - self._expanded(self.value - self._own_low)
 
     @property
     def is_determined(self) -> bool:
         """Whether the height is known well enough to be stated, apart from errors common to all frequencies."""
-        return self.own_bound <= _MAX_PEAK_UNCERTAINTY * self.value
+        return self.own_expanded <= _MAX_PEAK_UNCERTAINTY * self.value
 
     @property
     def _own_low(self) -> float:
         """Lower end of the 95 % interval of the height without errors that are common to all frequencies [m/N]."""
-        return max(self.value - self.own_bound, self.lower_limit)
+        return max(self.value - self.own_expanded, self.lower_limit)
 
-    def _expanded(self, own_bound: float) -> float:
+    def _expanded(self, own_expanded: float) -> float:
         """Add the errors common to all frequencies (sensors, clock) to an expanded uncertainty of the height."""
         limits = (*self.tolerances, _CLOCK_ERRORS_IN_HEIGHT * self.clock)
-        return float(expand(own_bound / COVERAGE_FACTOR, [self.value * limit for limit in limits]))
+        return float(expand(own_expanded / COVERAGE_FACTOR, [self.value * limit for limit in limits]))
 
     @property
     def decibel_range(self) -> tuple[float, float]:
         """Distances of the ends of the 95 % interval from the height, in dB, without errors of sensors and clock."""
-        if isinf(self.own_bound):
+        if isinf(self.own_expanded):
             return inf if self.at_end else 0.0, inf
-        low, high = self._own_low, self.value + self.own_bound
+        low, high = self._own_low, self.value + self.own_expanded
         return (
             inf if low <= 0.0 else max(20.0 * log10(self.value / low), 0.0),
             max(20.0 * log10(high / self.value), 0.0),
@@ -283,10 +283,10 @@ def _better(frf: Response, resonance: Resonance, estimate: Peak) -> Peak:
     # With few lines, dampers may move at the peak although they are at rest at the lines on both sides.
     is_known = resonance.is_interpolated and resonance.lines >= MIN_LINES
     is_known &= not is_next_to_omitted(frf, float(frf.frequency[resonance.line]))
-    if not is_known or estimate.own_bound <= resonance.expanded:
+    if not is_known or estimate.own_expanded <= resonance.expanded:
         return estimate
     return replace(
-        estimate, value=resonance.value, own_bound=resonance.expanded, frequency=resonance.frequency,
+        estimate, value=resonance.value, own_expanded=resonance.expanded, frequency=resonance.frequency,
         interpolation_bound=0.0, at_end=False,
     )  # fmt: skip
 

@@ -40,7 +40,7 @@ def isolate_pulse(info: ChannelInfo, force: Array, first: int, last: int) -> Arr
 
 
 def samples_after_impact(info: ChannelInfo) -> tuple[int, int]:
-    """Return the number of samples after an impact in which the force window is 1, and the number of its taper."""
+    """Return the numbers of samples after an impact in which the force window is 1 and in which it tapers to 0."""
     fast_poles = slow_and_fast(info)[1]
     ringing_s = _RINGING_TIME_CONSTANTS / min((abs(pole.real) for pole in fast_poles), default=np.inf)
     n_taper = max(2, int(TAPER_S * info.rate))

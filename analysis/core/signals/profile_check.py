@@ -20,7 +20,7 @@ from daq.core.excitation.profiles.random_control_check import line_warnings
 from daq.core.excitation.profiles.sweep_control import estimate_amplitudes, observation_samples
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
-from rig.core.base.palette import REFERENCE, location_styles
+from rig.core.base.palette import BASELINE, location_styles
 from rig.core.numerics.runs import runs_of
 from rig.core.results import Result, complete_style, format_frequencies
 from rig.core.scene.excitation.kind import Chirp
@@ -200,7 +200,7 @@ class ProfileCheck(Result):
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw control and limited channels with profile, tolerance, limits, and strips where a limit acts."""
-        ax.loglog(self.frequency, self.profile, "--", color=REFERENCE, lw=1.2, label="profile", zorder=3)
+        ax.loglog(self.frequency, self.profile, "--", color=BASELINE, lw=1.2, label="profile", zorder=3)
         ax.fill_between(self.frequency, *self.band, color="#999999", alpha=0.3, lw=0)
         control, *limited = location_styles([level.place for level in (self.channels[0], *self.limited)])
         names = " and ".join(level.channel for level in self.channels)

@@ -190,7 +190,7 @@ def _experiments(folder: Path) -> list[PaperPart]:
 
 
 def _with_noise(scene: Scene, density: float) -> Scene:
-    """Set the noise density of all accelerometers of a scene, ug/sqrt(Hz)."""
+    """Set the noise density [ug/sqrt(Hz)] of all accelerometers of a scene."""
     noise = f"{density:g} ug/sqrt(Hz)"
     channels = [
         channel.replace(accelerometer=channel.accelerometer.replace(noise=noise)) if channel.accelerometer else channel

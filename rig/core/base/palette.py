@@ -1,7 +1,7 @@
 """Colors, dashes and markers, the same in figures, report, bench page and replay.
 
 A body has one color everywhere, and so have tables, hammers and dampers. Curves of recordings have other colors; the
-reference of a comparison is dark gray. Bodies 1 to 3, table and damper remain distinct with any color blindness (Okabe
+baseline of a comparison is dark gray. Bodies 1 to 3, table and damper remain distinct with any color blindness (Okabe
 and Ito); dashes and markers distinguish curves in gray prints.
 """
 
@@ -16,8 +16,8 @@ TABLE = "#CC79A7"
 HAMMER = "#6E7681"
 DAMPER = "#E69F00"
 #: Reference of a comparison.
-REFERENCE = "#404040"
-#: Recordings that are compared with a reference.
+BASELINE = "#404040"
+#: Recordings that are compared with a baseline.
 RECORDINGS = ("#AA4499", "#44AA99", "#A6761D", "#7E6BC4", "#CC6677", "#999933")
 #: Dampers by their type of motion (`rig.studies.motion_map`), from rest to irregular.
 MOTIONS = ("#e4e4e4", "#a6cee3", "#3f8fc4", "#1b4f7e", "#f2c14e", "#e07b39", "#8c1c3a")
@@ -111,17 +111,17 @@ def faded(color: str) -> str:
     return "#" + "".join(f"{round(0.35 * part + 0.65 * 255):02x}" for part in bytes.fromhex(color[1:]))
 
 
-def recording_styles(is_reference: Sequence[bool]) -> list[CurveStyle]:
-    """Return the styles of compared curves: curves of the reference are dark gray, independent of the order.
+def recording_styles(is_baseline: Sequence[bool]) -> list[CurveStyle]:
+    """Return the styles of compared curves: curves of the baseline are dark gray, independent of the order.
 
-    >>> [style.color == REFERENCE for style in recording_styles([False, True, False])]
+    >>> [style.color == BASELINE for style in recording_styles([False, True, False])]
     [False, True, False]
     """
     styles = []
-    for position, reference in enumerate(is_reference):
-        index = sum(other == reference for other in is_reference[:position])
-        color = REFERENCE if reference else RECORDINGS[index % len(RECORDINGS)]
-        index = (index if reference else index + 1) % len(_DASHES)
+    for position, baseline in enumerate(is_baseline):
+        index = sum(other == baseline for other in is_baseline[:position])
+        color = BASELINE if baseline else RECORDINGS[index % len(RECORDINGS)]
+        index = (index if baseline else index + 1) % len(_DASHES)
         styles.append(CurveStyle(color, _DASHES[index], _MARKERS[index]))
     return styles
 

@@ -45,7 +45,7 @@ def reference_of(scene: Scene, system: HybridSystem) -> Reference:
 def linear_response(scene: Scene, frequency: ArrayLike) -> ComplexArray:
     """Return the linear response of each body over the default reference of a scene, shape (bodies, frequencies).
 
-    It is the transmissibility if the table carries the structure, otherwise the compliance. `frequency`: Hz.
+    The response is the transmissibility if the table carries the structure, otherwise the compliance. `frequency`: Hz.
     """
     return transmissibility(scene, frequency) if scene.reference == "table" else receptance(scene, frequency)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from rig.core.base.figure_style import COLORS, add_page_title, cell_edges, new_figure, save_figure, set_log_scale
 from rig.core.base.output_files import atomic_write, file_stem
-from rig.core.base.palette import REFERENCE
+from rig.core.base.palette import BASELINE
 from rig.core.results import format_decimals, format_number, format_percent
 from rig.core.scene.damper import Damper
 from rig.core.scene.excitation import FORCE_TOLERANCE
@@ -284,7 +284,7 @@ def _draw_responses(axes: Axes, design: Design) -> None:
     peaks = [mode.undamped.frequency for mode in design.modes if mode.in_band]
     frequency = np.unique(np.concatenate([np.geomspace(low, high, _RESPONSE_POINTS), peaks]))
     bare = abs(linear_response(scene.replace(dampers=[]), frequency)).max(axis=0)
-    axes.plot(frequency, factor * bare, color=REFERENCE, lw=1.0, label="without dampers")
+    axes.plot(frequency, factor * bare, color=BASELINE, lw=1.0, label="without dampers")
     for number, level in enumerate(design.question.levels):
         damped = [mode.damped[number] for mode in design.modes if mode.in_band]
         axes.plot(

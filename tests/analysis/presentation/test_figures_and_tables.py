@@ -29,7 +29,7 @@ from analysis.core.modal.modes import Modes, UncertainMode
 from analysis.core.modal_models.lscf import ChartPole
 from analysis.core.recordings.names import baseline_label, belongs_to, excitation_text
 from rig.core.base.errors import RecordingError
-from rig.core.base.palette import BODIES, RECORDINGS, REFERENCE, faded, recording_styles
+from rig.core.base.palette import BASELINE, BODIES, RECORDINGS, faded, recording_styles
 from rig.core.results.response import Response
 from tests.analysis.responses import synthetic
 
@@ -293,7 +293,7 @@ def test_reference_is_gray_in_any_order(folder):
     styles = recording_styles([belongs_to(curve.label, reference) for curve in curves])
     axes = frf_figure(curves, "Compliance", styles=styles).axes[0]
     colors = {line.get_label(): line.get_color() for line in axes.lines}
-    assert colors["without"] == REFERENCE != colors["with"]
+    assert colors["without"] == BASELINE != colors["with"]
 
 
 def test_peak_between_tones_has_a_marker():
@@ -317,7 +317,7 @@ def test_compared_peaks_have_labels_in_their_colors():
     ]
     axes = frf_figure(curves, "Compliance", styles=recording_styles([True, False])).axes[0]
     labels = {text.get_text(): text.get_color() for text in axes.texts if text.get_text().endswith(" Hz")}
-    assert labels == {"20.2 Hz": REFERENCE, "19 Hz": RECORDINGS[0]}
+    assert labels == {"20.2 Hz": BASELINE, "19 Hz": RECORDINGS[0]}
 
 
 def test_rough_phase_is_not_drawn():

@@ -4,7 +4,7 @@
 (function () {
   const LIGHT = { text: "#1b1f24", grid: "#d8dde3", page: "#ffffff" };
   const DARK = { text: "#dfe4ea", grid: "#3d4752", page: "#14181d" };
-  // Grays of undetermined curves and of the reference of a comparison in the data, and on a dark page.
+  // Grays of undetermined curves and of the baseline of a comparison in the data, and on a dark page.
   const GRAYS = { "#9aa2ab": "#68737f", "#404040": "#f2f4f7" };
   const UNDETERMINED = "#9aa2ab";
   const PRINT_WIDTH = 700; // px: the printable width of A4

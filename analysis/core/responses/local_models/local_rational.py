@@ -202,7 +202,7 @@ class _LocalData(NamedTuple):
         return self.output_rms / np.where(self.reference_rms > _ZERO_POWER, self.reference_rms, np.nan)
 
     def terms(self, order: int, poles: int) -> _Terms:
-        """Return the columns of a fit: numerators and transients of one order, a denominator of another."""
+        """Return the columns of a fit: `order` of numerators and transients, number of `poles` of the denominator."""
         powers = self.powers[:, :, : order + 1]
         transients = np.concatenate([powers, *(decay[:, :, None] for decay in self.decays)], axis=2)
         if self.n_separate:

@@ -19,7 +19,7 @@ from rig.core.base.output_files import allow_overwriting, prepare_outputs
 if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
-# A dry run simulates a test completely if this needs at most this CPU time, s.
+# A dry run simulates a test completely if this needs at most this CPU time [s].
 _DRY_RUN_CPU_S = 20.0
 app = create_application("The instrument: record, inspect, repair and replay tests.")
 

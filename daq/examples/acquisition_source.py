@@ -24,7 +24,7 @@ class VirtualRig:
         """Start the acquisition."""
         self.task = nidaqmx.Task(grpc_options=self.bench)
         for number, name in enumerate(self.channel_names):
-            # Input range, V.
+            # Input range [V].
             limit = min(500.0, self.bench.sensors[number].range or 500.0)
             self.task.ai_channels.add_ai_voltage_chan(f"cDAQ1Mod1/ai{number}", name, min_val=-limit, max_val=limit)
         self.task.timing.cfg_samp_clk_timing(self.sample_rate, sample_mode=AcquisitionType.CONTINUOUS)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 # At most this number of sweeps is drawn: more panels would not fit on a page.
 MAX_ROWS = 8
-# Height of a row of the figure, inches.
+# Height of a row of the figure [inches].
 _ROW_HEIGHT_IN = 2.4
 # The curve is interrupted at a frequency step above this multiple of the larger neighboring step.
 _MIN_BREAK_RATIO = 3.0

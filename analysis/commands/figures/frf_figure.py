@@ -35,7 +35,7 @@ _ZERO_RATIO = 1e-9
 _MAX_ERROR_RATIO = 0.5
 # A point of a curve without error bars is drawn as noise if its roughness exceeds this fraction of the magnitude.
 _MAX_ROUGHNESS = 0.35
-# The phase is not drawn where a quarter of the steps between neighboring points exceed this angle, rad: the line would
+# The phase is not drawn where a quarter of the steps between neighboring points exceed this angle [rad]: the line would
 # show noise.
 _MAX_PHASE_STEP = 0.3
 # Upper ends of the phase axis, degrees, the preferred first: compliances of a driven body are from 0° to -180°.
@@ -77,7 +77,7 @@ _LABEL_WIDTH = 0.06
 _MARK_SPACE = 2.5
 _MARKERS = {"circles": "o", "diamonds": "D"}
 _LABEL_COLOR = "#555555"
-# Height of the label of a peak, points.
+# Height of the label of a peak [points].
 _LABEL_POINTS = 9.0
 _THEORY_COLOR = "#222222"
 _NOISE_COLOR = "#c4c4c4"

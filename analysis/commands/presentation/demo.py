@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 STEPPED_SINES = ("fig8-no-damper", "fig8-three-dampers")
 IMPACT_TESTS = ("fig10b-no-damper", "fig10b-three-dampers")
 
-# Coarse frequency grid over the band, Hz.
+# Coarse frequency grid over the band [Hz].
 _COARSE_HZ = np.linspace(8.0, 60.0, 34)
-# Fine grids around the resonances, Hz. Riding dampers add mass and lower the resonances; the grids
+# Fine grids around the resonances [Hz]. Riding dampers add mass and lower the resonances; the grids
 # cover the lowered resonances, too.
 _FINE_HZ = (np.linspace(11.8, 13.6, 14), np.linspace(32.0, 35.6, 13), np.linspace(45.5, 51.0, 12))
 

@@ -23,7 +23,7 @@ _MIN_LOGARITHMIC_RATIO = 3.0
 _DIGITS = 5
 # Significant digits of an abscissa, of which zooming shows more.
 _ABSCISSA_DIGITS = 8
-# Difference between the brightest and the darkest level of an image, dB.
+# Difference between the brightest and the darkest level of an image [dB].
 IMAGE_SPAN_DB = 80.0
 # Columns with more values are written as 32-bit binary, which halves their size.
 _MAX_TEXT_VALUES = 500

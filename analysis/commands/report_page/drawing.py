@@ -19,27 +19,27 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
     from rig.core.scene.shaker import Shaker
 
-# Size of a body, px.
+# Size of a body [px].
 _BODY_WIDTH = 150
 _BODY_HEIGHT = 50
-# Distance between two bodies, px.
+# Distance between two bodies [px].
 _SPACING = 36
-# Position of the left edge of the bodies, px.
+# Position of the left edge of the bodies [px].
 _LEFT = 145
-# Position of shakers and hammers, left of the bodies, px.
+# Position of shakers and hammers, left of the bodies [px].
 _DRIVE = 44
-# Width of the drawing, px.
+# Width of the drawing [px].
 _WIDTH = 400
-# Margin above and below the drawing, px.
+# Margin above and below the drawing [px].
 _MARGIN = 22
-# Size of a body in a mode shape, px.
+# Size of a body in a mode shape [px].
 _SHAPE_WIDTH = 90
 _SHAPE_HEIGHT = 26
-# Width of a mode shape including the values right of the bodies, which have a larger font on phones, px.
+# Width of a mode shape including the values right of the bodies, which have a larger font on phones [px].
 _SHAPE_VIEW = 228
-# Distance between two bodies in a mode shape, px.
+# Distance between two bodies in a mode shape [px].
 _SHAPE_SPACING = 36
-# Amplitude of the largest element of an animated mode shape, px. It is so small that two bodies in antiphase do not
+# Amplitude of the largest element of an animated mode shape [px]. It is so small that two bodies in antiphase do not
 # meet.
 _MAX_AMPLITUDE = 0.45 * _SHAPE_SPACING
 # Zigzag corners of a drawn spring.

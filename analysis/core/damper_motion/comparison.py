@@ -39,7 +39,7 @@ _MAX_PEAK_UNCERTAINTY = 0.5
 _MIN_SYMMETRY = 0.9
 # A peak above its highest measured point by more than half-power is extrapolated: the points are on its flanks.
 _HALF_POWER = sqrt(2.0)
-# Represents an unbounded uncertainty, m/N: products with infinity would be undefined, and with the largest float
+# Represents an unbounded uncertainty [m/N]: products with infinity would be undefined, and with the largest float
 # overflow.
 _UNBOUNDED = 1e100
 # Compared heights are rounded to this fraction at the finest.
@@ -53,7 +53,7 @@ class Peak:
     """A resonance peak of a measured compliance."""
 
     value: float  # height, m/N; a lower bound of the height if `bound` is infinite
-    # expanded uncertainty of the height (95 %) without errors that are common to all frequencies, m/N; infinite if the
+    # expanded uncertainty of the height (95 %) without errors that are common to all frequencies [m/N]; infinite if the
     # curve has a jump or few points, or if a point next to the highest was omitted
     own_expanded: float
     frequency: float  # Hz

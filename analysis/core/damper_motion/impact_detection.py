@@ -109,7 +109,7 @@ class Impacts:
 
     @property
     def min_interval(self) -> float:
-        """Time interval, s, within which several impacts may be detected as one impact."""
+        """Time interval [s] within which several impacts may be detected as one impact."""
         return self.resolution + RELEASE_DURATIONS * self.contact_duration
 
     @property

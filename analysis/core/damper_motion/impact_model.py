@@ -21,7 +21,7 @@ from daq.core.signal_chain.channel import ChannelInfo, Quantity
 from rig.core.base.arrays import Array
 from rig.core.results.response import MOTIONS
 
-# A jump is at most this distance from the middle of its window, samples.
+# A jump is at most this distance from the middle of its window [samples].
 MAX_SHIFT = 4
 # Polynomial orders of the smooth acceleration around a jump.
 ORDERS = (2, 4, 6, 8)
@@ -46,7 +46,7 @@ _DECAY_TIMES = 14.0
 _WINDOW_DECAY_TIMES = 3.0
 # Length of a decimation filter's impulse response on either side.
 _FILTER_SPAN_SAMPLES = 40
-# The window includes this part of the impulse response of a decimation filter, samples.
+# The window includes this part of the impulse response of a decimation filter [samples].
 _FILTER_WINDOW_SAMPLES = 12
 # Singular values of the filters below this fraction of the largest are rounding errors.
 _RANK_TOLERANCE = 1e-12

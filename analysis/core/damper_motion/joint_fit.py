@@ -16,11 +16,11 @@ from rig.core.base.arrays import Array
 
 # Gauss-Newton iterations; few suffice, because the initial times are within two samples.
 ITERATIONS = 4
-# The time of a jump changes by at most this in one iteration, samples.
+# The time of a jump changes by at most this in one iteration [samples].
 _MAX_CHANGE_SAMPLES = 0.5
 # Added to the diagonal of the normalized normal equations, which would otherwise be indefinite due to rounding.
 _DIAGONAL_LOADING = 1e-11
-# Maximum distance of a fitted jump from its initial time, samples; beyond it, the jump could merge with a neighbor.
+# Maximum distance of a fitted jump from its initial time [samples]; beyond it, the jump could merge with a neighbor.
 _MAX_DISTANCE_SAMPLES = 2.0
 
 
@@ -33,7 +33,7 @@ class Jump:
     amplitudes: Array
     """Jump [m/s], step [m/s²], kink [m/s³]; shape (3,)."""
     error: float
-    """Standard uncertainty of the jump, m/s, including the uncertainty of the jointly fitted quantities."""
+    """Standard uncertainty of the jump [m/s] including the uncertainty of the jointly fitted quantities."""
     explained: float
     """Reduction of the sum of squares by this jump, in units of the noise variance."""
     time_error: float = np.inf

@@ -54,9 +54,9 @@ _KINK_DURATION_RATIO = 1.0 / 6.0
 _MAX_ROUNDS = 12
 # Iterations that center a window on a jump; the limit only ends an oscillation between two windows.
 _MAX_CENTERINGS = 4
-# Minimum distance of two jumps in the search for single jumps, samples.
+# Minimum distance of two jumps in the search for single jumps [samples].
 _MIN_DISTANCE_SAMPLES = 4
-# Minimum distance at which two jumps may be resolved, samples.
+# Minimum distance at which two jumps may be resolved [samples].
 MIN_RESOLVED_SAMPLES = 6
 # Two jumps are resolved if a joint fit increases the standard uncertainty of each jump by at most this factor: their
 # times are then still well determined.
@@ -80,7 +80,7 @@ _MIN_VARIANCE_REDUCTION = 2.0
 NOISE_REDUCTION = 0.7
 # Jumps in a joint fit; the computing time increases with the cube of this number.
 _MAX_JOINT_JUMPS = 5
-# Offsets from which the time of a new jump is fitted, samples.
+# Offsets from which the time of a new jump is fitted [samples].
 _START_OFFSETS = (0.0, -2.5, 2.5, -5.0, 5.0)
 # Two fitted jumps that are closer than this may represent a single jump.
 _SAME_JUMP_SAMPLES = 10.0

@@ -123,7 +123,7 @@ def damper_motion(
     motions: list[DamperMotion] = []
     info, lines = rec.channels[channel], sweep.lines
     reading = np.abs(lines.mean[lines.channels.index(channel)] / info.response(lines.frequency))
-    # Acceleration amplitude, m/s².
+    # Acceleration amplitude [m/s²].
     amplitudes = reading * (2 * np.pi * lines.frequency) ** (2 - MOTIONS.index(info.quantity))
     for frequency, amplitude, (first, stop) in zip(
         lines.frequency.tolist(), amplitudes.tolist(), sweep.windows.tolist(), strict=True
@@ -240,7 +240,7 @@ def _push_time(acceleration: Array, amplitude: float, gravity: float, frequency:
 
 
 def _min_acceleration(motion: BodyMotion, numbers: list[int], frequency: float) -> float:
-    """Return a lower bound of the acceleration of a body and of its riding dampers, m/s², including the tolerance."""
+    """Return a lower bound of the acceleration of a body and of its riding dampers [m/s²] including the tolerance."""
     scene, rows = motion.rec.scene, [motion.acceleration]
     count = rows[0].size
     for number in numbers:

@@ -48,14 +48,14 @@ class ModalDecay(Result):
     Uncertainties are standard uncertainties due to noise, averaging over neighboring amplitudes, and the clock.
     """
 
-    # natural frequency at the amplitude with the smallest uncertainty, Hz; `center` if no amplitude determines it
+    # natural frequency at the amplitude with the smallest uncertainty [Hz]; `center` if no amplitude determines it
     frequency: float
     frequency_error: float  # Hz; NaN if no amplitude determines the frequency
     center: float  # center frequency of the band-pass, Hz: the peak of the spectrum
     time: Array  # time after the impact, s
     envelope: Array  # amplitude of the acceleration, m/s²
     noise: float  # noise of the band-passed acceleration, rms, m/s²
-    # acceleration amplitudes in descending order, m/s²; noise causes a relative uncertainty below
+    # acceleration amplitudes in descending order [m/s²]; noise causes a relative uncertainty below
     # `MAX_RELATIVE_UNCERTAINTY`
     amplitude: Array
     damping: Array  # damping ratio at these amplitudes

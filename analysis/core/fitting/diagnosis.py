@@ -76,11 +76,11 @@ _UNIT_TOLERANCE = 0.06
 _NO_UNIT_ERROR = (
     " (the factor does not correspond to a common unit error; the structure may also differ from the scene)"
 )
-# Delays of a channel that are tried for the first estimate, s.
+# Delays of a channel that are tried for the first estimate [s].
 _TRIAL_DELAYS = np.arange(-5e-3, 5.01e-3, 2e-5)
-# The error of the first estimate of a delay is at most this, s.
+# The error of the first estimate of a delay is at most this [s].
 _MAX_DELAY_ERROR = 1e-4
-# A shorter delay than this is not reported, s.
+# A shorter delay than this is not reported [s].
 _MIN_DELAY = 5e-6
 # Relative tolerance of a sensor whose sensitivity is fitted freely: so large that it has no effect.
 _FREE_TOLERANCE = 1e4

@@ -135,7 +135,7 @@ def _model_modes(scene: Scene, group: Group) -> tuple[Array, Array, Array]:
     modes = model.modes
     shapes = modes.shapes / np.sqrt(modes.mass)
     if test_scene.reference == "table":
-        # Force on each body per displacement of the table that carries the structure, N/m.
+        # Force on each body per displacement of the table that carries the structure [N/m].
         participation = ground_connection(test_scene.structure, model).stiffness @ shapes
     else:
         driven = driven_bodies(test_scene) if test_scene.hammer is None else [test_scene.hammer - 1]

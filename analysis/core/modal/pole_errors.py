@@ -132,7 +132,7 @@ def _relative(curve: Response, names: Sequence[str]) -> Array:
 
 
 def _shift(error: Array, distance: Array, half_width_hz: float) -> float:
-    """Compute the shift of a pole, Hz, due to relative errors of a curve at given distances [Hz] from the pole."""
+    """Compute the shift of a pole [Hz] due to relative errors of a curve at given distances [Hz] from the pole."""
     bounded = np.isfinite(error)
     if not bounded.any():
         return float("inf")

@@ -138,7 +138,7 @@ class Estimator:
     tones: Callable[[Request], list[ToneInterval]] = lambda request: []
     # Returns the remedy for too few lines to interpolate a peak; argument: required spacing, Hz, infinite if unknown.
     peak_remedy: Callable[[float], str] = lambda needed: "Measure for longer"
-    # Remedy for too few lines in a resonance; `step` is the required spacing of the lines, Hz.
+    # Remedy for too few lines in a resonance; `step` is the required spacing of the lines [Hz].
     line_remedy: Callable[[float], str] = lambda step: f"Measure every {step:.2g} Hz there."
 
 

@@ -9,7 +9,7 @@ import scipy
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array, ComplexArray
 
-# Time for which the force window is 1 after the last sample of the impact, and then the duration of its taper, s.
+# Time for which the force window is 1 after the last sample of the impact, and then the duration of its taper [s].
 TAPER_S = 2e-3
 # Additional time before the taper, for the ringing of the channel's low-pass filters, in time constants of the slowest
 # filter.

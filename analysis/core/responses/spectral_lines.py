@@ -60,7 +60,7 @@ class Lines:
     residual_transient: Array | None = None
     # flags of lines at which steady state was not reached; shape (n,). None for a multisine
     unsteady: NDArray[np.bool_] | None = None
-    # frequencies of discarded measurements, Hz
+    # frequencies of discarded measurements [Hz]
     omitted: Array = field(default_factory=lambda: np.empty(0))
     # number of lines on either side that moderate the noise of each line, for lines with few averages
     n_neighbors: int = 0
@@ -70,7 +70,7 @@ class Lines:
     n_rotated: int = 1
     # maximum error of each mean due to rounding to counts; shape (channels, n)
     resolution: Array | None = None
-    # waits before the windows, and lengths of the windows of successive tones, s; shape (n,)
+    # waits before the windows, and lengths of the windows of successive tones [s]; shape (n,)
     wait: Array | None = None
     duration: Array | None = None
     inputs: tuple[str, ...] = ()  # channels of several inputs, in the order of the rows

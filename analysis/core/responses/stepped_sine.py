@@ -41,7 +41,7 @@ _TOO_CLOSE = "shorter than a period of the beat with another tone"
 _LENGTHS = (_TOO_SHORT, _TOO_CLOSE)
 # Samples per matrix product, so few that they and the terms of the fit are cached in a processor core.
 _SAMPLES_PER_PRODUCT = 2048
-# A wait for the steady state begins with the transition to its tone, which usually ends within this time, s.
+# A wait for the steady state begins with the transition to its tone, which usually ends within this time [s].
 _TRANSITION_S = 0.5
 
 

@@ -76,7 +76,7 @@ class ProfileCheck(Result):
     channels, limited : tuple of Level
         Control channels, and channels with limits.
     tolerance, abort : float
-        Tolerance and abort line relative to the profile, dB.
+        Tolerance and abort line relative to the profile [dB].
     freedom : float
         Degrees of freedom of each line of a density; 0 for amplitudes.
     warnings : tuple of str

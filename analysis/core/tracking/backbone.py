@@ -65,7 +65,7 @@ class Backbone(Result):
         Frequency of phase resonance and half of its 95 % interval [Hz]. The interval includes the effect of the
         remaining phase deviation.
     phase_deviation, phase_deviation_bound : ndarray, shape (n,)
-        Phase of the body relative to that of phase resonance, and half of its 95 % interval, rad.
+        Phase of the body relative to that of phase resonance, and half of its 95 % interval [rad].
     natural_frequency, natural_frequency_bound : ndarray, shape (n,)
         Natural frequency of the mode without the contributions of other modes to the phase of the body, and half of its
         95 % interval [Hz].
@@ -267,7 +267,7 @@ def _mode(
     relative: float,
     rotation: float,
 ) -> _Mode:
-    """Return natural frequency and damping ratio from the motion of all bodies, m, relative to the force [N].
+    """Return natural frequency and damping ratio from the motion [m] of all bodies per force [N].
 
     `relative`, `rotation`: relative uncertainty of the motion, and uncertainty of its phase (rad).
     """

@@ -167,7 +167,7 @@ _BYTES_PER_SAMPLE = {".csv": 20.0, ".npz": 8.0, ".mat": 8.0, ".wav": 3.0, ".uff"
 
 
 def expected_bytes(segment: Slice, ending: str) -> float:
-    """Estimate the size of the exported file, bytes; in CSV files the time is an additional column."""
+    """Estimate the size of the exported file [bytes]; in CSV files the time is an additional column."""
     columns = len(segment.channels) + (ending == ".csv")
     return (segment.stop - segment.start) * (_BYTES_PER_SAMPLE[ending] * columns)
 

@@ -36,7 +36,7 @@ MAX_DEVIATION = 0.10
 #: A deviation is computed if the value of the single mass (see `summary_row`) is at least this. Smaller energies and
 #: impulses are negligible: the mass rests on the floor, or does not hit the ceiling.
 _MIN_MASS_VALUE = 1e-3
-#: Two landings are indistinguishable in a figure if their phases differ by less than this, degrees.
+#: Two landings are indistinguishable in a figure if their phases differ by less than this [degrees].
 SAME_LANDING_DEG = 20.0
 
 

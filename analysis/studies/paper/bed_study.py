@@ -48,9 +48,9 @@ MAX_LAYERS = 20
 SETTINGS_OF_MAX_LAYERS = (
     (1.3, math.inf), (3.0, math.inf), (7.0, math.inf), (4.5, 0.3e-3), (4.5, 0.98e-3), (7.0, 0.98e-3),
 )  # fmt: skip
-#: Frequency of the settings above, Hz; the resonance of the heavy body is at half this frequency.
+#: Frequency of the settings above [Hz]; the resonance of the heavy body is at half this frequency.
 FREQUENCY = 50.0
-#: For the paper's first and second resonance, Hz: clearances in m, and accelerations in g close to the damped peaks in
+#: For the paper's first and second resonance [Hz]: clearances in m, and accelerations in g close to the damped peaks in
 #: its Figs 8 (without a ceiling) and 9 (clearance 0.98 mm).
 SETTINGS_OF_MODES = {
     13.0: {math.inf: (1.3, 1.8, 3.0), 0.98e-3: (1.8, 3.0), 0.3e-3: (1.3,)},
@@ -70,7 +70,7 @@ BLOCK_PERIODS = 6
 #: beds. At 7 g and 2 mm, six layers dissipated per period 10 times the bed's weight times 1 mm in the first 18 periods,
 #: but 7 times in the first 60 periods.
 BLOCK_PERIODS_WITH_CEILING = 20
-#: Young's modulus of the grains, Pa.
+#: Young's modulus of the grains [Pa].
 MODULUS_PA = 1e8
 #: Ratio of the time step to the Rayleigh time, longer than usual because statistics of a bed do not need the rebound of
 #: each grain to 1 %. Twice this step is too long: beds of four and six layers that seldom hit a ceiling at 2 mm then

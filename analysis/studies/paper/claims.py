@@ -13,7 +13,7 @@ from rig.core.results import format_percent, format_quantity
 from rig.core.results.response import Response
 from rig.core.scene.scene import STANDARD_GRAVITY
 
-# Natural frequencies stated in the paper, rad/s.
+# Natural frequencies stated in the paper [rad/s].
 PAPER_OMEGA = np.array([81.9, 218.8, 312.4])
 # Force of Fig 8.
 FORCE_C3_N = 2.6

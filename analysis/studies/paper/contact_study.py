@@ -34,7 +34,7 @@ from rig.extras.bed_response.steady_bed import as_one_mass
 
 #: Restitutions of the contacts.
 RESTITUTIONS = (0.0, 0.05, 0.1, 0.2, 0.35, 0.5)
-#: Nominal contact durations, s.
+#: Nominal contact durations [s].
 DURATIONS = (1e-3, 2e-3, 3e-3, 4e-3, 5e-3, 7e-3)
 #: Fractions of the mass of the bed that move as a single mass.
 SHARES = tuple(np.round(np.arange(0.5, 1.001, 0.05), 2).tolist())

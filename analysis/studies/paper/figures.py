@@ -22,7 +22,7 @@ Columns = Mapping[str, np.ndarray]
 Parts = Mapping[str, Columns]
 
 BLUE, RED, GREEN, _, _, ORANGE, GRAY, BLACK = COLORS
-# Natural frequency of the first mode, Hz; the envelope is computed over its period.
+# Natural frequency of the first mode [Hz]; the envelope is computed over its period.
 LOWEST_MODE_HZ = 12.4
 _WAVEFORM_LABEL = "time / ms     (solid: body and floor; dashed: damper; shaded: cavity)"
 COMPLIANCE_LABEL = "compliance |X/F₁| / (µm/N)"

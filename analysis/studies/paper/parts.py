@@ -12,14 +12,14 @@ from rig.core.scene.scene import Scene
 
 # Frequency band around the third mode.
 THIRD_MODE_BAND_HZ = (45.0, 54.0)
-# Forces of the scans, N.
+# Forces of the scans [N].
 FORCES = np.array([2.0, 2.6, 3.3, 4.0, 5.0, 7.5, 10.0, 15.0])
-# Clearances of the scans, m.
+# Clearances of the scans [m].
 CLEARANCES = 1e-3 * np.array([0.3, 0.4, 0.5, 0.6, 0.7, 1.0, 1.4, 2.0, 3.0])
 # Force [N] and clearance [m] of Figs 5 and 6: our choice, because Inoue, Yokomichi, Hiraki (2011) do not give these
 # values.
 FIGURE_5_SETTING = (3.3, 0.5e-3)
-# Frequency band around each mode, Hz.
+# Frequency band around each mode [Hz].
 MODE_BANDS = {1: (11.5, 14.0), 2: (31.0, 36.0), 3: (45.5, 51.5)}
 # Damping ratios for Fig 9.
 DAMPINGS = np.array([0.003, 0.005, 0.0075, 0.01, 0.015])
@@ -36,7 +36,7 @@ SCANNED_FORCES = np.array([0.65, 1.3, 2.6, 5.2])
 SCANNED_MASS_RATIOS = np.array([0.05, 0.10])
 # Noise densities of the accelerometers in Fig 10a, ug/sqrt(Hz).
 NOISES = (20, 200, 2000)
-# Frequency grid that resolves the peaks and antiresonances of bodies 1 and 2 with three dampers, Hz.
+# Frequency grid that resolves the peaks and antiresonances of bodies 1 and 2 with three dampers [Hz].
 NOISE_GRID = np.concatenate(
     [
         np.linspace(low, high, 5)
@@ -54,7 +54,7 @@ SWEEP_GRID = np.unique(
         3,
     )
 )
-# Computing time of the parts on one core, s; all other parts take a few seconds at most.
+# Computing time of the parts on one core [s]; all other parts take a few seconds at most.
 EFFORT = {
     "approx-peaks": 50.0, "scan-three": 17.0, "least-affected": 16.0, "optimum": 9.0, "rec-one": 7.0, "rec-two": 7.0,
     "rec-three": 7.0, "rec-bare": 5.0, "rec-fig9": 5.0, "rec-fig9-down": 5.0, "scan-single": 4.0, "best-03": 4.0,

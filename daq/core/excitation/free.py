@@ -10,7 +10,7 @@ from daq.core.excitation.station import Excitation, Station
 if TYPE_CHECKING:
     from rig.core.scene.excitation import Free
 
-# Length of the windows in which the drive (here zero) is output, s.
+# Length of the windows in which the drive (here zero) is output [s].
 _WINDOW_S = 0.1
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
 
-# Length of the windows in which the drive is output, s.
+# Length of the windows in which the drive is output [s].
 _WINDOW_S = 0.1
 
 

@@ -39,7 +39,7 @@ def min_samples(frequencies: Sequence[float], rate: float) -> int:
     >>> min_samples([20.0, 25.0], 100.0)
     40
     """
-    # Duration of the minimum number of beats, samples.
+    # Duration of the minimum number of beats [samples].
     beat = _MIN_BEATS / (1.0 - 2.0 * max(frequencies) / rate)
     differences = (upper - lower for lower, upper in pairwise(sorted(frequencies)))
     lowest = min([*frequencies, *differences])

@@ -36,7 +36,7 @@ _TOLERANCE = 1e-4
 # irregularly.
 _MAX_WAIT_S = 60.0
 _MAX_WAIT_PERIODS = 8
-# Expected duration of the iterations that shape the drive for a controlled force, s.
+# Expected duration of the iterations that shape the drive for a controlled force [s].
 _EQUALIZING_S = 8.0
 # If the difference of successive periods exceeds this multiple of the smallest earlier difference, the difference is
 # noise, not a transient.

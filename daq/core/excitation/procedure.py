@@ -22,7 +22,7 @@ TestT = TypeVar("TestT", bound=KindOfTest)
 Detection = Literal["hits", "dwells", "start", "band"]
 Rehearsal = Literal["part", "peaks"]
 
-# An open-loop drive is output in blocks of this duration, s.
+# An open-loop drive is output in blocks of this duration [s].
 _BLOCK_S = 0.5
 
 

@@ -14,11 +14,11 @@ from rig.core.settings.quantities import TIME, parse
 if TYPE_CHECKING:
     from daq.core.signal_chain.channel import ChannelInfo
 
-# Recording time before the excitation, s; it shows offsets and noise.
+# Recording time before the excitation [s]; it shows offsets and noise.
 BASELINE_S = 0.25
 # Longest wait for the settling of sensors, in time constants (to exp(-10)) and in s; the shorter wait applies.
 _MAX_TIME_CONSTANTS, _MAX_SETTLING_S = 10.0, 60.0
-# Length of the window in which a drift is detected, s.
+# Length of the window in which a drift is detected [s].
 _DRIFT_WINDOW_S = 0.5
 # A drift is detected above this number of standard deviations of its estimate, which noise does not reach by chance.
 _DRIFT_SIGMAS = 4.0

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 # The steady state is reached when the transient is at most this fraction of the amplitude.
 _TOLERANCE = 1e-3
-# Longest wait for the steady state, s; irregular motion of dampers never reaches it.
+# Longest wait for the steady state [s]; irregular motion of dampers never reaches it.
 _MAX_WAIT_S = 60.0
 
 

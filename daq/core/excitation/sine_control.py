@@ -52,9 +52,9 @@ _IDENTIFICATION_S, _IDENTIFICATION_PERIODS = 2.0, 8.0
 # frequencies.
 _HIGHEST_RATIO = 0.45
 # The sweep begins when the amplitudes have been within this tolerance, dB, for this number of windows, and at the
-# latest after this time, s.
+# latest after this time [s].
 _START_DB, _START_WINDOWS, _MAX_START_S = 0.5, 6, 30.0
-# Time in which the drive rises at the start and falls at the end, s.
+# Time in which the drive rises at the start and falls at the end [s].
 _RISE_S = 0.25
 # If the logarithmic error changes sign and by more than this value, the gain is multiplied by this factor. Otherwise,
 # the total reduction recovers by this exponent.

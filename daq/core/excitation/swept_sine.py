@@ -38,15 +38,15 @@ if TYPE_CHECKING:
 _WINDOW_PERIODS = 0.5
 # The drive is updated after at least this number of samples.
 _MIN_WINDOW_SAMPLES = 4
-# Length of the windows in open loop, s.
+# Length of the windows in open loop [s].
 _WINDOW_S = 0.1
 # The sweep begins when the transient at the first frequency is at most this fraction of the amplitude.
 _TOLERANCE = 0.01
-# Longest wait for the steady state at the first frequency, s; irregular motion of dampers never reaches it.
+# Longest wait for the steady state at the first frequency [s]; irregular motion of dampers never reaches it.
 _MAX_WAIT_S = 60.0
 # The force may deviate from its level by at most this fraction.
 ALLOWED_DEVIATION = 0.1
-# Two intervals of excessive deviation are merged if the gap between them is shorter than this, s.
+# Two intervals of excessive deviation are merged if the gap between them is shorter than this [s].
 _MIN_GAP_S = 0.5
 # CPU time of each period of a sweep with controlled force, s, measured on one core of 2 GHz.
 _CONTROLLED_PERIOD_CPU_S = 1.2e-3

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from mcap.opcode import Opcode
 
-# Largest accepted size of an unpacked chunk, bytes. The recorder's chunks are a thousand times smaller.
+# Largest accepted size of an unpacked chunk [bytes]. The recorder's chunks are a thousand times smaller.
 LARGEST_CHUNK = 1 << 26
 # The next three limits reject small files that would keep a reader busy for minutes. Up to this unpacked size in bytes,
 # any compression ratio is accepted.

@@ -45,7 +45,7 @@ _POSITION = struct.Struct("<HQ")
 _CHUNK = struct.Struct("<BQQQQII")
 # Chunk index, after its map: total size of the chunk's message indexes in bytes, length of the compression's name.
 _CHUNK_INDEX_END = struct.Struct("<QI")
-# Sizes of the compressed and of the uncompressed records of a chunk, bytes.
+# Sizes of the compressed and of the uncompressed records of a chunk [bytes].
 _SIZE, _SIZES = struct.Struct("<Q"), struct.Struct("<QQ")
 _FOOTER = struct.Struct("<BQQQ")
 

@@ -18,7 +18,7 @@ from daq.core.virtual_bench.bench import Bench, Block
 from rig.core.base.arrays import Array
 from rig.core.scene.scene import Scene
 
-# Duration of the drive's ramp to zero after an early end of a test, s.
+# Duration of the drive's ramp to zero after an early end of a test [s].
 RAMP_S = 0.05
 
 

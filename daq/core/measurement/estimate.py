@@ -21,12 +21,12 @@ BYTES_PER_SAMPLE = {"counts": 4.5, "float32": 6.0, "float64": 10.7}
 MIN_COMPRESSION_RATIO = 0.005
 # Bytes per sample of a true (simulated) quantity in a recording, measured on random motion with dampers.
 TRUTH_BYTES_PER_SAMPLE = 6.0
-# Measured memory of a recording process without channels (libraries and compiled functions), bytes.
+# Measured memory of a recording process without channels (libraries and compiled functions) [bytes].
 PROGRAM_BYTES = 0.33e9
-# Measured memory of a channel's signal path without and with a decimation filter, bytes.
+# Measured memory of a channel's signal path without and with a decimation filter [bytes].
 CHANNEL_BYTES = 0.15e6
 FILTERED_CHANNEL_BYTES = 0.4e6
-# Measured memory of the matrices of a structure, bytes; multiply by the square of the number of bodies.
+# Measured memory of the matrices of a structure [bytes]; multiply by the square of the number of bodies.
 STRUCTURE_BYTES = 180.0
 # Number of copies of a block in memory during recording: of each channel, of the motion, and of recorded true motion.
 CHANNEL_COPIES = 5.0

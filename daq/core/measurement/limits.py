@@ -16,15 +16,15 @@ from rig.core.base.arrays import Array
 from rig.core.scene.presets import complete_from_preset
 from rig.core.scene.scene import Scene
 
-# Intervals with a shorter gap are merged, s: an oscillation exceeds its limit twice per period.
+# Intervals with a shorter gap are merged [s]: an oscillation exceeds its limit twice per period.
 _MIN_GAP_S = 0.5
 # Interval at which the limits of channels are checked, s, independent of the block size.
 _CHECK_INTERVAL_S = 0.1
-# Check interval if only the channels of a controlled force are monitored, s.
+# Check interval if only the channels of a controlled force are monitored [s].
 _CONTROL_CHECK_INTERVAL_S = 0.5
-# A test ends if a control channel is overloaded for longer than this, s.
+# A test ends if a control channel is overloaded for longer than this [s].
 _MAX_OVERLOAD_S = 1.0
-# The settling of a sensor is simulated for at most this time; afterwards, the bias is assumed to be constant, s.
+# The settling of a sensor is simulated for at most this time; afterwards, the bias is assumed to be constant [s].
 _MAX_SETTLING_S = 60.0
 
 

@@ -150,7 +150,7 @@ class _PredictedTone(SteadyTone):
         # the drive, or before the computed windows if that is later.
         self._transient = np.zeros(modes.poles.size, dtype=complex)
         self._decay = np.zeros((0, modes.poles.size), dtype=complex)
-        # Frequency of the present windows, Hz, their samples, and their duration, s.
+        # Frequency of the present windows, Hz, their samples, and their duration [s].
         self._window: tuple[float, int] | None = None
         self._window_s = 0.0
         # Amplitudes in the windows that are computed but not yet observed, the last window first, and the number of

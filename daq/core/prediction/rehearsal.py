@@ -24,9 +24,9 @@ from rig.core.scene.shaker import Load, at_shaker
 
 #: Readings in this fraction of the settling time of the sensor's bias belong to the power-on transient.
 POWER_ON_RATIO = 0.5
-# After a stored impact of a damper, further impacts of this damper are not stored for this time, s.
+# After a stored impact of a damper, further impacts of this damper are not stored for this time [s].
 _MIN_IMPACT_INTERVAL_S = 0.5
-# Duration at the end of a rehearsal whose blocks are stored, s.
+# Duration at the end of a rehearsal whose blocks are stored [s].
 _STORED_END_S = 4.0
 
 
@@ -106,9 +106,9 @@ class Rehearsal(BenchLoop):
         loads = loads_of(scene, bench.points)
         self._load_weights = np.stack([load.weights for load in loads], axis=1) if loads else None
         self.loads = Extremes(len(loads))  # loads in the order of `loads_of`
-        # Largest closing speed of each damper before an impact, m/s.
+        # Largest closing speed of each damper before an impact [m/s].
         self.closing_speed = np.zeros(len(scene.dampers))
-        # Times of the impacts of each damper, s.
+        # Times of the impacts of each damper [s].
         self.impact_times: list[list[float]] = [[] for _ in scene.dampers]
         self.steps: list[Step] = []
         # Last measured interval without a constant tone: its first sample, and the sample after its last.

@@ -25,19 +25,19 @@ from rig.core.scene.presets import complete_from_preset, input_settings
 from rig.core.scene.scene import Scene
 from rig.core.system.assembly import assemble
 
-# Default CPU time of a rehearsal, s.
+# Default CPU time of a rehearsal [s].
 _CPU_BUDGET_S = 0.7
-# CPU time of a sample without states and channels, s. All CPU times here were measured on one core of 2 GHz.
+# CPU time of a sample without states and channels [s]. All CPU times here were measured on one core of 2 GHz.
 _SAMPLE_CPU_S = 130e-9
-# CPU time of each state in a sample, s.
+# CPU time of each state in a sample [s].
 _STATE_CPU_S = 6e-9
-# CPU time of each channel in a sample, s.
+# CPU time of each channel in a sample [s].
 _CHANNEL_CPU_S = 130e-9
 # A channel with a decimation filter needs this multiple of the CPU time of a channel without a filter.
 _FILTER_TIME_RATIO = 2.0
-# CPU time of each element of the state matrix in a sample, s.
+# CPU time of each element of the state matrix in a sample [s].
 _ELEMENT_CPU_S = 0.6e-9
-# A rehearsal of parts waits at most this time for the steady state, s.
+# A rehearsal of parts waits at most this time for the steady state [s].
 _LONGEST_WAIT_S = 10.0
 # Peaks of a channel's linear response below this ratio to its largest peak are omitted.
 _MIN_PEAK_RATIO = 0.15
@@ -78,7 +78,7 @@ def plan_rehearsal(scene: Scene, channels: tuple[ChannelInfo, ...], cpu_seconds:
 
     `channels`: channels of the bench; `cpu_seconds`: a test of at most this CPU time is rehearsed completely.
     """
-    # Affordable duration of the rehearsed parts, s.
+    # Affordable duration of the rehearsed parts [s].
     test, seconds = scene.test, affordable_seconds(scene)
     assert test is not None
     procedure = procedure_of(test)

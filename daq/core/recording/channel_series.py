@@ -34,7 +34,7 @@ _MAX_REQUESTED_PER_STORED = 16
 # Voltages above this multiple of the converter's range are treated as invalid. The factor admits readings that were
 # imported with a wrong unit or range; `daq import` reports such a mistake.
 _MAX_RANGES = 1000.0
-# Memory for decoded samples of a recording, bytes. Decoded samples are cached, because an analysis reads a measured
+# Memory for decoded samples of a recording [bytes]. Decoded samples are cached, because an analysis reads a measured
 # segment several times.
 _MAX_CACHE_BYTES = 1 << 27
 

@@ -14,7 +14,7 @@ from rig.core.base.arrays import Array
 if TYPE_CHECKING:
     from daq.core.signal_chain.channel import ChannelInfo
 
-# Corner of the high-pass filter, Hz. Below this frequency, an integrated signal is mostly drift and noise.
+# Corner of the high-pass filter [Hz]. Below this frequency, an integrated signal is mostly drift and noise.
 HIGH_PASS_HZ = 1.0
 _INTEGRATIONS = {"velocity": "once", "acceleration": "twice"}
 

@@ -38,11 +38,11 @@ WRITER_REMEDY = "Correct the program that wrote the file, or record again."
 # Upper limit of a voltage in V, and of a true value in SI units. Squares and sums of smaller values do not overflow.
 MAX_VOLTS = 1e30
 
-# Approximate duration of a block, s.
+# Approximate duration of a block [s].
 BLOCK_S = 0.1
 # Shortest full block [samples]; shorter blocks would spend most bytes on headers.
 MIN_BLOCK_SAMPLES = 256
-# Approximate time between commits to the disk, s: a killed process loses less.
+# Approximate time between commits to the disk [s]: a killed process loses less.
 FLUSH_S = 0.5
 # Maximum number of groups (samples of `FLUSH_S`) that are converted for display together. More groups hardly reduce the
 # computing time.

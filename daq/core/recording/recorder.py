@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from daq.core.signal_chain.channel import ChannelInfo
     from rig.core.simulation.motion import Motion
 
-# Size of the index of a chunk at the end of the file, bytes.
+# Size of the index of a chunk at the end of the file [bytes].
 _INDEX_BYTES_PER_CHUNK = 256
 # The version is read once, because reading it takes longer than writing ten groups of samples.
 _version = cache(metadata.version)
@@ -126,7 +126,7 @@ class Recorder:
 
     @property
     def size(self) -> int:
-        """Length of the file so far, bytes."""
+        """Length of the file so far [bytes]."""
         return self._disk.tell()
 
     @property

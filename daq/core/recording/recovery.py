@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 # Indices of the first sample, and of the sample after the last.
 SampleRange = tuple[int, int]
 
-# Latest time that a message can have, ns.
+# Latest time that a message can have [ns].
 _MAX_TIME_NS = 2**64 - 1
 # Ending of the name of a recovered file until it replaces another file. It differs from `.part`, the ending of a
 # recorder's file, which contains samples of its own.

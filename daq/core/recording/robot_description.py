@@ -54,9 +54,9 @@ TRANSFORMS_SCHEMA = Schema(
     ),
     "protobuf",
 )
-# Size of a height (a double) in a message, bytes.
+# Size of a height (a double) in a message [bytes].
 _HEIGHT_BYTES = 8
-# Size of the seconds, and of the nanoseconds, in a google.protobuf.Timestamp, bytes. The sizes are fixed, so all
+# Size of the seconds, and of the nanoseconds, in a google.protobuf.Timestamp [bytes]. The sizes are fixed, so all
 # messages have the same size. Each number follows its tag (0x08, 0x10); the Timestamp follows its own tag and its size.
 _TIME_BYTES = 5
 _TIMESTAMP = bytes([0x0A, 2 + 2 * _TIME_BYTES, 0x08, *bytes(_TIME_BYTES), 0x10, *bytes(_TIME_BYTES)])

@@ -14,7 +14,7 @@ from rig.core.scene.presets import complete_from_preset, needs_supply
 DEFAULT_Q = 30.0
 # Default ratio of the lateral to the vertical acceleration.
 DEFAULT_LATERAL_RATIO = 0.1
-# Default corner frequency of an AC coupling, Hz.
+# Default corner frequency of an AC coupling [Hz].
 DEFAULT_AC_CORNER_HZ = 0.5
 
 

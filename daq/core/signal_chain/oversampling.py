@@ -15,12 +15,12 @@ from rig.core.scene.scene import Scene
 from rig.core.system.assembly import assemble
 from rig.core.system.spheres import contact_time, spheres_of
 
-# With a decimation filter, the motion is resolved at least up to this frequency, Hz.
+# With a decimation filter, the motion is resolved at least up to this frequency [Hz].
 MIN_BAND_HZ = 1000.0
 # Cubic interpolation (`daq.core.dsp.interpolation`) is accurate to 0.0001 dB up to this ratio of frequency to
 # oversampled rate.
 MAX_RESOLVED_RATIO = 0.1
-# Largest oversampled rate, Hz. Faster oscillations are aliased, as in the modulator of a real converter.
+# Largest oversampled rate [Hz]. Faster oscillations are aliased, as in the modulator of a real converter.
 MAX_RATE = 1.024e6
 
 

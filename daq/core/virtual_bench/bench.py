@@ -27,7 +27,7 @@ from rig.core.simulation.motion import Motion
 from rig.core.simulation.plant import Plant
 from rig.core.system.open_loop_drive import validate_drive
 
-# If sampling at a further rate begins while the rig moves, the filters first process this duration of past motion, s.
+# If sampling at a further rate begins while the rig moves, the filters first process this duration of past motion [s].
 _SETTLING_S = 2.0
 # Upper limit of this past motion, ticks: the bench of a stiff scene has a million ticks per second.
 _MAX_PAST_TICKS = 1 << 18
@@ -51,7 +51,7 @@ class Bench:
     def __init__(self, scene: Scene, ticks_per_sample: int | None = None) -> None:
         self.scene = scene
         self.ticks_per_sample = choose_oversampling(scene) if ticks_per_sample is None else ticks_per_sample
-        # Sample and tick rate by the nominal clock, 1/s; the plant runs at the true rate of the converter.
+        # Sample and tick rate by the nominal clock [1/s]; the plant runs at the true rate of the converter.
         self.rate = scene.converter.sample_rate
         self.tick_rate = self.rate * self.ticks_per_sample
         self._plant = plant = Plant(scene, scene.converter.true_rate * self.ticks_per_sample)

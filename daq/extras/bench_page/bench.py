@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 # Longest time [s] for the start of the web server, even on a loaded computer.
 _MAX_START_S = 30.0
-# Maximum size of a command of the page, bytes; the largest command has less than 100 bytes.
+# Maximum size of a command of the page [bytes]; the largest command has less than 100 bytes.
 _MAX_COMMAND_BYTES = 1 << 16
 # With these headers, no page of another origin can show this page, load its files from the browser's cache, or keep a
 # handle of its window.

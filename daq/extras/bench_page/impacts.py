@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
 
-# The window of an impact begins this time before the trigger, s.
+# The window of an impact begins this time before the trigger [s].
 _PRETRIGGER_S = 0.01
 # An impact is double if the peak of its second pulse is at least this fraction of the highest peak. A double impact is
 # rejected, because its spectrum has deep minima.
@@ -15,10 +15,10 @@ _REBOUND_RATIO = 0.05
 # The trigger level is this fraction of the smallest accepted peak, so smaller impacts are also detected, and
 # rejected.
 _TRIGGER_RATIO = 0.3
-# Samples above the trigger level belong to one pulse if the gap between them is shorter than this, s. The force of a
+# Samples above the trigger level belong to one pulse if the gap between them is shorter than this [s]. The force of a
 # ringing hammer crosses zero several times in a pulse.
 _PULSE_GAP_S = 1e-3
-# Duration of the displayed force, s.
+# Duration of the displayed force [s].
 _DISPLAYED_S = 0.05
 
 

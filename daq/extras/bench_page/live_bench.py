@@ -36,13 +36,13 @@ _DEFAULT_FORM = "sweep"
 _DEFAULT_BAND = 5.0, 100.0
 # Fewest samples per period of a sine: the shape of a faster sine is not displayed. It limits the frequency.
 _MIN_SAMPLES_PER_PERIOD = 10.0
-# Limits of the block length of the live frequency response, s. Within these limits, a block is a tenth of the test.
+# Limits of the block length of the live frequency response [s]. Within these limits, a block is a tenth of the test.
 _MIN_BLOCK_S = 1.0
 _MAX_BLOCK_S = 4.0
 # For NI clients, the band of the frequency response ends at the sample rate divided by this number, as usual with
 # anti-aliasing filters.
 _NYQUIST_MARGIN = 2.56
-# Longest window of an impact, s: an operator waits no longer for the result.
+# Longest window of an impact [s]: an operator waits no longer for the result.
 _MAX_HIT_S = 4.0
 # Shortest pause [s] from the end of a window to the next impact, in which the sensors settle.
 _MIN_PAUSE_S = 0.1

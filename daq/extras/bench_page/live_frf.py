@@ -98,9 +98,9 @@ class LiveFrf:
         self._hann_window = np.hanning(self._block_samples)
         self._pending = np.zeros((len(channels), 0))
         self._pending_overload = np.zeros((len(channels), 0), bool)
-        # Lowest and highest excited frequency at each pending sample, Hz.
+        # Lowest and highest excited frequency at each pending sample [Hz].
         self._pending_band = np.zeros((2, 0))
-        # RMS of the force in the last block, N; None before the first block, or if the force clipped.
+        # RMS of the force in the last block [N]; None before the first block, or if the force clipped.
         self.force_rms: float | None = None
         self._block_sums = _SpectrumSums(len(self._rows), self._line_indices.size)
         self._impacts: list[tuple[Impact, ComplexArray]] = []

@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 
 # Blocks in the queue of the page; further blocks are not shown, because acquisition never waits for the page.
 _MAX_WAITING_BLOCKS = 256
-# Duration of the stored time histories, s.
+# Duration of the stored time histories [s].
 _HISTORY_S = 10.0
-# The displayed level of a channel is its peak in the last seconds of this duration, s.
+# The displayed level of a channel is its peak in the last seconds of this duration [s].
 _LEVEL_S = 0.25
 # Rate (1/s) and duration (s) of the stored motion of the rig.
 _MOTION_RATE = 400.0
 MOTION_S = 0.2
-# Duration of the samples for a spectrum, and of the samples for the peak and frequency of a drive, s.
+# Duration of the samples for a spectrum, and of the samples for the peak and frequency of a drive [s].
 _SPECTRUM_S = 2.0
 _DRIVE_S = 0.5
 

@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from daq.extras.bench_page.impacts import Impact
     from daq.extras.bench_page.live_bench import LiveBench
 
-# The page is refreshed at this interval, s; spectra, responses and the rig only at every n-th refresh.
+# The page is refreshed at this interval [s]; spectra, responses and the rig only at every n-th refresh.
 REFRESH_S = 0.05
 _REFRESHES_PER_SPECTRUM = 2
 _REFRESHES_PER_RESPONSE = 10
-# Duration of the animation, s. It shows the last `MOTION_S` seconds in slow motion.
+# Duration of the animation [s]. It shows the last `MOTION_S` seconds in slow motion.
 _ANIMATION_S = 2.0
 _REFRESHES_PER_ANIMATION = round(_ANIMATION_S / REFRESH_S)
 # Fewest columns of a time history; each shows the minimum and the maximum in it, so no peak is lost.

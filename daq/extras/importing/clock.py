@@ -23,10 +23,10 @@ TIME_NAMES = re.compile(r"((date|datum)[ _/]?)?(time|zeit|t|x_value)(stamp)?", r
 
 # Relative rounding error of a number with all its digits.
 _RATE_ROUNDING = 1e-12
-# Largest deviation of a time from evenly spaced times, samples. At a larger deviation, samples are missing or the times
-# are not those of a clock.
+# Largest deviation of a time from evenly spaced times [samples]. At a larger deviation, samples are missing or the
+# times are not those of a clock.
 _MAX_DEVIATION = 0.5
-# Jitter is reported if times deviate from even spacing by more than this plus the rounding error, samples.
+# Jitter is reported if times deviate from even spacing by more than this plus the rounding error [samples].
 _MAX_UNREPORTED_JITTER = 0.02
 # If two successive times are farther apart than this number of sample intervals, rows are missing.
 _MAX_REGULAR_INTERVALS = 1.5

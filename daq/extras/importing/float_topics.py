@@ -47,9 +47,9 @@ _RATES = ("sample_rate_hz", "sample_rate", "sampleRate", "rate", "fs")
 _DECODED_BYTES = 20
 # Number of copies of a schema or channel record in memory at a time.
 _DESCRIPTION_COPIES = 4
-# Memory of a field in addition to its numbers, bytes.
+# Memory of a field in addition to its numbers [bytes].
 _FIELD_BYTES = 3000
-# Memory of each message of a field in addition to its numbers, bytes.
+# Memory of each message of a field in addition to its numbers [bytes].
 _MESSAGE_BYTES = 64
 Decoder = Callable[[bytes], Mapping[str, Any]]
 

@@ -13,11 +13,11 @@ _PULSE_RATIO = 0.05
 _HIT_RATIO = 0.1
 # The force of a hammer acts for at most this fraction of the time.
 _MAX_CONTACT_SHARE = 0.2
-# Time after an impact in which further pulses are ignored as bounces of the hammer, s.
+# Time after an impact in which further pulses are ignored as bounces of the hammer [s].
 _BOUNCE_S = 0.2
 # An impact is double if such a bounce has at least this fraction of the impact's peak.
 _DOUBLE_RATIO = 0.1
-# Crossings of the threshold within this time belong to the same pulse, s.
+# Crossings of the threshold within this time belong to the same pulse [s].
 _CHATTER_S = 1e-3
 # Stored pulses, to limit the memory; a test with more impacts does not exist.
 _MAX_PULSES = 200_000

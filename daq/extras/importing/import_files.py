@@ -52,9 +52,9 @@ _MAX_PLAUSIBLE = {"acceleration": 1e6, "velocity": 1e4, "displacement": 1e2, "fo
 _MAX_PLAUSIBLE_RATE = 1e6
 # Number of lost segments of a channel above which segments less than `_LOST_PAUSE_S` apart are merged.
 _MAX_LOST_SEGMENTS = 1000
-# Two lost segments are merged up to this pause between them, s.
+# Two lost segments are merged up to this pause between them [s].
 _LOST_PAUSE_S = 0.1
-# Two overloads are merged up to this pause between them, s.
+# Two overloads are merged up to this pause between them [s].
 _OVERLOAD_PAUSE_S = 0.01
 # In a free decay, the largest motion occurs within this fraction of the duration from the start.
 _MAX_PEAK_SHARE = 0.05
@@ -326,7 +326,7 @@ class _RecordingWriter:
         self._infos = [assignment.info for assignment in assigned]
         self._n_samples = max(assignment.signal.samples for assignment in assigned)
         self._lost_ranges: list[list[tuple[int, int]]] = [[] for _ in assigned]
-        # Full scale of each signal, V: the full scale of its file, or the range of the converter; None if not known.
+        # Full scale of each signal [V]: the full scale of its file, or the range of the converter; None if not known.
         full_scales = [assignment.info.range if assignment.calibrated else None for assignment in assigned]
         for row, assignment in enumerate(assigned):
             if assignment.signal.full_scale is not None:

@@ -36,7 +36,7 @@ _LINE_NUMBER = re.compile(r"(#|no|nr|n|line|index|idx|sample|point|row)\.?( ?(#|
 TIME_UNITS = ("s", "ms", "us", "µs", "ns", "sec", "second", "Seconds")
 # Units of time or of frequency.
 _ABSCISSA_UNITS = ("", *TIME_UNITS, "Hz", "kHz")
-# Length of the longest unit, characters.
+# Length of the longest unit [characters].
 _MAX_UNIT_LENGTH = 16
 #: Name of a column without a name.
 UNNAMED = "column {}"

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 # A number of ticks that exceeds any run, and whose sums do not overflow 64 bits.
 UNLIMITED_TICKS = 1 << 62
-# The runs stop with the error of an input overflow if the bench is behind the wall clock by more than this time, s.
+# The runs stop with the error of an input overflow if the bench is behind the wall clock by more than this time [s].
 _MAX_DELAY_S = 5.0
 # Longest pause [s] of the fast clock for the callback of an event; a callback that never returns must not stop the
 # bench.
@@ -110,7 +110,7 @@ class Chassis:
         # Reasons for which the simulation, a recording or a display has ended early.
         self.problems: list[str] = []
         self.position = 0  # ticks since the bench was switched on
-        # Ticks at which bench time continued after a stop, and their wall-clock times, ns.
+        # Ticks at which bench time continued after a stop, and their wall-clock times [ns].
         self._anchors: list[tuple[int, int]] = []
         self.anchor()
         self.last_volts = np.zeros(len(terminals.drive_per_volt))  # present voltage of each output

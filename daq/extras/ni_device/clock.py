@@ -28,7 +28,7 @@ from daq.extras.ni_device.errors import invalid_value
 from rig.core.base.errors import SceneError
 
 _LOG = logging.getLogger("shotrig.clock")
-# Maximum sleep before a condition is checked again, s: the condition may have become impossible.
+# Maximum sleep before a condition is checked again [s]: the condition may have become impossible.
 _MAX_SLEEP_S = 1.0
 # Priority on Linux: higher than for ordinary programs (0), lower than for urgent system programs (-20).
 _NICE = -10
@@ -193,9 +193,9 @@ class RealClock(Clock):
     """
 
     is_free_running = True
-    # Interval at which bench time is updated, s. On average, a reader waits half of this interval for its last sample.
+    # Interval at which bench time is updated [s]. On average, a reader waits half of this interval for its last sample.
     UPDATE_INTERVAL_S = 0.004
-    # Upper limit of one step, s: other threads need the lock between the steps.
+    # Upper limit of one step [s]: other threads need the lock between the steps.
     MAX_STEP_S = 0.04
     # Speed of a delayed bench, as a multiple of real time. At a higher speed, the buffers of clients would overflow.
     CATCH_UP_SPEED = 2.0
@@ -229,7 +229,7 @@ class RealClock(Clock):
 _COMPILATION_S = 1.0
 # Slow steps that are attributed to compilation; further slow steps have a different cause.
 _MAX_COMPILATIONS = 20
-# Shortest reported delay, s: shorter delays are usual on a desktop computer.
+# Shortest reported delay [s]: shorter delays are usual on a desktop computer.
 _MIN_REPORTED_DELAY_S = 0.25
 # Shortest interval [s] between two reports, so a slow computer does not flood the console.
 _REPORT_INTERVAL_S = 10.0

@@ -182,7 +182,7 @@ class Task:
 
     @property
     def memory(self) -> int:
-        """Size of all buffers, bytes."""
+        """Size of all buffers [bytes]."""
         return self.input.memory + self.output.memory
 
     def free_memory(self) -> None:
@@ -404,7 +404,7 @@ class Task:
 
     @property
     def raw_width(self) -> int:
-        """Size of the integer type of the converter's counts, bytes."""
+        """Size of the integer type of the converter's counts [bytes]."""
         return 2 if all((channel.module.bits or 32) <= 16 for channel in self.settings.channels) else 4
 
     def _start_for_read(self) -> None:

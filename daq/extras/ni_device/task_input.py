@@ -76,7 +76,7 @@ class TaskInput:
 
     @property
     def memory(self) -> int:
-        """Size of the buffers, bytes."""
+        """Size of the buffers [bytes]."""
         return 0 if self.run is None else self.run.ring.bytes + self.run.overloads.bytes
 
     @property

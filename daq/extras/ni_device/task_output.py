@@ -59,7 +59,7 @@ class TaskOutput:
 
     @property
     def memory(self) -> int:
-        """Size of the buffer, bytes."""
+        """Size of the buffer [bytes]."""
         return 0 if self.buffer is None else self.buffer.data.nbytes
 
     # Progress

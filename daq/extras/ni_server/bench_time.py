@@ -6,7 +6,7 @@ import grpc
 
 from daq.extras.ni_device.chassis import Chassis
 
-# A wait is divided into steps of at most this time, s. After each step, the wait ends if the client has disconnected.
+# A wait is divided into steps of at most this time [s]. After each step, the wait ends if the client has disconnected.
 _MAX_STEP_S = 100.0
 
 

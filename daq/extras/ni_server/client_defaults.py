@@ -19,7 +19,7 @@ from typing import Any, SupportsFloat, SupportsIndex
 # Environment variables of the script's process.
 SERVER = "SHOTRIG_SERVER"  # address of the server
 FAST = "SHOTRIG_FAST"  # set if the clock is the fast clock
-# Bench time for which a prompt waits, s.
+# Bench time for which a prompt waits [s].
 _PROMPT_TIMEOUT_S = 10.0
 # API key that disables session sharing: a duplicate task name is then an error, as in NI's driver.
 STRICT = "shotrig: no sessions"

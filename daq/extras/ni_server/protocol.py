@@ -25,7 +25,7 @@ _SESSION_FILE = next(file for file in nidaqmx_pb2.DESCRIPTOR.dependencies if fil
 SESSION_SERVICE = _SESSION_FILE.services_by_name["SessionUtilities"]
 # Entries of a list other than samples, so a client cannot exhaust the memory.
 _MAX_ENTRIES = 10_000
-# Maximum length of a string, characters; a string may name thousands of channels.
+# Maximum length of a string [characters]; a string may name thousands of channels.
 _MAX_CHARACTERS = 1 << 16
 # Lists of samples, whose length is not limited here.
 _SAMPLES = ("write_array", "waveforms")

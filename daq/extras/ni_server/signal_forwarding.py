@@ -12,9 +12,9 @@ from typing import Any
 
 from rig.core.base.ending_signals import handle_interrupts
 
-# Time from the signal that requests the end of a script until the script is killed, s.
+# Time from the signal that requests the end of a script until the script is killed [s].
 GRACE_PERIOD_S = 1.0
-# A signal to a process group has reached all its processes after this time, s.
+# A signal to a process group has reached all its processes after this time [s].
 _DELIVERY_S = 1.0
 
 

@@ -31,9 +31,10 @@ from rig.core.scene.yaml_reader import Document, read_yaml
 
 #: Modules of a bench without a description.
 DEFAULT_MODULES = ("NI 9234", "NI 9263")
-# Wall-clock time of a sleep while the bench is in use, s. In this time, other threads of the program can finish a call.
+# Wall-clock time of a sleep while the bench is in use [s]. In this time, other threads of the program can finish a
+# call.
 _YIELD_S = 0.002
-# Wall-clock time after which a program that calls no task waits for a callback, s.
+# Wall-clock time after which a program that calls no task waits for a callback [s].
 _IDLE_S = 0.05
 BenchLike = Scene | str | Path | Mapping[str, Any] | Sequence[str]
 

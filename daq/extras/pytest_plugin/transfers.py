@@ -9,7 +9,7 @@ from daq.extras.ni_device.task import Task
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 
-# Maximum size of the stored samples, bytes. For comparison: an hour of four channels at 51.2 kS/s has 5.9 GB.
+# Maximum size of the stored samples [bytes]. For comparison: an hour of four channels at 51.2 kS/s has 5.9 GB.
 _MAX_BYTES = 512 << 20
 
 

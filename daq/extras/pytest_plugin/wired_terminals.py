@@ -54,7 +54,7 @@ class WiredTerminals:
         self._bits = [module.bits or 32 for module in modules for _ in module.inputs]
         self._connected = {*self._wires, *self._sources}  # inputs
         self._ac_coupled: set[int] = set()  # inputs with AC coupling
-        # State of the AC coupling of each input at each rate: number of the next sample, last voltage, last output, V.
+        # State of the AC coupling of each input at each rate: number of the next sample, last voltage, last output [V].
         self._coupling_states: dict[tuple[int, float], tuple[int, float, float]] = {}
         self._position = 0  # ticks
 

@@ -16,7 +16,7 @@ TIMELINE = "time"
 OVERLOAD_ENTITY = "overload"
 # Parent of the entities of the envelopes of channels.
 ENVELOPE_ENTITY = "envelopes"
-#: Position of the camera, and the point it looks at, m.
+#: Position of the camera, and the point it looks at [m].
 Camera = tuple[tuple[float, ...], tuple[float, ...]]
 
 

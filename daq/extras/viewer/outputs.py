@@ -31,7 +31,7 @@ from rig.core.base.progress import FractionProgress
 
 APPLICATION = "shotrig"
 NO_DISPLAY_REMEDY = "Use `web` for a browser, `screenshot` FILE.png for a picture, or `save` FILE.rrd for a file."
-# Memory of the viewer per sample, bytes: its value, time and index.
+# Memory of the viewer per sample [bytes]: its value, time and index.
 _BYTES_PER_VALUE = 20
 # Name of the entity that is sent last.
 _LAST_ENTITY = "complete"

@@ -32,7 +32,7 @@ T = TypeVar("T")
 LOOPBACK = "127.0.0.1"
 # Longest wait [s] for the start of the viewer, even on a loaded computer.
 _MAX_START_S = 30.0
-# The viewer is killed if it has not ended after this time, s.
+# The viewer is killed if it has not ended after this time [s].
 _MAX_END_S = 5.0
 # Script of the guard. Its arguments are the folder of the viewer's files and the command of the viewer. At a regular
 # end, this process sends a byte. If it was killed, the guard removes the folder.
@@ -61,16 +61,16 @@ sys.exit(code)
 """
 # Longest wait [s] for loading and drawing with a software driver.
 _MAX_LOAD_S = 300.0
-# Interval between checks of the viewer's state, s.
+# Interval between checks of the viewer's state [s].
 _POLL_S = 0.1
-# A picture is complete when it has been unchanged for two times. The first time, s:
+# A picture is complete when it has been unchanged for two times. The first time [s]:
 _MIN_UNCHANGED_S = 2.0
 # The second time, as a multiple of the time in which the picture is drawn.
 _MIN_UNCHANGED_DRAWINGS = 5
-# Size of the pictures that are compared for changes, points.
+# Size of the pictures that are compared for changes [points].
 _COMPARED_POINTS = 800
 # The recording is loaded when the duration that the viewer reports differs from the duration of the recording by at
-# most this, s.
+# most this [s].
 _END_TOLERANCE_S = 0.02
 _SHOW_PART = "Show a part of it with `from_s` and `to_s`."
 

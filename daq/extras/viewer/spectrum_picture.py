@@ -18,7 +18,7 @@ from rig.core.scene.scene import STANDARD_GRAVITY
 if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
-# Duration of a segment, s; the spacing of the lines is therefore 0.25 Hz.
+# Duration of a segment [s]; the spacing of the lines is therefore 0.25 Hz.
 _SEGMENT_S = 4.0
 # Maximum number of segments; it limits the computing time for long recordings.
 _MAX_SEGMENTS = 200

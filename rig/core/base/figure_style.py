@@ -44,9 +44,9 @@ _CAPTION = "caption"
 # Entries of a legend in one line, if they have few characters in all.
 _LEGEND_COLUMNS = 5
 _LINE_CHARACTERS = 66
-# Space between the axes and a title above a subtitle, points.
+# Space between the axes and a title above a subtitle [points].
 _SUBTITLE_HEIGHT = 18.0
-# Distance of the lines of a subtitle, points.
+# Distance of the lines of a subtitle [points].
 _LINE_HEIGHT = 11.0
 # Maximum number of characters of a legend entry in two columns.
 _LEGEND_CHARACTERS = 46

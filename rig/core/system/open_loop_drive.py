@@ -108,7 +108,7 @@ def force_per_drive(scene: Scene, system: HybridSystem, omega: float | Array) ->
 
 
 def accelerations_per_drive(scene: Scene, places: Sequence[str], omega: Array) -> Array:
-    """Return the acceleration amplitude at each place per unit of drive, m/s²; shape (places,) + omega.shape.
+    """Return the acceleration amplitude at each place per unit of drive [m/s²]; shape (places,) + omega.shape.
 
     All dampers ride. `omega`: rad/s.
     """

@@ -105,7 +105,7 @@ class Bed:
 
     @property
     def momentum(self) -> float:
-        """Upward momentum of the grains in the cavity, kg m/s."""
+        """Upward momentum of the grains in the cavity [kg m/s]."""
         return float(self._sum_over_processes(self._masses @ self._velocity[:, 2]))
 
     @property

@@ -93,7 +93,7 @@ class CoupledPropagator:
 
     @property
     def momentum(self) -> Array:
-        """Upward momentum of each bed in the fixed frame, kg m/s; shape (beds,)."""
+        """Upward momentum of each bed in the fixed frame [kg m/s]; shape (beds,)."""
         grains = [bed.momentum + bed.mass * speed for bed, speed in zip(self.beds, self._velocity, strict=True)]
         return np.array(grains)
 

@@ -25,10 +25,10 @@ from rig.extras.grains.lammps_library import lammps_version
 
 #: Time step of packing, relative to Rayleigh's time (`rayleigh_time`).
 _STEP_RATIO = 0.1
-#: While grains fall and the bed is flattened, Young's modulus is at most this, Pa. With this limit the arrangement and
+#: While grains fall and the bed is flattened, Young's modulus is at most this [Pa]. With this limit the arrangement and
 #: its computing time do not depend on the modulus of stiff grains.
 _MAX_PACKING_MODULUS = 1e7
-#: Time constant of the drag on falling grains, s.
+#: Time constant of the drag on falling grains [s].
 _DRAG_TIME = 10e-3
 #: The fall ends when the wall force deviates from the weight of the bed by less than this fraction, because the last
 #: grains still bounce.
@@ -40,7 +40,7 @@ _FALLEN_ENERGY_RATIO = 1e-3
 _REST_FORCE_RATIO = 3e-4
 #: Rest also requires that the last peak of the kinetic energy is below this fraction of weight times grain diameter.
 _REST_ENERGY_RATIO = 1e-6
-#: Speed of the ceiling that flattens the bed, m/s: slow against the fall of a grain over its own diameter.
+#: Speed of the ceiling that flattens the bed [m/s]: slow against the fall of a grain over its own diameter.
 _CEILING_SPEED = 5e-3
 #: Steps between checks of a falling bed; the fall takes many thousands of steps.
 _FALL_STEPS = 500

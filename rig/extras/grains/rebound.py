@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from rig.core.base.arrays import Array
 from rig.core.scene.damper import Grains
 
-#: Closing speed at which the rebound has the desired restitution, m/s; impacts in a bed have 0.05 to 1 m/s.
+#: Closing speed at which the rebound has the desired restitution [m/s]; impacts in a bed have 0.05 to 1 m/s.
 _CLOSING_SPEED = 0.3
 #: A contact may begin anywhere in a step; the rebound is averaged over this number of evenly spaced beginnings.
 _START_COUNT = 16

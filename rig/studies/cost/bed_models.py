@@ -22,7 +22,7 @@ from rig.extras.grains.packing import settled_positions
 from rig.studies.cost.motion_study import Point, failure_reason, timed
 from rig.studies.cost.steady_study import OTHER_PACKING, SteadyStudy
 
-#: Contact durations, s.
+#: Contact durations [s].
 CONTACT_DURATIONS_S = (1e-3, 2e-3, 4e-3, 8e-3)
 #: Restitution of these contacts.
 CONTACT_RESTITUTION = 0.05

@@ -41,9 +41,9 @@ MAX_RATE_STEP = 3.0
 #: Newton iterations for an event; they start within the rounding error of the engine, so eight doublings of the digits
 #: suffice.
 EVENT_ITERATIONS = 8
-#: The time of an event may differ from the time in the engine by at most this, s.
+#: The time of an event may differ from the time in the engine by at most this [s].
 MAX_EVENT_DIFFERENCE_S = Decimal("1e-9")
-#: An event at the instant of another event is located by its own root if this root is within this time, s; otherwise
+#: An event at the instant of another event is located by its own root if this root is within this time [s]; otherwise
 #: the other event has caused it.
 MAX_ROOT_DISTANCE_S = Decimal("1e-12")
 #: A state does not determine the motion if no scaled derivative with respect to it exceeds this.

@@ -29,9 +29,9 @@ from rig.studies.cost.high_precision import DIGITS, ExactMotion, events_of, exac
 
 #: Periods of the drive that every method computes.
 PERIODS = 20
-#: CPU time after which a method is stopped, s.
+#: CPU time after which a method is stopped [s].
 MAX_CPU_S = 10.0
-#: Fast methods are repeated until their total CPU time exceeds this, s; the fastest run counts.
+#: Fast methods are repeated until their total CPU time exceeds this [s]; the fastest run counts.
 MIN_MEASURED_CPU_S = 0.05
 #: Stiffness of the penalty springs, as the ratio of drive period to contact duration.
 CONTACTS_PER_PERIOD = (30, 300, 3000)

@@ -323,7 +323,7 @@ WITHOUT_CEILING = Agreement(21, 36)
 BELOW_CEILING = Agreement(6, 61)
 #: Below a ceiling, the deviations of grains from one mass have this interquartile range, percent.
 INTERQUARTILE_RANGE = (-50, -16)
-#: Diameter of the shot in the grain simulation, m.
+#: Diameter of the shot in the grain simulation [m].
 _SHOT_DIAMETER = 2e-3
 #: Half-width of the band of the grain simulation around the peak, relative.
 _BAND_HALF_WIDTH = 0.01

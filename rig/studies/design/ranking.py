@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.studies.design.choice import Trial
 
-#: Largest difference of peaks that are ranked as equal, dB. Frequency grids and averages do not resolve smaller
+#: Largest difference of peaks that are ranked as equal [dB]. Frequency grids and averages do not resolve smaller
 #: differences.
 EQUAL_DB = 0.05
 #: `EQUAL_DB` as a ratio of peaks.
@@ -16,7 +16,7 @@ EQUAL_RATIO = 10.0 ** (EQUAL_DB / 20.0)
 #: Peaks within this ratio count as equal if part of the motion is irregular. Averages of irregular motion scatter: a
 #: change of the clearance by 1 % changes them by up to 6 %.
 IRREGULAR_RATIO = 1.03
-#: Smallest clearance that can be built, m: the depth of a bed of shot is uncertain by about as much.
+#: Smallest clearance that can be built [m]: the depth of a bed of shot is uncertain by about as much.
 MIN_MACHINABLE_CLEARANCE = 1e-4
 #: In the objective of the search, the mean over the levels has this weight relative to the worst level.
 _MEAN_WEIGHT = 0.01

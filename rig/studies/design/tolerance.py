@@ -11,7 +11,7 @@ from rig.core.results import format_number
 from rig.studies.design.choice import Objective, SearchSpace, Trial
 from rig.studies.design.evaluator import Evaluator
 
-#: Rise of the worst peak at the ends of the tolerance interval, relative to the design, dB.
+#: Rise of the worst peak at the ends of the tolerance interval, relative to the design [dB].
 MAX_RISE_DB = 0.5
 #: Bisection stops when the ratio of its two clearances is below this value.
 _RESOLUTION_RATIO = 1.06

@@ -19,7 +19,7 @@ from rig.studies.single_mode.periodic_motion import INSTANTS, PERIOD, MotionPara
 # fold. Continuation from the other side of the fold, or from another frequency, then reaches both.
 _GRID: dict[MotionType, int] = {"I": 720, "II": 72, "III": 32}
 
-# The search includes flights of at least this duration, as phase of the drive, rad. For a shorter flight, take-off and
+# The search includes flights of at least this duration, as phase of the drive [rad]. For a shorter flight, take-off and
 # landing nearly coincide, and the conditions are nearly singular. The limit corresponds to an acceleration amplitude G
 # of 1 + 3e-6 g, from t = 4 sqrt(G^2 - 1).
 MIN_FLIGHT_RAD = 0.01

@@ -169,7 +169,7 @@ def _estimate_delays(curves: Sequence[Response]) -> list[_Delay | None]:
 
 
 def _common_poles(frequency: Array, value: ComplexArray, error: Array) -> ComplexArray:
-    """Return the poles of the modal model of curves with the smallest model error that explains its misfit, rad/s."""
+    """Return the poles of the modal model of curves with the smallest model error that explains its misfit [rad/s]."""
     magnitude = abs(value)
     equal_weight = np.ones(value.shape) / magnitude.max(axis=1, keepdims=True)
     models = []

@@ -16,13 +16,13 @@ from daq.core.excitation.profiles.spectrum_shaping import lines_between, sum_of_
 from daq.core.excitation.station import Station
 from rig.core.base.arrays import Array, ComplexArray
 
-# Shortest analyzed burst, s: it resolves slow modes.
+# Shortest analyzed burst [s]: it resolves slow modes.
 _MIN_BURST_S = 4.0
 # Shortest analyzed burst, in periods of the lowest tone: they separate it from its neighbors.
 _MIN_BURST_PERIODS = 12.0
-# Duration of the rise and of the fall of the burst, s.
+# Duration of the rise and of the fall of the burst [s].
 _EDGE_S = 0.25
-# Duration of zero drive after the burst, in which the motion decays, s.
+# Duration of zero drive after the burst, in which the motion decays [s].
 _DECAY_S = 1.0
 # The tones extend beyond both limits of the test's band by this factor, so the estimate is valid at the limits.
 _BAND_MARGIN = 1.3
@@ -34,7 +34,7 @@ _SPECTRUM_EXPONENT = 1.0
 _MOTION_TERMS = 4
 # Number of coefficients of the polynomial Q for the spring force (see `ShakerLaw`).
 _FORCE_TERMS = 2
-# Delays between drive and channels are searched up to this delay, s.
+# Delays between drive and channels are searched up to this delay [s].
 _MAX_DELAY_S = 0.05
 
 

@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     from rig.core.scene.excitation.profile import Prescription
     from rig.core.scene.scene import Scene
 
-# Largest change of the drive density from line to line, dB: the largest slope at a resonance, 20 / ln(10) dB over half
+# Largest change of the drive density from line to line [dB]: the largest slope at a resonance, 20 / ln(10) dB over half
 # of its half-power width, if the width contains two lines.
 _MAX_STEP_DB = 8.69 / 2.0
 # Frequencies per line, so the peak between two lines is resolved.
 _OVERSAMPLING = 8
-# Largest reduction of the drive density by a limit at its end, dB.
+# Largest reduction of the drive density by a limit at its end [dB].
 _MAX_END_DB = 3.0
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from daq.core.excitation.profiles.spectrum_shaping import Lines
 from rig.core.base.arrays import Array
 
-#: Standard deviation of a density from a single spectrum, dB.
+#: Standard deviation of a density from a single spectrum [dB].
 SCATTER_DB = 4.34
 # Largest change [dB] of the density of a line in one update: scatter of a few averages must not overload the rig.
 _MAX_STEP_DB = 6.0

@@ -22,7 +22,7 @@ _CORRECTION = 0.7
 # Odd number of half periods of a wavelet, so large that the bandwidth of the wavelet is less than the distance of the
 # lines.
 _HALF_PERIODS = 25
-# The amplitudes of the wavelets are adjusted until the spectrum agrees within this tolerance, dB.
+# The amplitudes of the wavelets are adjusted until the spectrum agrees within this tolerance [dB].
 _SYNTHESIS_DB = 0.5
 _MAX_SYNTHESIS_STEPS = 200
 # Exponent of the adjustment.

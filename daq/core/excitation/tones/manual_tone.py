@@ -14,7 +14,7 @@ from rig.core.base.errors import SceneError
 # The steady state is reached when the transient is below this fraction of the amplitude. The tolerance is coarse,
 # because an operator does not wait for a smaller transient.
 _TOLERANCE = 0.01
-# Longest wait for the steady state, s; irregular motion of dampers never reaches it.
+# Longest wait for the steady state [s]; irregular motion of dampers never reaches it.
 _MAX_WAIT_S = 60.0
 # The drive is readjusted if the force deviates from its level by more than this fraction.
 _MAX_DEVIATION = 0.05

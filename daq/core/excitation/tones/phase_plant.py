@@ -57,7 +57,7 @@ def loop_settings(scene: Scene, latency: float) -> LoopSettings:
 
 
 def _plant(scene: Scene, modulation: Array) -> ComplexArray:
-    """Return the change of the phase per modulation of the angular frequency, s, near the phase of the test."""
+    """Return the change of the phase per modulation of the angular frequency [s] near the phase of the test."""
     from rig.core.system.assembly import assemble
     from rig.core.system.open_loop_drive import force_per_drive, riding_response
 

@@ -24,12 +24,12 @@ from rig.core.base.errors import SceneError
 from rig.core.results.text import format_decimals
 from rig.core.scene.excitation import FORCE_TOLERANCE, Settle
 
-# Duration of a transition to a new frequency, s. It is so slow that it does not excite modes more than a few hertz
+# Duration of a transition to a new frequency [s]. It is so slow that it does not excite modes more than a few hertz
 # away.
 TRANSITION_S = 0.4
-# A transition to a new amplitude lasts at most this time, s.
+# A transition to a new amplitude lasts at most this time [s].
 _MAX_TRANSITION_S = 3.0
-# An amplitude is estimated from a window of at least this duration, s.
+# An amplitude is estimated from a window of at least this duration [s].
 WINDOW_S = 0.1
 # Above this multiple of the force level, the drive is reduced before the steady state, to protect the rig.
 _MAX_FORCE_RATIO = 3.0

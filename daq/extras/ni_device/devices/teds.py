@@ -24,7 +24,7 @@ _TEMPLATE_DATA_BIT = 74
 # By template number: position of the 16-bit sensitivity in the template's data, smallest sensitivity (V per unit), and
 # ratio of neighboring values. 25: accelerometer (m/s^2) or force transducer (N), 27: microphone (Pa).
 _SENSITIVITY = {25: (2, 5e-7, 1.0003), 27: (1, 1e-5, 1.0002)}
-# Size of the header of a virtual TEDS file in which each further byte represents one bit, bytes.
+# Size of the header of a virtual TEDS file in which each further byte represents one bit [bytes].
 _FILE_HEADER_BYTES = 40
 
 

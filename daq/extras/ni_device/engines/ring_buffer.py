@@ -7,7 +7,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from daq.extras.ni_device.errors import invalid_value
 
-# Maximum size of a buffer, bytes: a larger buffer could make the computer swap memory to disk.
+# Maximum size of a buffer [bytes]: a larger buffer could make the computer swap memory to disk.
 MAX_BYTES = 2 << 30
 
 
@@ -54,7 +54,7 @@ class RingBuffer:
 
     @property
     def bytes(self) -> int:
-        """Size of the buffer, bytes."""
+        """Size of the buffer [bytes]."""
         return self._data.nbytes
 
     @property

@@ -12,7 +12,7 @@ from daq.extras.ni_server.calls.call import Call, Handler, ResponseFields
 
 # NI's number for the order of samples in an array: all samples of one channel, then all of the next channel.
 _BY_CHANNEL = 0
-# Time from the beginning of 1904 to the beginning of 1970 (UTC), s.
+# Time from the beginning of 1904 to the beginning of 1970 (UTC) [s].
 _SECONDS_1904_TO_1970 = 2_082_844_800
 # Integer types in which calls transfer counts, by the names in the calls; unsigned types contain the two's complement.
 _CountType = type[np.signedinteger[Any]] | type[np.unsignedinteger[Any]]

@@ -17,9 +17,9 @@ ChannelName = Annotated[str, Field(min_length=1, max_length=200)]
 Frequencies = Annotated[
     tuple[Annotated[float, Quantity(FREQUENCY, above=0.0)], ...], Field(min_length=2, max_length=1000)
 ]
-#: Maximum difference from a profile, dB.
+#: Maximum difference from a profile [dB].
 Decibels = Annotated[float, Quantity(LEVEL, above=0.0)]
-#: Levels of the first parts of a test, relative to the full level, dB.
+#: Levels of the first parts of a test, relative to the full level [dB].
 Ramp = tuple[Annotated[float, Quantity(LEVEL, below=0.0)], ...]
 Share = Annotated[float, Quantity(RATIO, above=0.0, below=1.0)]
 

@@ -89,6 +89,7 @@ def check_inputs(
 ) -> list[str]:
     """Raise an error for files that a command cannot analyze and for options without effect on any file.
 
+    `command`: as in `check_recording`; `blocks`, `theory`, `unit`: options of the command, None or False if not given.
     Returns warnings about files given twice, and about options without effect on some of the files, with the reason.
     """
     requested = {**vars(blocks), "theory": theory or None, "unit": unit}

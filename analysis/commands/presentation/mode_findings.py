@@ -72,7 +72,12 @@ def present_modes(
     exponential_window: float | None = None,
     roving: bool = False,
 ) -> CommandOutput:
-    """Identify, draw and tabulate the modes of recordings or of FRF files of other programs."""
+    """Identify, draw and tabulate the modes of recordings or of FRF files of other programs.
+
+    `output`: folder or stem of the files; `reference`: force or table; `count`: number of modes, by default estimated;
+    `block`: length of a block [s]; `unit`: unit of FRFs whose file states none; `exponential_window`: time constant [s]
+    whose damping is subtracted; `roving`: the files are impacts at different points with the same sensors.
+    """
     from analysis.commands.figures.modes_figure import modes_figure
     from analysis.commands.presentation.tables import modes_table
     from rig.core.base.figure_style import save_figure

@@ -95,7 +95,7 @@ class ImpactModel:
     polynomial_order: int
     """Order of the polynomial for the smooth motion in the readings of a window."""
     contact_samples: int
-    """Contact duration of an impact [samples]; 0: instant."""
+    """Contact duration of an impact [samples]; 0: instantaneous."""
 
     @cached_property
     def search_basis(self) -> tuple[Array, Array]:

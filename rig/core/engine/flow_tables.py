@@ -44,7 +44,7 @@ MAX_RATE_TIMES_STEP = 0.7
 MAX_TABULATED_STATES = 16
 #: Matrix powers are tabulated up to this number of states if there are at most `FEW_DAMPERS` dampers.
 MAX_TABULATED_STATES_FEW_DAMPERS = 40
-FEW_DAMPERS = 3  # with instant contact they have 2^3 configurations
+FEW_DAMPERS = 3  # with instantaneous contact they have 2^3 configurations
 #: The matrix of a full step is always tabulated up to this number of states.
 MAX_STEP_MATRIX_STATES = 400
 #: The matrix of a full step is tabulated up to this number of dampers.
@@ -267,14 +267,14 @@ class FlowTables:
     def _link_neighbors(self, table_index: int, configuration: int) -> None:
         """Enter in `Flow.after` where each change of one element leads, for a configuration and its known neighbors."""
         laws, after = self.model.laws, self.flow.after
-        for j, present in enumerate(self.system.force_indices(np.array(configuration)).tolist()):
+        for j, current in enumerate(self.system.force_indices(np.array(configuration)).tolist()):
             modes = laws.elements.first_mode[j] + np.arange(len(self.system.elements[j].law.modes))
             for m in modes:
-                change = int(laws.modes.force_index[m]) - present
+                change = int(laws.modes.force_index[m]) - current
                 neighbor = self.indices.get(configuration + self.system.strides[j] * change)
                 if change and neighbor is not None:
                     after[table_index, m] = neighbor
-                    after[neighbor, modes[laws.modes.force_index[modes] == present]] = table_index
+                    after[neighbor, modes[laws.modes.force_index[modes] == current]] = table_index
 
     def _fill_step_tables(self, table_index: int, configuration: int, matrix: np.ndarray, offset: np.ndarray) -> None:
         """Compute step matrix, series, derivatives and bounds from A (`matrix`) and b (`offset`)."""
@@ -311,8 +311,8 @@ class FlowTables:
 
     def _fill_bounds(self, table_index: int, configuration: int, terms: np.ndarray, constants: np.ndarray) -> None:
         """Fill the tables of bounds and margins, from the series of every signal."""
-        present = self.system.force_indices(np.array(configuration)).tolist()
-        for j, (by_force, index) in enumerate(zip(self._bounded_signals.signals, present, strict=True)):
+        current = self.system.force_indices(np.array(configuration)).tolist()
+        for j, (by_force, index) in enumerate(zip(self._bounded_signals.signals, current, strict=True)):
             for row, (signal, constant) in enumerate(by_force[index].items(), self._bounded_signals.first_row[j]):
                 is_detached = bool(self.system.detached[j])
                 self._fill_bound(table_index, row, signal, 0.0 if is_detached else constant, terms, constants)

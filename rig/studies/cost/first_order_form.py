@@ -23,7 +23,7 @@ Modes = Sequence[int]
 
 #: Number of samples per period at which methods are compared.
 SAMPLES_PER_PERIOD = 16
-#: Modes of a bed with instant contact, and the kind of the event that starts each of them.
+#: Modes of a bed with instantaneous contact, and the kind of the event that starts each of them.
 FLIGHT, FLOOR, CEILING = 0, 1, 2
 EVENT_KINDS = ("separation", "floor", "ceiling")
 
@@ -124,7 +124,7 @@ class FirstOrderForm:
 
     @property
     def has_only_beds(self) -> bool:
-        """Whether all elements are beds with instant contact: no other mass falls freely."""
+        """Whether all elements are beds with instantaneous contact: no other mass falls freely."""
         return bool(self.system.detached.all())
 
     def mode(self, j: int, modes: Modes) -> Mode:

@@ -1,6 +1,6 @@
 """Free decay of a channel after an impact: envelope, energy, damping of each mode, and the time to fall below 1 g.
 
-Energy: backward integration (M. R. Schroeder [J]. Acoust. Soc. Am. 37 (1965) 409). A damper is a loose mass that rests
+Energy: backward integration (M. R. Schroeder, J. Acoust. Soc. Am. 37 (1965) 409). A damper is a loose mass that rests
 on a floor of its body under gravity. It stays on the floor while the acceleration of the body is below 1 g.
 """
 

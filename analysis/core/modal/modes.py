@@ -307,7 +307,7 @@ class Modes(Result):
     def collinearity(self) -> Array:
         """Compute the modal phase collinearity: 1 if all points move in phase or in antiphase, 0 for a traveling wave.
 
-        The collinearity is abs(r^T r)^2 / (r^H r)^2 for the residues r (J.-N. Juang, R. S. Pappa [J]. Guid. Control
+        The collinearity is abs(r^T r)^2 / (r^H r)^2 for the residues r (J.-N. Juang, R. S. Pappa, J. Guid. Control
         Dyn. 8 (1985)).
         """
         return np.array([(abs(np.sum(shape**2)) / np.sum(abs(shape) ** 2)) ** 2 for shape in self.residue.T])

@@ -6,7 +6,7 @@ the poles to first order [1]_.
 
 References
 ----------
-.. [1] R. Pintelon [J]. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012, chapter 9.
+.. [1] R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012, chapter 9.
 """
 
 from collections.abc import Iterator

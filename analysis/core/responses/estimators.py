@@ -2,7 +2,7 @@
 
 References
 ----------
-.. [1] G. T. Rocklin [J]. Crowley, H. Vold, A comparison of H1, H2 and Hv frequency response functions, Proceedings of
+.. [1] G. T. Rocklin, J. Crowley, H. Vold, A comparison of H1, H2 and Hv frequency response functions, Proceedings of
    the 3rd International Modal Analysis Conference (1985).
 """
 

@@ -7,7 +7,7 @@ line [1]_: a sum of the experiments is due to each input alone.
 
 References
 ----------
-.. [1] R. Pintelon [J]. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012, sections 2.7
+.. [1] R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012, sections 2.7
    and 4.3.
 """
 

@@ -2,7 +2,7 @@
 
 At phase resonance the force supplies the dissipated power P, so the damping ratio is D = P / (w0 w^2 a^2) with the
 modal amplitude a of mass-normalized modes. P is the power of the tone; the power of the harmonics is zero for a force
-shaker, and neglected for a coil spring. (M. Scheel, S. Peter, R. I. Leine, M. Krack [J]. Sound Vib. 435 (2018) 56.)
+shaker, and neglected for a coil spring. (M. Scheel, S. Peter, R. I. Leine, M. Krack, J. Sound Vib. 435 (2018) 56.)
 
 At phase resonance, other modes still contribute to the phase of each body. They respond nearly in phase with the force,
 so that the quadrature parts of all bodies' motions form the shape of the resonant mode. The projection of the motion on

@@ -2,7 +2,7 @@
 
 After each window, the drive amplitude d changes by ln d += gain * clip(ln ratio), where the ratio is the smallest of
 profile / control and limit / response of the limited channels (notching; S. Ricci, B. Peeters, R. Fetter, D. Boland
-[J]. Debille, Virtual shaker testing, IMAC 2009). `sine_control_check.py` contains the stability of this loop.
+J. Debille, Virtual shaker testing, IMAC 2009). `sine_control_check.py` contains the stability of this loop.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ away from the wall.
 
 References
 ----------
-Den Hartog [J]. P., "Forced vibrations with combined Coulomb and viscous friction", Transactions of the ASME 53 (1931)
+Den Hartog, J. P., "Forced vibrations with combined Coulomb and viscous friction", Transactions of the ASME 53 (1931)
 107-115.
 """
 

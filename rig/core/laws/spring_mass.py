@@ -6,7 +6,7 @@ weight.
 
 References
 ----------
-Den Hartog [J]. P., "Mechanical Vibrations", 4th ed., McGraw-Hill 1956, section 3.3.
+Den Hartog, J. P., "Mechanical Vibrations", 4th ed., McGraw-Hill 1956, section 3.3.
 """
 
 from __future__ import annotations

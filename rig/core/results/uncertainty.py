@@ -16,7 +16,7 @@ References
 ----------
 JCGM 100:2008, Guide to the expression of uncertainty in measurement (GUM), sections 4.2, 4.3, 5.1, 5.2, 6.3, G.4.
 JCGM 102:2011, GUM Supplement 2, section 6.5.2: circular coverage region of two components, k = 2.45.
-J. S. Bendat [A]. G. Piersol, Random Data, 4th ed., Wiley 2010, section 9.2.
+J. S. Bendat, A. G. Piersol, Random Data, 4th ed., Wiley 2010, section 9.2.
 """
 
 from __future__ import annotations

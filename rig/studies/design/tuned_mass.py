@@ -8,7 +8,7 @@ Nelder and Mead. A tuned mass damper is linear: its peak does not depend on the 
 
 References
 ----------
-Den Hartog [J]. P., "Mechanical Vibrations", 4th ed., McGraw-Hill 1956, section 3.3.
+Den Hartog, J. P., "Mechanical Vibrations", 4th ed., McGraw-Hill 1956, section 3.3.
 """
 
 from __future__ import annotations

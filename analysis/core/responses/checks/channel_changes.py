@@ -4,7 +4,7 @@ A test is divided into *parts* with equal excitation, such as impacts, periods o
 of an output to the inputs, averaged over all parts, predicts its spectrum in each part. The *relative gain* of a part
 is the regression coefficient of measured and predicted spectrum. It scatters with noise and leakage, and has a step
 where the gain of the channel changes. The step is where the sum of squares about the means before and after it is
-smallest (D. M. Hawkins [J]. Am. Stat. Assoc. 72 (1977) 180-186). In steady responses, a change of the gain is the same
+smallest (D. M. Hawkins, J. Am. Stat. Assoc. 72 (1977) 180-186). In steady responses, a change of the gain is the same
 at all lines, so two periods are enough; the drift of a settling sensor differs from line to line. A change of the
 structure affects all outputs, and is not reported.
 """

@@ -8,7 +8,7 @@ checked, because a fault is distinguished from such a change by the other curves
 
 References
 ----------
-.. [1] C. K. Sanathanan [J]. Koerner, Transfer function synthesis as a ratio of two complex polynomials, IEEE
+.. [1] C. K. Sanathanan, J. Koerner, Transfer function synthesis as a ratio of two complex polynomials, IEEE
    Transactions on Automatic Control 8 (1963) 56-58.
 """
 

@@ -8,7 +8,7 @@ response is estimated. `shared` is the number of neighboring lines with a common
 
 References
 ----------
-.. [1] R. Pintelon [J]. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012, sections 2.5
+.. [1] R. Pintelon, J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley 2012, sections 2.5
    and 9.4.
 """
 

@@ -3,7 +3,7 @@
 The drive of a period is U = A / H at spectral lines, for the target A and the response H to the drive. After a pulse
 with the error E, U is corrected by a part of E / H, which converges if |1 - part H_true / H| < 1 at all lines. A target
 with a prescribed shock response spectrum is a sum of wavelets, which end with zero velocity and displacement (D. O.
-Smallwood [A]. R. Nord, Shock Vib. Bull. 44 (1974) 43).
+Smallwood, A. R. Nord, Shock Vib. Bull. 44 (1974) 43).
 """
 
 from typing import Protocol

@@ -63,7 +63,7 @@ _LEFT_RATIO = 2.0
 class EnvelopeControl:
     """PI control of an envelope: the SIMC rules for an integrating plant with dead time.
 
-    The gain margin is 3, the phase margin 47 degrees (S. Skogestad [J]. Process Control 13 (2003) 291). `target`:
+    The gain margin is 3, the phase margin 47 degrees (S. Skogestad, J. Process Control 13 (2003) 291). `target`:
     required envelope; `drive`: present envelope of the drive; `window`: time from one update to the next [s];
     `dead_time`: s; `limit`: largest drive.
 

@@ -3,7 +3,7 @@
 At constant force the phase obeys e' = -d sin e - (w - w0(|X|)) with the decay rate d: a plant of first order at every
 amplitude, also where the resonance curve overhangs. With a coil spring, the phase follows the frequency immediately;
 the loop then has no proportional part. (S. Peter, R. I. Leine, Mech. Syst. Signal Process. 96 (2017) 139; tuning by the
-SIMC rules for a plant of first order with dead time: S. Skogestad [J]. Process Control 13 (2003) 291.)
+SIMC rules for a plant of first order with dead time: S. Skogestad, J. Process Control 13 (2003) 291.)
 """
 
 import math

@@ -1,7 +1,7 @@
 """Sine test with profile control: a sweep whose drive follows the amplitudes of control and limited channels.
 
 After each window, the drive amplitude d changes by ln d += gain * clip(ln ratio), where the ratio is the smallest of
-profile / control and limit / response of the limited channels (notching; S. Ricci, B. Peeters, R. Fetter, D. Boland
+profile / control and limit / response of the limited channels (notching; S. Ricci, B. Peeters, R. Fetter, D. Boland,
 J. Debille, Virtual shaker testing, IMAC 2009). `sine_control_check.py` contains the stability of this loop.
 """
 

@@ -95,23 +95,23 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     if are_errors_stated(curves):
         fitted = fit_modes(curves, count)
         measured, chart = fitted.measured, fitted.chart
-        found = _modes_of_band(curves, fitted)
+        fitted_poles = _modes_of_band(curves, fitted)
     else:
         measured, _ = measured_curves(curves)
         chart = equal_weight_chart(measured)
         used = {curve.response for curve in curves}
-        found = identify_windows([curve for curve in all_lines if curve.response in used], measured.value, count)
-    if not found.poles.size:
-        reason = " ".join(rejections(found)) or (
+        fitted_poles = identify_windows([curve for curve in all_lines if curve.response in used], measured.value, count)
+    if not fitted_poles.poles.size:
+        reason = " ".join(rejections(fitted_poles)) or (
             "no resonance is higher than the noise and wider than the frequency resolution."
         )
         raise RecordingError(
             f"{curves[0].label}: {reason} Measure for longer, with a smaller frequency spacing, or in a different band."
         )
     # A pole is omitted if the uncertainty of the curves at its frequency is unbounded.
-    frequency: Array = np.asarray(abs(found.poles) / (2 * np.pi), dtype=float)
-    is_unbounded = expand(found.frequency_error) >= frequency
-    is_in_gap = ~is_unbounded & are_in_gaps(measured.frequency, found.poles)
+    frequency: Array = np.asarray(abs(fitted_poles.poles) / (2 * np.pi), dtype=float)
+    is_unbounded = expand(fitted_poles.frequency_error) >= frequency
+    is_in_gap = ~is_unbounded & are_in_gaps(measured.frequency, fitted_poles.poles)
     accepted = ~(is_unbounded | is_in_gap)
     uncertain, unmeasured = frequency[is_unbounded], frequency[is_in_gap]
     if not accepted.any():
@@ -123,32 +123,32 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
             f"{curves[0].label}: all resonances ({listed} Hz) lie where {place}. {remedy} `analysis frf` lists, and "
             "record again."
         )
-    poles, residue = found.poles[accepted], found.residue[:, accepted]
+    poles, residue = fitted_poles.poles[accepted], fitted_poles.residue[:, accepted]
     # A clock error changes all frequencies by the same factor, because it is common to all lines.
     clock = max(curve.uncertainty.clock for curve in frfs)
     clock_error = standard_of_limit(clock * frequency[accepted])
-    residuals = _residual_terms(measured.frequency, found.value, poles, residue)
+    residuals = _residual_terms(measured.frequency, fitted_poles.value, poles, residue)
     result = Modes(
         frequency=frequency[accepted],
-        frequency_error=np.hypot(found.frequency_error[accepted], clock_error),
+        frequency_error=np.hypot(fitted_poles.frequency_error[accepted], clock_error),
         damping=-poles.real / abs(poles),
-        damping_error=found.damping_error[accepted],
+        damping_error=fitted_poles.damping_error[accepted],
         shape_error=_shape_errors(curves, poles, residue),
         residue=residue,
         responses=tuple(curve.response for curve in curves),
         chart=tuple(chart),
         lower=residuals[:, 0],
         upper=residuals[:, 1:],
-        model_error=found.model_error,
+        model_error=fitted_poles.model_error,
         label=curves[0].label,
         warnings=(),
         input=curves[0].input,
         places=tuple(curve.output_at for curve in curves),
         bodies=tuple(curve.outputs[0].body for curve in curves),
-        uncertain=tuple(found.uncertain),
+        uncertain=tuple(fitted_poles.uncertain),
     )
     unused = [frf.response for frf in frfs if frf.response not in result.responses]
-    notes = mode_warnings(result, curves, count, found, uncertain, unmeasured, unused)
+    notes = mode_warnings(result, curves, count, fitted_poles, uncertain, unmeasured, unused)
     return replace(result, warnings=(*curves[0].warnings, *notes))
 
 

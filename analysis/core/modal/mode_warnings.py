@@ -33,7 +33,7 @@ def mode_warnings(
     modes: Modes,
     curves: Sequence[Response],
     count: int | None,
-    found: IdentifiedPoles,
+    fitted_poles: IdentifiedPoles,
     uncertain_poles: Array,  # Hz: poles at which the uncertainty of the curves is too large
     unmeasured: Array,  # Hz: poles around which no line was measured
     unused_responses: Sequence[str],  # responses that were not used
@@ -61,7 +61,7 @@ def mode_warnings(
                 f"Small model error: {residual_text}, more than the {expected}. "
                 "The uncertainties of the modes include it."
             )
-    yield from rejections(found)
+    yield from rejections(fitted_poles)
     if uncertain_poles.size:
         listed = _listed(uncertain_poles)
         yield f"Rejected the stable poles at {listed} Hz: the uncertainty of the curves is too large there."
@@ -151,18 +151,18 @@ def mains_multiple(frequency: float, tolerance: float) -> str:
     return ""
 
 
-def rejections(found: IdentifiedPoles) -> Iterator[str]:
+def rejections(fitted_poles: IdentifiedPoles) -> Iterator[str]:
     """Yield a sentence about stable poles of undetermined damping or height, and about uncertain modes."""
-    if found.rejected:
+    if fitted_poles.rejected:
         yield (
-            f"Rejected the stable poles at {_listed(np.sort(found.rejected))} Hz: their damping or height is below the "
-            "uncertainty of these curves. Damper impacts also cause such peaks, which are not modes."
+            f"Rejected the stable poles at {_listed(np.sort(fitted_poles.rejected))} Hz: their damping or height is "
+            "below the uncertainty of these curves. Damper impacts also cause such peaks, which are not modes."
         )
-    if found.uncertain:
+    if fitted_poles.uncertain:
         yield (
-            f"Uncertain modes: {', '.join(each.frequency_text() for each in found.uncertain)}. Parts of the lines do "
-            "not confirm them. Leakage, double impacts, spikes of single lines and a nonlinear structure cause such "
-            "poles. Measure with a smaller frequency spacing or more averages to identify modes there."
+            f"Uncertain modes: {', '.join(each.frequency_text() for each in fitted_poles.uncertain)}. Parts of the "
+            "lines do not confirm them. Leakage, double impacts, spikes of single lines and a nonlinear structure "
+            "cause such poles. Measure with a smaller frequency spacing or more averages to identify modes there."
         )
 
 

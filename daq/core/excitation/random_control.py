@@ -61,10 +61,10 @@ class SpectrumControl:
         required = np.sqrt(2.0 * test.profile.at(self.frequency) * resolution)
         sums = [float(np.nansum(limit.at(self.frequency))) for limit in test.limits]
         largest = np.sqrt([np.inf] * len(test.control.channels) + [s * resolution if s > 0.0 else np.inf for s in sums])
-        found = yield from identify(
+        identified = yield from identify(
             self.station, self.rows, self.lines, self.period, required, largest, "random control identification"
         )
-        self.drive = self._correction(np.abs(found.gain) ** 2)
+        self.drive = self._correction(np.abs(identified.gain) ** 2)
         self._check_output()
 
     def _check_output(self) -> None:

@@ -121,10 +121,10 @@ class SineSweep:
         # each.
         self._frequencies, self._required = np.ones(1), np.ones((1 + len(test.limits), 1))
 
-    def first_drive(self, found: Identified, period: int) -> float:
+    def first_drive(self, identified: Identified, period: int) -> float:
         """Return the drive at the first frequency; give up if the output cannot drive the sweep."""
-        self._frequencies = found.lines * self.station.rate / period
-        self._required = required_drives(self.test, np.abs(found.gain), self._frequencies)
+        self._frequencies = identified.lines * self.station.rate / period
+        self._required = required_drives(self.test, np.abs(identified.gain), self._frequencies)
         inside = in_band(self.test, self._frequencies)
         frequency, drive = self._frequencies[inside], self._required[:, inside].min(axis=0).tolist()
         worst = int(np.argmax(drive))
@@ -253,8 +253,8 @@ class SineControlProcedure(Procedure["SineControl"]):
         limits = np.array(
             [np.inf] * len(test.control.channels) + [value if np.isfinite(value) else np.inf for value in largest]
         )
-        found = yield from identify(station, sweep.rows, lines, period, required, limits, "sine control")
-        first, target = station.now, sweep.first_drive(found, period)
+        identified = yield from identify(station, sweep.rows, lines, period, required, limits, "sine control")
+        first, target = station.now, sweep.first_drive(identified, period)
         samples = _window_samples(test.from_, station.rate)
         rise = -(-station.samples(_RISE_S) // samples)
         for k in range(rise):

@@ -34,7 +34,7 @@ def largest_peaks(curves: LiveCurves, count: int) -> list[tuple[str, float, floa
 
     A single average has no peaks. The relation is one of `RELATIONS`. A clipped peak has no damping.
     """
-    found = []
+    candidates = []
     for name, response, coherence, relation in zip(
         curves.names, curves.value, curves.coherence, curves.relation, strict=True
     ):
@@ -42,9 +42,9 @@ def largest_peaks(curves: LiveCurves, count: int) -> list[tuple[str, float, floa
             k = np.searchsorted(curves.frequency, frequency)
             if np.isfinite(coherence[k]):
                 damping = None if relation[k] or coherence[k] < _MIN_COHERENCE else damping
-                found.append((name, frequency, value, damping, RELATIONS[relation[k]]))
+                candidates.append((name, frequency, value, damping, RELATIONS[relation[k]]))
     largest: list[tuple[str, float, float, float | None, str]] = []
-    for peak in sorted(found, key=lambda peak: -peak[2]):
+    for peak in sorted(candidates, key=lambda peak: -peak[2]):
         if all(abs(peak[1] / other[1] - 1.0) > _SAME_PEAK for other in largest):
             largest.append(peak)
     return sorted(largest[:count], key=lambda peak: peak[1])

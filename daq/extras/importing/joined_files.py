@@ -33,10 +33,10 @@ def join_repetitions(files: Sequence[Sequence[Signal]]) -> list[Signal]:
 def _join(signals: Sequence[Signal]) -> Signal:
     first = signals[0]
     for other in signals[1:]:
-        for what, expected, found in (("rate", first.rate, other.rate), ("unit", first.unit, other.unit)):
-            if found != expected:
+        for what, expected, stated in (("rate", first.rate, other.rate), ("unit", first.unit, other.unit)):
+            if stated != expected:
                 raise RecordingError(
-                    f"{other.file}: {other.name!r} has the {what} {found or 'none'}, and {expected or 'none'} in "
+                    f"{other.file}: {other.name!r} has the {what} {stated or 'none'}, and {expected or 'none'} in "
                     f"{first.file}. Files of one test have the same rate and units: import the others separately."
                 )
     sizes = np.array([signal.samples for signal in signals])

@@ -50,15 +50,15 @@ def functions(path: Path) -> list[dict[str, Any]]:
     """
     sets = data_sets(path, (58, 164))
     unit_codes = [int(content["units_code"]) for content in sets if content["type"] == 164]
-    found = [content for content in sets if content["type"] == 58]
-    if not found:
+    time_histories = [content for content in sets if content["type"] == 58]
+    if not time_histories:
         raise RecordingError(
             f"{path} contains no data set 58 (functions). Export time histories or frequency responses as data set 58; "
             "`analysis.read_modes` reads modes (data set 55)."
         )
-    for content in found:
+    for content in time_histories:
         content["si"] = unit_codes[-1:] == [_UNITS_SI]
-    return found
+    return time_histories
 
 
 def data_sets(path: Path, types: Sequence[int]) -> list[dict[str, Any]]:

@@ -97,17 +97,17 @@ class NidaqmxBench:
 
     def assert_written(self, channel: str, expected: ArrayLike, tolerance: float = 1e-3) -> None:
         """Fail unless the samples written to an output are the expected samples within a tolerance [V]."""
-        written, wanted = self.written(channel), np.atleast_1d(np.asarray(expected, dtype=float))
-        if written.shape != wanted.shape:
-            raise AssertionError(f"{channel}: {written.size} samples were written; expected {wanted.size}.")
-        deviation = np.abs(written - wanted)
+        written, required = self.written(channel), np.atleast_1d(np.asarray(expected, dtype=float))
+        if written.shape != required.shape:
+            raise AssertionError(f"{channel}: {written.size} samples were written; expected {required.size}.")
+        deviation = np.abs(written - required)
         # The negated comparison also detects NaN.
         different = np.flatnonzero(~(deviation <= tolerance))
         if different.size:
             first = different[0]
             raise AssertionError(
                 f"{channel}: {different.size} of {written.size} samples differ by more than {tolerance:g} V, by up to "
-                f"{deviation.max():g} V. Sample {first} is {written[first]:g} V; expected {wanted[first]:g} V."
+                f"{deviation.max():g} V. Sample {first} is {written[first]:g} V; expected {required[first]:g} V."
             )
 
     def save_task(self, name: str, configure: Callable[[TaskSettings], None]) -> None:

@@ -186,21 +186,21 @@ class Law(NamedTuple):
 
 def faults(law: Law) -> list[str]:
     """Return the faults of a declaration, in words; a correct law has none."""
-    found = [] if law.start in law.modes else [f"the start {law.start!r} is not a mode"]
+    flaws = [] if law.start in law.modes else [f"the start {law.start!r} is not a mode"]
     for name, mode in law.modes.items():
         for signal in mode.signals:
             if not signal.low < signal.high:
-                found.append(f"{name}: the interval from {signal.low} to {signal.high} is empty")
+                flaws.append(f"{name}: the interval from {signal.low} to {signal.high} is empty")
             if mode.force is not None and signal.row.hold:
-                found.append(f"{name}: a signal is the holding force, but the mode is not held")
+                flaws.append(f"{name}: a signal is the holding force, but the mode is not held")
             if mode.force is None and not signal.row.hold:
-                found.append(f"{name}: a signal is constant while the mode is held")
+                flaws.append(f"{name}: a signal is constant while the mode is held")
             for limit, exit_ in signal.ends:
                 if (abs(limit) == inf) != (exit_ is None):
-                    found.append(f"{name}: a limit of {limit} does not agree with the exit {exit_}")
-                found += [
+                    flaws.append(f"{name}: a limit of {limit} does not agree with the exit {exit_}")
+                flaws += [
                     f"{name}: the exit to {target!r} has no mode"
                     for target in (exit_.to if exit_ is not None else ())
                     if target not in law.modes
                 ]
-    return found
+    return flaws

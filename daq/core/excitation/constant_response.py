@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from rig.core.scene.excitation.kind import KindOfTest
     from rig.core.scene.scene import Scene
 
-# The first drive is this fraction of the force that moves the mass of the structure by the level.
+# The first drive is this fraction of the force that moves the mass of the structure by the level: at a resonance a
+# small force suffices.
 _FIRST_FORCE_RATIO = 0.05
 # The amplitude is controlled for at most this time [s]. After it, the envelope is controlled if the mode is known.
 _AMPLITUDE_WAIT_S = 15.0

@@ -51,7 +51,8 @@ _TOLERANCE = 0.002
 _MAX_CORRECTIONS = 8
 # Smallest assumed slope of ln(force) along the normal; it limits the distance to the next hold.
 _MIN_SLOPE = 0.05
-# A failed step is repeated with this fraction of its length, down to the smallest fraction of `test.step`.
+# A failed step is repeated with this fraction of its length, down to the smallest fraction of `test.step`: the
+# correction converges from a closer start.
 _SHORTER = 0.5
 _SHORTEST = 1.0 / 16.0
 # A step with feedback whose direction differs by more than this angle, rad, from that of the last step is repeated with
@@ -66,18 +67,21 @@ _STARTS = 0.0, 0.05, 0.1, 0.2
 # Without feedback, a response that changes by more than this factor has jumped to another branch: the step along a
 # branch is smaller.
 _JUMP_RATIO = 2.0
-# A motion that has not jumped returns to the last point with a deviation of ln(amplitude) below this value.
+# A motion that has not jumped returns to the last point with a deviation of ln(amplitude) below this value, more than
+# noise and less than a jump.
 _MAX_RETURN_DEVIATION = 0.05
 # Lengths of the steps over a gap in the curve, in units of the length of a step.
 _LEAPS = 1.0, 2.0, 4.0
-# Behind a corner of the curve, the frequency changes by this fraction of a step at a time.
+# Behind a corner of the curve, the frequency changes by this fraction of a step at a time: the motion behind the corner
+# is not known.
 _CORNER_RATIO = 0.25
 # Changes of this kind in succession; more occur only where the curve is lost.
 _MAX_CORNER_STEPS = 12
 # Duration of these changes, in units of 1 / |l|: their transients hardly leave the motion, which is stable only in the
 # vicinity of a corner.
 _CORNER_DURATION = 20.0
-# Feedback that changes the drive by more than this fraction (rms) indicates a motion that does not repeat.
+# Feedback that changes the drive by more than this fraction (rms) indicates a motion that does not repeat; noise
+# changes the drive less.
 _MAX_INVASIVE = 0.01
 
 

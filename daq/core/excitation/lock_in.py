@@ -11,7 +11,8 @@ import numpy as np
 
 from rig.core.base.arrays import Array, ComplexArray
 
-# A window has at least this number of periods, also of the difference between two tones.
+# A window has at least this number of periods, also of the difference between two tones: fewer do not separate a tone
+# from an offset or from its neighbor.
 MIN_PERIODS = 2
 # A window has at least this number of samples: more than the six fitted terms of a tone without harmonics.
 _MIN_SAMPLES = 8
@@ -20,7 +21,7 @@ _MIN_SAMPLES = 8
 _MIN_BEATS = 0.5
 # Order of the highest harmonic that is fitted with the tone.
 _MAX_HARMONIC = 6
-# Harmonics are fitted up to this fraction of the sample rate.
+# Harmonics are fitted up to this fraction of the sample rate, below the transition band of the converter.
 _MAX_HARMONIC_RATIO = 0.4
 # A harmonic is fitted if its frequency differs from all other fitted frequencies by at least this number of periods in
 # the window: about one, because windows are rounded to whole samples.

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 # The phase is locked if it is within the tolerance in this number of successive windows. The frequency is averaged over
 # these windows.
 _LOCKED_WINDOWS = 8
-# In addition, the mean phase must deviate by less than this fraction of the tolerance.
+# In addition, the mean phase must deviate by less than this fraction of the tolerance: its own scatter must not carry
+# it to the limit.
 _LOCKED_RATIO = 0.7
 # Largest number of locks at a level: the phase can leave the tolerance again while the frequency is constant.
 _MAX_LOCKS = 4

@@ -29,13 +29,14 @@ if TYPE_CHECKING:
 
 # Averaged spectra for the first update at a level, and for the levels of the ramp: a scatter of about 1 dB.
 _FIRST_AVERAGES = 16
-# The ramp continues when this fraction of the lines is within the tolerance.
+# The ramp continues when this fraction of the lines is within the tolerance; with few averages, the other lines are
+# outside by chance.
 _MIN_WITHIN = 0.9
 # Updates at a level of the ramp; more are needed only if the spectrum cannot be reached.
 _MAX_UPDATES = 12
 # Fraction of the drive samples that the output may clip.
 _MAX_CLIPPED = 0.01
-# A line counts as outside if it exceeds its bound by this number of standard deviations of its average.
+# A line counts as outside if it exceeds its bound by this number of standard deviations of its average (95 %).
 _SIGMAS = 2.0
 
 

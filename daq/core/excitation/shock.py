@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
 
-# The test gives up after this number of practice pulses, unless the scene specifies more.
+# The test gives up after this number of practice pulses, unless the scene specifies more: corrections that converge
+# need fewer.
 _MAX_PRACTICE = 3
 # Highest frequency of the drive relative to the sample rate, below the transition band of the converter.
 _BAND_RATIO = 0.4

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from rig.core.scene.excitation import SineControl
 
 
-# The drive changes at the earliest after this number of samples.
+# The drive changes at the earliest after this number of samples, from which an amplitude and a phase can be estimated.
 _MIN_WINDOW_SAMPLES = 4
 # Largest decrease and increase of the logarithmic drive, divided by the gain: steps down are larger than steps up.
 _MAX_DECREASE, _MAX_INCREASE = log(4.0), log(1.5)

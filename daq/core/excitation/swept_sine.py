@@ -34,13 +34,15 @@ if TYPE_CHECKING:
     from rig.core.scene.excitation.kind import KindOfTest
 
 
-# The drive of a controlled force is updated after this number of periods.
+# The drive of a controlled force is updated after this number of periods: a shorter window does not determine the
+# amplitude.
 _WINDOW_PERIODS = 0.5
-# The drive is updated after at least this number of samples.
+# The drive is updated after at least this number of samples, from which an amplitude and a phase can be estimated.
 _MIN_WINDOW_SAMPLES = 4
 # Length of the windows in open loop [s].
 _WINDOW_S = 0.1
-# The sweep begins when the transient at the first frequency is at most this fraction of the amplitude.
+# The sweep begins when the transient at the first frequency is at most this fraction of the amplitude: the transient of
+# the sweep itself is larger.
 _TOLERANCE = 0.01
 # Longest wait for the steady state at the first frequency [s]; irregular motion of dampers never reaches it.
 _MAX_WAIT_S = 60.0

@@ -18,7 +18,7 @@ LARGEST_CHUNK = 1 << 26
 _UNLIMITED_RATIO_BYTES = 1 << 21
 # Largest accepted compression ratio of larger chunks: samples with noise compress far less, a hostile file more.
 _MAX_RATIO = 1000
-# A chunk of n bytes in the file may have at most n plus this number of records.
+# A chunk of n bytes in the file may have at most n plus this number of records, which a hostile file exceeds.
 _MAX_EXCESS_RECORDS = 1 << 10
 
 MAGIC = b"\x89MCAP0\r\n"

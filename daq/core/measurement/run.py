@@ -30,7 +30,7 @@ from rig.core.numerics.runs import runs_of
 from rig.core.scene.loading import SceneLike, load
 from rig.core.scene.scene import Scene
 
-# The size of the recording is extrapolated after this fraction of the test.
+# The size of the recording is extrapolated after this fraction of the test; before, the estimate is too uncertain.
 _MIN_FRACTION = 0.02
 
 

@@ -20,7 +20,8 @@ from rig.core.scene.scene import Scene
 from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.structural_model import structural_model
 
-# A force whose limit of error exceeds this fraction of the force is not resolved.
+# A force whose limit of error exceeds this fraction of the force is not resolved: its 95 % interval nearly includes
+# zero.
 _MAX_ERROR_RATIO = 0.5
 # Frequencies that a warning lists; a longer list would hide the remedy.
 _MAX_LISTED = 8

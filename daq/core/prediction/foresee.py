@@ -51,7 +51,8 @@ _MAX_TIME_RATIO = 1.5
 _LIMITED_DRIVE_RATIO = 0.999
 # If the amplifier clips the drive, the level is reduced by this factor, at most this number of times.
 _LEVEL_REDUCTION, _MAX_LEVEL_REDUCTIONS = 0.1, 3
-# If dampers fly, the largest permissible level is determined by at most this number of rehearsals at other levels.
+# If dampers fly, the largest permissible level is determined by at most this number of rehearsals at other levels: each
+# takes as long as the first rehearsal.
 _MAX_SECANT_STEPS = 3
 # Predicted waits of tones at which dampers ride have a limit of error of this fraction, plus this number of standard
 # deviations of their scatter. Measured with 15 scenes: errors of 0.1 to 2 % without scatter.

@@ -18,7 +18,8 @@ from rig.core.base.arrays import Array, ComplexArray
 MIN_COHERENCE = 0.9
 # The level is raised until the response has this fraction of the response in the test; a larger one if noise requires.
 _RESPONSE_RATIO = 0.1
-# The first level is this fraction of the level that a table, or a structure of 1 kg, requires.
+# The first level is this fraction of the level that a table, or a structure of 1 kg, requires: the rig must not be
+# overloaded before its response is known.
 _FIRST_RATIO = 0.1
 # Largest change of a line, or of all lines, in one step: a larger step could overload the rig.
 _MAX_STEP = 10.0
@@ -26,7 +27,7 @@ _MAX_STEP = 10.0
 _MAX_SEARCHES = 10
 # Largest number of corrections of the drive spectrum after a response is detected.
 _MAX_SHAPINGS = 3
-# A response is detected above this multiple of the noise.
+# A response is detected above this multiple of the noise; below, the estimate is mostly noise.
 _MIN_SIGNAL_TO_NOISE = 4.0
 # Part of the range of the output that the peak of the drive may use.
 _OUTPUT_RATIO = 0.3

@@ -20,7 +20,7 @@ _MIN_BEATS = 1.5
 # The memory of the mode estimate is the time after which the weight of an observation has decreased to 1 / e. It is
 # this factor times 1 / sqrt(sweep rate in Hz/s), the time in which a sweep passes a lightly damped mode.
 _MEMORY_FACTOR = 0.5
-# The memory is at least this number of periods.
+# The memory is at least this number of periods; a shorter memory amplifies the noise.
 _MIN_MEMORY_PERIODS = 6.0
 # The memory is at most this number of periods. A longer memory does not improve a slow sweep, and the motion with
 # dampers may change.
@@ -28,11 +28,12 @@ _MAX_MEMORY_PERIODS = 20.0
 # Number of integration steps from the middle of an observation to its end. The integration compensates the delay of the
 # observation.
 _STEPS = 6
-# The drive changes between windows by at most this fraction of the largest of the stored drive amplitudes.
+# The drive changes between windows by at most this fraction of the largest of the stored drive amplitudes: a wrong
+# estimate must not overload the rig.
 _MAX_CHANGE_RATIO = 0.5
 # Number of the last drive amplitudes that are stored.
 _STORED_DRIVES = 12
-# The drive is not increased above this multiple of the force level.
+# The drive is not increased above this multiple of the force level: a wrong estimate must not overload the rig.
 _MAX_FORCE_RATIO = 1.5
 # Hann window over an observation, at instants from -1/2 to 1/2 of its length.
 _INSTANTS = (np.arange(64) + 0.5) / 64 - 0.5

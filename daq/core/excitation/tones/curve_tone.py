@@ -18,7 +18,7 @@ from rig.core.base.arrays import Array, ComplexArray
 if TYPE_CHECKING:
     from rig.core.scene.excitation import Continuation
 
-# The input gain is estimated from this number of points measured without feedback.
+# The input gain is estimated from this number of points measured without feedback: several, because each has noise.
 _FLANK_POINTS = 3
 # Drives that correct a point; more are needed only where the curve is lost.
 _MAX_DRIVES = 8

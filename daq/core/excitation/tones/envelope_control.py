@@ -29,16 +29,18 @@ MAX_POLE_TIMES_DEAD_TIME = 0.5
 # Largest product of open-loop growth and dead time that the control stabilizes: with the scene `continuation`, 0.28 was
 # held and 0.31 lost.
 MAX_GROWTH_TIMES_DEAD_TIME = 0.3
-# An observation updates the model of the mode if motion or drive changed by more than this fraction.
+# An observation updates the model of the mode if motion or drive changed by more than this fraction; smaller changes
+# are noise.
 _MIN_CHANGE = 0.01
 # Number of latest drives that determine the limit of the next drive.
 _LATEST_DRIVES = 12
-# The drive changes between windows by at most this fraction of the largest of the latest drives.
+# The drive changes between windows by at most this fraction of the largest of the latest drives: a wrong model must not
+# overload the rig.
 _MAX_CHANGE_RATIO = 0.5
 # Time after which the weight of an observation of the mode has decreased to 1 / e, windows. The observations of several
 # steps at one level have the same mode.
 _MEMORY_WINDOWS = 100.0
-# Above this multiple of the target, the drive is limited to the largest of the latest drives.
+# Above this multiple of the target, the drive is limited to the largest of the latest drives, to protect the rig.
 _MAX_EXCESS = 1.5
 # The control is lost above this multiple of the target: the model of the mode is wrong.
 _LOST_RATIO = 3.0
@@ -56,7 +58,7 @@ _MAX_REPEATED_WINDOWS = 4
 _NOISE_WINDOWS = 12
 # Variance of the envelopes by noise in a measurement, relative to that at rest, which a few windows determine roughly.
 _NOISE_MARGIN = 2.0
-# The motion has left its target if it deviates by more than this multiple of the tolerance.
+# The motion has left its target if it deviates by more than this multiple of the tolerance, more than it scatters.
 _LEFT_RATIO = 2.0
 
 

@@ -16,7 +16,8 @@ from rig.core.base.errors import SceneError
 _TOLERANCE = 0.01
 # Longest wait for the steady state [s]; irregular motion of dampers never reaches it.
 _MAX_WAIT_S = 60.0
-# The drive is readjusted if the force deviates from its level by more than this fraction.
+# The drive is readjusted if the force deviates from its level by more than this fraction, which an operator would
+# notice.
 _MAX_DEVIATION = 0.05
 # Number of successive windows with a larger deviation that cause a readjustment; a single impact does not.
 _DEVIATING_WINDOWS = 5

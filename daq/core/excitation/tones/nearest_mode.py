@@ -9,7 +9,8 @@ from rig.core.base.arrays import Array, ComplexArray
 
 # Fewest observations for the estimate of a mode, which has four unknowns.
 _MIN_OBSERVATIONS = 6
-# Observations older than this multiple of the memory (time constant of their weights) are discarded.
+# Observations older than this multiple of the memory (time constant of their weights) are discarded: their weights are
+# below exp(-3) = 5 %.
 _MAX_AGE_RATIO = 3.0
 # Observations between two searches for a different mode, which take most of the time.
 _SEARCH_INTERVAL = 4
@@ -17,7 +18,8 @@ _SEARCH_INTERVAL = 4
 _SEARCH_FREQUENCIES = np.geomspace(0.6, 1.7, 24)
 # Damping ratios of the search for a different mode.
 _SEARCH_DAMPING = np.array([0.005, 0.03])
-# A different mode replaces the present mode if the ratio of their residuals is below this value.
+# A different mode replaces the present mode if the ratio of their residuals is below this value, so noise does not
+# exchange the modes.
 _MAX_RESIDUAL_RATIO = 0.7
 # The search around the present mode begins with this frequency step, relative to the mode's frequency.
 _INITIAL_STEP = 0.01

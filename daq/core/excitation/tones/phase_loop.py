@@ -19,7 +19,7 @@ _BEFORE, _LATEST = slice(_COMPARED_ERRORS), slice(_COMPARED_ERRORS, None)
 # a coil spring or another mode adds dynamics to the force.
 _MIN_DECAY = 0.7
 _MAX_SLOWNESS = 16.0
-# The frequency changes by at most this fraction from window to window.
+# The frequency changes by at most this fraction from window to window: a wrong phase must not leave the resonance.
 _MAX_CHANGE_RATIO = 0.02
 
 

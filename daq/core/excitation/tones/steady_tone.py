@@ -27,7 +27,7 @@ from rig.core.scene.excitation import FORCE_TOLERANCE, Settle
 # Duration of a transition to a new frequency [s]. It is so slow that it does not excite modes more than a few hertz
 # away.
 TRANSITION_S = 0.4
-# A transition to a new amplitude lasts at most this time [s].
+# A transition to a new amplitude lasts at most this time [s]: a longer transition would only extend the test.
 _MAX_TRANSITION_S = 3.0
 # An amplitude is estimated from a window of at least this duration [s].
 WINDOW_S = 0.1
@@ -38,7 +38,8 @@ _MAX_SUDDEN_CHANGE = 0.03
 # The drive is changed as soon as the predicted force changed over the last observations by less than this fraction of
 # its deviation from the level.
 _MAX_PREDICTION_CHANGE = 0.3
-# A measurement longer than twice this number of samples is evaluated in blocks of this size or more.
+# A measurement longer than twice this number of samples is evaluated in blocks of this size or more, to limit the
+# memory.
 _BLOCK_SAMPLES = 1 << 16
 # Steps that a warning lists; a longer list would hide the remedy.
 _MAX_LISTED = 8
@@ -337,7 +338,8 @@ _MIN_LOG_DIFFERENCE = 1e-3
 # Smallest width of the bracket in log(drive). In a narrower bracket that does not contain the level, the force jumps or
 # has changed; the bracket is then discarded.
 _MIN_BRACKET = 2e-3
-# The next drive is at least this fraction of the width of the bracket from both ends.
+# The next drive is at least this fraction of the width of the bracket from both ends: each step then reduces the
+# bracket.
 _BRACKET_MARGIN = 0.1
 # log(drive) changes by at most this from one drive to the next.
 _MAX_LOG_STEP = math.log(3.0)

@@ -8,8 +8,8 @@ from analysis.core.responses import estimators
 from analysis.core.responses.errors.scatter import Scatter, moderate
 from analysis.core.responses.estimators import AveragedSpectra, square_root
 from analysis.core.responses.local_models.jitter import jitter_limit
+from analysis.core.responses.lock_in import LockIn, parts_of_whole_periods
 from analysis.core.responses.measurands import motion_of, reference_of
-from analysis.core.responses.stepped_sine import LockIn, parts_of_whole_periods
 from daq.core.recording.recording import Recording
 from rig.core.base.errors import RunError
 from tests.analysis.responses.synthetic import stepped_sine
@@ -139,6 +139,15 @@ def test_settling_bias_does_not_change_tone(time_constant):
     tone = lock_in.tone()
     assert tone.amplitude[0, 0] == pytest.approx(2.0, abs=2e-4)
     assert abs(tone.parts - 2.0).max() < 3e-3
+
+
+def test_residual_excludes_curved_drift():
+    time = np.arange(10_000) / 5120.0
+    noise = 1e-3 * np.random.default_rng(2).standard_normal(time.size)
+    lock_in = LockIn(10.24, 5120.0, 3)
+    lock_in.add((2.0 * np.cos(2 * np.pi * 10.24 * time) + 5.0 * np.exp(-time) + noise)[None], [500] * 20)
+
+    assert lock_in.tone().residual[0] == pytest.approx(1e-3, rel=0.05)
 
 
 def test_noise_excludes_harmonics_that_repeat():

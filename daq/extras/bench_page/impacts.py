@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
 
-# The window of an impact begins this time before the trigger [s].
+# The window of an impact begins this time before the trigger [s]: it contains the rise of the pulse.
 _PRETRIGGER_S = 0.01
 # An impact is double if the peak of its second pulse is at least this fraction of the highest peak. A double impact is
 # rejected, because its spectrum has deep minima.

@@ -48,7 +48,8 @@ _MAX_HIT_S = 4.0
 _MIN_PAUSE_S = 0.1
 # Lowest frequency of the response to impacts, periods per window. Below it, the low cutoff of the sensors dominates.
 _MIN_PERIODS_PER_WINDOW = 4.0
-# An impact is accepted if its peak is at least this fraction of the requested peak.
+# An impact is accepted if its peak is at least this fraction of the requested peak; weaker impacts disappear in the
+# noise.
 _MIN_PEAK_RATIO = 0.5
 
 

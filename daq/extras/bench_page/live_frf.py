@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
 
-# A line is excited if it is at least this fraction of the largest line of the force's auto-spectrum.
+# A line is excited if it is at least this fraction of the largest line of the force's auto-spectrum; at other lines,
+# noise dominates.
 _EXCITED_RATIO = 1e-3
 # Half width of the main lobe of the Hann window, spectral lines: a tone excites this number of lines on either side.
 _LOBE_LINES = 2.0

@@ -28,7 +28,8 @@ _RATE_ROUNDING = 1e-12
 _MAX_DEVIATION = 0.5
 # Jitter is reported if times deviate from even spacing by more than this plus the rounding error [samples].
 _MAX_UNREPORTED_JITTER = 0.02
-# If two successive times are farther apart than this number of sample intervals, rows are missing.
+# If two successive times are farther apart than this number of sample intervals, rows are missing: a jitter of half an
+# interval is still regular.
 _MAX_REGULAR_INTERVALS = 1.5
 # Largest deviation of an interval from one sample interval, and of a gap from a whole number of sample intervals, in
 # sample intervals.

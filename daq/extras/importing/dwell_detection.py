@@ -14,13 +14,15 @@ from daq.extras.importing.tone_track import ToneTracker
 from rig.core.base.arrays import Array
 from rig.core.scene.scene import Scene
 
-# The searched frequency band extends beyond the band of the scene's test by this factor at either end.
+# The searched frequency band extends beyond the band of the scene's test by this factor at either end: the scene may
+# state the band only roughly.
 _BAND_RATIO = 1.5
 # Number of blocks into which a tone is divided; fewer if `lock_in` needs longer blocks.
 _BLOCKS_PER_TONE = 8
 # Samples of a block, to limit the memory.
 _MAX_BLOCK = 1 << 16
-# Two dwells have the same frequency if the frequencies differ by less than this fraction.
+# Two dwells have the same frequency if the frequencies differ by less than this fraction, the error of two sample
+# clocks.
 _SAME_FREQUENCY = 1e-5
 
 

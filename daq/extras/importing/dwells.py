@@ -31,9 +31,9 @@ _MAX_AMPLITUDE_CHANGE = 0.2
 # The frequency of a dwell drifts by at most this fraction of the distance to the next dwell; the frequency of a sweep
 # drifts more.
 _MAX_DRIFT = 0.25
-# Dwells take at least this fraction of the time with a signal.
+# Dwells take at least this fraction of the time with a signal; otherwise the signal is no stepped sine.
 _MIN_DWELL_SHARE = 0.3
-# Below this fraction of the median amplitude of the dwells, there is no signal.
+# Below this fraction of the median amplitude of the dwells, there is no signal; only noise and hum remain.
 _SILENCE_RATIO = 0.05
 # Blocks at this distance scatter independently, although neighboring blocks share half of their samples.
 _INDEPENDENT_BLOCKS = 2
@@ -44,7 +44,8 @@ _STEADY_SIGMAS = 3.0
 _STEADY_TOLERANCE_SHARE = 0.1
 # The last half of a segment is tested for steady state; if it is not steady, the last quarter.
 _FINAL_SHARES = (0.5, 0.25)
-# Two dwells have the same frequency if their frequencies differ by less than this fraction.
+# Two dwells have the same frequency if their frequencies differ by less than this fraction: up and down sweeps repeat a
+# frequency within this error.
 _SAME_FREQUENCY = 2e-4
 
 

@@ -7,15 +7,16 @@ import numpy as np
 from rig.core.base.arrays import Array
 from rig.core.numerics.runs import merge_spans, runs_of
 
-# A pulse begins and ends at this fraction of the largest force.
+# A pulse begins and ends at this fraction of the largest force, above the noise of the sensor.
 _PULSE_RATIO = 0.05
-# A pulse is an impact if its peak is at least this fraction of the largest force.
+# A pulse is an impact if its peak is at least this fraction of the largest force; smaller pulses are noise or a touch.
 _HIT_RATIO = 0.1
-# The force of a hammer acts for at most this fraction of the time.
+# The force of a hammer acts for at most this fraction of the time; a shaker acts all the time.
 _MAX_CONTACT_SHARE = 0.2
 # Time after an impact in which further pulses are ignored as bounces of the hammer [s].
 _BOUNCE_S = 0.2
-# An impact is double if such a bounce has at least this fraction of the impact's peak.
+# An impact is double if such a bounce has at least this fraction of the impact's peak: a smaller bounce hardly changes
+# the spectrum.
 _DOUBLE_RATIO = 0.1
 # Crossings of the threshold within this time belong to the same pulse [s].
 _CHATTER_S = 1e-3

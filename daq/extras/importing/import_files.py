@@ -56,7 +56,8 @@ _MAX_LOST_SEGMENTS = 1000
 _LOST_PAUSE_S = 0.1
 # Two overloads are merged up to this pause between them [s].
 _OVERLOAD_PAUSE_S = 0.01
-# In a free decay, the largest motion occurs within this fraction of the duration from the start.
+# In a free decay, the largest motion occurs within this fraction of the duration from the start; otherwise something
+# excites the structure later.
 _MAX_PEAK_SHARE = 0.05
 
 

@@ -10,9 +10,10 @@ _MIN_FLAT_SAMPLES = 3
 # The signal rises to a flat top by at least this number of quantization steps. Smaller rises do not indicate clipping:
 # a slow, coarsely quantized signal also has flat peaks.
 _MIN_RISE_COUNTS = 4.0
-# A sample is clipped if it is at least this fraction of the full scale.
+# A sample is clipped if it is at least this fraction of the full scale, because files round their values.
 _CLIPPED_RATIO = 0.9999
-# Samples above this multiple of the stated full scale indicate that the full scale is wrong.
+# Samples above this multiple of the stated full scale indicate that the full scale is wrong; converters exceed their
+# range by less.
 _WRONG_SCALE_RATIO = 1.05
 # Most runs that are stored, in some 15 MB; a signal that clips more often cannot be used anyway.
 _MAX_STORED = 100_000

@@ -47,11 +47,13 @@ from rig.core.settings.quantities import TIME, parse
 _FURTHER_TIMES = re.compile(r"(time|zeit|x_value)(stamp)?[\W_]*[\dA-Z]?", re.IGNORECASE)
 # Characters in a line; longer lines are not read, because a binary file has no line ends.
 _MAX_LINE = 1 << 20
-# The rounding error of a sample rate is reported above this fraction of the rate.
+# The rounding error of a sample rate is reported above this fraction of the rate, the tolerance of a usual sample
+# clock.
 _MAX_RATE_UNCERTAINTY = 2e-5
 # Lines at the beginning that are examined for the digits of times; the digits do not change later.
 _MAX_EXAMINED_LINES = 50
-# The usual length of the last number in a line is determined from at least this number of lines.
+# The usual length of the last number in a line is determined from at least this number of lines: trailing zeros shorten
+# single numbers.
 _MIN_LINES = 10
 # Lines in a block, to limit the memory.
 BLOCK_LINES = 1 << 16

@@ -40,7 +40,8 @@ if TYPE_CHECKING:
 
 # A number of ticks that exceeds any run, and whose sums do not overflow 64 bits.
 UNLIMITED_TICKS = 1 << 62
-# The runs stop with the error of an input overflow if the bench is behind the wall clock by more than this time [s].
+# The runs stop with the error of an input overflow if the bench is behind the wall clock by more than this time [s]:
+# the buffer of a real device would have overflowed.
 _MAX_DELAY_S = 5.0
 # Longest pause [s] of the fast clock for the callback of an event; a callback that never returns must not stop the
 # bench.

@@ -33,7 +33,7 @@ _MIN_FRAMES_PER_S = 100.0
 _MIN_MODE_HZ = 1.0
 # A column is a few pixels wide; the envelopes of noise do not hide each other.
 _ENVELOPE_COLUMNS = 300
-# The frame rate is reduced above this number of frames.
+# The frame rate is reduced above this number of frames, to limit the memory of the viewer.
 _MAX_FRAMES = 60_000
 
 

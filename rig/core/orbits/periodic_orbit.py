@@ -49,7 +49,8 @@ MAX_STEADY_CHANGE = 1e-7
 MAX_ALMOST_PERIODIC_CHANGE = 1e-6
 # A motion settles to an orbit if its relative distance from the orbit is at most this.
 MAX_ORBIT_DISTANCE = 0.05
-# The distance from the orbit must decrease over this number of periods.
+# The distance from the orbit must decrease over this number of periods: the distance may grow for a few periods before
+# it decays.
 CONFIRMATION_PERIODS = 16
 # The motion has reached the orbit if the relative distance is below this; the distance need not decrease further.
 CLOSE_DISTANCE = 1e-6

@@ -34,7 +34,8 @@ _MAX_ERROR_RATIO = 0.1
 _MAX_ERROR_IN_UNCERTAINTIES = 3.0
 # Relative error of interpolation with the recommended spacing.
 _GOOD_ERROR_RATIO = 0.01
-# The recommended spacing is at least this fraction of the present spacing.
+# The recommended spacing is at least this fraction of the present spacing; the estimate for a smaller spacing is too
+# uncertain.
 _MIN_SPACING_RATIO = 0.02
 # A frequency differs from the frequency of a line if their relative difference exceeds this.
 _SAME_FREQUENCY = 1e-9

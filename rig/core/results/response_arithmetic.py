@@ -15,9 +15,11 @@ from rig.core.results.text import format_frequencies
 from rig.core.results.uncertainty import BudgetTable, stack_budgets
 from rig.core.settings.quantities import FREQUENCY, number, positive_values
 
-# The highest value counts as the peak if its expanded uncertainty is at most this fraction of the value.
+# The highest value counts as the peak if its expanded uncertainty is at most this fraction of the value; a larger value
+# may be noise.
 MAX_PEAK_UNCERTAINTY_RATIO = 0.5
-# A curve is drawn with interpolated points between neighboring lines whose values differ by more than this fraction.
+# A curve is drawn with interpolated points between neighboring lines whose values differ by more than this fraction,
+# where a straight line would be visibly wrong.
 _MAX_STEP = 0.1
 # Intervals into which interpolated points divide the distance between two lines: the drawn curve looks smooth.
 _POINTS_BETWEEN = 16

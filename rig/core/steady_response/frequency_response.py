@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from rig.core.results.response import Response
 
-#: The controlled spring force agrees with its level within this fraction.
+#: The controlled spring force agrees with its level within this fraction, far below the tolerance of a test.
 LEVEL_TOLERANCE = 1e-6
 #: Drive levels tried for one point; more are needed only if the response jumps at the level.
 MAX_LEVEL_TRIALS = 25

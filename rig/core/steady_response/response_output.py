@@ -16,9 +16,11 @@ from rig.core.settings.quantities import count
 from rig.core.steady_response.frequency_response import SteadyResponse
 from rig.core.steady_response.motion_type import describe_motion, element_labels
 
-# The uncertainty of an interpolated peak is printed if it exceeds this fraction of the peak.
+# The uncertainty of an interpolated peak is printed if it exceeds this fraction of the peak; a smaller uncertainty does
+# not change the printed digits.
 _NEGLIGIBLE_ERROR = 1e-4
-# Two sweeps have the same motion if their responses differ by less than this fraction.
+# Two sweeps have the same motion if their responses differ by less than this fraction, which differences of settling
+# can reach.
 _SAME_MOTION = 1e-2
 # Listed peaks with few frequencies; a longer list would hide the other lines.
 _MAX_LISTED = 8

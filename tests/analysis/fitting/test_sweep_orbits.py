@@ -70,7 +70,7 @@ def test_coupled_impacts_are_reported_as_reason():
     [message] = list_omitted_points(coupled_curves, np.array([False]), orbits.uncovered)
     assert "another kind of motion" not in message and "which a fit cannot compute" in message
     [message] = list_omitted_points(coupled_curves, np.array([False]), {})
-    assert "has another type than the motion of the model" in message
+    assert "its type differs from that of the predicted motion" in message
     orbits.failed.clear()
     assert np.isfinite(orbits.response(scene_of_test(curves.scene, curves), level, frequency)).all()
     assert not orbits.uncovered

@@ -97,7 +97,7 @@ def test_different_coupling_of_used_input_is_rejected():
         for task in (first, second):
             task.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
         first.start()
-        with raises_code(Code.PAL_RESOURCE_RESERVED, "another coupling or sensor supply"):
+        with raises_code(Code.PAL_RESOURCE_RESERVED, "a different coupling or sensor supply"):
             second.start()
 
 

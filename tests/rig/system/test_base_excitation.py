@@ -119,7 +119,7 @@ def test_wrong_scene_of_base_is_rejected(sections: dict[str, Any], message: str)
 
 
 def test_free_structure_on_base_is_rejected() -> None:
-    with pytest.raises(rig.SceneError, match="nothing connects it to the ground"):
+    with pytest.raises(rig.SceneError, match="nothing connects the structure to the ground"):
         assemble(scene({"masses": [1.0, 2.0], "springs": [0.0, 1e4]}))
 
 

@@ -121,22 +121,24 @@ def modes_table(path: Path, sweeps: Sequence[Modes]) -> Path:
         for i, frequency in enumerate(modes.frequency):
             shape = dict(zip(bodies.names, bodies.shapes[:, i].real, strict=True))
             error = dict(zip(bodies.names, bodies.errors[:, i], strict=True))
-            omega, omega_uncertainty = 2 * np.pi * frequency, 2 * np.pi * modes.frequency_error[i]
             rows.append((
-                modes.label, modes.input, i + 1, *_rounded(frequency, modes.frequency_error[i]),
-                _rounded(omega, omega_uncertainty)[0], *_rounded(modes.damping[i], modes.damping_error[i]),
+                modes.label, modes.input, i + 1,
+                *_modal_cells(frequency, modes.frequency_error[i], modes.damping[i], modes.damping_error[i]),
                 *(shape.get(name, np.nan) for name in channels),
                 *(error.get(name, np.nan) for name in channels), modes.collinearity[i], "",
             ))  # fmt: skip
         unknown_shape = [np.nan] * (2 * len(channels) + 1)
-        for each in modes.uncertain:
-            omega, omega_uncertainty = 2 * np.pi * each.frequency, 2 * np.pi * each.frequency_error
-            rows.append((
-                modes.label, modes.input, "", *_rounded(each.frequency, each.frequency_error),
-                _rounded(omega, omega_uncertainty)[0], *_rounded(each.damping, each.damping_error),
-                *unknown_shape, each.reason,
-            ))  # fmt: skip
+        rows += [
+            (modes.label, modes.input, "", *_modal_cells(*each[:4]), *unknown_shape, each.reason)
+            for each in modes.uncertain
+        ]
     return write_table(path, heading, rows)
+
+
+def _modal_cells(frequency: float, frequency_error: float, damping: float, damping_error: float) -> Sequence[float]:
+    """Round a natural frequency in Hz and in rad/s, and a damping ratio, with their standard uncertainties."""
+    omega, _ = _rounded(2 * np.pi * frequency, 2 * np.pi * frequency_error)
+    return *_rounded(frequency, frequency_error), omega, *_rounded(damping, damping_error)
 
 
 def _rounded(value: float, error: float) -> tuple[float, float]:

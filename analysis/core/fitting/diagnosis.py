@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations, islice
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -187,17 +188,13 @@ class _Mistake(NamedTuple):
 
 def _most_likely(explanations: list[_Explanation]) -> tuple[bool, str]:
     """Return whether the most likely explanation is a known mistake, and a text with the most likely explanations."""
-    best, *others = sorted(explanations, key=_square)
+    best, *others = sorted(explanations, key=attrgetter("square"))
     text = f"{best.text}. If this is corrected, the scene fits."
     limit = best.square + best.margin
     close = [other.text for other in others if other.is_known_mistake and other.square < limit]
     if close:
         text += f" Nearly as likely: {close[0]}."
     return best.is_known_mistake, text
-
-
-def _square(explanation: _Explanation) -> float:
-    return explanation.square
 
 
 def _fit_best(starts: list[_Explanation]) -> _Explanations:

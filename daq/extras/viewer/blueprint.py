@@ -99,13 +99,10 @@ def layout(
 
 def _curve_view(entity: str, title: str, cursor_range: rrb.TimeRange) -> rrb.TimeSeriesView:
     ranges = rrb.VisibleTimeRange(TIMELINE, cursor_range)
-    return rrb.TimeSeriesView(origin=entity, name=title, time_ranges=ranges, plot_legend=_legend())
+    legend = rrb.PlotLegend(rrb.Corner2D.LeftTop)
+    return rrb.TimeSeriesView(origin=entity, name=title, time_ranges=ranges, plot_legend=legend)
 
 
 def _cursor_range(before_s: float, after_s: float) -> rrb.TimeRange:
     start, end = (rrb.TimeRangeBoundary.cursor_relative(seconds=time_s) for time_s in (-before_s, after_s))
     return rrb.TimeRange(start=start, end=end)
-
-
-def _legend() -> rrb.PlotLegend:
-    return rrb.PlotLegend(rrb.Corner2D.LeftTop)

@@ -10,8 +10,6 @@ import rig
 from rig.core.system.structural_model import receptance
 from rig.studies.motion_map.grid import take_off_levels
 
-STEEL = {"contact": {"duration": "1 ms"}}
-
 
 def one_body(**damper: Any) -> rig.Scene:
     """Return a body with a mass on a spring."""

@@ -1,15 +1,12 @@
 """A series of tones at which the amplitude of a response is constant."""
 
-from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, WithJsonSchema
 
-from rig.core.scene.body_names import body_problems
 from rig.core.scene.excitation.kind import DrivenShaker, Settle
 from rig.core.scene.excitation.stepped_sine import Measure, SteppedTest
 from rig.core.scene.shaker import Shaker
-from rig.core.settings.problems import Problem
 from rig.core.settings.quantities import ACCELERATION, LENGTH, VELOCITY
 from rig.core.settings.quantity_field import Quantity
 
@@ -17,11 +14,6 @@ from rig.core.settings.quantity_field import Quantity
 BodyLocation = Annotated[str, Field(pattern=r"^body [1-9][0-9]{0,5}$"), WithJsonSchema({"type": "string"})]
 # Unit of each derivative of a displacement.
 _UNITS = ("m", "m/s", "m/s^2")
-
-
-def location_problems(valid: Mapping[str, Any], at: str) -> Iterable[Problem]:
-    """Check that the body at a location exists; `valid`: as in `KindOfTest.references`."""
-    return body_problems(valid, int(at.removeprefix("body ")), ("at",))
 
 
 class ConstantResponse(SteppedTest):
@@ -56,8 +48,3 @@ class ConstantResponse(SteppedTest):
     @property
     def tone(self) -> None:
         """None, because the drive depends on measured values."""
-
-    def references(self, valid: Mapping[str, Any]) -> Iterable[Problem]:
-        """Check that the test names an existing shaker and body."""
-        yield from super().references(valid)
-        yield from location_problems(valid, self.at)

@@ -1,11 +1,11 @@
 """A tone that follows the response at constant force through its folds, even where the motion is unstable."""
 
-from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from collections.abc import Iterable
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from rig.core.scene.excitation.constant_response import BodyLocation, location_problems
+from rig.core.scene.excitation.constant_response import BodyLocation
 from rig.core.scene.excitation.kind import MAX_STEPS, DrivenShaker, Drives, Forces, Frequency, KindOfTest, Settle, Start
 from rig.core.scene.excitation.stepped_sine import Measure
 from rig.core.scene.shaker import Shaker
@@ -60,8 +60,3 @@ class Continuation(KindOfTest):
     def controlled_terms(self, shaker: Shaker, table: str) -> dict[str, float]:
         """Return the location of the controlled motion."""
         return {self.at: 1.0}
-
-    def references(self, valid: Mapping[str, Any]) -> Iterable[Problem]:
-        """Check that the test names an existing shaker and body."""
-        yield from super().references(valid)
-        yield from location_problems(valid, self.at)

@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 from pydantic import Field
 
 from rig.core.base.arrays import Array
+from rig.core.scene.body_names import body_problems
 from rig.core.scene.excitation.profile import Prescription, range_text
 from rig.core.scene.shaker import Shaker, as_tuple
 from rig.core.settings.problems import KeyPath, Problem
@@ -307,6 +308,8 @@ class KindOfTest(Settings):
         """Check references to other sections; `valid`: the valid sections before the test, by key."""
         if self.uses_shaker and "shaker" in valid:
             yield from self._check_shakers(as_tuple(valid["shaker"]))
+        if (at := getattr(self, "at", None)) is not None:
+            yield from body_problems(valid, int(at.removeprefix("body ")), ("at",))
 
     def _check_shakers(self, shakers: tuple[Shaker, ...]) -> Iterable[Problem]:
         """Check the numbers of the driven shakers, and that the first has the key of the level."""

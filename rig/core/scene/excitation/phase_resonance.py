@@ -1,12 +1,12 @@
 """A tone whose frequency follows a resonance: the response has a given phase relative to the force."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from math import pi
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from rig.core.scene.excitation.constant_response import BodyLocation, location_problems
+from rig.core.scene.excitation.constant_response import BodyLocation
 from rig.core.scene.excitation.kind import (
     DrivenShaker,
     Drives,
@@ -80,8 +80,3 @@ class PhaseResonance(KindOfTest):
     def shortest(self) -> float:
         """Time of all measurements [s]."""
         return len(self.levels) * self.measure.periods / self.frequency
-
-    def references(self, valid: Mapping[str, Any]) -> Iterable[Problem]:
-        """Check that the test names an existing shaker and body."""
-        yield from super().references(valid)
-        yield from location_problems(valid, self.at)

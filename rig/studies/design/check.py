@@ -62,17 +62,18 @@ def scene_with_check(scene: Scene, trial: Trial, objective: Objective) -> Scene:
 def missing_channels(scene: Scene, body: int) -> list[Channel]:
     """Return channels that a check needs and the scene lacks: the reference, and the body with the largest peak.
 
-    A shaker without a coil spring needs a force channel; its sensor fills half of the converter's range. With a coil
-    spring, the force follows from the displacements of both ends of the spring. New motion channels have the sensor and
-    amplifier of the scene's first accelerometer.
+    A force sensor at the shaker is the reference. Without one, a shaker without a coil spring gets one that fills half
+    of the converter's range; with a coil spring, the force follows from the displacements of both ends of the spring.
+    New motion channels have the sensor and amplifier of the scene's first accelerometer.
     """
     if scene.channels is None:
         return []
     shaker = scene.driven_shaker
     assert shaker is not None
     force_locations = sorted(shaker.force_terms(scene.at_driven("shaker"), scene.at_driven("table")))
-    needed_locations = [f"body {body}", *(force_locations or [scene.at_driven("table")])]
     measured_locations = {channel.at for channel in scene.channels}
+    reference = force_locations or [scene.at_driven("table")]
+    needed_locations = [f"body {body}", *([] if scene.at_driven("shaker") in measured_locations else reference)]
     names = {channel.name for channel in scene.channels}
     template = next((channel for channel in scene.channels if channel.accelerometer is not None), None)
     new_channels = []
@@ -102,7 +103,12 @@ def _frequencies_around(peaks: Sequence[float], band: tuple[float, float]) -> Ar
         step = 2.0 * PEAK_HALF_WIDTH * peak / (POINTS_PER_PEAK - 1)
         low = max([low, *(last + step for last in frequencies[-1:])])
         frequencies += np.linspace(low, high, max(1 + round((high - low) / step), 1)).tolist()
-    return np.unique([*frequencies, *peaks])
+    return np.unique([_rounded(frequency) for frequency in [*frequencies, *peaks]])
+
+
+def _rounded(frequency: float) -> float:
+    """Round a frequency to six digits, which resolve a peak with a damping ratio of 0.01 %."""
+    return float(f"{frequency:.6g}")
 
 
 def expected_results(scene: Scene, trial: Trial, workers: Workers) -> tuple[Expected, ...]:
@@ -118,7 +124,9 @@ def _expected_result(scene_and_peak: tuple[Scene, Peak]) -> Expected:
     scene, peak = scene_and_peak
     test = scene.test
     assert test is not None
-    frequencies = [frequency for frequency in test.dwells if frequency <= peak.frequency][-APPROACH_FREQUENCIES:]
+    frequencies = [frequency for frequency in test.dwells if frequency <= _rounded(peak.frequency)][
+        -APPROACH_FREQUENCIES:
+    ]
     magnitudes, closing_speed, is_steady = [], np.zeros(len(scene.dampers)), True
     # Only a force is controlled, and has a tolerance.
     tolerances = (0.0, -FORCE_TOLERANCE, FORCE_TOLERANCE) if scene.level_key == "force" else (0.0,)

@@ -86,6 +86,15 @@ def mass_unit(mass: float) -> tuple[float, str]:
     return (1e3, "g") if mass < 1.0 else (1.0, "kg")
 
 
+def rounded(length: float) -> float:
+    """Round a length to four digits: it can then be built and typed, and is the one that the design computed.
+
+    >>> rounded(0.001631850779875702)
+    0.001632
+    """
+    return float(f"{length:.4g}")
+
+
 @dataclass(frozen=True, order=True)
 class Choice:
     """A candidate design: body (from 1), mass [kg] and clearance [m, infinite without a ceiling] of each damper.
@@ -126,7 +135,7 @@ class Choice:
 
     def scale_clearances(self, factor: float) -> Choice:
         """Multiply all clearances by a factor."""
-        return replace(self, clearances=tuple(factor * clearance for clearance in self.clearances))
+        return replace(self, clearances=tuple(rounded(factor * clearance) for clearance in self.clearances))
 
     @property
     def heaviest_index(self) -> int:

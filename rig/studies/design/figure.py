@@ -22,6 +22,7 @@ from rig.studies.design.choice import Choice, mass_unit
 from rig.studies.design.design import Design
 from rig.studies.design.overloads import overload_lines, predict_overloads
 from rig.studies.design.ranking import MIN_MACHINABLE_CLEARANCE
+from rig.studies.design.tuned_mass import TunedMass
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -91,6 +92,8 @@ def _verdict(design: Design) -> list[str]:
     ]
     if design.serves:
         lines.append(str(design.tolerance))
+    if design.tuned is not None:
+        lines.append(_comparison_with_tuned_mass(design, design.tuned))
     height = design.flight.height
     if 0.0 < height < max(design.best.choice.clearances):
         lines.append(
@@ -104,6 +107,19 @@ def _verdict(design: Design) -> list[str]:
             "less effective. To exclude small clearances, give `clearance`."
         )
     return lines
+
+
+def _comparison_with_tuned_mass(design: Design, tuned: TunedMass) -> str:
+    """Return a sentence on the peaks with a tuned mass damper instead, which is linear: one reduction at all levels."""
+    advantages = [design.reduction(tuned.peak) - design.reduction(peak) for peak in design.best.peaks]
+    low, high = (format_decimals(abs(limit), 1) for limit in (min(advantages), max(advantages)))
+    if min(advantages) >= 0.0:
+        difference = f"{low} to {high} dB lower" if low != high else f"{high} dB lower"
+    elif max(advantages) <= 0.0:
+        difference = f"{high} to {low} dB higher" if low != high else f"{low} dB higher"
+    else:
+        difference = f"between {low} dB higher and {high} dB lower, depending on the level,"
+    return f"with a tuned mass damper of the same mass, the largest peak is {difference} than with these dampers"
 
 
 def _tables(design: Design) -> list[str]:

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
-from rig.studies.design.choice import FINE_DENSITY, Choice, Objective, SearchSpace, Trial
+from rig.studies.design.choice import FINE_DENSITY, Choice, Objective, SearchSpace, Trial, rounded
 from rig.studies.design.evaluator import Evaluator, KnownTrials
 from rig.studies.design.ranking import EQUAL_RATIO, rank_trials, search_cost
 from rig.studies.design.worst_peak import Peak
@@ -226,7 +226,7 @@ def _optimize_each_damper(start: Choice, cost: Callable[[Choice], float], bounds
     def cost_at(unknowns: np.ndarray) -> float:
         clearances, shares = np.exp(unknowns[:count]), np.exp(np.append(unknowns[count:], 0.0))
         masses = start.mass * shares / shares.sum()
-        return cost(Choice(start.bodies, tuple(masses.tolist()), tuple(clearances.tolist())))
+        return cost(Choice(start.bodies, tuple(masses.tolist()), tuple(map(rounded, clearances.tolist()))))
 
     log_mass_ratios = np.log(np.array(start.masses[:-1]) / start.masses[-1])
     initial = np.concatenate([np.log(start.clearances), log_mass_ratios])

@@ -48,7 +48,8 @@ class Tolerance:
             return f"with every searched clearance, the largest peak is {rise}: build no ceiling"
         low = format_number(1e3 * self.low)
         if np.isinf(self.high):
-            return f"the largest peak rises by at most {MAX_RISE_DB:g} dB for every clearance above {low} mm"
+            without = "" if np.isinf(self.chosen) else " and without a ceiling: the clearance is not critical"
+            return f"the largest peak rises by at most {MAX_RISE_DB:g} dB for every clearance above {low} mm{without}"
         high = format_number(1e3 * self.high)
         text = f"the largest peak rises by at most {MAX_RISE_DB:g} dB for clearances from {low} to {high} mm"
         if any(self.at_limit):

@@ -66,3 +66,9 @@ def test_channels_that_a_check_needs_are_added(shaker: str, added: list[str]) ->
     assert list(channels) == ["body 2", *added]
     assert channels["body 1"].accelerometer == channels["body 2"].accelerometer
     assert not missing_channels(checked, 1)
+
+
+def test_force_sensor_at_stinger_needs_no_table_channel() -> None:
+    scene = _bracket(TABLE)
+    force = {"name": "force", "at": "shaker", "hammer": {"sensitivity": "10 mV/N"}}
+    assert not missing_channels(scene.replace(channels=[*(scene.channels or ()), force]), 2)

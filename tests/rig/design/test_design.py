@@ -97,7 +97,7 @@ def test_written_scene_loads_and_summary_matches(design: rig.Design, tmp_path: P
     assert [command[:3] for command in commands] == [["daq", "record", str(scene)]] * 2
     assert "dampers=null" in commands[0] and "dampers=null" not in commands[1]
     unsteady = replace(design, expected=tuple(replace(expectation, magnitudes=None) for expectation in design.expected))
-    assert "no steady state, so that measured values scatter" in describe_check(unsteady, scene)
+    assert "no steady state, so measured values scatter" in describe_check(unsteady, scene)
 
 
 @pytest.mark.thorough

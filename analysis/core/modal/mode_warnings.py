@@ -159,9 +159,9 @@ def rejections(fitted_poles: IdentifiedPoles) -> Iterator[str]:
             "below the uncertainty of these curves. Damper impacts also cause such peaks, which are not modes."
         )
     if fitted_poles.uncertain:
+        listed = ", ".join(f"{each.frequency_text()} ({each.reason})" for each in fitted_poles.uncertain)
         yield (
-            f"Uncertain modes: {', '.join(each.frequency_text() for each in fitted_poles.uncertain)}. Parts of the "
-            "lines do not confirm them. Leakage, double impacts, spikes of single lines and a nonlinear structure "
+            f"Uncertain modes: {listed}. Leakage, double impacts, spikes of single lines and a nonlinear structure "
             "cause such poles. Measure with a smaller frequency spacing or more averages to identify modes there."
         )
 

@@ -457,7 +457,7 @@ def test_rejected_poles_are_named_without_modes() -> None:
     random, frequency = np.random.default_rng(0), np.arange(30.0, 400.0, 0.5)
     value = 1.0 / (1.0 - (frequency / 190.0) ** 2 + 0.008j * frequency / 190.0)
     noise = random.standard_normal(frequency.size) + 1j * random.standard_normal(frequency.size)
-    with pytest.raises(RecordingError, match=r"Uncertain modes: \(189\.80 ± 0\.53\) Hz"):
+    with pytest.raises(RecordingError, match=r"Uncertain modes: \(189\.80 ± 0\.53\) Hz \(frequency is uncertain\)"):
         analysis.identify([Response.curve(frequency, value + 0.4 * abs(value) * noise, "a")])
 
 

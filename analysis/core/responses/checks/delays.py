@@ -39,7 +39,7 @@ _MODEL_ERRORS = (0.001, 0.01, 0.05)
 _MAX_MISFIT_RATIO = 4.0
 # Smallest standard deviation of a curve from its model, relative to the curve.
 _MODEL_ERROR = 0.005
-# Smallest standard deviation of the phases of residues, rad, due to modes outside the band and phases of sensors.
+# Smallest standard deviation of the phases of residues [rad], due to modes outside the band and phases of sensors.
 _PHASE_DEVIATION = 0.05
 # Standard deviation of the damping coupling of two modes, relative to the largest coupling that dashpots can cause.
 _MEAN_COUPLING = 0.3

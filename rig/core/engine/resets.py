@@ -207,8 +207,8 @@ def _end_impact(flow: Flow, model: Model, state: State, j: int, m: int, x: int, 
 def _touched_end(model: Model, state: State, j: int, gap_error: float) -> int:
     """Return the end at which a flying mass touches a wall within rounding while approaching it, or NONE.
 
-    `gap_error`: error of the gap of the mass whose impact determined the instant, m. Allowing for it, masses that fly
-    together land together.
+    `gap_error`: numerical error of the gap of the mass whose impact determined the instant, m. With this error as the
+    tolerance, masses that fly with equal gaps land at the same instant.
     """
     m, element = mode_number(model, state, j), model.laws.elements[j]
     multiplicity = state.multiplicity[element.first_lane]

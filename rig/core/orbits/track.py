@@ -19,7 +19,7 @@ from rig.core.orbits.orbit_equations import Equations, Sequence, along_gap
 MAX_RATE_TIMES_STEP = 0.25
 # Limit of the same product if only the harmonic is computed, which then has a relative error of 1e-11.
 _MAX_RATE_TIMES_HARMONIC_STEP = 0.7
-# Maximum number of steps in a segment; it limits the memory for long flights in stiff structures.
+# Maximum number of steps in a segment: without a limit, a long flight in a stiff structure would fill the memory.
 MAX_STEPS = 1500
 # Bernoulli numbers over factorials, for the end corrections of the trapezoidal rule (Euler-Maclaurin).
 _END_CORRECTIONS = np.array([1 / 12, -1 / 720, 1 / 30240, -1 / 1209600, 1 / 47900160])
@@ -28,7 +28,7 @@ _END_CORRECTIONS = np.array([1 / 12, -1 / 720, 1 / 30240, -1 / 1209600, 1 / 4790
 class Track(NamedTuple):
     """An orbit at the ends of equal steps of every segment between events.
 
-    The segment after the last event extends into the next period up to the first event.
+    The last segment begins at the last event of a period and ends at the first event of the next period.
     """
 
     times: Array  # shape (segments, steps + 1)

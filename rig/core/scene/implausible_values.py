@@ -116,7 +116,8 @@ def _springs(scene: Scene, content: Mapping[str, Any]) -> Iterator[Problem]:
         effect = f"a body of {mass:.3g} kg on a spring of {stiffness:.3g} N/m resonates at {resonance:.3g} Hz"
         if resonance == 0.0 or resonance >= _MIN_BARE_RESONANCE_HZ:
             continue
-        if not _unit(body) and _unit(spring):
+        # A mass in grams must explain the resonance: a spring in mN/m instead of MN/m is softer.
+        if not _unit(body) and _unit(spring) and resonance >= _MIN_BARE_RESONANCE_HZ / sqrt(1e3):
             yield _warning(mass_path, body, "g", f"read as {mass:g} kg: {effect}")
         elif resonance < _MIN_RESONANCE_HZ or (_unit(body) and not _unit(spring) and not is_si):
             unit = "MN/m" if _unit(spring) == "mN/m" else "kN/m"

@@ -72,6 +72,7 @@ CHAIN = "structure: {masses: [%s, 0.7 kg], springs: [%s, 20 kN/m]}\ndampers: [{b
     ("values", "message"),
     [
         (("0.8 kg", "2.4 mN/m", "74 g"), r"springs\[1\]: got 2.4 mN/m, .* resonates at 0.00872 Hz. .* 2.4 MN/m\?"),
+        (("0.8", "2.4 mN/m", "74 g"), r"springs\[1\]: got 2.4 mN/m, .* 2.4 MN/m\?"),
         (("0.8 kg", "2.4", "74 g"), r"springs\[1\]: got 2.4 without a unit, .* such as 2.4 kN/m"),
         (("800", "24 kN/m", "99 kg"), r"masses\[1\]: got 800 without a unit, read as 800 kg: .* such as 800 g"),
         (("0.8 kg", "24 kN/m", "100"), r"dampers\[1\].mass: got 100 .*, 125 times the mass .* such as 100 g"),

@@ -31,7 +31,7 @@ _LEGEND_TEXTS = {
     "uncertain": "impacts missed, or irregular",
 }
 # Color of each known motion, as in the motion map.
-_MOTION_COLORS = dict(zip(_LEGEND_TEXTS, (*MOTIONS[:5], "#8c8c8c", "#444444"), strict=True))
+_MOTION_COLORS = dict(zip(_LEGEND_TEXTS, (*MOTIONS[:5], "#ffffff", "#444444"), strict=True))
 
 
 def dampers_figure(dampers: Dampers, title: str) -> Figure:
@@ -69,14 +69,20 @@ def _draw_motions(axes: Axes, motions: Sequence[Sequence[DamperMotion]]) -> None
             frequencies.setdefault(motion.name.split(":")[0], []).append(motion.frequency)
         for kind, frequency in frequencies.items():
             for low, high in (edges[each] for each in frequency):
-                axes.fill_between([low, high], row - 0.35, row + 0.35, color=_MOTION_COLORS[kind], lw=0)
+                axes.fill_between([low, high], row - 0.35, row + 0.35, **_style(kind))
         drawn |= frequencies.keys()
     axes.set_ylim(len(motions) - 0.4, -0.6)
     axes.set_yticks(range(len(motions)), [escape_figure(body[0].channel) for body in motions])
     axes.grid(False, axis="y")
     for kind, text in _LEGEND_TEXTS.items():
         if kind in drawn:
-            axes.plot([], [], "s", color=_MOTION_COLORS[kind], ms=7, label=text)
+            axes.fill_between([], [], [], **_style(kind), label=text)
+
+
+def _style(kind: str) -> dict[str, Any]:
+    """Return the style of the cells of a motion; a motion that is not known is hatched."""
+    hatch = {"hatch": "/////", "edgecolor": "#8c8c8c"} if kind == "unseen" else {}
+    return {"facecolor": _MOTION_COLORS[kind], "lw": 0, **hatch}
 
 
 def _draw_energies(axes: Axes, energy: EnergyBalance, lines: Lines, true_loss: np.ndarray | None) -> None:

@@ -45,12 +45,13 @@ def _profile_chart(check: ProfileCheck) -> Chart:
     ]
     for level, style in zip(check.limited, limited, strict=True):
         curves.append(Curve(level.channel, frequency, level.values, level.low, level.high, style._replace(dashes=())))
-        curves.append(Curve(f"limit of {level.channel}", frequency, level.bound, style=style._replace(dashes=(1, 1.5))))
+        curves.append(Curve(f"limit of {level.channel}", frequency, level.bound, style=style._replace(dashes=(2, 2))))
     highest = max(float(np.nanmax(np.asarray(curve.y))) for curve in curves)
     return Chart(
         f"Control channel with profile and tolerance of {check.tolerance:g} dB; limited channels with limits (dotted)"
         + " and 95 % intervals" * check.is_density
-        + ". Strip at the axis: outside the tolerance, where no limit acts." * bool(check.is_outside.any()),
+        + "."
+        + " Strip at the axis: outside the tolerance, where no limit acts." * bool(check.is_outside.any()),
         "Control and limited channels against the profile.",
         [
             Panel(

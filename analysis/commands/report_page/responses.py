@@ -85,11 +85,14 @@ def response_charts(measurements: Sequence[Measurement], baseline_name: str) -> 
         baseline = next((each for each in with_responses if each.label == baseline_name), with_responses[0]).sweeps[0]
         band = np.concatenate([frf.frequency for frf in group])
         view = None if baseline.modes is None else _first_view(band, baseline.modes.frequency)
-        chart = response_chart(group, names, styles, marks, _mode_marks(sweeps, baseline, group, styles), view)
+        # Names of levels are short enough for labels.
+        levels = names if several and len(with_responses) == 1 else [""] * len(group)
+        labels = _mode_marks(sweeps, baseline, group, styles, levels)
+        chart = response_chart(group, names, styles, marks, labels, view)
         tests = {each.label: _test_text(each) for each in with_responses}
         equal = len(set(tests.values())) == 1
-        levels = [text if equal else f"{label}: {text}" for label, text in tests.items() if text]
-        test = "; ".join(dict.fromkeys(levels))
+        texts = [text if equal else f"{label}: {text}" for label, text in tests.items() if text]
+        test = "; ".join(dict.fromkeys(texts))
         sentences = _SENTENCE_END.split(f"{chart.caption} Test: {test}." if test else chart.caption)
         # Later charts do not repeat the sentences of the first.
         charts.append(replace(chart, caption=" ".join(text for text in sentences if text not in stated)))
@@ -121,10 +124,12 @@ def _mode_marks(
     baseline: SweepResults,
     frfs: Sequence[Response],
     styles: Sequence[CurveStyle] | None,
+    levels: Sequence[str],
 ) -> list[Mark]:
     """Label modes and other marked peaks of the sweeps in a chart, in the colors of their curves if there are several.
 
-    The height is that of the mode's highest peak in the chart. The labels of the first curve are first.
+    The height is that of the mode's highest peak in the chart. The labels of the first curve are first. `levels`: names
+    of the curves in the labels, or empty texts.
     """
     marks = list[tuple[int, Mark]]()
     for sweep in sweeps if styles else [baseline]:
@@ -145,7 +150,8 @@ def _mode_marks(
             if drawn:
                 height, curve = max(drawn)
                 color = styles[curve].color if styles else ""
-                marks.append((curve * bool(styles), Mark(frequency, height, f"{text} Hz", color)))
+                label = ": ".join(filter(None, [levels[curve], f"{text} Hz"]))
+                marks.append((curve * bool(styles), Mark(frequency, height, label, color)))
     return [mark for _, mark in sorted(marks)]
 
 

@@ -20,7 +20,7 @@ BASELINE = "#404040"
 #: Recordings that are compared with a baseline.
 RECORDINGS = ("#AA4499", "#44AA99", "#A6761D", "#7E6BC4", "#CC6677", "#999933")
 #: Dampers by their type of motion (`rig.studies.motion_map`), from rest to irregular.
-MOTIONS = ("#e4e4e4", "#a6cee3", "#3f8fc4", "#1b4f7e", "#f2c14e", "#e07b39", "#8c1c3a")
+MOTIONS = ("#e4e4e4", "#a6cee3", "#3f8fc4", "#1b4f7e", "#cf9a2b", "#e07b39", "#8c1c3a")
 #: Background of dark pages, and minimum contrast of curves on it: above 4.5, which WCAG requires for text, because
 #: curves are thinner than text.
 DARK_PAGE = "#14181d"

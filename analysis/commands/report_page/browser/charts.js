@@ -12,7 +12,7 @@
   const MIN_CONTRAST = 6; // of curves on a dark page: they are thinner than text, for which WCAG requires 4.5
   const MIN_DECADE = 120; // px: a shorter decade has no grid lines between its ends
   const MIN_LABEL = 14; // px between labels of decades
-  const LABEL_ROW = 14, LABEL_ROWS = 2; // px, and the number of rows of labels for which a panel is higher
+  const LABEL_ROW = 14, LABEL_ROWS = 3; // px, and the largest number of rows of labels for which a panel is higher
   const SYMBOLS = ["dots", "crosses", "circles", "diamonds", "arrows", "path"]; // drawn over the series, in any order of the abscissa
   const FONT = "12px system-ui, sans-serif";
   // Anchors of a perceptually uniform color map (viridis), dark to bright.
@@ -466,7 +466,7 @@
   function height(panel, last) {
     measure.font = FONT;
     const title = measure.measureText(panel.label).width + 10;
-    return Math.max(panel.height * (printing ? PRINT_HEIGHT : 1), title) + (last ? 52 : 6) + (panel.marks.length ? LABEL_ROWS * LABEL_ROW : 0);
+    return Math.max(panel.height * (printing ? PRINT_HEIGHT : 1), title) + (last ? 52 : 6) + LABEL_ROW * Math.min(panel.marks.length, LABEL_ROWS);
   }
 
   function draw(holder, chart, number) {

@@ -38,7 +38,9 @@ def frf(
     files: Curves,
     output: Folder = None,
     *,
-    theory: Annotated[bool, "Add the exact response of the scene without dampers."] = False,
+    theory: Annotated[
+        bool, "Add the linear response computed from the scene, without beds and sliding masses."
+    ] = False,
     overwrite: Overwrite = False,
     **options: Any,
 ) -> None:
@@ -180,7 +182,9 @@ def fit(
     changes: Changes = None,
     *,
     free: list[str] | None,
-    output: Annotated[Path, "FILE: Fitted scene to write; the figures are written next to it."] = Path("fitted.yaml"),
+    output: Annotated[Path, "FILE: Fitted scene to write; the figure of residuals is written next to it."] = Path(
+        "fitted.yaml"
+    ),
     overwrite: Annotated[bool, "Replace FILE if it exists."] = False,
 ) -> None:
     """Fit the values of a scene to recordings, with 95 % intervals."""

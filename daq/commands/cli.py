@@ -99,7 +99,8 @@ def import_recording(
         list[Path], "FILE...: Time histories: .tdms .uff .wav .csv .txt .npz .mat .h5, or .mcap of another program."
     ],
     scene: Annotated[
-        str | None, "SCENE: Scene of the bench and its channels. Without a scene, the contents of FILE are listed."
+        str | None,
+        "SCENE: Scene that describes the test setup and its channels. Without it, FILE is only listed, not imported.",
     ] = None,
     changes: Changes = None,
     table: Annotated[

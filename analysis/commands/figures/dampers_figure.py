@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 # Legend entries of the motions by name (`DamperMotion.name`), in the order of the legend.
 _LEGEND_TEXTS = {
     "riding": "at rest on the floor",
-    "I": "type I: flies, hits the floor once a period",
-    "II": "type II: hits floor and ceiling once a period",
-    "III": "type III: as type II, but stays at the ceiling",
+    "I": "Type I: flies, hits the floor once a period",
+    "II": "Type II: hits floor and ceiling once a period",
+    "III": "Type III: as Type II, but stays at the ceiling",
     "other": "other pattern of impacts",
     "unseen": "may fly, impacts below the detection limit",
     "uncertain": "impacts missed, or irregular",
@@ -38,6 +38,7 @@ def dampers_figure(dampers: Dampers, title: str) -> Figure:
     """Draw the motion of each damper at each frequency and, if known, the energy per period."""
     motions, energy, lines = dampers.bodies, dampers.energy, dampers.sweep.lines
     frequencies = np.append(lines.frequency, lines.omitted)
+    # A margin of 2 %, so the first and the last cell are not cut.
     low, high = 0.98 * float(frequencies.min()), 1.02 * float(frequencies.max())
     with new_figure(2.0 + 0.3 * len(motions) + (2.6 if energy is not None else 0.0)) as figure:
         heights = [0.45 * len(motions) + 0.15] + ([2.2] if energy is not None else [])
@@ -57,7 +58,7 @@ def dampers_figure(dampers: Dampers, title: str) -> Figure:
 
 
 def _draw_motions(axes: Axes, motions: Sequence[Sequence[DamperMotion]]) -> None:
-    """Draw one row for each body, with a cell in the color of its motion at each measured frequency."""
+    """Draw one row for each body, with a cell for each measured frequency in the color of the type of motion."""
     drawn: set[str] = set()
     for row, body in enumerate(motions):
         axes.axhline(row, color="#d9d9d9", lw=0.8, zorder=0)

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from analysis.core.decays.modal_decay import ModalDecay
 
 
-# Modes of different recordings share a panel if their frequencies differ by less than this fraction; dampers shift
-# them.
+# Modes of different recordings share a panel if their frequencies differ by less than this fraction: moving dampers
+# shift natural frequencies.
 _MAX_FREQUENCY_DIFFERENCE = 0.15
 
 
@@ -37,6 +37,7 @@ def decay_figure(decays: Sequence[Decay], title: str, styles: Sequence[CurveStyl
         rows = figure.add_gridspec(3, max(len(modes), 1), height_ratios=[1.25, 1.0, 1.0 if modes else 0.02])
         waveform_axes = figure.add_subplot(rows[0, :])
         envelope_axes = figure.add_subplot(rows[1, :], sharex=waveform_axes)
+        # The vertical axis always includes 1 g.
         duration, lowest = max(_relevant_duration(decay) for decay in decays), decays[0].gravity
         for decay, style in zip(decays, styles, strict=True):
             color = style.color
@@ -113,9 +114,9 @@ def _draw_damping(
         if positive.size:
             low, high = float(positive.min()), float(positive.max())
             # The axis includes the edges of the 95 % bands, unless the curves would then become too small.
-            bounds = [m.percent[1] for decays_of_mode in modes for _, m in decays_of_mode]
+            expanded = [m.percent[1] for decays_of_mode in modes for _, m in decays_of_mode]
             edges = np.concatenate(
-                [value + sign * bound for value, bound in zip(values, bounds, strict=True) for sign in (-1, 1)]
+                [value + sign * each for value, each in zip(values, expanded, strict=True) for sign in (-1, 1)]
             )
             included_edges = edges[(edges > 0.1 * low) & (edges < 10.0 * high)]
             low, high = min(low, *included_edges) / 1.3, max(high, *included_edges) * 1.3

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 # At most this number of sweeps is drawn: more panels would not fit on a page.
 MAX_ROWS = 8
-# Height of a row of the figure [inches].
 _ROW_HEIGHT_IN = 2.4
-# The curve is interrupted at a frequency step above this multiple of the larger neighboring step.
+# A fitted curve has a gap where a frequency step exceeds this multiple of both neighboring steps: a line across the gap
+# would show values that were never computed.
 _MIN_BREAK_RATIO = 3.0
 
 
@@ -39,7 +39,8 @@ def fit_figure(result: Fit) -> Figure:
                 frequency_axis(ax, *band, labeled)
         add_legend_below(
             figure,
-            f"Dots: measured. Lines: the fitted scene at the same frequencies.{crosses} Gray: two standard deviations.",
+            f"Dots: measured. Lines: the fitted scene at the same frequencies.{crosses} Gray: twice the standard "
+            "uncertainty.",
         )
     return figure
 
@@ -66,7 +67,7 @@ def _draw(curve_axes: Axes, residual_axes: Axes, compared: Comparison) -> None:
     add_title(curve_axes, curves.label)
     log_axis(residual_axes, [compared.normalized_residuals], max_decades=5.0)
     residual_axes.axhline(2.0, color="#555555", lw=0.6)
-    residual_axes.set_ylabel("residual / std. deviation")
+    residual_axes.set_ylabel("residual / standard uncertainty")
     omitted = int((~is_fitted).sum())
     omission = f", {omitted} point{'s' if omitted > 1 else ''} omitted" if omitted else ""
     add_title(residual_axes, f"Residual {format_number(100 * compared.relative)} % of the curve, rms{omission}")

@@ -19,7 +19,7 @@ from rig.core.results.uncertainty import expand
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# A mode shape is faded if the 95 % bound of an element exceeds this fraction of the largest element.
+# A mode shape is faded if the expanded uncertainty of a component exceeds this fraction of the largest component.
 MAX_SHAPE_BOUND = 0.5
 _FADED = 0.35
 # Error bars are cut at this length, because longer bars are wider than the panel.
@@ -29,7 +29,7 @@ _MAX_COLUMNS = 5
 
 
 def is_known_shape(bounds: Array) -> bool:
-    """Return whether a shape is drawn without fading: no 95 % bound exceeds half the largest element."""
+    """Return whether a shape is drawn without fading: no expanded uncertainty exceeds half the largest component."""
     return bool(np.all(bounds <= MAX_SHAPE_BOUND))
 
 
@@ -49,7 +49,7 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
         rows = figure.add_gridspec(2 + shape_rows, columns, height_ratios=[2.2, 1.3, *[1.3] * shape_rows])
         magnitude_axes = figure.add_subplot(rows[0, :])
         chart_axes = figure.add_subplot(rows[1, :])
-        # Frequencies are dense around each resonance, so the drawn model reaches its peaks.
+        # More points near each resonance; otherwise the drawn model would miss its peaks.
         near_peaks = modes.frequency[:, None] * (1.0 + np.outer(modes.damping, np.linspace(-8.0, 8.0, 161)))
         dense = np.unique(np.append(np.geomspace(low, high, 1500), near_peaks))
         dense = dense[(dense >= low) & (dense <= high)]

@@ -1,4 +1,4 @@
-"""The demonstration: record tests of Inoue, Yokomichi, Hiraki (2011) and reproduce its Figs 8 and 10b from them."""
+"""The demonstration: record the tests of Inoue, Yokomichi, Hiraki (2011) and reproduce its Figs 8 and 10b from them."""
 
 from __future__ import annotations
 
@@ -26,8 +26,7 @@ IMPACT_TESTS = ("fig10b-no-damper", "fig10b-three-dampers")
 
 # Coarse frequency grid over the band [Hz].
 _COARSE_HZ = np.linspace(8.0, 60.0, 34)
-# Fine grids around the resonances [Hz]. Riding dampers add mass and lower the resonances; the grids
-# cover the lowered resonances, too.
+# Fine grids [Hz] around the resonances, wide enough for the resonances that riding dampers lower by their mass.
 _FINE_HZ = (np.linspace(11.8, 13.6, 14), np.linspace(32.0, 35.6, 13), np.linspace(45.5, 51.0, 12))
 
 
@@ -106,7 +105,7 @@ def _scene(name: str, sweep_hz: tuple[float, ...]) -> Scene:
     scene = rig.load(name)
     if name not in STEPPED_SINES:
         return scene
-    # The force is that of Fig. 8; after 20 s even the slowest transient of the structure has decayed.
+    # The force is that of Fig. 8. The longest wait is 20 s: after this time even the slowest transient has decayed.
     test = {"kind": "stepped_sine", "frequencies": sweep_hz, "force": 2.6, "settle": {"longest": 20.0}}
     return scene.replace(test=test)
 

@@ -35,6 +35,7 @@ def present_fit(
         prepare_outputs(output, *(residuals.with_name(f"{residuals.name}.{ending}") for ending in ("png", "svg")))
         with show_activity() as report:
             result = fit(list(recordings), scene, free, report)
+        # The figure of residuals shows where the scene fails, so it is written before the error.
         files = save_figure(fit_figure(result), residuals)
         if result.misfit:
             for warning in result.warnings:
@@ -76,8 +77,10 @@ def describe(result: Fit) -> list[str]:
             "undetermined" if isnan(value) else format_interval(value, expanded)
             for value, expanded in zip(level.value, level.expanded, strict=True)
         )
-        levels.append((level.label, "in place" if level.dampers_move else "none", f"{level.acceleration:.3g}", damping))
-    residuals = [("recording", "residual / % of the curves, rms")] + [
+        levels.append(
+            (level.label, "can move" if level.dampers_move else "cannot move", f"{level.acceleration:.3g}", damping)
+        )
+    residuals = [("sweep", "residual / % of the curves, rms")] + [
         (comparison.curves.label, f"{100 * comparison.relative:.2g}") for comparison in result.compared
     ]
     tables = ((values, "<><><"), (sensors, "<>"), (modes, "<>>"), (levels, "<<>>"), (residuals, "<>"))

@@ -27,9 +27,9 @@ from rig.core.results import format_percent
 from rig.core.scene.excitation import FORCE_TOLERANCE
 from rig.core.scene.excitation.profile import from_decibels
 
-# The duration of a pulse is the time above this fraction of its peak.
+# The duration of a pulse is the time in which it exceeds this fraction of its peak.
 _VISIBLE_PART = 0.2
-# The chart of a profile ends at this fraction of the lowest value of the profile.
+# Lower limit of the vertical axis of a profile, as a fraction of the lowest value of the profile.
 _SHOWN_BELOW = 1e-2
 # The chart first shows this multiple of the duration of the pulse.
 _PULSE_VIEW = 3.0
@@ -69,7 +69,7 @@ def _profile_chart(check: ProfileCheck) -> Chart:
 
 
 def _tracking_chart(result: AmplitudeCurve | Backbone) -> Chart:
-    """Return a chart of the amplitude over the frequency of followed curves or resonances."""
+    """Return a chart of the amplitude against frequency of followed curves or resonances."""
     curves, parts = list[Curve](), result.parts()
     amplitude, bound = 1e3 * result.amplitude, 1e3 * result.amplitude_bound
     for part in parts:
@@ -80,7 +80,7 @@ def _tracking_chart(result: AmplitudeCurve | Backbone) -> Chart:
     difference = float(np.nanmax(abs(result.force / result.level - 1.0))) if result.unit == "N" else 0.0
     notes = [
         "Points in the order of the test, with 95 % intervals.",
-        "Hollow: unstable at constant force." * any(not part.is_stable for part in parts),
+        "Hollow circles: motions that are unstable at constant force." * any(not part.is_stable for part in parts),
         f"The measured force differs from its level by up to {format_percent(difference)}."
         * (difference > FORCE_TOLERANCE),
     ]
@@ -88,7 +88,7 @@ def _tracking_chart(result: AmplitudeCurve | Backbone) -> Chart:
     marks = [Mark(at, 1e3 * height, text) for at, height, text in sorted(result.marks())]
     return Chart(
         " ".join(filter(None, notes)),
-        "Amplitude over the frequency of the controlled tone.",
+        "Amplitude against frequency of the controlled tone.",
         [Panel(f"amplitude of {result.body}", "mm", curves, 300, limits=limits_with_margin(curves), marks=marks)],
         x_name="excitation frequency",
         x_limits=side_limits(frequency),
@@ -96,7 +96,7 @@ def _tracking_chart(result: AmplitudeCurve | Backbone) -> Chart:
 
 
 def _modal_chart(result: Backbone) -> Chart:
-    """Return a chart of natural frequency and damping ratio over the amplitude."""
+    """Return a chart of natural frequency and damping ratio against amplitude."""
     [part], amplitude = result.parts(), 1e3 * result.amplitude
     panels = []
     for name, unit, values, bound in (
@@ -108,7 +108,7 @@ def _modal_chart(result: Backbone) -> Chart:
         panels.append(Panel(name, unit, curves, 170, limits=limits_with_margin(curves)))
     return Chart(
         "Natural frequency and damping ratio of each level over its amplitude, with 95 % intervals.",
-        "Natural frequency and damping ratio over the amplitude.",
+        "Natural frequency and damping ratio against amplitude.",
         panels,
         x_name=f"amplitude of {result.body}",
         x_unit="mm",

@@ -27,15 +27,14 @@ _SPACING = 36
 # Position of the left edge of the bodies [px].
 _LEFT = 145
 # Position of shakers and hammers, left of the bodies [px].
-_DRIVE = 44
-# Width of the drawing [px].
+_SHAKER_X = 44
 _WIDTH = 400
 # Margin above and below the drawing [px].
 _MARGIN = 22
 # Size of a body in a mode shape [px].
 _SHAPE_WIDTH = 90
 _SHAPE_HEIGHT = 26
-# Width of a mode shape including the values right of the bodies, which have a larger font on phones [px].
+# Width of a mode shape [px], wide enough for the values at the right, which are larger on phones.
 _SHAPE_VIEW = 228
 # Distance between two bodies in a mode shape [px].
 _SHAPE_SPACING = 36
@@ -118,7 +117,9 @@ def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
             f'<circle cx="{x + 13:g}" cy="{top + 37:g}" r="7" fill="{DAMPER}"/></g>'
         )
         if len(dampers) == 1:
-            clearance = f", {format_number(1e3 * damper.clearance)} mm" if isfinite(damper.clearance) else ", open"
+            clearance = (
+                f", {format_number(1e3 * damper.clearance)} mm" if isfinite(damper.clearance) else ", no ceiling"
+            )
             if damper.spring is not None:
                 clearance = f", {damper.spring:.4g} N/m{f', {damper.walls_text}' if damper.has_walls else ''}"
             if damper.friction is not None:
@@ -151,18 +152,18 @@ def _shaker(shaker: Shaker, y: float, number: int | None) -> Iterator[str]:
     """Draw a shaker below an arm of the body that it drives, with its coil spring if it has one."""
     yield f'<text x="4" y="{y - 12:g}">{escape_html(shaker.glyph.title)}{"" if number is None else f" {number}"}</text>'
     if shaker.coil_spring is not None:
-        yield f'<path stroke="currentColor" d="M{_DRIVE - 14} {y:g}H{_LEFT}"/>'
-        yield _spring(_DRIVE, y, y + 33, TABLE)
-        yield f'<rect x="{_DRIVE - 20}" y="{y + 33:g}" width="40" height="28" rx="3" stroke="currentColor"/>'
-        yield f'<text x="{_DRIVE + 14}" y="{y + 22:g}">{shaker.coil_spring / 1e3:.4g} kN/m</text>'
+        yield f'<path stroke="currentColor" d="M{_SHAKER_X - 14} {y:g}H{_LEFT}"/>'
+        yield _spring(_SHAKER_X, y, y + 33, TABLE)
+        yield f'<rect x="{_SHAKER_X - 20}" y="{y + 33:g}" width="40" height="28" rx="3" stroke="currentColor"/>'
+        yield f'<text x="{_SHAKER_X + 14}" y="{y + 22:g}">{shaker.coil_spring / 1e3:.4g} kN/m</text>'
     else:
         yield _push(y, TABLE)
 
 
 def _push(y: float, color: str) -> str:
     """Draw a force in the direction of motion, at an arm of a body."""
-    arrow = f'<path stroke="{color}" stroke-width="2" d="M{_DRIVE} {y + 40:g}V{y + 3:g}m-6 9l6 -9l6 9"/>'
-    return f'<path stroke="currentColor" d="M{_DRIVE - 14} {y:g}H{_LEFT}"/>{arrow}'
+    arrow = f'<path stroke="{color}" stroke-width="2" d="M{_SHAKER_X} {y + 40:g}V{y + 3:g}m-6 9l6 -9l6 9"/>'
+    return f'<path stroke="currentColor" d="M{_SHAKER_X - 14} {y:g}H{_LEFT}"/>{arrow}'
 
 
 def _channels(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
@@ -185,8 +186,8 @@ def _channels(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
         elif location in tables:
             y = tops[tables[location].first_body - 1] + _BODY_HEIGHT / 2
             yield (
-                f'<rect x="{_DRIVE - 6}" y="{y + 41:g}" width="12" height="12" fill="{color}"/>'
-                f'<text x="{_DRIVE + 26}" y="{y + 51:g}">{escape_html(", ".join(names))}</text>'
+                f'<rect x="{_SHAKER_X - 6}" y="{y + 41:g}" width="12" height="12" fill="{color}"/>'
+                f'<text x="{_SHAKER_X + 26}" y="{y + 51:g}">{escape_html(", ".join(names))}</text>'
             )
         elif location != "hammer":
             other_channels.append(f"{', '.join(names)} ({location})")

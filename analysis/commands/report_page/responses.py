@@ -47,7 +47,7 @@ from rig.core.scene.excitation import FORCE_TOLERANCE
 
 _REQUIRED = CurveStyle("#6E7681", (2, 2))
 _UNDETERMINED = CurveStyle("#9aa2ab")
-# Upper end of the axis of relative bounds.
+# Upper end of the axis of relative expanded uncertainties.
 _MAX_PERCENT = 100.0
 # The first view of a wide band begins at this fraction of the lowest natural frequency, and ends at this multiple of
 # the highest.
@@ -65,9 +65,9 @@ _SENTENCE_END = re.compile(r"(?<=[.)]) (?=[A-Z])")
 def response_charts(measurements: Sequence[Measurement], baseline_name: str) -> list[Chart]:
     """Return charts of all frequency responses.
 
-    The responses of a single sweep share a chart. With several recordings or levels, each response has its own chart,
-    which compares them. Responses to different inputs never share a chart. `baseline_name`: label of the recording with
-    which the others are compared.
+    The responses of a single sweep share a chart. With several recordings or levels, each response has a chart that
+    compares the recordings and levels. Responses to different inputs never share a chart. `baseline_name`: label of the
+    recording with which the others are compared.
     """
     with_responses = [measurement for measurement in measurements if measurement.sweeps]
     frfs = [frf for measurement in with_responses for sweep in measurement.sweeps for frf in sweep.frfs]
@@ -208,7 +208,7 @@ def response_chart(
         unknown = ~known & np.isfinite(frf.value)
         if unknown.any():
             strips += value_ranges(f, unknown)
-            # One more point at either end makes the curve continuous where it becomes gray.
+            # One point more at either end closes the gap between the gray and the colored curve.
             joined = unknown | np.roll(unknown, 1) | np.roll(unknown, -1)
             stored = joined | np.roll(joined, 1)
             gray = np.where(joined, modulus, np.nan)[stored]
@@ -367,7 +367,7 @@ def stabilization_charts(measurements: Sequence[Measurement]) -> list[Chart]:
         charts.append(
             Chart(
                 f"{sweep.label}: poles of models of increasing order. Dotted lines: the identified modes, each with a "
-                f"column of stable poles. A column that is split into two around its line indicates a nonlinear mode."
+                f"column of stable poles. Two columns on either side of one line indicate a nonlinear mode."
                 + " Question marks: uncertain modes." * bool(modes.uncertain)
                 + " Hollow: stable, but not identified as a mode." * any(curve.draw == "circles" for curve in curves),
                 f"Stabilization diagram of {sweep.label}.",
@@ -406,7 +406,7 @@ def value_ranges(f: NDArray[np.float64], selected: NDArray[np.bool_]) -> list[tu
 
 
 def _percent_limits(curves: Sequence[Curve]) -> tuple[float, float]:
-    """Return the limits of the axis of relative bounds; it ends at 100 %, where the value is undetermined."""
+    """Return the limits of the axis of relative expanded uncertainties; it ends at 100 %: not determined."""
     return min(_limits(curves)[0], 0.1 * _MAX_PERCENT), _MAX_PERCENT
 
 

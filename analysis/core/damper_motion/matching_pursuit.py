@@ -58,8 +58,8 @@ _MAX_CENTERINGS = 4
 _MIN_DISTANCE_SAMPLES = 4
 # Minimum distance at which two jumps may be resolved [samples].
 MIN_RESOLVED_SAMPLES = 6
-# Two jumps are resolved if a joint fit increases the standard uncertainty of each jump by at most this factor: their
-# times are then still well determined.
+# Two jumps are resolved if a joint fit increases the standard uncertainty of the size of each jump by at most this
+# factor, compared with a fit of this jump alone. Their times are then still well determined.
 _MAX_RESOLVED_ERROR_RATIO = 1.1
 # A segment is searched for groups of jumps if its residual exceeds this multiple of the detection limit.
 _GROUP_SEARCH_RATIO = 3.0

@@ -121,7 +121,7 @@ class Decay(Result):
         ax.set(xlabel="time after the impact / s", ylabel="acceleration / (m/s²)")
 
     def time_below(self, amplitude: float) -> float:
-        """Return the time in s from which the acceleration stays below an amplitude; NaN if it does not."""
+        """Return the time [s] after which the acceleration stays below `amplitude`; NaN if it never does."""
         above = np.flatnonzero(abs(self.acceleration) >= amplitude)
         if not above.size:
             return 0.0
@@ -316,7 +316,8 @@ def _decay_limits(rec: Recording, info: ChannelInfo, hit: int) -> tuple[int, int
         raise SceneError(f"{rec.path}: no impact {hit}. Choose one of impacts 1 to {len(ranges)}.")
     first, last = ranges[hit - 1]
     # The converter's filter delays the samples. To correct the delay, samples after the end of the decay are read, too.
-    # After the correction, the filter's response to the next impact begins before the impact; the decay ends before it.
+    # After the correction, the filter's response to the next impact begins before that impact, so the decay is cut
+    # before this response.
     read_stop = arrival(info, ranges[hit][0], ranges[hit][0])[0] if hit < len(ranges) else rec.samples
     max_response_delay = arrival(info, 0, 0)[1]
     decay_start, decay_stop = last + 1, read_stop - max_response_delay

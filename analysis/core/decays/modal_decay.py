@@ -30,13 +30,14 @@ _RESPONSE_RATIO = 2.0**0.5
 # The second fit uses a fall of the envelope that is larger by this factor.
 _FALL_RATIO = 1.5
 # The bias grows with the square of the length of the impulse response if damping changes smoothly with amplitude, and
-# linearly if it has a kink. In the linear case the bias is the observed difference times 1 / (sqrt(2) - 1), rounded up.
+# linearly if the dependence of damping on amplitude has a kink. In the linear case the bias is the observed difference
+# times 1 / (sqrt(2) - 1), rounded up.
 _RESPONSE_BIAS_FACTOR = 2.5
 # If the envelope has a kink in the middle of the fall, the error of the slope is this multiple of the rms residual of
 # the parabola.
 _KINK_LIMIT_FACTOR = 8.0
 # Number of neighboring amplitudes on either side that a change of damping affects.
-_AFFECTED_LEVELS = 2
+_AFFECTED_AMPLITUDES = 2
 # Envelope points in the fit of one damping ratio: more do not reduce its uncertainty, because neighbors are correlated.
 _MAX_POINTS = 64
 
@@ -45,7 +46,7 @@ _MAX_POINTS = 64
 class ModalDecay(Result):
     """Decay of one mode after a band-pass filter.
 
-    Uncertainties are standard uncertainties due to noise, averaging over neighboring amplitudes, and the clock.
+    Standard uncertainties include noise, the bias of averaging over neighboring amplitudes, and the clock.
     """
 
     # natural frequency at the amplitude with the smallest uncertainty [Hz]; `center` if no amplitude determines it
@@ -124,23 +125,23 @@ class ModalDecay(Result):
 def spectral_peaks(acceleration: Array, rate: float, max_peaks: int, low: float, high: float) -> Array:
     """Return the frequencies of the `max_peaks` highest resonances of a decay in ascending order [Hz].
 
-    A resonance is a peak of the spectrum with a prominence of 10 dB and a level of 20 dB above the median of the
-    band. Its frequency is refined by a parabola through the logarithm of three bins.
+    A resonance is a peak of the spectrum with a prominence of 10 dB and a height of 20 dB above the median of the band.
+    Its frequency is refined by a parabola through the logarithm of three bins.
     """
     padded_length = fft.next_fast_len(4 * acceleration.size, real=True)
     taper = np.cos(np.linspace(0.0, np.pi / 2, acceleration.size)) ** 2
-    level = 20.0 * np.log10(abs(fft.rfft(acceleration * taper, padded_length)) + 1e-300)
+    magnitude_db = 20.0 * np.log10(abs(fft.rfft(acceleration * taper, padded_length)) + 1e-300)
     frequency = fft.rfftfreq(padded_length, 1.0 / rate)
     inside = (frequency >= low) & (frequency <= high)
-    level, frequency = level[inside], frequency[inside]
-    indices, _ = scipy.signal.find_peaks(level, prominence=10.0, height=float(np.median(level)) + 20.0)
+    magnitude_db, frequency = magnitude_db[inside], frequency[inside]
+    indices, _ = scipy.signal.find_peaks(magnitude_db, prominence=10.0, height=float(np.median(magnitude_db)) + 20.0)
     distinct: list[int] = []
-    for peak in indices[np.argsort(level[indices], kind="stable")[::-1]]:
+    for peak in indices[np.argsort(magnitude_db[indices], kind="stable")[::-1]]:
         # Dampers that come to rest shift the natural frequency. This smears or splits the peak of a single mode.
         if all(abs(frequency[peak] / frequency[other] - 1.0) > _SAME_MODE_RATIO for other in distinct):
             distinct.append(int(peak))
     indices = np.sort(np.array(distinct[:max_peaks], dtype=int))
-    left, mid, right = level[indices - 1], level[indices], level[indices + 1]
+    left, mid, right = magnitude_db[indices - 1], magnitude_db[indices], magnitude_db[indices + 1]
     shift = 0.5 * (left - right) / (left - 2.0 * mid + right)
     return frequency[indices] + shift * (frequency[1] - frequency[0])
 
@@ -264,7 +265,7 @@ def _log_amplitudes(envelope: Array) -> Array:
 
 
 def _damping(analytic: ComplexArray, log_amplitudes: Array, half_fall: float) -> tuple[Array, Array, Array]:
-    """Return damping ratio, natural frequency (rad/sample) and relative error limit of a kink at each amplitude.
+    """Return damping ratio, natural frequency [rad/sample] and limit of the relative error due to a kink.
 
     They are estimated from the fall of the envelope by `half_fall` nepers on either side of that amplitude. Damping
     ratio and natural frequency are NaN outside the decay.
@@ -320,7 +321,7 @@ def _bias_limit(values: Array, narrower: Array, larger_fall: Array, kink_limit: 
             # The fits over a larger fall are undetermined at the first and last amplitudes. At these
             # amplitudes, the difference at the nearest amplitude is used.
             bias += factor * np.interp(np.arange(difference.size), determined, difference[determined])
-    return np.asarray(scipy.ndimage.maximum_filter1d(bias, 2 * _AFFECTED_LEVELS + 1) if bias.size else bias)
+    return np.asarray(scipy.ndimage.maximum_filter1d(bias, 2 * _AFFECTED_AMPLITUDES + 1) if bias.size else bias)
 
 
 def _crossings(curve: Array, log_amplitudes: Array) -> Array:

@@ -162,7 +162,7 @@ class _Explanation:
 
     @property
     def square(self) -> float:
-        """Sum of squares of the residuals (-2 ln of the likelihood), plus `margin` unless a mistake is known."""
+        """Sum of squares of the residuals (-2 ln likelihood), plus `margin` if this is not a common mistake."""
         return self.refit.square + (0.0 if self.is_known_mistake else self.margin)
 
     @property

@@ -37,7 +37,7 @@ STATUS_TEXTS = {"roughly": "roughly determined"}
 _USUAL_CLOCK_TOLERANCE = 20e-6
 # A value is roughly determined if the half-width of its 95 % interval, relative to the value, is below this.
 _MAX_HALF_WIDTH = 0.5
-# A damper does not reach its ceiling if the clearance (free height above the damper at rest) is at least this multiple
+# A damper does not reach its ceiling if the clearance is at least this multiple
 # of the largest gap between damper and floor.
 _UNREACHED_RATIO = 1.2
 # The uncertainties of the curves explain the residuals if the mean square of the normalized residuals is at most this.
@@ -108,7 +108,7 @@ class Fit(Result):
     parameters : tuple of Fitted
         Fitted values with their 95 % intervals.
     correlation : ndarray, shape (parameters, parameters)
-        Correlation coefficients of the errors of the parameters' logarithms (log odds of ratios below 1).
+        Correlation matrix of the fitted unknowns: logarithms of the values, log odds of ratios below 1.
     sensitivities : mapping of str to (float, float)
         Relative deviation of the sensitivity of each sensor with a tolerance, and its expanded uncertainty.
     modes : tuple of Mode
@@ -118,7 +118,8 @@ class Fit(Result):
     compared : tuple of Comparison
         Measured and predicted curves of each sweep or test.
     variance : float
-        Mean square of the residuals in standard deviations: at most about 1 where the stated errors explain them.
+        Mean square of the residuals in standard deviations: at most about 1 where the stated uncertainties explain
+        them.
     misfit : str
         Reason why the scene does not fit the recordings and no value is determined; "" if it fits.
     together : tuple of str
@@ -182,10 +183,11 @@ def fit(
 ) -> Fit:
     """Fit a scene to recordings of the real structure, without and with dampers.
 
-    The responses of each sweep to the force or the table motion are compared, weighted by their stated errors; the
-    sensitivities of sensors are free within their tolerances. Where dampers move, the model computes exact periodic
-    motions. Initial values come from the identified modes. Each free value has a prior: its value in the scene, with a
-    standard deviation of a factor of e. It affects only undetermined values, which are reported.
+    The responses of each sweep to the force or the table motion are compared, weighted by their stated standard
+    uncertainties; the sensitivities of sensors are free within their tolerances. Where dampers move, the model computes
+    exact periodic motions. Initial values come from the identified modes. Each free value has a log-normal prior,
+    centered on its value in the scene, with a standard deviation of 1 in ln(value). The prior affects only undetermined
+    values, which are reported.
 
     Parameters
     ----------
@@ -266,8 +268,8 @@ def _result(problem: Problem, estimated: Estimate, report: Report) -> Fit:
     if not misfit and estimated.variance > _MAX_NOISE_VARIANCE:
         largest = max(comparison.relative for comparison in compared)
         warnings.append(
-            f"The residuals reach {format_percent(largest)} of the curves, more than the errors of the curves explain "
-            f"(reduced chi-square {estimated.variance:.3g}). The 95 % intervals are widened accordingly."
+            f"The residuals reach {format_percent(largest)} of the curves, more than the uncertainties of the curves "
+            f"explain (reduced chi-square {estimated.variance:.3g}). The 95 % intervals are widened accordingly."
         )
     for comparison, group in zip(compared, problem.groups, strict=True):
         uncovered = {} if group.orbits is None else group.orbits.uncovered
@@ -362,7 +364,7 @@ def _misfit(estimated: Estimate, compared: Sequence[Comparison]) -> str:
     if estimated.variance > _MAX_NOISE_VARIANCE and worst.relative > _MAX_RESIDUAL_RATIO:
         return (
             f"{worst.curves.label}: the best fit leaves a residual of {format_percent(worst.relative)} of the curves "
-            f"(rms), {format_number(np.sqrt(estimated.variance))} times their stated errors."
+            f"(rms), {format_number(np.sqrt(estimated.variance))} times their stated uncertainties."
         )
     return ""
 

@@ -35,7 +35,7 @@ class LevelDamping:
 
 
 def damping_by_level(problem: Problem, estimated: Estimate) -> tuple[LevelDamping, ...]:
-    """Fit only the damping to each sweep; empty for a single sweep."""
+    """Return the damping fitted to each sweep alone, with all other values fixed; empty for a single sweep."""
     active = [k for k, parameter in enumerate(problem.parameters) if "damping" in parameter.key_path]
     sweeps = [group for group in problem.groups if group.curves.level is not None]
     if not active or len(sweeps) < 2:

@@ -21,14 +21,14 @@ def export_results(
 ) -> list[str]:
     """Write the FRFs or modes of a recording or of an FRF file; return messages for the user.
 
-    `file`: a recording, or an FRF file that `analysis.read_frfs` can read. `path`: output file, ``.uff``, ``.unv`` or
-    ``.mat``; each sweep is written to its own file; the second and later files are numbered. `what`: 'frfs' or 'modes'.
-    `overwrite`: whether existing files may be replaced. Raises `SceneError` if the file name ending is unknown, or the
-    file exists.
+    `file`: a recording, or an FRF file that `analysis.read_frfs` can read. `path`: output file (``.uff``, ``.unv`` or
+    ``.mat``). Each sweep has its own file; from the second on, the name is numbered. `what`: 'frfs' or 'modes'.
+    `overwrite`: whether existing files may be replaced. Raises `SceneError` if the suffix is unknown, or the file
+    exists.
     """
     kind = path.suffix.lower()
     if what not in ("frfs", "modes"):
-        raise SceneError(f"`what`: unknown {what!r}. Choose samples, frfs or modes.")
+        raise SceneError(f"`what`: unknown {what!r}. Choose frfs or modes.")
     if kind not in ENDINGS:
         raise SceneError(
             f"{path}: unknown format {kind!r} for {what}. Choose a name that ends in one of {', '.join(ENDINGS)}."

@@ -80,5 +80,6 @@ class PaperPart:
             partial.replace(target)
         except OSError as error:
             raise RunError(
-                f"{target}: cannot write the results of a part ({error.strerror}). Choose another folder (`output`)."
+                f"{target}: cannot write the stored results of this calculation ({error.strerror}). Choose another "
+                "folder (`output`)."
             ) from None

@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from daq.extras.ni_device.chassis import Chassis
     from rig.core.scene.scene import Scene
 
-# Blocks of samples that wait to be written: at least 16 s. A disk that is later than this ends the recording.
+# Maximum number of queued blocks, at least 16 s of samples. If the disk falls further behind, the recording ends.
 _MAX_WAITING_JOBS = 4096
 
 
 class BenchRecordings:
-    """Records all channels while a test of the page or a task of an NI client is running, if `enabled`.
+    """While `enabled`, records all channels during tests of the page and tasks of NI clients.
 
     The first recording is at `path`, and may replace an existing file if `overwrite` is set; further recordings are
     numbered. `problem` is the error that stopped the recording. A recording also stops when too many blocks wait for
@@ -62,7 +62,7 @@ class BenchRecordings:
         self._jobs.put(lambda: self._write_marker(kind, first, stop, **fields))
 
     def on_block(self, bench: Any, block: Any) -> None:
-        """Queue a block of the bench; a listener of the chassis."""
+        """Queue a block for writing. The chassis calls this method with every block."""
         is_active = self._test is not None or self._chassis.inputs or self._chassis.outputs
         if self.enabled and is_active:
             test, channels = self._test, bench.channels
@@ -70,7 +70,9 @@ class BenchRecordings:
             n_failures = self._n_failures
             self._jobs.put(lambda: self._write_block(bench, channels, block, test, start_ns, n_failures))
             if self._jobs.qsize() > _MAX_WAITING_JOBS:
-                error = RunError("the disk is too slow. Record on another disk, or fewer channels at a lower rate.")
+                error = RunError(
+                    "the disk is too slow. Record on another disk, record fewer channels, or lower the sample rate."
+                )
                 self.enabled, self.problem = False, self._chassis.report_problem("the recording", error)
         elif self.running:
             self._jobs.put(self._close_recording)

@@ -2,19 +2,20 @@
 
 Layouts: B&K PULSE (``X-AxisUnit:``, ``AmplitudeUnit:``, ``Data Type: Complex``, and a column of line numbers),
 Siemens Testlab (``Function class``, ``Point id``), ME'scope (``Y Axis DOFs``, ``Y Axis Units``) and m+p (``Channel``,
-``Unit``). A line has a cell for the whole file, for each column, or for each pair of columns.
+``Unit``). A keyword line has one cell for the file, one per column, or one per pair of columns.
 """
 
 import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-# Keywords, in small letters without blanks and punctuation. If several occur in a file, the first is used.
+# Keywords, in lower case without spaces and punctuation. If several occur in a file, the first is used.
 _NAMES = ("yaxisdofs", "pointid", "channelname", "channel", "signalname", "signal", "name", "measurementlabel", "title")
 _UNITS = ("yaxisunits", "yaxisunit", "amplitudeunit", "channelunit", "units", "unit", "verticalunits")
 _ABSCISSA_UNITS = ("xaxisunits", "xaxisunit")
 # Keywords of the kind of data. Complex data have two columns for each function.
 _KINDS = ("datatype", "yaxistype", "functionclass", "measurementtype")
+# Texts of the kind by which complex data are stored as pairs: real and imaginary part, or magnitude and phase.
 _COMPLEX = re.compile(r"complex|real|frf|frequency response", re.IGNORECASE)
 _POLAR = re.compile(r"magnitude|amplitude|phase", re.IGNORECASE)
 # Keyword of a file whose first column is the number of the line.
@@ -58,7 +59,7 @@ def keyed_heading(rows: Sequence[Sequence[str]], column_count: int) -> Heading |
 
 
 def _for_columns(cells: Mapping[str, Sequence[str]], keys: Sequence[str], count: int) -> list[str] | None:
-    """Return a text for each column after the first; None if no keyword has this number of texts."""
+    """Return one text per column after the first (the abscissa); None if no keyword has this number of texts."""
     for key in keys:
         texts = list(cells.get(key, []))
         stated = [text for text in texts if text]

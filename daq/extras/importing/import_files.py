@@ -228,7 +228,7 @@ def _common_rate(chosen: Sequence[ChosenSignal], scene: Scene) -> float:
         )
         raise SceneError(
             f"the files state {rate:.10g} Hz, but the scene's converter has {converter.sample_rate:.10g} Hz. {remedy}; "
-            "otherwise, give rate: in the channel table."
+            "otherwise, state `rate` in the channel table."
         )
     return rate
 

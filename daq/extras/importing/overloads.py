@@ -1,4 +1,7 @@
-"""Detection of clipping in the samples of an imported signal: flat tops, and samples at the converter's full scale."""
+"""Detection of clipping in the samples of an imported signal: flat tops, and samples at the full scale.
+
+Clipping is an overload of the converter; it is imported as a marker of kind `overload`.
+"""
 
 import numpy as np
 
@@ -15,7 +18,7 @@ _CLIPPED_RATIO = 0.9999
 # Samples above this multiple of the stated full scale indicate that the full scale is wrong; converters exceed their
 # range by less.
 _WRONG_SCALE_RATIO = 1.05
-# Most runs that are stored, in some 15 MB; a signal that clips more often cannot be used anyway.
+# Maximum number of stored runs, about 15 MB. A signal that clips more often is unusable.
 _MAX_STORED = 100_000
 
 
@@ -75,7 +78,7 @@ class _FlatTops:
 class ClippingDetector:
     """Detects clipping of one signal; `full_scale` is the largest magnitude of a sample, None if not known.
 
-    `offset` is the output of the converter where the signal is zero.
+    `offset`: output of the converter for a signal of zero.
     """
 
     def __init__(self, full_scale: float | None, offset: float = 0.0) -> None:

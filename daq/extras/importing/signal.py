@@ -25,13 +25,13 @@ class Signal:
     unit: str  # Unit; empty if the file states none
     samples: int
     rate: float | None  # Sample rate, Hz; None if the file states none
-    # (start, stop) -> samples [start, stop) in the unit of the file. Each call continues at the last stop, or restarts
-    # at 0.
+    # (start, stop) -> samples [start, stop) in the unit of the file. Calls must be sequential: each
+    # starts at the previous stop, or at 0.
     read: Callable[[int, int], Array]
-    start_s: float = 0.0  # Time of the first sample from the time zero of the file, s
+    start_s: float = 0.0  # Time of the first sample relative to the time zero of the file, s
     start_ns: int = 0  # Time zero of the file, ns since 1970; 0 if the file has no date
     full_scale: float | None = None  # Largest value that the file can represent, in its unit; None if not known
-    separators: tuple[tuple[int, int], ...] = ()  # Ranges [start, stop) between joined files, which lack samples
+    separators: tuple[tuple[int, int], ...] = ()  # Ranges [start, stop) without samples, between joined files
 
     @classmethod
     def from_array(
@@ -61,7 +61,7 @@ class Signal:
         first_numbers_after_gaps = rows_after_gaps + lost_before[1:]
 
         def row_of_sample(number: int) -> int:
-            """Return the first row whose sample index is at least `number`."""
+            """Return the first row whose sample number is at least `number`."""
             gaps_before = int(np.searchsorted(first_numbers_after_gaps, number, side="right"))
             row = number - int(lost_before[gaps_before])
             return min(row, int(rows_after_gaps[gaps_before])) if gaps_before < rows_after_gaps.size else row

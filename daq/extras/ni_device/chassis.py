@@ -88,7 +88,7 @@ class Chassis:
         lock = threading.RLock()
         # `changed` is notified when samples have passed; its lock protects the whole chassis.
         self.changed, self.sleepers = threading.Condition(lock), Sleepers(lock)
-        # Called with every block at the sample rate of the bench, for example by a recording.
+        # Listeners, such as a recording. Each is called with every block of samples at the sample rate of the bench.
         self.listeners: list[Callable[[Bench, Block], None]] = []
         # Called before a call ("start", "read" or "write") with its name and its task; may raise the `DaqError` of the
         # call.

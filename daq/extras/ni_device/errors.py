@@ -102,5 +102,5 @@ def invalid_value(message: str) -> DaqError:
 def unsupported(feature: str, remedy: str = "Remove it from the script.") -> DaqError:
     """Return the error for a function that this instrument does not support (-200452)."""
     return DaqError(
-        f"{feature} is not supported by the rig's instrument. {remedy}", Code.ATTRIBUTE_NOT_SUPPORTED_IN_TASK_CONTEXT
+        f"{feature} is not supported by the emulated device. {remedy}", Code.ATTRIBUTE_NOT_SUPPORTED_IN_TASK_CONTEXT
     )

@@ -139,7 +139,7 @@ class Task:
             self.chassis.unregister(self)
 
     def control(self, action: int) -> int:
-        """Change the state of the task as a `TaskMode` requires; return the status of `stop`, otherwise 0.
+        """Apply a `TaskMode` such as START, STOP or COMMIT to the task; return the status of `stop`, otherwise 0.
 
         COMMIT and RESERVE keep its modules reserved until UNRESERVE or ABORT.
         """
@@ -204,7 +204,7 @@ class Task:
             raise self.failure
 
     def note_query(self, query: str) -> None:
-        """Note that a script queries the progress of the run; `query` names the queried quantity.
+        """Record that a script has queried the progress of the run; `query`: name of the queried quantity.
 
         A script that repeats a query at the same bench time is polling: the fast clock then lets a short time pass.
         """
@@ -368,7 +368,7 @@ class Task:
 
     @contextmanager
     def _on_demand(self) -> Iterator[None]:
-        """Reserve the modules and keep bench time running while the body takes samples without a sample clock."""
+        """Reserve the modules and keep bench time running while the `with` block samples without a sample clock."""
         self.verify()
         self.reserve()
         try:
@@ -381,7 +381,7 @@ class Task:
     def default_count(self) -> int:
         """Return the samples per channel of a read without a number.
 
-        These are the unread samples of a finite task's record; otherwise the samples available now.
+        These are the samples of a finite task that have not been read; otherwise the samples available now.
         """
         settings = self.settings
         settings.require("ai")

@@ -28,7 +28,7 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#55
 WIDTH_INCH = 7.2
 # Resolution of PNG files, dots per inch.
 _DPI = 150
-# Compression level of PNG files: level 6, the default, takes half as long again and reduces them by 5 %.
+# Compression level of PNG files. Level 6, the default, takes 50 % longer and makes files only 5 % smaller.
 _PNG_COMPRESSION = 3
 # Number of title characters that fit into the default width.
 _TITLE_CHARACTERS = 70
@@ -41,12 +41,12 @@ _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _NOTE_CHARACTERS = 100
 # Name of the text below all axes.
 _CAPTION = "caption"
-# Entries of a legend in one line, if they have few characters in all.
+# Maximum number of legend entries in one line, if their labels are short.
 _LEGEND_COLUMNS = 5
 _LINE_CHARACTERS = 66
 # Space between the axes and a title above a subtitle [points].
 _SUBTITLE_HEIGHT = 18.0
-# Distance of the lines of a subtitle [points].
+# Line spacing of a subtitle [points].
 _LINE_HEIGHT = 11.0
 # Maximum number of characters of a legend entry in two columns.
 _LEGEND_CHARACTERS = 46
@@ -158,7 +158,7 @@ def _align_captions(figure: Figure) -> None:
 
 
 def add_title(axes: Axes, text: str) -> None:
-    """Add a title above the uppermost axes, wrapped to the width of the figure; call it after the vertical axis is set.
+    """Add a title to the top axes, wrapped to the width of the figure. Set up the vertical axis first.
 
     Text in parentheses at its end, such as test and level, becomes a subtitle in regular weight.
     Only the exponent above a vertical axis can move a title. Without it, the position is fixed: matplotlib would

@@ -1,4 +1,4 @@
-"""Result of a propagation: states at sample instants, events and breaks; conversion to the names in scene files.
+"""Result of a propagation: states at sample instants, events and breaks; conversion to numbers of dampers in a scene.
 
 An event is a change of the mode of one element, such as the bed of a damper. A break is an instant at which velocities
 or accelerations jump. A segment is a time interval in which the drive is one smooth function, such as a sample interval
@@ -19,7 +19,8 @@ from rig.core.system.hybrid_system import HybridSystem
 
 #: An event for users: time (s), number of the damper from 1, kind, closing speed (m/s).
 EVENT = np.dtype([("time", "f8"), ("damper", "i4"), ("kind", "U10"), ("speed", "f8")])
-#: An event in a scene with joints: the joint has a number from 1, or 0 for an event of a damper, and vice versa.
+#: An event in a scene with joints. For an event of a joint, `joint` is its number from 1 and `damper` is 0; for an
+#: event of a damper the reverse.
 EVENT_WITH_JOINT = np.dtype([*EVENT.descr, ("joint", "i4")])
 
 
@@ -36,28 +37,35 @@ class Trajectory:
     table_index: NDArray[np.int64]
     """Table index of the configuration at each sample; shape (samples,)."""
     height: Array
-    """Position of each damper in flight, upwards, m; undefined while it rests on a wall; shape (samples, elements)."""
+    """Absolute position of each damper in flight [m], upwards; undefined on a wall; shape (samples, elements)."""
     contact: NDArray[np.int8]
     """FLIGHT, FLOOR or CEILING; shape (samples, elements)."""
     event_segment: NDArray[np.int64]
+    """Number of the segment of each event; shape (events,)."""
     event_offset: Array
+    """Offset of each event in its segment [s]; shape (events,)."""
     event_damper: NDArray[np.int64]
+    """Number of the element of each event, from 0; shape (events,)."""
     event_kind: NDArray[np.int64]
+    """Kind of each event, an index of `EVENT_NAMES`; shape (events,)."""
     event_speed: Array
-    """event_...: number of the segment, offset, element from 0, kind (an index of `EVENT_NAMES`), closing speed, m/s;
-    shape (events,)."""
+    """Closing speed of each event [m/s]; shape (events,)."""
     break_segment: NDArray[np.int64]
+    """Number of the segment of each break; shape (breaks,)."""
     break_offset: Array
-    """break_segment, break_offset: shape (breaks,)."""
+    """Offset of each break in its segment [s]; shape (breaks,)."""
     state_before: Array
+    """State before each break; shape (breaks, states)."""
     state_after: Array
-    """state_before, state_after: shape (breaks, states)."""
+    """State after each break; shape (breaks, states)."""
     damper_velocity_before: Array
+    """Velocities of the dampers before each break [m/s]; shape (breaks, dampers)."""
     damper_velocity_after: Array
-    """damper_velocity_before, damper_velocity_after: velocities of the dampers, m/s; shape (breaks, dampers)."""
+    """Velocities of the dampers after each break [m/s]; shape (breaks, dampers)."""
     table_index_before: NDArray[np.int64]
+    """Table index before each break; shape (breaks,)."""
     table_index_after: NDArray[np.int64]
-    """table_index_before, table_index_after: shape (breaks,)."""
+    """Table index after each break; shape (breaks,)."""
 
 
 def event_type(system: HybridSystem) -> np.dtype[Any]:

@@ -76,7 +76,8 @@ class QuadraticForms:
 def quadratic_forms(system: HybridSystem, output: Array) -> QuadraticForms:
     """Return stored energy, dissipation, and power of the drive and into beds of grains as quadratic forms.
 
-    `output`: matrix that maps the drive states p to the inputs, u = output p.
+    `output`: matrix with u = output @ p, which gives the inputs u of the system from the states p of the generator of
+    the drive.
     """
     n, ns = system.coordinates, system.states
     size = ns + output.shape[1]

@@ -1,4 +1,4 @@
-"""The reference of a scene's steady responses: the force or table displacement to which displacements are related."""
+"""The reference (denominator) of steady responses: a force, or the displacement of the table."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -17,14 +17,14 @@ from rig.core.system.structural_model import receptance, transmissibility
 class Reference:
     """Force on the structure [N], or displacement of the table [m].
 
-    `row`: row whose product with the state is the reference; None for a drive that is the force itself.
+    `row`: reference = row @ state; None if the drive is the force, which is then not in the state.
     """
 
     name: Literal["force", "table"]
     row: Array | None
 
     def amplitude(self, level: float, harmonic: ComplexArray) -> complex:
-        """Return the complex amplitude of the reference at a level, N or m; `harmonic`: harmonics of the states."""
+        """Return the complex amplitude of the reference; `harmonic`: first harmonic of each state."""
         if self.row is None:
             return -1j * level  # a sine: Re(-i F e^{i w t}) = F sin(w t)
         return complex(self.row @ harmonic)

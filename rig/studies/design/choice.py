@@ -69,7 +69,7 @@ def impact_law_of(dampers: Sequence[Damper]) -> ImpactLaw:
     )
     origin = "as in the scene" if identical else "as in the first damper of the scene; other dampers differ"
     if first.grains is not None:
-        origin = "of one mass each, although the scene has beds of grains"
+        origin = "as in the scene; its beds of grains are treated as single masses"
     return ImpactLaw(first.restitution, contact, origin)
 
 
@@ -82,7 +82,7 @@ def _format_contact(contact: Contact | None) -> str:
 
 
 def mass_unit(mass: float) -> tuple[float, str]:
-    """Return the unit in which a mass [kg] is displayed, preceded by the number of these units in a kilogram."""
+    """Return (units per kilogram, unit) for the display of a mass [kg]."""
     return (1e3, "g") if mass < 1.0 else (1.0, "kg")
 
 

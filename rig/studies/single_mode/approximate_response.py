@@ -40,8 +40,8 @@ _CONTINUATION_STEPS = continuation.Steps(first_step=3e-3, max_step=0.1, max_angl
 class Branch:
     """Periodic motions of one type along a continuous curve.
 
-    `tau_0`, `tau_1`, `tau_2`, shape (points,): take-off from the floor, ceiling impact, take-off from the ceiling, in
-    radians of the drive after the floor impact; NaN for an event that the type does not have.
+    `tau_0`, `tau_1`, `tau_2`, shape (points,): phases of the force [rad], counted from the floor impact, of take-off
+    from the floor, impact on the ceiling and take-off from the ceiling; NaN for an event that the type does not have.
 
     `compliance`: first harmonic of the mode's coordinate over the force, with the force's phase as reference [m/N],
     shape (points,); `phi`: phase lag of the force with respect to the floor impact, force = F sin(tau - phi) [rad, 0
@@ -77,7 +77,7 @@ class Approximation(Result):
     Attributes
     ----------
     mode : SingleMode
-        The reduced system; its `receptance` gives the curves without damper and with the damper always riding.
+        The reduced system; its `receptance` gives the compliance without dampers and with riding dampers.
     branches : tuple of Branch
         Branches with at least one admissible motion.
     riding : tuple of float or None
@@ -177,7 +177,7 @@ def approximate_response(
 def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13) -> Approximation:
     """Compute all periodic motions of a reduced system between two frequencies [Hz].
 
-    `searches` is the number of frequencies at which all solutions are searched.
+    `searches`: number of frequencies at which the search for all solutions starts.
     """
     low, high = (f / mode.frequency for f in band)
     if not 0 < low < high:

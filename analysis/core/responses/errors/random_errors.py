@@ -359,7 +359,7 @@ def _separate_noise(
     in `LocalErrors`; `center`: bin at the middle of each fit.
     """
     lines, elements, width = fitted_response.shape
-    # All fits of a short test use the same bins.
+    # In a short test all fits use the same bins, so the median distance of their centers is 0; each line has one bin.
     bins_per_line = max(float(np.median(np.diff(center))), 1.0) if lines > 1 else 1.0
     # Lines of the local means.
     n_lines = min(1 + 2 * int(np.ceil(_CONSTANT_NOISE_WIDTHS * width / bins_per_line / 2.0)), max(lines, 1))

@@ -1,4 +1,4 @@
-"""Pretest: identify the drive that the shaker requires for a given table motion and spring force, from the channels.
+"""Pretest: identify, from the channels, the drive that the shaker needs for a given table motion and spring force.
 
 The result is used to control the force of a swept sine.
 """

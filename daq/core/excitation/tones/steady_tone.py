@@ -1,4 +1,4 @@
-"""Sine sources, with amplitude estimates of the channels in the steady state, and control of the force amplitudes.
+"""Sine sources that estimate the amplitudes of channels in steady state, and control the amplitude of the force.
 
 `SteadyTones` are simultaneous tones, `SteadyTone` is one tone.
 

@@ -1,7 +1,7 @@
 """Log of the samples of a task: a recording (.mcap), or a file of NI's format TDMS.
 
-A marker is an entry of a recording about an interval of samples, for example an overload. A gap is a sequence of
-samples that were lost.
+A marker is an entry of a recording about an interval of samples or an instant, for example an overload. A gap is a
+sequence of samples that were lost.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class MarkedRecording:
         self._recorder.close(*self._outcome)
 
     def end_with(self, error: Exception) -> Exception:
-        """Complete the file after an error as far as possible; return the error with the content of the file."""
+        """Complete the file after an error as far as possible; return the error, which states its content."""
         try:
             with self._recorder:
                 raise error
@@ -160,7 +160,9 @@ class _Tdms:
     def end_with(self, error: Exception) -> Exception:
         with suppress(OSError):
             self._writer.close()
-        return RunError(f"{self._path}: {getattr(error, 'strerror', error)}; it contains the samples up to this error")
+        return RunError(
+            f"{self._path}: {getattr(error, 'strerror', error)}; the file contains the samples up to this error"
+        )
 
     def _write_segment(self, values: NDArray[np.float64]) -> None:
         """Append readings, shape (channels, n), with the present properties of the channels."""
@@ -192,7 +194,7 @@ class TaskLog:
         self._first_path, self._file_number = Path(self._settings["logging_file_path"]), 0
         self._file = open_file(self._first_path, 0)
         self._next: int | None = None  # index of the sample that is logged next
-        self._samples_in_file = 0  # index of the first sample of the present file
+        self._samples_in_file = 0  # number of samples in the current file
         self._has_ended = False
 
     def start_new_file(self, path: Path, acquisition: Acquisition) -> None:

@@ -32,8 +32,8 @@ _PRINTED_FREQUENCIES = 2
 _AT_REST = "at rest on the floor"
 _NEAR_GRAVITY = "near 1 g, may fly"
 _IRREGULAR = "irregular, or impacts missed"
-# Impacts once a period: type I at the floor; II at floor and ceiling; III as II, with a stay at the ceiling.
-_TYPES = ("type I", "type II", "type III")
+# Impacts once a period: Type I at the floor; II at floor and ceiling; III as II, with a stay at the ceiling.
+_TYPES = ("Type I", "Type II", "Type III")
 _OTHER = "other patterns, or irregular"
 # Maximum number of rows for the moving dampers of a body. If there are more kinds of motion, all irregular and other
 # patterns share a row.
@@ -109,7 +109,7 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], omitted: Sequence[flo
     >>> at_rest = DamperMotion(31.0, "body2", 0.0, 0.0, False, 1.6e-3, True)
     >>> print(*describe_motions([[hit, at_rest]]), sep="\n")
     channel  motion                frequency
-    body2    type I                30 Hz
+    body2    Type I                30 Hz
              at rest on the floor  elsewhere
     Damper impacts with a velocity jump below 1.6 mm/s (body2) are not detected.
     """

@@ -447,7 +447,7 @@ class _Refit:
 
     @property
     def fits(self) -> bool:
-        """Whether stated errors explain the residuals (chi-square test), and tolerances the errors of sensors."""
+        """Whether stated uncertainties explain the residuals (chi-square test) and tolerances the errors of sensors."""
         problem, count = self.problem, self.residual.size - self.problem.size
         limit = _MAX_NOISE_VARIANCE * float(scipy.stats.chi2.isf(_NOISE_PROBABILITY, count)) / count
         return self.mean_square < limit and not problem.implausible_sensors(self.x)

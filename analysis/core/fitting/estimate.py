@@ -66,9 +66,10 @@ class Estimate:
     """Estimated unknowns with their covariance."""
 
     x: Array  # estimated unknowns of `Problem`, shape (unknowns,)
-    # F of the covariance ``F F^T``, shape (unknowns, columns); from the stated errors or, if larger, the residuals
+    # F of the covariance ``F F^T``, shape (unknowns, columns); from the stated uncertainties or, if larger, the
+    # residuals
     factor: Array
-    # mean square of the residuals in standard deviations; 1 if the stated errors explain them
+    # mean square of the residuals in standard deviations; 1 if the stated uncertainties explain them
     variance: float
     # number of columns of `factor` for random errors; the other columns belong to errors with limits (tolerances,
     # systematic errors)
@@ -241,8 +242,8 @@ def mean_square(problem: Problem, x: Array, groups: Sequence[Group]) -> float:
 def _covariance(problem: Problem, x: Array) -> tuple[Array, float, int]:
     """Return `Estimate.factor`, `variance` (the mean square of the residuals) and `n_random`.
 
-    The covariance is the sum of a random and a systematic part. Residuals larger than the stated errors enlarge the
-    random part by their mean square. Residuals with common causes, between responses and over neighboring
+    The covariance is the sum of a random and a systematic part. Residuals larger than the stated uncertainties enlarge
+    the random part by their mean square. Residuals with common causes, between responses and over neighboring
     frequencies, are summed by cluster before they are squared (K.-Y. Liang, S. L. Zeger, Longitudinal data analysis
     using generalized linear models, Biometrika 73 (1986)); the larger standard deviation of each unknown is used.
     """

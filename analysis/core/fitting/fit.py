@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 STATUS_TEXTS = {"roughly": "roughly determined"}
 # Usual relative tolerance of the quartz of a sample clock.
 _USUAL_CLOCK_TOLERANCE = 20e-6
-# A value is roughly determined if the half-width of its 95 % interval, relative to the value, is below this.
-_MAX_HALF_WIDTH = 0.5
+# A value is roughly determined if its relative expanded uncertainty is below this.
+_MAX_RELATIVE_EXPANDED = 0.5
 # A damper does not reach its ceiling if the clearance is at least this multiple
 # of the largest gap between damper and floor.
 _UNREACHED_RATIO = 1.2
@@ -322,7 +322,7 @@ def _largest_gaps(problem: Problem, estimated: Estimate) -> dict[int, float]:
     gaps = {
         k: problem.clearance_lower_bound(estimated.x, parameter)
         for k, parameter in enumerate(problem.parameters)
-        if parameter.quantity == "clearance" and expanded[k] > _MAX_HALF_WIDTH
+        if parameter.quantity == "clearance" and expanded[k] > _MAX_RELATIVE_EXPANDED
     }
     return {k: gap for k, gap in gaps.items() if gap > 0.0}
 
@@ -330,8 +330,8 @@ def _largest_gaps(problem: Problem, estimated: Estimate) -> dict[int, float]:
 def _fitted_value(parameter: Parameter, unknown: float, expanded: float, is_unexplained: bool) -> Fitted:
     low, value, high = (parameter.value(unknown + sign * expanded) for sign in (-1.0, 0.0, 1.0))
     half_width = expanded * parameter.slope(value)
-    status = "determined" if half_width <= parameter.max_half_width and not is_unexplained else "roughly"
-    if half_width > _MAX_HALF_WIDTH:
+    status = "determined" if half_width <= parameter.max_relative_expanded and not is_unexplained else "roughly"
+    if half_width > _MAX_RELATIVE_EXPANDED:
         status = "undetermined"
     return Fitted(parameter.key, parameter.unit, parameter.start, value, low, high, status)
 

@@ -11,15 +11,15 @@ from rig.core.base.arrays import Array
 from rig.core.results import format_percent
 from rig.core.results.uncertainty import COVERAGE_FACTOR
 
-# A combination of parameters is reported if the relative half-width of its 95 % interval is at least this.
-_MIN_HALF_WIDTH = 0.02
+# A combination of parameters is reported if its relative expanded uncertainty is at least this.
+_MIN_RELATIVE_EXPANDED = 0.02
 # A parameter is listed in a combination if its component is at least this fraction of the largest component; smaller
 # components would make the list unreadable.
 _MIN_COMPONENT_RATIO = 0.3
 # A sensor is named if the correlation of its error with the error of a parameter is at least this.
 _MIN_CORRELATION = 0.7
-# Damping is determined if the relative half-width of its 95 % interval is below this.
-_MAX_HALF_WIDTH = 0.5
+# Damping is determined if its relative expanded uncertainty is below this.
+_MAX_RELATIVE_EXPANDED = 0.5
 
 
 @dataclass(frozen=True)
@@ -51,10 +51,10 @@ def damping_by_level(problem: Problem, estimated: Estimate) -> tuple[LevelDampin
         variance = max(float(np.mean(residuals**2)), 1.0)
         # The covariance is inverse_r inverse_r^T, with the factor R of the QR decomposition.
         inverse_r = np.linalg.inv(np.linalg.qr(jacobian, mode="r"))
-        half_width = COVERAGE_FACTOR * np.sqrt(variance) * np.linalg.norm(inverse_r, axis=1)
-        value, is_determined = problem.values(x)[active], half_width < _MAX_HALF_WIDTH
+        relative_expanded = COVERAGE_FACTOR * np.sqrt(variance) * np.linalg.norm(inverse_r, axis=1)
+        value, is_determined = problem.values(x)[active], relative_expanded < _MAX_RELATIVE_EXPANDED
         acceleration = float(((2.0 * np.pi * curves.frequency) ** 2 * curves.level * abs(curves.value)).max())
-        value, expanded = (np.where(is_determined, each, np.nan) for each in (value, value * half_width))
+        value, expanded = (np.where(is_determined, each, np.nan) for each in (value, value * relative_expanded))
         by_level.append(LevelDamping(curves.label, group.orbits is not None, acceleration, keys, value, expanded))
     # This evaluation restores the orbits of the estimate.
     problem.residual(estimated.x, problem.groups)
@@ -92,9 +92,9 @@ def describe_coupled_values(
     coupled = []
     axes, deviations, _ = np.linalg.svd(estimated.factor[determined], full_matrices=False)
     for deviation, axis in zip(deviations, axes.T, strict=True):
-        half_width = COVERAGE_FACTOR * float(deviation) * float(abs(axis).max())
+        relative_expanded = COVERAGE_FACTOR * float(deviation) * float(abs(axis).max())
         large = np.flatnonzero(abs(axis) > _MIN_COMPONENT_RATIO * abs(axis).max())
-        if half_width < _MIN_HALF_WIDTH or large.size == 1:
+        if relative_expanded < _MIN_RELATIVE_EXPANDED or large.size == 1:
             continue
         signs = np.sign(axis[large])
         direction = "by the same factor" if abs(signs.sum()) == large.size else "in opposite directions"
@@ -107,8 +107,8 @@ def describe_coupled_values(
         cause = f" (their values depend on the calibration of {', '.join(sensors)})" if sensors else ""
         names = ", ".join(problem.parameters[determined[k]].key for k in large)
         line = (
-            f"{names} can change {direction}, by up to {format_percent(half_width)}, with no visible change of the "
-            f"curves{cause}."
+            f"{names} can change {direction}, by up to {format_percent(relative_expanded)}, with no visible change of "
+            f"the curves{cause}."
         )
-        coupled.append((half_width, line))
+        coupled.append((relative_expanded, line))
     return *undetermined, *(line for _, line in sorted(coupled, key=lambda entry: -entry[0]))

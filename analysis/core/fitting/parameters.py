@@ -29,11 +29,11 @@ _UNITS = {
     "masses": "kg", "springs": "N/m", "alpha": "1/s", "beta": "s", "dashpots": "N s/m", "mass": "kg",
     "clearance": "m", "clearance_below": "m", "duration": "s", "spring": "N/m", "stiffness": "N/m", "damping": "N s/m",
 }  # fmt: skip
-# A parameter is determined if the relative half-width of its 95 % interval is at most this, by quantity.
-_MAX_HALF_WIDTHS = dict.fromkeys(("modal", "alpha", "beta", "dashpots"), 0.03)
-_MAX_HALF_WIDTHS |= dict.fromkeys(("restitution", "duration", "stiffness", "damping"), 0.05)
+# A parameter is determined if its relative expanded uncertainty is at most this, by quantity.
+_MAX_RELATIVE_EXPANDED_OF = dict.fromkeys(("modal", "alpha", "beta", "dashpots"), 0.03)
+_MAX_RELATIVE_EXPANDED_OF |= dict.fromkeys(("restitution", "duration", "stiffness", "damping"), 0.05)
 # The limit of the half-width for all other quantities.
-_MAX_HALF_WIDTH = 0.02
+_MAX_RELATIVE_EXPANDED = 0.02
 # Unknowns are limited to this value before they are converted, because exp overflows at 709. Intervals of undetermined
 # parameters reach this limit.
 _MAX_UNKNOWN = 600.0
@@ -58,9 +58,9 @@ class Parameter:
         return _UNITS.get(self.quantity, "")
 
     @property
-    def max_half_width(self) -> float:
+    def max_relative_expanded(self) -> float:
         """Largest relative half width of the 95 % interval of a determined value."""
-        return _MAX_HALF_WIDTHS.get(self.quantity, _MAX_HALF_WIDTH)
+        return _MAX_RELATIVE_EXPANDED_OF.get(self.quantity, _MAX_RELATIVE_EXPANDED)
 
     @property
     def damper(self) -> int | None:

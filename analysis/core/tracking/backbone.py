@@ -154,7 +154,7 @@ class Backbone(Result):
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the amplitude over the frequency: the measured points with their levels, joined in their order."""
+        """Draw the amplitude against frequency: the measured points with their levels, joined in their order."""
         color = location_styles([self.body])[0].color
         # Dotted: nothing is measured between the points.
         line = {"color": color, "ls": ":", "lw": 1.0, "marker": "o", "markersize": 4.5}

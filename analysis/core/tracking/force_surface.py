@@ -157,7 +157,7 @@ class ForceSurface(Result):
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the force over the frequency; points near one amplitude are one curve."""
+        """Draw the force against frequency; points near one amplitude are one curve."""
         levels = _levels(self.amplitude)
         for chosen, (color, _, marker) in zip(levels, recording_styles([False] * len(levels)), strict=True):
             along = chosen[np.argsort(self.frequency[chosen])]

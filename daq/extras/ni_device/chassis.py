@@ -203,7 +203,7 @@ class Chassis:
             self.halt(task)
 
     def return_outputs(self) -> None:
-        """Let the test of the scene drive the outputs again; `DaqError` -50103 if a task has reserved an output."""
+        """Let the test of the scene drive the outputs again. Raises `DaqError` -50103 if a task reserves an output."""
         with self.changed:
             for task, resources in self._reserved.items():
                 if names := [name for resource, name in resources.items() if isinstance(resource, int)]:

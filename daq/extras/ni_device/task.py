@@ -222,7 +222,7 @@ class Task:
             return not self.running or self.finished or not self.settings.has_sample_clock
 
     def wait_until_done(self, timeout: float) -> None:
-        """Wait until a finite task is done; `DaqError` -200560 after the timeout."""
+        """Wait until a finite task is done. Raises `DaqError` -200560 after the timeout."""
         timeout = normalize_timeout(timeout)
         with self.chassis.changed:
             is_done = (
@@ -408,7 +408,7 @@ class Task:
         return 2 if all((channel.module.bits or 32) <= 16 for channel in self.settings.channels) else 4
 
     def _start_for_read(self) -> None:
-        """Start the task for a read; `DaqError` -200473 if the script has disabled the automatic start."""
+        """Start the task for a read. Raises `DaqError` -200473 if the script has disabled the automatic start."""
         if self.running or not self.settings.has_sample_clock:
             return
         if not self.settings.groups["read"]["auto_start"]:

@@ -53,14 +53,14 @@ def reset_channel_property(task: Task, names: str, name: str) -> None:
 
 
 def get_value(task: Task, group: str, name: str) -> Any:
-    """Return a setting or a computed value of a group; `DaqError` -200452 if there is no such property."""
+    """Return a setting or a computed value of a group. Raises `DaqError` -200452 if there is no such property."""
     computed = _COMPUTED.get((group, name))
     with task.chassis.changed:
         return task.settings.groups[group][name] if computed is None else computed(task)
 
 
 def set_value(task: Task, group: str, name: str, value: Any) -> None:
-    """Change a setting of a group; `DaqError` -200557 while the task runs, -200077 for an invalid value."""
+    """Change a setting of a group. Raises `DaqError` -200557 while the task runs, -200077 for an invalid value."""
     if name not in WHILE_RUNNING.get(group, ()):
         task.check_idle(f"setting {name}", Code.CANNOT_SET_PROPERTY_WHEN_TASK_RUNNING)
     if name == "samp_clk_timebase_div":
@@ -168,7 +168,7 @@ def _of_input_run(task: Task, value: Callable[[Any], int]) -> int:
 
 
 def _module(task: Task) -> Module:
-    """Return the module that provides the sample clock; `DaqError` -200478 if the task has no channels."""
+    """Return the module that provides the sample clock. Raises `DaqError` -200478 if the task has no channels."""
     if not task.settings.channels:
         raise DaqError("the task has no channels. Add a channel first.", Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK)
     return task.settings.channels[0].module

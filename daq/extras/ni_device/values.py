@@ -9,7 +9,7 @@ Member = TypeVar("Member", bound=IntEnum)
 
 
 def enum_member(values: type[Member], value: int, setting: str) -> Member:
-    """Return the named value of a number; `DaqError` -200077, with the name of the setting, for an unknown number."""
+    """Return the named value of a number. Raises `DaqError` -200077, which names the setting, for an unknown number."""
     if value not in list(values):
         names = ", ".join(f"{member.name} ({int(member)})" for member in values)
         raise invalid_value(f"{setting} {value} is not supported. Choose {names}.")

@@ -167,7 +167,7 @@ class Server:
             context.abort(grpc.StatusCode.INVALID_ARGUMENT, truncate(f"{name}: {self._unexpected[error_type]}"))
 
     def _count_call(self, peer: str, context: grpc.ServicerContext) -> None:
-        """Count a running call of a client until it ends; `DaqError` -50103 if the maximum number is running."""
+        """Count a running call of a client until it ends. Raises `DaqError` -50103 if the maximum number is running."""
 
         def end_call_count() -> None:
             with self._count_lock:

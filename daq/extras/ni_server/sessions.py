@@ -103,7 +103,7 @@ class Sessions:
             )
 
     def find(self, name: str, peer: str) -> Task:
-        """Return the task of a session; `DaqError` -200088 if the session does not exist."""
+        """Return the task of a session. Raises `DaqError` -200088 if the session does not exist."""
         with self._lock:
             session = self._open.get(name)
             if session is None:
@@ -130,7 +130,7 @@ class Sessions:
         session.task.close()
 
     def abort_on_device(self, device: str, peer: str) -> None:
-        """Abort the tasks of a client on a device; `DaqError` -50103 if other clients use the device."""
+        """Abort the tasks of a client on a device. Raises `DaqError` -50103 if other clients use the device."""
         with self._lock:
             sessions = [session for session in self._open.values() if device in session.task.settings.device_names]
             other_tasks = [session.task.name for session in sessions if session.owner != peer]

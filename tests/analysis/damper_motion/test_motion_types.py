@@ -209,7 +209,7 @@ def test_fig_9_types_are_identified(fig9):
         [sweep] = sweeps(rec)
         motions = damper_motion(rec, sweep, "body2")
         assert [motion.name for motion in motions] == types_from_truth(rec, sweep) == ["I", "II", "III"]
-    assert describe_motions([motions])[1].split() == ["body2", "type", "I", "47.5", "Hz"]
+    assert describe_motions([motions])[1].split() == ["body2", "Type", "I", "47.5", "Hz"]
 
 
 def test_uncertain_impacts_give_no_false_type(tmp_path):
@@ -280,7 +280,7 @@ def test_finite_duration_motion_and_energy_are_true(tmp_path):
 def test_command_prints_motion_and_energy(fig9, tmp_path):
     result = CliRunner().invoke(app, ["dampers", str(fig9), "-o", str(tmp_path)])
     assert result.exit_code == 0
-    assert re.search(r"type III +49 Hz", result.output) and "true impact loss" in result.output
+    assert re.search(r"Type III +49 Hz", result.output) and "true impact loss" in result.output
     rows = (tmp_path / "fig9-dampers.csv").read_text(encoding="utf-8").splitlines()
     assert len(rows) == 4 and rows[0].startswith("scene,frequency_Hz,supplied_J")
     # A window with its ends omitted contains no whole number of periods, but one impact per wall and period.

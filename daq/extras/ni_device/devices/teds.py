@@ -121,7 +121,7 @@ class TedsMemory:
         )
 
     def data(self, port: Port) -> bytes:
-        """Return the TEDS at a terminal; `DaqError` -200709 for a sensor without TEDS."""
+        """Return the TEDS at a terminal. Raises `DaqError` -200709 for a sensor without TEDS."""
         data = self._virtual.get(port.name.lower()) or self._teds_of_sensor(port)
         if data is None:
             raise DaqError(
@@ -131,7 +131,7 @@ class TedsMemory:
         return data
 
     def read(self, port: Port, name: str) -> Any:
-        """Return a property of the TEDS at a terminal; `DaqError` -200709 if the property is missing."""
+        """Return a property of the TEDS at a terminal. Raises `DaqError` -200709 if the property is missing."""
         values = basic_teds(self.data(port))
         if name not in values:
             raise DaqError(f"{port.name}: the TEDS has no {name}. Do not query it.", Code.TEDS_SENSOR_NOT_DETECTED)

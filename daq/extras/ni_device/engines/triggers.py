@@ -133,7 +133,7 @@ Source = AnalogSource | SyncPulse | AtTime | OtherTask
 
 
 def digital_source(source: str, slope: Slope) -> SyncPulse | OtherTask:
-    """Return the trigger at a terminal, such as ``/cDAQ1/PFI0``; `DaqError` -89136 if there is no such terminal."""
+    """Return the trigger at a terminal such as ``/cDAQ1/PFI0``. Raises `DaqError` -89136 for an unknown terminal."""
     match = _SIGNAL.fullmatch(source.strip())
     if not match:
         raise DaqError(

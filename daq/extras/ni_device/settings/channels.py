@@ -231,7 +231,7 @@ class Channel:
         return self.settings[name]
 
     def set(self, name: str, value: Any) -> None:
-        """Set a property; `DaqError` -200452 if it does not exist, otherwise the errors of `check`."""
+        """Set a property. Raises `DaqError` -200452 if it does not exist, otherwise the errors of `check`."""
         if name in ("ai_rng_high", "ai_rng_low"):
             self.settings["rng"] = self.module.range_for(abs(coerce(name, value, 0.0)))
             return

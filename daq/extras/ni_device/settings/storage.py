@@ -35,7 +35,7 @@ class Storage:
         saved[name] = value
 
     def scale(self, name: str) -> Scale:
-        """Return a scale by name; `DaqError` -200378 if it does not exist."""
+        """Return a scale by name. Raises `DaqError` -200378 if it does not exist."""
         if name not in self.scales:
             raise DaqError(f"there is no scale {name!r}. Create the scale first.", Code.CUSTOM_SCALE_DOES_NOT_EXIST)
         return self.scales[name]
@@ -57,7 +57,7 @@ class Storage:
         self.authors[name] = author
 
     def channel(self, name: str) -> Channel:
-        """Return a saved channel by name; `DaqError` -200882 if it does not exist."""
+        """Return a saved channel by name. Raises `DaqError` -200882 if it does not exist."""
         if name not in self.channels:
             raise DaqError(f"there is no saved channel {name!r}. Save the channel first.", Code.INVALID_GLOBAL_CHAN)
         return deepcopy(self.channels[name])

@@ -28,7 +28,7 @@ class Call:
 
     @property
     def task(self) -> Task:
-        """Task of the call; `DaqError` -200088 if there is no task of that name."""
+        """Task of the call. Raises `DaqError` -200088 if there is no task of that name."""
         return self.instrument.sessions.find(self.fields["task"], self.peer)
 
 

@@ -41,7 +41,7 @@ from rig.core.results.response import MOTIONS, Response
 _MIN_FREQUENCY_RATIO = 1.35
 # Factor by which this ratio is increased until enough bins of the segment are excited on either side of its frequency.
 _RATIO_INCREASE = 1.1
-# Number of frequencies at which the response is estimated.
+# Number of frequencies at which the response is estimated: several in each half-power width.
 _POINTS = 400
 # Ratio of the number of bins of a fit to its number of parameters.
 _BINS_PER_VALUE = (2 * FIT_HALF_WIDTH + 1) / (3 * ORDER + 2)

@@ -37,7 +37,8 @@ if TYPE_CHECKING:
 _NOTCH_DB = 1.5
 # An excess below this, dB, is noise.
 _SMALLEST_EXCESS_DB = 0.05
-# Number of periods of a window in which the amplitude of a sweep is estimated.
+# Number of periods of a window in which the amplitude of a sweep is estimated: fewer do not separate harmonics, more
+# blur the sweep.
 _PERIODS = 4.0
 # Independent averages per segment, for half-overlapping segments with a Hann window.
 _INDEPENDENT_RATIO = 0.95

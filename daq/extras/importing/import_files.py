@@ -50,7 +50,8 @@ _HIGHEST_RATIO = 0.4
 _MAX_PLAUSIBLE = {"acceleration": 1e6, "velocity": 1e4, "displacement": 1e2, "force": 1e7, "voltage": 1e4}
 # Largest plausible sample rate [Hz] of a vibration test; a larger rate indicates a wrong unit of time.
 _MAX_PLAUSIBLE_RATE = 1e6
-# Number of lost segments of a channel above which segments less than `_LOST_PAUSE_S` apart are merged.
+# Number of lost segments of a channel above which segments less than `_LOST_PAUSE_S` apart are merged; each segment is
+# a marker, and a viewer shows no more.
 _MAX_LOST_SEGMENTS = 1000
 # Two lost segments are merged up to this pause between them [s].
 _LOST_PAUSE_S = 0.1

@@ -67,7 +67,7 @@ _POLL_S = 0.1
 _MIN_UNCHANGED_S = 2.0
 # The second time, as a multiple of the time in which the picture is drawn.
 _MIN_UNCHANGED_DRAWINGS = 5
-# Size of the pictures that are compared for changes [points].
+# Size of the pictures that are compared for changes [points]; small pictures are drawn quickly.
 _COMPARED_POINTS = 800
 # The recording is loaded when the duration that the viewer reports differs from the duration of the recording by at
 # most this [s].

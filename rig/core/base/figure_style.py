@@ -30,7 +30,7 @@ WIDTH_INCH = 7.2
 _DPI = 150
 # Compression level of PNG files. Level 6, the default, takes 50 % longer and makes files only 5 % smaller.
 _PNG_COMPRESSION = 3
-# Number of title characters that fit into the default width.
+# Number of title characters that fit into the default width, at the font size below.
 _TITLE_CHARACTERS = 70
 # If the ratio of the limits of a logarithmic axis is smaller than this, powers of ten would give too few labels.
 _MIN_DECADE_RATIO = 300.0

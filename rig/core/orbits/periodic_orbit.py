@@ -30,7 +30,7 @@ from rig.core.scene.loading import SceneLike, scene_of
 from rig.core.settings.quantities import FREQUENCY, positive_value
 from rig.core.steady_response.steady_state import MAX_REPETITION, settle
 
-# Number of simulated periods after which a search ends without an orbit.
+# Number of simulated periods after which a search ends without an orbit; irregular motion never repeats.
 MAX_PERIODS = 4000
 # Numbers of simulated periods after each of which a search attempts Newton's iteration before the motion is steady.
 EARLY_PERIODS = (16, 64, 256)

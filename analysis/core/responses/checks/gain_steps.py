@@ -22,7 +22,8 @@ from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results import format_number
 from rig.core.results.response import Response
 
-# Number of points on either side of a step, and degree of both polynomials.
+# Number of points on either side of a step, and degree of both polynomials: more points would reach into the next
+# resonance.
 _SIDE = 8
 _DEGREE = 3
 # Iterations of the weighted linear fit.

@@ -26,7 +26,8 @@ from rig.core.results.uncertainty import LineCovariance, Lines, RandomErrors
 
 # The noise level is assumed to be constant over this number of widths of a local fit.
 _CONSTANT_NOISE_WIDTHS = 5
-# Number of iterations of the weighted fit that separates the noise of the reference from the noise of the responses.
+# Number of iterations of the weighted fit that separates the noise of the reference from the noise of the responses,
+# which converges in fewer.
 _ITERATIONS = 4
 # The noise power of a response is at least this fraction of the residual of a local fit.
 _MIN_NOISE_RATIO = 1e-6

@@ -34,7 +34,7 @@ from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import Response
 
-# Number of bins on either side of a line that a local fit uses.
+# Number of bins on either side of a line that a local fit uses: more than twice the number of unknowns with one input.
 FIT_HALF_WIDTH = 12
 
 

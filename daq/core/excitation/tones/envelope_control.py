@@ -32,7 +32,7 @@ MAX_GROWTH_TIMES_DEAD_TIME = 0.3
 # An observation updates the model of the mode if motion or drive changed by more than this fraction; smaller changes
 # are noise.
 _MIN_CHANGE = 0.01
-# Number of latest drives that determine the limit of the next drive.
+# Number of latest drives that determine the limit of the next drive, so a single small drive does not stop the control.
 _LATEST_DRIVES = 12
 # The drive changes between windows by at most this fraction of the largest of the latest drives: a wrong model must not
 # overload the rig.
@@ -48,13 +48,13 @@ _LOST_RATIO = 3.0
 _COMPARED_ERRORS = 5
 # The gain is then reduced to this fraction of the initial gain, which still holds most unstable orbits.
 _REDUCED_GAIN = 0.5
-# Number of last windows over which the drive is averaged in steady state.
+# Number of last windows over which the drive is averaged in steady state, to reduce its noise.
 AVERAGED_WINDOWS = 12
 # In steady state, the drives of these windows have at most this relative standard deviation.
 _MAX_SCATTER = 0.01
 # A motion that repeats after at most this number of windows is periodic, with a multiple of the period of the tone.
 _MAX_REPEATED_WINDOWS = 4
-# Number of windows at rest from which the noise is estimated.
+# Number of windows at rest from which the noise is estimated, to 20 %.
 _NOISE_WINDOWS = 12
 # Variance of the envelopes by noise in a measurement, relative to that at rest, which a few windows determine roughly.
 _NOISE_MARGIN = 2.0

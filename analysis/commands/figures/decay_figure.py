@@ -114,9 +114,9 @@ def _draw_damping(
         if positive.size:
             low, high = float(positive.min()), float(positive.max())
             # The axis includes the edges of the 95 % bands, unless the curves would then become too small.
-            expanded = [m.percent[1] for decays_of_mode in modes for _, m in decays_of_mode]
+            half_bands = [m.percent[1] for decays_of_mode in modes for _, m in decays_of_mode]
             edges = np.concatenate(
-                [value + sign * each for value, each in zip(values, expanded, strict=True) for sign in (-1, 1)]
+                [value + sign * each for value, each in zip(values, half_bands, strict=True) for sign in (-1, 1)]
             )
             included_edges = edges[(edges > 0.1 * low) & (edges < 10.0 * high)]
             low, high = min(low, *included_edges) / 1.3, max(high, *included_edges) * 1.3

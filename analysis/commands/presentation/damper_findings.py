@@ -168,7 +168,7 @@ def _kind(motion: DamperMotion) -> str:
     """Translate a motion name into printed text."""
     kind, _, counts = motion.name.partition(": ")
     printed_names = {"riding": _AT_REST, "unseen": _NEAR_GRAVITY, "uncertain": _IRREGULAR, "other": counts}
-    return printed_names.get(kind, f"type {kind}")
+    return printed_names.get(kind, f"Type {kind}")
 
 
 def describe_energy(energy: EnergyBalance, true_loss: np.ndarray | None = None) -> list[str]:

@@ -45,6 +45,8 @@ MIN_SAME_SHAPE_MAC = 0.9
 # value: with the nearest mode alone, two close modes could be exchanged, because their spacing may be smaller than the
 # error of the scene's values. Distant modes are left out, because a channel of wrong sign can resemble their shapes.
 _MAX_FREQUENCY_RATIO = 1.25
+# The scene does not describe the structure if all frequencies differ by more than this factor: a stiffness by four.
+_MAX_THEORY_RATIO = 2.0
 # Largest order (sum of the factors) of a combination; with higher orders, nearly any frequency is a combination.
 _MAX_COMBINATION_ORDER = 5
 # Largest relative error of a combination: natural frequencies depend on amplitude if dampers move.
@@ -112,7 +114,11 @@ def present_modes(
             stem = first if number == 1 else first.with_name(f"{first.name}-{number}")
             title = f"Modes: {modes.label}{'' if rec is None else f' ({full_test_text(rec)})'}"
             files += save_figure(modes_figure(frfs, modes, title), stem)
+            unlike = theory is not None and not _has_near_frequency(modes, theory)
+            theory = None if unlike else theory
             lines += describe_modes(modes, theory)
+            if unlike:
+                lines.append("  shapes are not compared with the scene: no natural frequency of it is near")
             notes = [*modes.warnings, *theory_warnings(modes, theory)]
             warnings += with_recording_name(path, with_sweep_name(modes.label, label, notes, frfs[0].warnings))
     files.append(modes_table(table, all_modes))
@@ -153,6 +159,12 @@ def describe_modes(modes: Modes, theory: TheoreticalModes | None = None) -> list
     if uncertain:
         lines += table_lines([("uncertain mode / Hz", "damping ratio / %", "reason"), *uncertain], ">><")
     return [heading, *(f"  {line}" for line in lines)]
+
+
+def _has_near_frequency(modes: Modes, theory: TheoreticalModes) -> bool:
+    """Return whether any mode is near one of the scene's; masses and springs of imports may be placeholders."""
+    ratios = modes.frequency[:, None] / theory.frequency
+    return bool(np.any((ratios < _MAX_THEORY_RATIO) & (ratios > 1.0 / _MAX_THEORY_RATIO)))
 
 
 def nearest_mac(modes: Modes, theory: TheoreticalModes) -> NDArray[np.float64]:

@@ -430,6 +430,22 @@ def test_swapped_channels_are_reported():
     assert "13.04 Hz" in note and "34.78 Hz" in note and "49.66" not in note
 
 
+# Natural frequencies of the bare structure, Hz.
+FREQUENCIES = np.array([13.04, 34.78, 49.66])
+
+
+def test_placeholder_structure_is_not_compared(monkeypatch, tmp_path):
+    path = Path(__file__).parents[3] / "recordings" / "demo-sweep-no-damper.mcap"
+    theory = "analysis.commands.presentation.theory.theoretical_modes"
+    for scale, compared in ((1.0, True), (0.1, False)):
+        monkeypatch.setattr(
+            theory,
+            lambda rec, modes, scale=scale: theoretical_modes(rec, modes)._replace(frequency=scale * FREQUENCIES),
+        )
+        result = CliRunner().invoke(app, ["modes", str(path), "-o", str(tmp_path), "--overwrite"])
+        assert ("MAC with scene" in result.output, "not compared" in result.output) == (compared, not compared)
+
+
 def test_combination_frequency_is_no_swapped_channel():
     path = Path(__file__).parents[3] / "recordings" / "demo-sweep-no-damper.mcap"
     with daq.open(path) as rec:

@@ -216,6 +216,16 @@ def test_signal_below_a_count_is_not_dead(random_test, tmp_path):
         assert not dead_channels(rec)
 
 
+def test_settling_sensor_is_not_dead(random_test, tmp_path):
+    with daq.open(random_test) as rec:
+        samples = np.stack([rec.read(name) for name in rec.channels])
+        samples[0] += 1e4 * samples[0].std() * np.exp(-np.arange(rec.samples) / (0.2 * rec.rate))
+        marks = [(mark.kind, mark.first_sample, mark.last_sample, mark.fields) for mark in rec.markers]
+        path = synthetic.write(tmp_path / "b.mcap", rec.scene, list(rec.channels.values()), samples, marks)
+    with daq.open(path) as rec:
+        assert not dead_channels(rec)
+
+
 def test_noise_at_antiresonance_is_no_change_of_gain():
     # Three neighboring lines of a sweep have a common error.
     frequency = np.linspace(11.0, 90.0, 390)

@@ -25,6 +25,9 @@ _COMPARED = 8
 _MIN_BLOCKS = 4
 # A signal is dead if it is below this fraction of the previous signal: only noise and crosstalk remain.
 _DEAD_RATIO = 0.01
+# A signal that falls by more than this factor in two steps has settled, as after power-on of a sensor. A signal that
+# dies falls in one step, rarely in two.
+_MAX_FALL = 10.0
 # The standard deviation of a signal before is at least this number of counts of the converter. A smaller signal reads
 # zero as soon as it falls below half a count.
 _MIN_COUNTS = 3.0
@@ -119,7 +122,8 @@ def _first_dead_block(levels: Array) -> int | None:
     for block in range(_MIN_DEAD, levels.size - _MIN_DEAD + 1):
         # The last block before may be dead in part.
         before = levels[max(block - 1 - _COMPARED, 0) : block - 1]
-        if levels[block:].max() < _DEAD_RATIO * before.min():
+        falls = levels[max(block - 3, 0) : block] > _MAX_FALL * levels[max(block - 3, 0) + 1 : block + 1]
+        if levels[block:].max() < _DEAD_RATIO * before.min() and falls.sum() < 2:
             return block
     return None
 

@@ -145,7 +145,7 @@ def test_browser_session_ends_quietly_on_interrupt(recording_path):
 
 
 @pytest.mark.parametrize(
-    ("content", "message"), [(None, "cannot open"), (b"", "is empty"), (bytes(range(256)) * 8, "MCAP")]
+    ("content", "message"), [(None, "cannot be opened"), (b"", "is empty"), (bytes(range(256)) * 8, "MCAP")]
 )
 def test_missing_recording_ends_with_one_line(run_daq, tmp_path, content, message):
     file = tmp_path / "what.mcap"

@@ -21,7 +21,7 @@ const bar = {
     setText("lag", state.lag < 0.04 ? "real time" : `${Math.round(1000 * state.lag)} ms late`);
     const overloads = Object.keys(state.overloads).length;
     $("overloads").hidden = !overloads;
-    setText("overloads", `${overloads === 1 ? "1 channel" : `${overloads} channels`} overloaded: Clear`);
+    setText("overloads", `${overloads} overload${overloads > 1 ? "s" : ""}: Clear`);
     $("lag").classList.toggle("bad", state.lag >= 0.25);
     this.showRecording(state);
     setText("outputs", state.outputs.join("\n") || "none");

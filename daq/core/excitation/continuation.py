@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 from daq.core.excitation.constant_response import AT_LIMIT_RATIO
 from daq.core.excitation.controlled import measured_force
 from daq.core.excitation.procedure import Form, FormValues
+from daq.core.excitation.sensor_settling import longest_wait
 from daq.core.excitation.station import Excitation, GivenUp, Station
 from daq.core.excitation.stepped_sine import SteadyTonesProcedure, expected_wait
 from daq.core.excitation.tones.curve_tone import CurveTone, Point
@@ -38,6 +39,7 @@ from rig.core.base.arrays import Array
 from rig.core.results.text import format_decimals
 
 if TYPE_CHECKING:
+    from daq.core.signal_chain.channel import ChannelInfo
     from rig.core.scene.excitation import Continuation
     from rig.core.scene.excitation.kind import KindOfTest
     from rig.core.scene.scene import Scene
@@ -151,7 +153,7 @@ class _Curve:
             if limitation := self._limitation():
                 raise Lost(limitation)
         raise Lost(
-            f"no motion that repeats within {test.settle.longest:g} s from {test.from_:.4g} to {frequency:.4g} Hz. "
+            f"no motion that repeats within {test.settle.longest:g} s from {test.from_:.5g} to {frequency:.5g} Hz. "
             "Start farther from the resonance, or raise test.settle.longest"
         )
 
@@ -463,6 +465,10 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
                 count += (math.asinh((high - omega) / rate) + math.asinh((omega - low) / rate)) / test.step
         seconds = expected_wait(scene, test.settle.longest) + test.measure.periods / test.from_
         return len(test.levels) * min(count, test.points) * seconds
+
+    def power_on_wait(self, channels: Sequence[ChannelInfo]) -> float:
+        """Return the longest time until the sensors have settled, s: the noise at rest is measured before the test."""
+        return longest_wait(channels)
 
     def part(self, test: Continuation, seconds: float, scene: Scene) -> Continuation:
         """Return the curve of the highest level."""

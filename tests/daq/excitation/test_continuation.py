@@ -216,6 +216,17 @@ def test_curve_begins_where_motion_repeats() -> None:
     assert "no points from 17.439 to 17.3" in " ".join(bench_run.warnings)
 
 
+def test_noise_is_measured_with_settled_sensors() -> None:
+    sensor = {"sensitivity": "100 mV/g", "noise": "20 ug/sqrt(Hz)", "bias": "2 V", "bias_settling": "0.2 s"}
+    channels = [
+        {"name": "a1", "at": "body 1", "accelerometer": {**sensor, "low_cutoff": "0.5 Hz"}},
+        {"name": "force", "at": "shaker", "hammer": {"sensitivity": "100 mV/N"}},
+    ]
+    scene = scene_with(force=0.5, **{"from": "49 Hz", "to": "49.2 Hz"}).replace(dampers=[], channels=channels)
+    kind, first, end, fields = run(scene).marks[0]
+    assert (kind, first, fields) == ("settle", 0, {"settled": True}) and end > 5120 * 0.5
+
+
 def test_noise_is_no_irregular_motion() -> None:
     # At 49 Hz, the noise of a window is 0.8 % of the motion.
     channels = [

@@ -17,6 +17,7 @@ import numpy as np
 
 from daq.core.excitation.controlled import Controlled
 from daq.core.excitation.lock_in import min_samples
+from daq.core.excitation.sensor_settling import wait_for_sensors
 from daq.core.excitation.station import Station
 from daq.core.excitation.tones.nearest_mode import NearestMode
 from daq.core.excitation.tones.settling import Settling
@@ -129,6 +130,7 @@ class EnvelopeTone(SteadyTone):
 
     def __init__(self, station: Station, frequency: float, controlled: Controlled) -> None:
         super().__init__(station, frequency, controlled)
+        self._quantity = controlled
         self.forget_mode()
         self.direction = 1.0 + 0j  # phase of the drive relative to that of the envelopes, as e^{i phase}
         self.motion = 0j  # last envelope of the controlled motion, m
@@ -172,11 +174,15 @@ class EnvelopeTone(SteadyTone):
         return amplitudes
 
     def measure_noise(self) -> Generator[Array, Array, None]:
-        """Estimate the noise of the envelope at rest, at the present frequency."""
+        """Estimate the noise of the envelope at rest, at the present frequency, and the noise of the quantization."""
+        yield from wait_for_sensors(self.station)
         envelopes = []
         for _ in range(_NOISE_WINDOWS):
             envelopes.append((yield from super().observe(self.window))[0, 0])
-        self.noise = float(np.std(envelopes))
+        steps = [(info.volts_per_count or 0.0) / info.sensitivity for info in self.station.channels]
+        # White noise with the variance step^2 / 12 has the variance step^2 / (3 n) in an amplitude from n samples.
+        quantization = float(np.linalg.norm(self._quantity.weights(self.frequency) * steps)) / (3 * self.window) ** 0.5
+        self.noise = float(np.hypot(np.std(envelopes), quantization))
 
     def steer(self, drive: complex) -> Generator[Array, Array, ComplexArray]:
         """Change the envelope of the drive to `drive` in one control window; return the envelopes of all quantities."""
@@ -277,7 +283,8 @@ class EnvelopeTone(SteadyTone):
         motion, drive = complex(np.mean(motions)), complex(np.mean(drives))
         invasive = float(np.sqrt(np.mean(abs(np.array(drives) - drive) ** 2))) / max(abs(drive), 1e-300)
         envelopes = np.array(motions)
-        tolerance = float(np.hypot(FORCE_TOLERANCE, _NOISE_MARGIN**0.5 * self.noise / max(abs(motion), 1e-300)))
+        noise = _NOISE_MARGIN**0.5 * self.noise / max(abs(motion), 1e-300)
+        tolerance = float(np.hypot(FORCE_TOLERANCE, noise))
         growth = _growth(envelopes, target, window / self.rate, tolerance)
         return Held(motion, drive, invasive, growth, irregularity(envelopes) < tolerance)
 

@@ -136,12 +136,13 @@ def _mode_point(
         place = measurement.rec.scene.structure.label(shown.outputs[0].at) or shown.response
         quantities[f"amplitude of {place} / mm"] = amplitude, format_limited(amplitude, bound)
     unit, factor = curve.shown_in
-    for frf, peak in sweep.found[mode]:
-        if frf is curve:
-            quantities[f"peak of {frf.name} at {frf.response} / ({unit})"] = (
-                factor * peak.value,
-                peak.height_text(factor),
-            )
+    # Without an estimate of the peak, the highest point is its lower bound.
+    point = factor * float(abs(curve.value[line]) - curve.expanded()[line])
+    height = next(
+        ((factor * peak.value, peak.height_text(factor)) for frf, peak in sweep.found[mode] if frf is curve),
+        (point, f"≥ {point:.4g}" if point > 0.0 else "not determined"),
+    )
+    quantities[f"peak of {curve.name} at {curve.response} / ({unit})"] = height
     return LevelPoint(level, excited_at, quantities, note)
 
 

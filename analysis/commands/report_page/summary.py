@@ -9,6 +9,7 @@ from operator import le
 
 import numpy as np
 
+from analysis.commands.figures.frf_figure import includes_sensors
 from analysis.commands.presentation.damper_findings import detection_limits
 from analysis.commands.report_page.levels import level_headline, level_points
 from analysis.commands.report_page.measurements import Measurement, SweepChange, SweepResults, force_deviation
@@ -72,8 +73,11 @@ def limitations(measurements: Sequence[Measurement]) -> list[str]:
                 faults.append(f"force up to {format_percent(float(deviation.max()))} from its level at {where}")
         if any(faults):
             texts.append(f"“{measurement.label}”: {'; '.join(dict.fromkeys(filter(None, faults)))}.")
-    infos = [info for measurement in measurements for info in measurement.rec.channels.values()]
-    missing = ["calibration errors"] * (not all(map(tolerance, infos)))
+    curves = [frf for measurement in measurements for sweep in measurement.sweeps for frf in sweep.frfs]
+    # The bounds of followed curves contain the stated tolerances.
+    others = [each for each in measurements if not each.sweeps and each.tracked is None]
+    infos = [info for measurement in others for info in measurement.rec.channels.values()]
+    missing = ["calibration errors"] * (not (includes_sensors(curves) and all(map(tolerance, infos))))
     missing += ["errors of the sample clock"] * (not all(clock_deviation(each.rec) for each in measurements))
     if missing:
         texts.append(f"The intervals do not include {' and '.join(missing)}: no tolerance is stated.")

@@ -103,6 +103,9 @@ def check_simulation(scene: rig.Scene, settings: dict[str, Any], requirements: d
     if "drift" in requirements:
         after_transient = len(run.time) // 10
         assert np.ptp(run.displacement[0, after_transient:]) < parse(requirements["drift"], LENGTH)
+    if "energy" in requirements:
+        losses = run.energy.dissipated + run.energy.impacts
+        assert abs(run.energy.residual) < float(requirements["energy"]) * losses
     if "at_rest" in requirements:
         assert (run.contact[:, -1] == FLOOR).all()
         assert np.abs(run.velocity[:, -1]).max() < 1e-12

@@ -238,7 +238,7 @@ def response_chart(
     band = np.concatenate([frf.frequency for frf in ordered])
     symbols = {curve.draw for curve in magnitude}
     notes = [
-        "Bands and U: 95 % intervals.",
+        "Bands and U: 95 % intervals; γ²: coherence.",
         "Thin: local model through the points, with gaps where they do not determine it." * ("points" in symbols),
         *(text for symbol, text in PEAK_SYMBOLS.items() if symbol in symbols),
         "Labels: natural frequencies of the modes; other peaks." * bool(marks),
@@ -258,7 +258,7 @@ def response_chart(
                 limits=(top - 375.0, top + 15.0),
                 ticks=[top - 90.0 * k for k in range(4, -1, -1)],
             ),
-            Panel("coherence", "", coherence, height=75, limits=(0.0, 1.05), ticks=(0.0, 0.5, 1.0)),
+            Panel("γ²", "", coherence, height=75, limits=(0.0, 1.05), ticks=(0.0, 0.5, 1.0)),
             Panel("U", "%", relative, height=90, logarithmic=True, limits=_percent_limits(relative)),
         ],
         logarithmic=needs_logarithmic_axis(band),

@@ -8,7 +8,8 @@
   const GRAYS = { "#9aa2ab": "#68737f", "#404040": "#f2f4f7" };
   const UNDETERMINED = "#9aa2ab";
   const PRINT_WIDTH = 700; // px: the printable width of A4
-  const PRINT_HEIGHT = 0.55; // of the height on screen: two charts fit on a page
+  // Printed height of a panel relative to its height on screen: two charts of a tall and three low panels fit on a page.
+  const printHeight = (panel) => panel.height * (panel.height < 220 ? 0.5 : 0.72);
   const MIN_CONTRAST = 6; // of curves on a dark page: they are thinner than text, for which WCAG requires 4.5
   const MIN_DECADE = 120; // px: a shorter decade has no grid lines between its ends
   const MIN_LABEL = 14; // px between labels of decades
@@ -466,7 +467,7 @@
   function height(panel, last) {
     measure.font = FONT;
     const title = measure.measureText(panel.label).width + 10;
-    return Math.max(panel.height * (printing ? PRINT_HEIGHT : 1), title) + (last ? 52 : 6) + LABEL_ROW * Math.min(panel.marks.length, LABEL_ROWS);
+    return Math.max(printing ? printHeight(panel) : panel.height, title) + (last ? 52 : 6) + LABEL_ROW * Math.min(panel.marks.length, LABEL_ROWS);
   }
 
   function draw(holder, chart, number) {

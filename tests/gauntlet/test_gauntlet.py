@@ -59,7 +59,7 @@ def test_folds_between_corners_are_measured() -> None:
 
 @pytest.mark.thorough
 def test_folds_behind_irregular_motion_have_a_named_reason() -> None:
-    # The motion at the first point of this scene is not periodic.
-    results = {result.check: result for result in run_trial(SEED, 10, FOLDS)}
+    # Up to a fifth of the band, no motion of this scene is periodic.
+    results = {result.check: result for result in run_trial(SEED, 9, FOLDS)}
     assert results["folds"].outcome == "warned"
-    assert "missed" in results["folds"].note and "the motion does not repeat" in results["folds"].note
+    assert "missed" in results["folds"].note and "no motion that repeats" in results["folds"].note

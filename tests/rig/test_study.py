@@ -74,7 +74,7 @@ def test_unwritable_table_is_reported(tmp_path: Path) -> None:
 
     with pytest.raises(RunError, match="a file has this name"):
         add_rows(tmp_path / "file" / "table.csv")
-    with pytest.raises(RunError, match=r"table.csv: cannot read"):
+    with pytest.raises(RunError, match=r"table.csv cannot be read"):
         read_rows(tmp_path / "table.csv", HEADER, "gaps")
 
 

@@ -431,7 +431,7 @@ def test_swapped_channels_are_reported():
 
 
 # Natural frequencies of the bare structure, Hz.
-FREQUENCIES = np.array([13.04, 34.78, 49.66])
+BARE_FREQUENCIES = np.array([13.04, 34.78, 49.66])
 
 
 def test_placeholder_structure_is_not_compared(monkeypatch, tmp_path):
@@ -440,7 +440,7 @@ def test_placeholder_structure_is_not_compared(monkeypatch, tmp_path):
     for scale, compared in ((1.0, True), (0.1, False)):
         monkeypatch.setattr(
             theory,
-            lambda rec, modes, scale=scale: theoretical_modes(rec, modes)._replace(frequency=scale * FREQUENCIES),
+            lambda rec, modes, scale=scale: theoretical_modes(rec, modes)._replace(frequency=scale * BARE_FREQUENCIES),
         )
         result = CliRunner().invoke(app, ["modes", str(path), "-o", str(tmp_path), "--overwrite"])
         assert ("MAC with scene" in result.output, "not compared" in result.output) == (compared, not compared)

@@ -52,8 +52,8 @@ def test_late_force_makes_all_responses_early() -> None:
 
 
 def test_delay_of_single_response_is_ambiguous() -> None:
-    curves = curves_of(compliances(STIFFNESS_PROPORTIONAL), {1: 2e-3})[:1]
-    assert "body1 seems to be (2.0" in (warning := delayed_channels(curves, "the force"))
+    curves = curves_of(compliances(STIFFNESS_PROPORTIONAL), {2: 2e-3})[1:2]
+    assert "body2 seems to be (2.0" in (warning := delayed_channels(curves, "the force"))
     assert "or the force early" in warning
 
 

@@ -175,7 +175,7 @@ def test_undetermined_spring_force_is_named(tmp_path: Path) -> None:
     path = daq.record(coil_scene(0.2, {"name": "table", "at": "table"}), tmp_path / "spring.mcap")
     result = CliRunner().invoke(app, ["backbone", str(path), "-o", str(tmp_path)])
     [row] = [line for line in result.stdout.splitlines() if line.lstrip().startswith("0.2 N")]
-    assert row.count("not determined") == 4
+    assert row.count("not determined") == 5
 
 
 def test_device_gives_equal_markers() -> None:

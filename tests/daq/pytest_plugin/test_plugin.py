@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 GUIDE = Path(__file__).parents[3] / "daq" / "guide" / "test-your-code.md"
-EXAMPLES = dict(re.findall(r"[Ss]ave this as\s+`(\w+\.py)`.*?:\n\n```py\n(.*?)^```", GUIDE.read_text(), re.S | re.M))
+EXAMPLES = dict(re.findall(r"[Ss]ave this\s+as\s+`(\w+\.py)`.*?:\n\n```py\n(.*?)^```", GUIDE.read_text(), re.S | re.M))
 # The plugin, also in an environment in which its entry point is not installed.
 PLUGIN = ("-p", "no:shotrig", "-p", "daq.extras.pytest_plugin.plugin")
 PLAIN_TEST = """

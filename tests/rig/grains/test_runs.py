@@ -139,7 +139,7 @@ def test_checkpoint_of_other_run_names_the_difference(tmp_path: Path) -> None:
         (with_grains(), 0.02, None, "duration"),
         (with_grains(), 0.01, 31.0, "drive"),
     ):
-        with pytest.raises(RunError, match=f"kept: .* another {difference}"):
+        with pytest.raises(RunError, match=f"kept contains .* a different {difference}"):
             rig.simulate(scene, duration, RATE_HZ, frequency=frequency, keep=stored)
 
 

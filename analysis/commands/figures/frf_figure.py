@@ -238,7 +238,7 @@ def _draw_curve(
         # Short dashes show the scatter of neighboring lines.
         line["ls"] = (0.0, tuple(_DASH_SCALE * length for length in style.dashes)) if style.dashes else "-"
     elif frf.frequency.size > MAX_MARKED and not is_folded:
-        points["markevery"] = frf.frequency.size // MAX_MARKED + 3
+        points["markevery"] = -(-frf.frequency.size // MAX_MARKED)
     else:
         line |= {"ls": "" if is_folded else "-", "lw": 0.7}
     factor = frf.shown_in[1]

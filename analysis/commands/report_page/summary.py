@@ -74,9 +74,8 @@ def limitations(measurements: Sequence[Measurement]) -> list[str]:
         if any(faults):
             texts.append(f"“{measurement.label}”: {'; '.join(dict.fromkeys(filter(None, faults)))}.")
     curves = [frf for measurement in measurements for sweep in measurement.sweeps for frf in sweep.frfs]
-    # The bounds of followed curves contain the stated tolerances.
-    others = [each for each in measurements if not each.sweeps and each.tracked is None]
-    infos = [info for measurement in others for info in measurement.rec.channels.values()]
+    others = [each for each in measurements if not each.sweeps]
+    infos = [info for each in others for info in each.rec.channels.values() if info.quantity != "voltage"]
     missing = ["calibration errors"] * (not (includes_sensors(curves) and all(map(tolerance, infos))))
     missing += ["errors of the sample clock"] * (not all(clock_deviation(each.rec) for each in measurements))
     if missing:

@@ -112,9 +112,7 @@ def mode_warnings(
             f"{_listed(2.0 * half_widths[undersampled], 3)} Hz on either side, so the damping is extrapolated from the "
             f"flanks. {remedy}"
         )
-    uncertain = (zeta_uncertainty > _MAX_DAMPING_UNCERTAINTY * zeta) & (
-        zeta_uncertainty <= MAX_RELATIVE_UNCERTAINTY * zeta
-    )
+    uncertain = (zeta_uncertainty > _MAX_DAMPING_UNCERTAINTY * zeta) & ~narrow
     if uncertain.any():
         parts = ", ".join(
             f"{format_percent(ratio)} at {frequency:.4g} Hz"

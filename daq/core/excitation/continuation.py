@@ -288,6 +288,7 @@ class _Curve:
                 point = yield from self._driven(ratio * self._test.step)
             if point is None:
                 continue
+            before = self._tangent, self._chord, self._bend
             self._tangent, self._chord, self._bend = (self._forward, 0.0), self._test.step, 0.0
             if (yield from self._measure(point, jump)):
                 self.folds += was_unstable
@@ -295,6 +296,7 @@ class _Curve:
                 start = self.gaps.pop()[0] if is_adjacent else last.frequency
                 self.gaps.append((start, point.frequency))
                 return
+            self._tangent, self._chord, self._bend = before
         raise Lost(reason)
 
     def _past_corner(self, length: float) -> Generator[Array, Array, tuple[Point | None, float]]:

@@ -233,8 +233,8 @@ class TestController:
     def start(self, single_impact: bool = False) -> None:
         """Start the test that the settings describe; on failure `message` states the reason.
 
-        `single_hit`: one impact, instead of the number in the settings. It is averaged with the previous impacts, until
-        the level or the interval changes, or a whole test starts.
+        `single_impact`: one impact, instead of the number in the settings. It is averaged with the previous impacts,
+        until the level or the interval changes, or a whole test starts.
         """
         if self.running:
             return

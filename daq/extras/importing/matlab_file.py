@@ -26,7 +26,7 @@ _MAX_VALUES = 100_000
 
 
 def matlab_arrays(path: Path) -> dict[str, Any]:
-    """Return the variables of a MATLAB file by name.
+    """Return the variables of a MATLAB or HDF5 file by name.
 
     Raises `RecordingError` for a damaged file, `RunError` for version 7.3 without h5py.
     """
@@ -71,7 +71,7 @@ def _read_variables(file_name: str, max_bytes: int) -> dict[str, Any] | str:
         resource.setrlimit(resource.RLIMIT_DATA, (max_bytes, hard))
     try:
         with suppress(NotImplementedError):
-            if file_name.endswith(".mat"):
+            if file_name.lower().endswith(".mat"):
                 content = loadmat(file_name, squeeze_me=True, struct_as_record=True, chars_as_strings=True)
                 return {key: value for key, value in content.items() if key[:2] != "__"}
         import h5py
@@ -81,7 +81,8 @@ def _read_variables(file_name: str, max_bytes: int) -> dict[str, Any] | str:
             # MATLAB stores the targets of references in cells and structures under names with #.
             variables = {key: hdf_reader.value(file[key]) for key in file if not key.startswith("#")}
             # Programs in Python state the sample rate as an attribute.
-            return {**file.attrs, **variables}
+            stated = {key: value for key, value in file.attrs.items() if np.asarray(value).dtype.kind in "biufSU"}
+            return {**stated, **variables}
     except ImportError:
         return _H5PY_MISSING
     except MemoryError:

@@ -48,15 +48,18 @@ _FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[-+]\d+$)")
 _GROUPED_NUMBER = re.compile(r"[-+]?\d{1,3}(?:\.\d{3})+,\d*")
 # A column of texts at the end of the lines.
 _COMMENTS = re.compile(r"(comment|remark|note|event|bemerkung|kommentar)(s|en)?", re.IGNORECASE)
-# The sample rate in a line of a heading: ``Sample rate: 51.2 kHz``, ``Sampling frequency [Hz]\t51200``.
+# The sample rate in a line of a heading: ``Sample rate: 51.2 kHz``, ``Sampling frequency [Hz]\t51200``. A number with
+# an unknown unit is no rate.
+_RATE_UNIT, _INTERVAL_UNIT = "[kM]?(?:Hz|Sa?/s|sps)", "[mnuµμ]?s|seconds?"
 _STATED_RATE = re.compile(
-    r"\W*(?:sampl\w*|scan|abtast|mess)[ _-]?(?:rate|freq\w*)\W*(k?Hz|k?S/s)?\W*"
-    r"(\d[\d.,]*(?:e[-+]?\d+)?)\W*(k?Hz|k?S/s)?\b.*",
+    rf"\W*(?:sampl\w*|scan|abtast|mess)[ _-]?(?:rate|freq\w*)\W*({_RATE_UNIT})?\W*"
+    rf"(\d[\d.,]*(?:e[-+]?\d+)?)(?:\W*|\W*({_RATE_UNIT})\W*)",
     re.IGNORECASE,
 )
 # The sample interval in a line of a heading: ``Delta T (s): 0.001``.
 _STATED_INTERVAL = re.compile(
-    r"\W*(?:delta[ _]?t|dt|sampl\w*[ _-]?(?:interval|period))\W*(m?s)?\W*(\d[\d.,]*(?:e[-+]?\d+)?)\W*(m?s)?\b.*",
+    rf"\W*(?:delta[ _]?t|dt|sampl\w*[ _-]?(?:interval|period))\W*({_INTERVAL_UNIT})?\W*"
+    rf"(\d[\d.,]*(?:e[-+]?\d+)?)(?:\W*|\W*({_INTERVAL_UNIT})\W*)",
     re.IGNORECASE,
 )
 # Last cells of the heading of an oscilloscope, above the time of the first sample and the sample interval.
@@ -200,11 +203,15 @@ def _stated_rate(heading: Sequence[str], decimal_comma: bool) -> float | None:
     (51200.0, 51200.0)
     >>> _stated_rate(["Delta T (ms):;0.5"], False)
     2000.0
+    >>> _stated_rate(["Sample interval: 20 us"], False), _stated_rate(["Sample rate: 1 MS/s"], False)
+    (50000.0, 1000000.0)
     """
     for pattern in (_STATED_RATE, _STATED_INTERVAL):
         for match in filter(None, map(pattern.fullmatch, heading)):
             if number := parse_number(match[2], decimal_comma):
-                number *= {"k": 1e3, "m": 1e-3}.get((match[1] or match[3] or "").lower()[:1], 1.0)
+                unit = match[1] or match[3] or ""
+                prefix = "M" if unit[:1] == "M" and pattern is _STATED_RATE else unit[:1].lower()
+                number *= {"M": 1e6, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9}.get(prefix, 1.0)
                 return number if pattern is _STATED_RATE else rate_of_interval(number)
     return None
 

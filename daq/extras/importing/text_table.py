@@ -260,7 +260,8 @@ class _Table:
             yield times * scale
 
     def _time(self, line_number: int, line: str) -> float:
-        value = parse_number(self._first_cell(line), self._layout.decimal_comma)
+        cells = split_cells(line, self._layout.delimiter)[self._first_position :]
+        value = parse_number(cells[0], self._layout.decimal_comma) if cells else None
         return self._parse_line(line_number, line)[0] if value is None else value
 
     def signal(

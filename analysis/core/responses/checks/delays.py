@@ -89,7 +89,7 @@ def delayed_channels(curves: Sequence[Response], source: str) -> str:
     `curves`: responses to one reference, measured together; `source`: name of the reference. If all responses are late
     by the same time, the reference is early.
     """
-    estimates = _estimate_delays(curves) if curves else []
+    estimates = _estimate_delays(curves)
     known = {curve.response: delay for curve, delay in zip(curves, estimates, strict=True) if delay is not None}
     delayed = {name: delay for name, delay in known.items() if delay.is_significant}
     others = [delay.time for name, delay in known.items() if name not in delayed and delay.is_determined]
@@ -149,11 +149,18 @@ def _sense(delay: _Delay) -> str:
 
 def _estimate_delays(curves: Sequence[Response]) -> list[_Delay | None]:
     """Return the delay of each curve; None if the curve has too few points or modes."""
+    if not curves:
+        return []
     receptances = [curve.to("displacement").sorted() for curve in curves]
     value = np.stack([curve.value for curve in receptances])
     magnitude = abs(value)
-    valid = (np.isfinite(value) & (magnitude > 0.0)).all(axis=0)
-    lines = np.flatnonzero(valid)
+    valid = np.isfinite(value) & (magnitude > 0.0)
+    # A dead channel determines nothing, and must not remove the lines of the others.
+    is_alive = 2 * valid.sum(axis=1) > valid.shape[1]
+    if not is_alive.all():
+        found = iter(_estimate_delays([curve for curve, alive in zip(curves, is_alive, strict=True) if alive]))
+        return [next(found) if alive else None for alive in is_alive]
+    lines = np.flatnonzero(valid.all(axis=0))
     lines = lines[np.unique(np.linspace(0, lines.size - 1, min(lines.size, _MAX_LINES)).astype(int))]
     if lines.size < _MIN_LINES:
         return [None] * len(curves)

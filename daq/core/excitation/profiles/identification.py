@@ -67,8 +67,9 @@ def identify(
     at each line in the test, m/s^2; `limits`: largest root mean square of each channel in the test, m/s^2; `purpose`:
     name for the generator of the random phases.
     """
-    phases, first = station.generator(purpose).uniform(0.0, 2.0 * np.pi, lines.size), station.now
+    phases = station.generator(purpose).uniform(0.0, 2.0 * np.pi, lines.size)
     yield from wait_for_sensors(station)
+    first = station.now
     station.report(0.0, "measuring the noise")
     noise = _rms(accelerations(station, rows, (yield station.zero_drive(period)), lines, period))
     full_level = _rms(required[None])[0]

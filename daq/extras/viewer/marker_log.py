@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from daq.core.recording.markers import impacts_of
 from rig.core.results.text import format_decimals
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ def phases(recording: Recording, start: int, stop: int) -> list[LabeledSegment]:
     markers = [
         marker for marker in recording.markers if marker.last_sample is not None and marker.kind not in NOT_PHASE_KINDS
     ]
-    impacts = sorted(marker.first_sample for marker in markers if marker.kind == "hit")
+    impacts = [marker.first_sample for marker in impacts_of(markers)]
     for marker in sorted(markers, key=lambda marker: marker.first_sample):
         end = marker.stop
         if marker.kind == "hit":

@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from daq.core.recording.markers import Marker
+from daq.core.recording.markers import Marker, impacts_of
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array
 
@@ -101,7 +101,7 @@ def _find(rec: Recording) -> dict[str, int]:
 
 def _block_samples(rec: Recording, marks: Sequence[Marker]) -> int:
     """Return the length of a block. It contains a period, a burst or an impact, or several periods of a tone."""
-    impacts = [mark.first_sample for mark in marks if mark.kind == "hit"]
+    impacts = [mark.first_sample for mark in impacts_of(marks)]
     lengths = [_MIN_SAMPLES, *np.diff(impacts).tolist()]
     for mark in marks:
         lengths.append(mark.repeated_samples)

@@ -51,7 +51,7 @@ def frf(
         _print_output(present_frf(files, output, theory=theory, progress=progress, **options))
 
 
-@app.command(example="analysis decay impulse.mcap --channel body3", options="--channel CHANNEL --hit N")
+@app.command(example="analysis decay impulse.mcap --channel body3", options="--channel CHANNEL --impact N")
 def decay(files: Recordings, output: Folder = None, *, overwrite: Overwrite = False, **options: Any) -> None:
     """Estimate natural frequencies and damping from a free decay."""
     from analysis.commands.presentation.decay_findings import present_decay

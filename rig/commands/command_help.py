@@ -18,7 +18,7 @@ _GROUPS = {
     ),
     "Dampers to choose from": ("budget", "bodies", "dampers", "clearance"),
     "Criterion": ("levels", "band", "watched", "damping_off", "stiffness_off"),
-    "Curves": ("response", "reference", "motion", "unit", "theory", "modes", "channel", "hit", "free"),
+    "Curves": ("response", "reference", "motion", "unit", "theory", "modes", "channel", "impact", "free"),
     "Averages of blocks": ("estimator", "block", "overlap", "window"),
     "Network": ("host", "port", "certificate", "key", "client_ca", "session_timeout"),
     "Output": (

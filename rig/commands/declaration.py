@@ -15,6 +15,8 @@ from typing import Annotated, Any, get_args
 
 import typer
 
+# Old names of options, which still work.
+_OLD_NAMES = {"--impact": ["--hit"]}
 # Upper limit of numbers whose type gives none ("int, at least 1"), so typing errors are rejected.
 _MAX_COUNT = 100_000
 # Options whose parameters have a different name in Python.
@@ -73,7 +75,8 @@ def _with_text(parameter: inspect.Parameter) -> Any:
 def _option(name: str, value_type: Any, placeholder: str, text: str, *, is_on: bool, kind: str = "") -> Any:
     """Return the annotation of an option. `is_on`: it is a flag that is on by default; `kind`: type with limits."""
     option = _option_name(name)
-    names = ["-o", option] if name == "output" else [f"{option}/--no-{option[2:]}" if is_on else option]
+    old = _OLD_NAMES.get(option, [])
+    names = ["-o", option] if name == "output" else [f"{option}/--no-{option[2:]}" if is_on else option, *old]
     limits = re.search(r"at least (\d+)|(\d+) to (\d+)", kind)
     minimum, maximum = (int(limits[1] or limits[2]), int(limits[3] or _MAX_COUNT)) if limits else (None, None)
     return Annotated[value_type, typer.Option(*names, metavar=placeholder or None, help=text, min=minimum, max=maximum)]

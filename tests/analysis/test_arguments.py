@@ -164,8 +164,8 @@ def test_average_of_sensors_is_weighted_by_variance() -> None:
     # Two sensors on body 2 with standard uncertainties of 0.01 and 0.1.
     zeros = np.zeros(2)
     modes = Modes(
-        frequency=np.array([10.0]), frequency_error=zeros[:1], damping=zeros[:1], damping_error=zeros[:1],
-        shape_error=np.array([[0.0], [0.01], [0.1]]), residue=np.array([[1.0 + 0j], [0.5], [0.61]]),
+        frequency=np.array([10.0]), frequency_std=zeros[:1], damping=zeros[:1], damping_std=zeros[:1],
+        shape_std=np.array([[0.0], [0.01], [0.1]]), residue=np.array([[1.0 + 0j], [0.5], [0.61]]),
         responses=("a", "b", "c"), chart=(), lower=np.zeros(3), upper=np.zeros((3, 3)), model_error=0.0,
         label="", warnings=(), places=("body 1", "body 2", "body 2"),
     )  # fmt: skip

@@ -152,7 +152,7 @@ def differences(first: Modes, second: Modes, low: float, high: float, spacing: f
             if not (1.0 + _MARGIN) * low < mode.frequency < (1.0 - _MARGIN) * high:
                 continue
             other = min(candidates, key=lambda each: abs(each.frequency - mode.frequency), default=None)
-            errors = 0.0 if other is None else expand(mode.frequency_error + other.frequency_error)
+            errors = 0.0 if other is None else expand(mode.frequency_std + other.frequency_std)
             distance = max(mode.damping * mode.frequency, errors, spacing)
             if other is None or abs(other.frequency - mode.frequency) > distance:
                 texts.append(f"{mode.frequency:.5g} Hz is {change}")
@@ -168,7 +168,7 @@ def differences(first: Modes, second: Modes, low: float, high: float, spacing: f
 
 def _rows(modes: Modes) -> list[UncertainMode]:
     """Return the modes as rows without a reason."""
-    columns = modes.frequency, modes.frequency_error, modes.damping, modes.damping_error
+    columns = modes.frequency, modes.frequency_std, modes.damping, modes.damping_std
     return [UncertainMode(*row, "") for row in zip(*(column.tolist() for column in columns), strict=False)]
 
 

@@ -172,7 +172,7 @@ def run_trial(seed: int, number: int) -> Trial:
     mass, _, stiffness = structure_matrices(scene.structure)
     omega, _ = natural_modes(mass, stiffness)
     for mode, true in zip(fit.modes, omega / (2 * np.pi), strict=True):
-        bound = mode.frequency_bound / mode.frequency
+        bound = mode.frequency_expanded / mode.frequency
         status = "determined" if bound < MAX_FREQUENCY_ERROR else "roughly"
         values.append(ComparedValue(scene.name, "frequency", status, mode.frequency / true - 1, bound))
     n_omitted = sum(int((~curve.is_fitted).sum()) for curve in fit.compared)

@@ -121,8 +121,8 @@ def _modes_of(name: str, curves: list[Response], band: tuple[float, float]) -> d
         f"{name} frf": np.stack([curve.value for curve in selected]),
         f"{name} pole_Hz": modes.frequency,
         f"{name} pole_damping": modes.damping,
-        f"{name} pole_Hz_expanded": expand(modes.frequency_error),
-        f"{name} pole_damping_expanded": expand(modes.damping_error),
+        f"{name} pole_Hz_expanded": expand(modes.frequency_std),
+        f"{name} pole_damping_expanded": expand(modes.damping_std),
         f"{name} shapes": modes.shapes,
     }
 

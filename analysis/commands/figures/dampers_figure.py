@@ -96,13 +96,15 @@ def _draw_energies(axes: Axes, energy: EnergyBalance, lines: Lines, true_loss: n
     def draw_energy(joules: np.ndarray, **style: Any) -> None:
         axes.plot(frequency_with_gaps, np.insert(1e3 * joules[order], gaps, np.nan), **style)
 
-    is_determined = energy.dampers > energy.bound
+    is_determined = energy.dampers > energy.expanded
     into_dampers = np.where(is_determined, energy.dampers, np.nan)
     draw_energy(energy.supplied, color="#000000", marker="o", label="supplied by the force")
     draw_energy(energy.structure, color="#777777", marker="o", label="into the structure's damping, as in the scene")
     draw_energy(into_dampers, color=DAMPER, marker="o", label="into the dampers")
-    axes.errorbar(energy.frequency, 1e3 * into_dampers, 1e3 * energy.bound, fmt="none", ecolor=DAMPER, elinewidth=0.9)
-    upper_bound = 1e3 * np.maximum(energy.dampers + energy.bound, 0.0)
+    axes.errorbar(
+        energy.frequency, 1e3 * into_dampers, 1e3 * energy.expanded, fmt="none", ecolor=DAMPER, elinewidth=0.9
+    )
+    upper_bound = 1e3 * np.maximum(energy.dampers + energy.expanded, 0.0)
     axes.plot(
         energy.frequency[~is_determined], upper_bound[~is_determined], "v", mfc="none", ms=3.5, mew=0.6,
         color=DAMPER, alpha=0.6, label="into the dampers, upper bound",

@@ -139,7 +139,7 @@ def compare_peaks(
     for points, name, frfs in ((points, name, frfs) for points, name, groups in others for frfs in groups):
         path, same_sensors = points.path, points.same_sensors(measured_points[0])
         changes = peak_changes(modes, first_frfs, frfs, same_sensors)
-        before = coarse_step_warnings([(change.mode, change.response, change.bare) for change in changes])
+        before = coarse_step_warnings([(change.mode, change.response, change.baseline) for change in changes])
         after = coarse_step_warnings([(change.mode, change.response, change.damped) for change in changes])
         warnings += with_recording_name(path, frfs[0].warnings)
         warnings += with_recording_name(paths[0], with_sweep_name(baseline.label, names[0], before))
@@ -152,7 +152,7 @@ def compare_peaks(
                 "these changes"
             )
         lines += _uncompared_peaks(changes, ((paths[0], first_frfs), (path, frfs)), modes)
-        has_unbounded_peak |= any(isinf(change.bare.bound + change.damped.bound) for change in changes)
+        has_unbounded_peak |= any(isinf(change.baseline.expanded + change.damped.expanded) for change in changes)
         all_changes += [(first_frfs[0], frfs[0], change) for change in changes]
     return Comparison(
         tuple(all_changes),
@@ -182,7 +182,7 @@ def change_rows(changes: Sequence[PeakChange], shown_in: tuple[str, float]) -> l
         if change.damped.at_end:
             rows.append((*cells, "none", *[""] * 5))
             continue
-        is_bounded = not isinf(change.bare.bound + change.damped.bound)
+        is_bounded = not isinf(change.baseline.expanded + change.damped.expanded)
         rows.append((
             *cells, after, *_format_change(change.decibel, change.decibel_decimals),
             *_format_change(change.shift, change.shift_decimals),
@@ -310,6 +310,6 @@ def _channel_list(channels: dict[str, str]) -> str:
 
 
 def _row(before: Response, after: Response, change: PeakChange) -> tuple[str | float, ...]:
-    peaks = (change.bare.value, change.bare.bound, change.damped.value, change.damped.bound)
+    peaks = (change.baseline.value, change.baseline.expanded, change.damped.value, change.damped.expanded)
     labels = (before.label, after.label, change.response, before.input, change.mode)
     return (*labels, *change.decibel, *change.shift, *peaks)

@@ -120,7 +120,7 @@ def fold_lines(result: AmplitudeCurve, exact: Sequence[ExactBranch]) -> list[str
         values = [value for each in exact if each.level == fold.level for value in each.branch.folds.tolist()]
         nearest = f"{min(values, key=lambda value: abs(value - fold.frequency)):.5g}" if values else ""
         level = f"{format_number(fold.level)} {result.unit}"
-        frequency = format_quantity(fold.frequency, fold.bound, "").strip(" ()")
+        frequency = format_quantity(fold.frequency, fold.expanded, "").strip(" ()")
         rows.append((level, frequency, f"{1e3 * fold.amplitude:.3g}", nearest))
     resolutions = {level: result.resolution(level) for level in dict.fromkeys(result.level.tolist())}
     widths = ", ".join(

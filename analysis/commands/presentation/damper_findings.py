@@ -181,7 +181,7 @@ def describe_energy(energy: EnergyBalance, true_loss: np.ndarray | None = None) 
     heading = ["frequency / Hz", "supplied / mJ", "into dampers / %", "change if scene damping 10 % too high / %"]
     rows = [heading if true_loss is None else [*heading, "true impact loss / %"]]
     for i in indices:
-        share, bound = (100.0 * energies[i] / energy.supplied[i] for energies in (energy.dampers, energy.bound))
+        share, bound = (100.0 * energies[i] / energy.supplied[i] for energies in (energy.dampers, energy.expanded))
         damper_share = (
             format_interval(share, bound) if not abs(share) <= bound else f"below {format_number(share + bound)}"
         )

@@ -47,12 +47,12 @@ def present_decay(
     paths: Sequence[Path],
     output: Path | None = None,
     channel: str | None = None,
-    hit: int = 1,
+    impact: int = 1,
 ) -> CommandOutput:
     """Draw and tabulate free decays; the curves of several recordings are overlaid.
 
     `paths`: recordings of impact tests or free decays; `output`: folder for figures and tables, by default the folder
-    of the first recording; `channel`: motion channel, by default the channel of the last body; `hit`: number of the
+    of the first recording; `channel`: motion channel, by default the channel of the last body; `impact`: number of the
     impact, from 1.
     """
     from analysis.commands.figures.decay_figure import decay_figure
@@ -69,14 +69,14 @@ def present_decay(
     for path, label in zip(paths, scene_labels(recordings, paths), strict=True):
         rec = recordings.of(path)
         check_recording(rec, path, "decay")
-        decays.append(relabel(decay(rec, channel, hit), rec.scene.name, label))
+        decays.append(relabel(decay(rec, channel, impact), rec.scene.name, label))
         has_impacts = rec.test.drives
         moving[label] = not rec.scene.is_linear
         excitations.append(full_test_text(rec))
         places.append(rec.channels[decays[-1].channel].at)
         warnings += with_recording_name(path, decays[-1].warnings)
     first = decays[0]
-    title = f"Free decay of {first.channel}{f' after impact {hit}' if has_impacts else ''}"
+    title = f"Free decay of {first.channel}{f' after impact {impact}' if has_impacts else ''}"
     if excitations[0] and len(set(excitations)) == 1:
         title += f" ({excitations[0]})"
     baseline = baseline_label(moving)
@@ -115,7 +115,7 @@ def decay_rows(decay: Decay) -> list[tuple[str, ...]]:
     for mode in decay.modes:
         frequency = f"{mode.center:.4g}"
         if np.isfinite(mode.frequency):
-            frequency = format_interval(mode.frequency, float(expand(mode.frequency_error)))
+            frequency = format_interval(mode.frequency, float(expand(mode.frequency_std)))
         ends = [_damping_at(mode, index) for index in (0, -1)] if mode.damping.size else [_UNKNOWN_DAMPING] * 2
         rows.append((frequency, *ends[0], *ends[1], f"{mode.noise:.1g}"))
     return rows

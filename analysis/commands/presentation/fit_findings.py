@@ -66,8 +66,8 @@ def describe(result: Fit) -> list[str]:
     modes = [("mode of the structure", "frequency / Hz", "damping ratio / %")] + [
         (
             str(number),
-            format_interval(mode.frequency, mode.frequency_bound),
-            format_interval(100 * mode.damping, 100 * mode.damping_bound),
+            format_interval(mode.frequency, mode.frequency_expanded),
+            format_interval(100 * mode.damping, 100 * mode.damping_expanded),
         )
         for number, mode in enumerate(result.modes, 1)
     ]

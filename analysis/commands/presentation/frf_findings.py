@@ -165,7 +165,7 @@ def _peaks_between_points(frf: Response) -> list[str]:
     # The tolerances of the sensors change the peak and the highest point by the same factor.
     point = (1.0 + _MAX_PEAK_DEVIATION) * height + float(frf.without(SENSITIVITY, SYSTEMATIC).expanded()[line])
     remarks = []
-    if highest is not None and value + scale * highest.interpolation_bound > point:
+    if highest is not None and value + scale * highest.interpolation_expanded > point:
         unit, factor = frf.shown_in
         remarks.append(
             f"the peak between the points, at {highest.frequency:.2f} Hz, is "

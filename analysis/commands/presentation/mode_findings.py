@@ -181,7 +181,7 @@ def theory_warnings(modes: Modes, theory: TheoreticalModes | None) -> list[str]:
         return []
     nearest = nearest_mac(modes, theory)
     # Upper bound of the decrease of the MAC due to the uncertainty of the shape.
-    mac_uncertainty = np.sum(expand(modes.shape_error) ** 2, axis=0) / np.sum(abs(modes.shapes) ** 2, axis=0)
+    mac_uncertainty = np.sum(expand(modes.shape_std) ** 2, axis=0) / np.sum(abs(modes.shapes) ** 2, axis=0)
     is_mismatched = nearest + mac_uncertainty < MIN_SAME_SHAPE_MAC
     mismatched = zip(modes.frequency[is_mismatched], nearest[is_mismatched], strict=True)
     matched = modes.frequency[~is_mismatched].tolist() if modes.model_error else []

@@ -83,7 +83,7 @@ def envelope_table(path: Path, decays: Sequence[Decay]) -> Path:
         for start in range(0, decay.time.size - step + 1, step):
             interval = slice(start, start + step)
             largest = float(abs(decay.acceleration[interval]).max()), float(decay.envelope[interval].max())
-            rows.append((decay.label, decay.channel, decay.hit, decay.time[start], *largest, decay.energy[start]))
+            rows.append((decay.label, decay.channel, decay.impact, decay.time[start], *largest, decay.energy[start]))
     return write_table(path, heading, rows)
 
 
@@ -96,9 +96,9 @@ def damping_table(path: Path, decays: Sequence[Decay]) -> Path:
     rows: list[Row] = []
     for decay in decays:
         for mode in decay.modes:
-            columns = mode.damping, mode.damping_error, mode.decrement, mode.natural, mode.natural_error
+            columns = mode.damping, mode.damping_std, mode.decrement, mode.natural_frequency, mode.natural_frequency_std
             cells = zip(mode.amplitude, *columns, strict=True)
-            rows += [(decay.label, decay.channel, decay.hit, mode.frequency, *row) for row in cells]
+            rows += [(decay.label, decay.channel, decay.impact, mode.frequency, *row) for row in cells]
     return write_table(path, heading, rows)
 
 
@@ -123,7 +123,7 @@ def modes_table(path: Path, sweeps: Sequence[Modes]) -> Path:
             error = dict(zip(bodies.names, bodies.errors[:, i], strict=True))
             rows.append((
                 modes.label, modes.input, i + 1,
-                *_modal_cells(frequency, modes.frequency_error[i], modes.damping[i], modes.damping_error[i]),
+                *_modal_cells(frequency, modes.frequency_std[i], modes.damping[i], modes.damping_std[i]),
                 *(shape.get(name, np.nan) for name in channels),
                 *(error.get(name, np.nan) for name in channels), modes.collinearity[i], "",
             ))  # fmt: skip
@@ -135,10 +135,10 @@ def modes_table(path: Path, sweeps: Sequence[Modes]) -> Path:
     return write_table(path, heading, rows)
 
 
-def _modal_cells(frequency: float, frequency_error: float, damping: float, damping_error: float) -> Sequence[float]:
+def _modal_cells(frequency: float, frequency_std: float, damping: float, damping_std: float) -> Sequence[float]:
     """Round a natural frequency in Hz and in rad/s, and a damping ratio, with their standard uncertainties."""
-    omega, _ = _rounded(2 * np.pi * frequency, 2 * np.pi * frequency_error)
-    return *_rounded(frequency, frequency_error), omega, *_rounded(damping, damping_error)
+    omega, _ = _rounded(2 * np.pi * frequency, 2 * np.pi * frequency_std)
+    return *_rounded(frequency, frequency_std), omega, *_rounded(damping, damping_std)
 
 
 def _rounded(value: float, error: float) -> tuple[float, float]:

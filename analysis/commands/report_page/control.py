@@ -45,7 +45,7 @@ def _profile_chart(check: ProfileCheck) -> Chart:
     ]
     for level, style in zip(check.limited, limited, strict=True):
         curves.append(Curve(level.channel, frequency, level.values, level.low, level.high, style._replace(dashes=())))
-        curves.append(Curve(f"limit of {level.channel}", frequency, level.bound, style=style._replace(dashes=(2, 2))))
+        curves.append(Curve(f"limit of {level.channel}", frequency, level.limit, style=style._replace(dashes=(2, 2))))
     highest = max(float(np.nanmax(np.asarray(curve.y))) for curve in curves)
     return Chart(
         f"Control channel with profile and tolerance of {check.tolerance:g} dB; limited channels with limits (dotted)"
@@ -71,7 +71,7 @@ def _profile_chart(check: ProfileCheck) -> Chart:
 def _tracking_chart(result: AmplitudeCurve | Backbone) -> Chart:
     """Return a chart of the amplitude against frequency of followed curves or resonances."""
     curves, parts = list[Curve](), result.parts()
-    amplitude, bound = 1e3 * result.amplitude, 1e3 * result.amplitude_bound
+    amplitude, bound = 1e3 * result.amplitude, 1e3 * result.amplitude_expanded
     for part in parts:
         if not any(part.style == curve.style for curve in curves):
             path = np.any([other.selected for other in parts if other.style == part.style], axis=0)
@@ -100,8 +100,8 @@ def _modal_chart(result: Backbone) -> Chart:
     [part], amplitude = result.parts(), 1e3 * result.amplitude
     panels = []
     for name, unit, values, bound in (
-        ("natural frequency", "Hz", result.natural_frequency, result.natural_frequency_bound),
-        ("damping ratio", "%", 100.0 * result.damping, 100.0 * result.damping_bound),
+        ("natural frequency", "Hz", result.natural_frequency, result.natural_frequency_expanded),
+        ("damping ratio", "%", 100.0 * result.damping, 100.0 * result.damping_expanded),
     ):
         path = Curve(part.name, amplitude[part.selected], values[part.selected], style=part.style, draw="path")
         curves = [path, _bars(part, amplitude, values, bound)]

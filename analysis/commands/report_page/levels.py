@@ -118,7 +118,7 @@ def _mode_point(
     if not band[0] < modes.frequency[mode] < band[1]:
         return LevelPoint(level, np.nan, {}, "not identified")
     frequency, damping = float(modes.frequency[mode]), 100.0 * float(modes.damping[mode])
-    bounds = (float(expand(error[mode])) for error in (modes.frequency_error, 100.0 * modes.damping_error))
+    bounds = (float(expand(error[mode])) for error in (modes.frequency_std, 100.0 * modes.damping_std))
     quantities = {
         "natural frequency / Hz": (frequency, format_limited(frequency, next(bounds))),
         "damping ratio / %": (damping, format_limited(damping, next(bounds), 100.0)),
@@ -153,7 +153,9 @@ def _with_energy(point: LevelPoint, results: Iterable[Dampers]) -> LevelPoint:
     """
     for energy in (result.energy for result in results if result.energy is not None and np.isfinite(point.frequency)):
         line = int(np.argmin(abs(energy.frequency - point.frequency)))
-        percent, bound = (100.0 * float(part[line] / energy.supplied[line]) for part in (energy.dampers, energy.bound))
+        percent, bound = (
+            100.0 * float(part[line] / energy.supplied[line]) for part in (energy.dampers, energy.expanded)
+        )
         share = {"energy in dampers / %": (percent, format_limited(percent, bound, 100.0))}
         return point._replace(quantities={**point.quantities, **share})
     return point

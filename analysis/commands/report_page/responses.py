@@ -455,7 +455,7 @@ def damper_charts(measurement: Measurement) -> list[Chart]:
             impacts.setdefault(place, []).append(Curve(label, frequency[order], count[order], style=at, draw=draw))
         energy = result.energy
         if energy is not None:
-            percent, bound = (_percent(part, energy.supplied)[order] for part in (energy.dampers, energy.bound))
+            percent, bound = (_percent(part, energy.supplied)[order] for part in (energy.dampers, energy.expanded))
             label, at = ("dampers", CurveStyle(DAMPER)) if is_single else (name, style)
             value, low, high = np.clip([percent, percent - bound, percent + bound], 0.0, 100.0)
             shares.append(Curve(label, frequency[order], value, low, high, at, draw))

@@ -161,7 +161,7 @@ def _change_line(described: SweepChange) -> str:
 
 def _baseline_height(change: SweepChange) -> float:
     """Return the height of the peak in the baseline [m/N]."""
-    return change.change.bare.value
+    return change.change.baseline.value
 
 
 def _response_texts(measurement: Measurement) -> list[str]:
@@ -220,7 +220,7 @@ def _largest_share(result: Dampers) -> str:
     frequency, energy = result.sweep.lines.frequency, result.energy
     if energy is None:
         return ""
-    share, expanded = energy.dampers / energy.supplied, energy.bound / energy.supplied
+    share, expanded = energy.dampers / energy.supplied, energy.expanded / energy.supplied
     largest = int(np.argmax(np.where(energy.supplied > 0, share - expanded, -np.inf)))
     if not share[largest] > expanded[largest] > 0:
         return ""

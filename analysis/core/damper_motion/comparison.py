@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from analysis.core.modal.modes import Modes
+from rig.core.base.renamed import renamed
 from rig.core.results import format_decimals, format_interval, format_number, format_quantity, round_to_bound
 from rig.core.results.resonances import MIN_LINES, Resonance, find_resonances
 from rig.core.results.response import Response
@@ -52,7 +53,7 @@ _MAX_INTERPOLATION_ERROR = 0.01
 class Peak:
     """A resonance peak of a measured compliance."""
 
-    value: float  # height, m/N; a lower bound of the height if `bound` is infinite
+    value: float  # height, m/N; a lower bound of the height if `expanded` is infinite
     # expanded uncertainty of the height (95 %) without errors that are common to all frequencies [m/N]; infinite if the
     # curve has a jump or few points, or if a point next to the highest was omitted
     own_expanded: float
@@ -60,13 +61,17 @@ class Peak:
     lowest_frequency: float  # lower end of the 95 % interval of the frequency, Hz
     highest_frequency: float  # upper end of the 95 % interval of the frequency, Hz
     lower_limit: float = 0.0  # lower end of the 95 % interval of the highest measured point, m/N
-    interpolation_bound: float = 0.0  # part of `own_expanded` due to interpolation between the points, m/N
+    interpolation_expanded: float = 0.0  # part of `own_expanded` due to interpolation between the points, m/N
     step: float = 0.0  # largest frequency step next to the highest point, Hz; 0 if there is no interpolation
     at_end: bool = False  # whether the highest point is at an end of the band, on the flank of another peak
-    # tolerances of the sensors, relative to the height; they are common to all frequencies and included in `bound`
+    # tolerances of the sensors, relative to the height; they are common to all frequencies and included in `expanded`
     tolerances: tuple[float, ...] = ()
-    clock: float = 0.0  # largest relative error of the sample clock, included in `bound` and in the limits of frequency
+    clock: float = (
+        0.0  # largest relative error of the sample clock, included in `expanded` and in the limits of frequency
+    )
     highest_point: float = inf  # magnitude of the highest measured point, m/N; infinite if there is no interpolation
+
+    bound = renamed("bound", "expanded")
 
     @property
     def is_extrapolated(self) -> bool:
@@ -74,7 +79,7 @@ class Peak:
         return self.value > _HALF_POWER * self.highest_point
 
     @property
-    def bound(self) -> float:
+    def expanded(self) -> float:
         """Expanded uncertainty of the height (95 %) with all errors [m/N]."""
         return self._expanded(self.own_expanded)
 
@@ -124,11 +129,11 @@ class Peak:
         '(5000 ± 20) µm/N, extrapolated'
         """
         ending = f" {unit}" * bool(unit)
-        if isinf(self.bound):
+        if isinf(self.expanded):
             return f"{'at least' if unit else '≥'} {factor * self.low:.4g}{ending}"
-        if self.bound > self.value:
+        if self.expanded > self.value:
             return "not determined"
-        low, value, high = (factor * each for each in (self.low, self.value, self.value + self.bound))
+        low, value, high = (factor * each for each in (self.low, self.value, self.value + self.expanded))
         if value - low < _MIN_SYMMETRY * (high - value):
             # The measured points are a lower limit of the peak.
             value_text, low_text, high_text = (round_to_bound(each, high - value) for each in (value, low, high))
@@ -196,9 +201,11 @@ def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
     interpolation = 2.0 * (np.array(difference) + leave_one_out_error * np.array(error_scales))
     bound = hypot(measured[0], interpolation[0])
     possible = f[height - magnitude <= np.hypot(point_bound, bound)]
-    frequency_bound = hypot(measured[1], interpolation[1]) + 0.5 * (grid[1] - grid[0])
+    frequency_expanded = hypot(measured[1], interpolation[1]) + 0.5 * (grid[1] - grid[0])
     on_grid = grid[(curve >= height - bound) | (curve_of_five >= curve_of_five.max() - bound)]
-    to_first_order = np.clip([frequency - frequency_bound, frequency + frequency_bound], on_grid.min(), on_grid.max())
+    to_first_order = np.clip(
+        [frequency - frequency_expanded, frequency + frequency_expanded], on_grid.min(), on_grid.max()
+    )
     limits = np.append(possible, to_first_order)
     return Peak(
         height,
@@ -207,7 +214,7 @@ def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
         float(limits.min()) * (1.0 - clock),
         float(limits.max()) * (1.0 + clock),
         lower_limit=float(magnitude[highest] - point_bound[highest]),
-        interpolation_bound=float(interpolation[0]),
+        interpolation_expanded=float(interpolation[0]),
         step=float(np.diff(f[three_points]).max()),
         tolerances=tolerances,
         clock=clock,
@@ -287,7 +294,7 @@ def _better(frf: Response, resonance: Resonance, estimate: Peak) -> Peak:
         return estimate
     return replace(
         estimate, value=resonance.value, own_expanded=resonance.expanded, frequency=resonance.frequency,
-        interpolation_bound=0.0, at_end=False,
+        interpolation_expanded=0.0, at_end=False,
     )  # fmt: skip
 
 
@@ -385,14 +392,16 @@ class PeakChange:
     response: str
     mode: float  # natural frequency of the mode of the bare structure, Hz
     damping: float  # damping ratio of this mode
-    bare: Peak  # without dampers
+    baseline: Peak  # without dampers
     damped: Peak  # with dampers
     # both peaks without the sensitivity errors, which cancel in the change if the same sensors measured both
     without_sensitivity: tuple[Peak, Peak] | None = None
 
+    bare = renamed("bare", "baseline")
+
     @property
     def _compared(self) -> tuple[Peak, Peak]:
-        return self.without_sensitivity or (self.bare, self.damped)
+        return self.without_sensitivity or (self.baseline, self.damped)
 
     @property
     def decibel(self) -> tuple[float, float, float]:
@@ -421,12 +430,12 @@ class PeakChange:
 
     def height_texts(self, factor: float) -> tuple[str, ...]:
         """Write the heights times a factor, without and with dampers, with the digits of the larger uncertainty."""
-        peaks = self.bare, self.damped
-        bounds = [peak.bound for peak in peaks if isfinite(peak.bound)]
+        peaks = self.baseline, self.damped
+        bounds = [peak.expanded for peak in peaks if isfinite(peak.expanded)]
         bound = factor * max([*bounds, _HEIGHT_RESOLUTION * max(peak.value for peak in peaks)])
         return tuple(
             f"≥ {round_to_bound(factor * peak.low, bound)}"
-            if isinf(peak.bound)
+            if isinf(peak.expanded)
             else f"{round_to_bound(factor * peak.value, bound)}{' (extrapolated)' * peak.is_extrapolated}"
             for peak in peaks
         )
@@ -439,7 +448,7 @@ class PeakChange:
         below = damped.frequency - damped.lowest_frequency, bare.highest_frequency - bare.frequency
         above = damped.highest_frequency - damped.frequency, bare.frequency - bare.lowest_frequency
         clock = tuple(compared.frequency * compared.clock for compared in (damped, bare))
-        if isinf(bare.bound + damped.bound):
+        if isinf(bare.expanded + damped.expanded):
             # The peak may be at a limit of its range, next to a jump.
             return estimate, estimate - sum(below), estimate + sum(above)
         low, high = (
@@ -455,7 +464,7 @@ class PeakChange:
     @property
     def equivalent_damping(self) -> float:
         """Viscous damping ratio with which the peak of the bare structure would be as low as that with dampers."""
-        return self.damping * self.bare.value / self.damped.value
+        return self.damping * self.baseline.value / self.damped.value
 
 
 def _decibel_limits(bare: Peak, damped: Peak) -> list[float]:
@@ -565,16 +574,16 @@ def coarse_step_warnings(peaks: Sequence[tuple[float, str, Peak]]) -> list[str]:
     coarse: dict[float, dict[str, Peak]] = {}
     for mode, response, response_peak in peaks:
         if (
-            not isinf(response_peak.bound)
-            and response_peak.interpolation_bound > _MAX_INTERPOLATION_ERROR * response_peak.value
+            not isinf(response_peak.expanded)
+            and response_peak.interpolation_expanded > _MAX_INTERPOLATION_ERROR * response_peak.value
         ):
             coarse.setdefault(mode, {})[response] = response_peak
     messages = []
     for _, by_response in sorted(coarse.items()):
         worst = max(
-            by_response.values(), key=lambda response_peak: response_peak.interpolation_bound / response_peak.value
+            by_response.values(), key=lambda response_peak: response_peak.interpolation_expanded / response_peak.value
         )
-        error = worst.interpolation_bound / worst.value
+        error = worst.interpolation_expanded / worst.value
         responses, deviation = ", ".join(by_response), format_number(float(f"{100 * error:.2g}"))
         # The error of interpolation falls at least with the square of the step.
         messages.append(

@@ -68,7 +68,7 @@ class Dampers(Result):
         unknown = np.full(frequency.size, np.nan)
         energies = [unknown] * 4
         if self.energy is not None:
-            energies = [self.energy.supplied, self.energy.structure, self.energy.dampers, self.energy.bound]
+            energies = [self.energy.supplied, self.energy.structure, self.energy.dampers, self.energy.expanded]
         energies.append(unknown if self.true_impact_energy is None else self.true_impact_energy)
         names = ("supplied_J", "structure_J", "dampers_J", "dampers_bound_J", "true_impacts_J")
         count, bodies = frequency.size, len(self.bodies)

@@ -11,6 +11,7 @@ from analysis.core.responses.stepped_sine import Sweep
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
+from rig.core.base.renamed import renamed
 from rig.core.results.uncertainty import expand
 
 
@@ -23,8 +24,10 @@ class EnergyBalance:
     """Work of the force on the structure [J]; shape (n,)."""
     structure: Array
     """Energy dissipated by the structural damping of the scene [J]; shape (n,)."""
-    bound: Array
+    expanded: Array
     """Expanded uncertainty of `dampers` [J]; shape (n,)."""
+
+    bound = renamed("bound", "expanded")
 
     @property
     def dampers(self) -> Array:

@@ -27,6 +27,7 @@ from daq.core.recording.recording import Recording
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
+from rig.core.base.renamed import renamed
 from rig.core.numerics.runs import runs_of
 from rig.core.results.response import MOTIONS
 
@@ -74,7 +75,7 @@ class Impacts:
     channel: str
     time: Array
     """Times of the impacts after sample 0, s; shape (n,)."""
-    time_error: Array
+    time_std: Array
     """Standard uncertainty of `time` [s]; shape (n,). For finite-duration contact it includes the uncertain release and
     the effect of larger impacts nearby.
     """
@@ -83,7 +84,7 @@ class Impacts:
     jump times the mass of the body. For finite-duration contact the estimated jump is proportional to the contact
     duration of the scene.
     """
-    jump_error: Array
+    jump_std: Array
     """Standard uncertainty of `jump` [m/s] without the tolerance of the sensor's sensitivity; shape (n,)."""
     acceleration: Array
     """Smooth acceleration of the body at the impact [m/s²]; NaN too close to the ends of the segment; shape (n,)."""
@@ -106,6 +107,9 @@ class Impacts:
     unsearched: Array
     """Start and end of intervals without detection [s]; shape (m, 2): samples are lost or overloaded, or impacts are
     too closely spaced to be resolved."""
+
+    time_error = renamed("time_error", "time_std")
+    jump_error = renamed("jump_error", "jump_std")
 
     @property
     def min_interval(self) -> float:
@@ -182,7 +186,7 @@ def detect_impacts(
         if second_search.jump_noise < NOISE_REDUCTION * search.jump_noise:
             search, jumps = second_search, second_jumps
     noise = search.jump_noise
-    fitted = [(item.time, item.time_error, item.velocity_jump, item.error) for item in jumps]
+    fitted = [(item.time, item.time_std, item.velocity_jump, item.error) for item in jumps]
     # Positions are in averaged samples here; they are converted to samples below.
     position, position_uncertainty, jump, error = np.array(fitted).reshape(-1, 4).T
     largest = float(abs(jump).max(initial=0.0))
@@ -212,9 +216,9 @@ def detect_impacts(
     return Impacts(
         channel=info.name,
         time=(start + position) / rec.rate - info.delay,
-        time_error=position_uncertainty / rate,
+        time_std=position_uncertainty / rate,
         jump=jump,
-        jump_error=error,
+        jump_std=error,
         acceleration=_acceleration(samples, position, info, duration) if position.size else position,
         noise=noise,
         resolution=resolution,

@@ -36,7 +36,7 @@ class Jump:
     """Standard uncertainty of the jump [m/s] including the uncertainty of the jointly fitted quantities."""
     explained: float
     """Reduction of the sum of squares by this jump, in units of the noise variance."""
-    time_error: float = np.inf
+    time_std: float = np.inf
     """Standard uncertainty of `time` [samples]."""
 
     @property
@@ -112,9 +112,9 @@ def fit_within(
     error = noise.reading * fit.error.reshape(len(group), -1)
     fitted = []
     for k, time in enumerate(times):
-        time_error = float(error[k, 3]) if iterations > 1 else np.inf
+        time_std = float(error[k, 3]) if iterations > 1 else np.inf
         explained = float((amplitudes[k, 0] / error[k, 0]) ** 2) if error[k, 0] else 0.0
-        fitted.append(Jump(float(time), amplitudes[k], float(error[k, 0]), explained, time_error))
+        fitted.append(Jump(float(time), amplitudes[k], float(error[k, 0]), explained, time_std))
     return fitted, float(fit.residual_square)
 
 
@@ -143,10 +143,10 @@ def estimate_errors(
     # The polynomial has `polynomial_order` + 1 coefficients, the jump four unknowns.
     degrees_of_freedom = model.window_length - model.polynomial_order - 5
     error = (np.maximum(noise, np.sqrt(fit.residual_square / degrees_of_freedom))[:, None]) * fit.error
-    return [replace(jump, error=float(error[k, 0]), time_error=float(error[k, 3])) for k, jump in enumerate(jumps)]
+    return [replace(jump, error=float(error[k, 0]), time_std=float(error[k, 3])) for k, jump in enumerate(jumps)]
 
 
-def jump_error(model: ImpactModel, distance: int | None, noise: Deviations) -> float:
+def jump_std(model: ImpactModel, distance: int | None, noise: Deviations) -> float:
     """Return the standard uncertainty of a jump `distance` samples after an equal jump (None: a single jump) [m/s]."""
     rows = _equal_jumps(model, distance)
     fit = _least_squares(rows, rows[0], _ridge(len(rows), len(rows) // 4, noise))

@@ -26,7 +26,7 @@ from analysis.core.damper_motion.joint_fit import (
     estimate_errors,
     fit_group,
     fit_within,
-    jump_error,
+    jump_std,
     range_of,
 )
 from analysis.core.recordings.slices import interpolated
@@ -297,10 +297,10 @@ class MatchingPursuit:
     def resolution(self) -> int:
         """Return the distance beyond which a second jump hardly increases the error of a jump [samples]."""
         noise = Deviations(float(_quantile(self.noise(), 0.5)), *self.prior)
-        max_error = _MAX_RESOLVED_ERROR_RATIO * jump_error(self.window_model, None, noise)
+        max_error = _MAX_RESOLVED_ERROR_RATIO * jump_std(self.window_model, None, noise)
         distance = MIN_RESOLVED_SAMPLES
         max_distance = self.window_model.min_separation
-        while distance < max_distance and jump_error(self.window_model, distance, noise) > max_error:
+        while distance < max_distance and jump_std(self.window_model, distance, noise) > max_error:
             distance += 1
         return distance
 

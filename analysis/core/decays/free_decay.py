@@ -22,6 +22,7 @@ from analysis.core.responses.measurands import motion_channel, response_channels
 from daq.core.recording.markers import faulty_impacts
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, SceneError
+from rig.core.base.renamed import renamed, renamed_parameter
 from rig.core.results import Result, complete_style, format_percent
 from rig.core.scene.scene import STANDARD_GRAVITY
 from rig.core.system.structural_model import structural_model
@@ -61,7 +62,7 @@ class Decay(Result):
     ----------
     channel, label : str
         Channel, and scene name for legends.
-    hit : int
+    impact : int
         Number of the impact, from 1.
     time : ndarray, shape (n,)
         Time from the beginning of the free decay [s].
@@ -87,7 +88,7 @@ class Decay(Result):
 
     channel: str
     label: str
-    hit: int
+    impact: int
     time: Array
     acceleration: Array
     envelope: Array
@@ -98,11 +99,13 @@ class Decay(Result):
     gravity: float
     warnings: tuple[str, ...]
 
+    hit = renamed("hit", "impact")
+
     def summary(self) -> str:
         """Return the channel, its largest acceleration, and the damping ratio of each mode at large amplitude."""
         modes = [f"{m.frequency_text()} ({100 * m.damping[0]:.3g} %)" for m in self.modes if m.damping.size]
         largest = float(abs(self.acceleration).max())
-        return f"{self.label}, {self.channel} after impact {self.hit}: from {largest:.3g} m/s²; {', '.join(modes)}"
+        return f"{self.label}, {self.channel} after impact {self.impact}: from {largest:.3g} m/s²; {', '.join(modes)}"
 
     def columns(self) -> dict[str, Array]:
         """Return time, acceleration, envelope and backward-integrated energy."""
@@ -162,8 +165,9 @@ def upper_bound(acceleration: Array, period: float) -> Array:
     return np.asarray(scipy.ndimage.convolve1d(largest, weights / weights.sum(), mode="nearest"))
 
 
+@renamed_parameter("hit", "impact")
 @takes_path
-def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int | None = None) -> Decay:
+def decay(rec: Recording, channel: str | None = None, impact: int = 1, modes: int | None = None) -> Decay:
     """Analyze the free decay of a channel's acceleration after an impact.
 
     Parameters
@@ -172,7 +176,7 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
         Recording of an impact test or a free decay.
     channel : str, optional
         Response channel. Default: the channel of the last body.
-    hit : int
+    impact : int
         Number of the impact to analyze, counted from 1.
     modes : int, optional
         Maximum number of modes; default: the number of bodies of the structure.
@@ -188,11 +192,11 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
             f"{rec.path}: no motion channel on a body. Add one to the scene's channels, and record again."
         )
     info = motion_channel(rec, channel if channel is not None else names[-1])
-    read_start, decay_start, decay_stop, read_stop = _decay_limits(rec, info, hit)
-    samples, warnings = _read_samples(rec, info, hit, read_start, read_stop)
-    warnings += _overload_warnings(rec, info, hit, decay_start, read_stop)
-    if fault := faulty_impacts(rec.markers, ()).get(hit):
-        warnings.append(f"Impact {hit} was {fault}. Choose another impact, or record again.")
+    read_start, decay_start, decay_stop, read_stop = _decay_limits(rec, info, impact)
+    samples, warnings = _read_samples(rec, info, impact, read_start, read_stop)
+    warnings += _overload_warnings(rec, info, impact, decay_start, read_stop)
+    if fault := faulty_impacts(rec.markers, ()).get(impact):
+        warnings.append(f"Impact {impact} was {fault}. Choose another impact, or record again.")
     max_modes = modes if modes is not None else rec.scene.structure.bodies
     # The search range ends at least an octave above the highest mode of the scene.
     highest_mode = max(HIGHEST_MODE_HZ, 2.0 * float(structural_model(rec.scene).modes.frequency.max()))
@@ -230,7 +234,7 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     return Decay(
         channel=info.name,
         label=rec.scene.name,
-        hit=hit,
+        impact=impact,
         time=np.arange(free_decay.size) / rec.rate,
         acceleration=free_decay,
         envelope=envelope,
@@ -243,27 +247,27 @@ def decay(rec: Recording, channel: str | None = None, hit: int = 1, modes: int |
     )
 
 
-def _read_samples(rec: Recording, info: ChannelInfo, hit: int, start: int, stop: int) -> tuple[Array, list[str]]:
+def _read_samples(rec: Recording, info: ChannelInfo, impact: int, start: int, stop: int) -> tuple[Array, list[str]]:
     """Return the samples of an impact with lost samples interpolated, and a warning if there were any."""
     samples, warnings = rec.read(info.name, start, stop), list[str]()
     lost = ~np.isfinite(samples)
     if lost.any():
         if lost.mean() > _MAX_LOST_FRACTION:
             raise RecordingError(
-                f"{rec.path}: {format_percent(lost.mean())} of the samples of impact {hit} are lost. Choose another "
+                f"{rec.path}: {format_percent(lost.mean())} of the samples of impact {impact} are lost. Choose another "
                 "impact, or record again."
             )
         samples = interpolated(samples, ~lost)
         warnings.append(f"{int(lost.sum())} lost samples of {info.name} were interpolated; the decay is inexact there.")
     if not np.any(abs(samples - samples[0]) > 0):
         raise RecordingError(
-            f"{rec.path}: {info.name} is constant throughout the decay of impact {hit}. Choose another channel, or "
+            f"{rec.path}: {info.name} is constant throughout the decay of impact {impact}. Choose another channel, or "
             "check the sensor and record again."
         )
     return samples, warnings
 
 
-def _overload_warnings(rec: Recording, info: ChannelInfo, hit: int, start: int, stop: int) -> list[str]:
+def _overload_warnings(rec: Recording, info: ChannelInfo, impact: int, start: int, stop: int) -> list[str]:
     """Return a warning if the channel was overloaded in a decay; raise `RecordingError` if most was overloaded."""
     # First sample that the decay affects, with the delay of the converter's filter.
     first = arrival(info, start, start)[0]
@@ -272,8 +276,8 @@ def _overload_warnings(rec: Recording, info: ChannelInfo, hit: int, start: int, 
     fraction = overloaded / max(stop - first, 1)
     if fraction > _MAX_OVERLOADED_FRACTION:
         raise RecordingError(
-            f"{rec.path}: {info.name} was overloaded for {format_percent(fraction)} of the decay after impact {hit}. "
-            "Hit more softly, widen the converter's range, or lower the sensitivity in the scene."
+            f"{rec.path}: {info.name} was overloaded for {format_percent(fraction)} of the decay after impact "
+            f"{impact}. Hit more softly, widen the converter's range, or lower the sensitivity in the scene."
         )
     if not fraction:
         return []
@@ -309,23 +313,23 @@ def _energy_after_end(acceleration: Array) -> float:
     return np.inf if last_energy > _MAX_FINAL_ENERGY_FRACTION * float(np.sum(acceleration**2)) else 0.0
 
 
-def _decay_limits(rec: Recording, info: ChannelInfo, hit: int) -> tuple[int, int, int, int]:
+def _decay_limits(rec: Recording, info: ChannelInfo, impact: int) -> tuple[int, int, int, int]:
     """Return sample indices: start of reading, start and end of the decay, end of reading; ends are exclusive."""
     ranges = impact_ranges(rec)
-    if not 1 <= hit <= len(ranges):
-        raise SceneError(f"{rec.path}: no impact {hit}. Choose one of impacts 1 to {len(ranges)}.")
-    first, last = ranges[hit - 1]
+    if not 1 <= impact <= len(ranges):
+        raise SceneError(f"{rec.path}: no impact {impact}. Choose one of impacts 1 to {len(ranges)}.")
+    first, last = ranges[impact - 1]
     # The converter's filter delays the samples. To correct the delay, samples after the end of the decay are read, too.
     # After the correction, the filter's response to the next impact begins before that impact, so the decay is cut
     # before this response.
-    read_stop = arrival(info, ranges[hit][0], ranges[hit][0])[0] if hit < len(ranges) else rec.samples
+    read_stop = arrival(info, ranges[impact][0], ranges[impact][0])[0] if impact < len(ranges) else rec.samples
     max_response_delay = arrival(info, 0, 0)[1]
     decay_start, decay_stop = last + 1, read_stop - max_response_delay
     # Include samples before the impact so that the band-pass starts with the structure at rest.
-    read_start = max(first - int(0.5 * rec.rate), ranges[hit - 2][1] + 1 if hit > 1 else 0, 0)
+    read_start = max(first - int(0.5 * rec.rate), ranges[impact - 2][1] + 1 if impact > 1 else 0, 0)
     if decay_stop - decay_start < _MIN_SAMPLES:
         raise RecordingError(
-            f"{rec.path}: only {max(decay_stop - decay_start, 0)} samples follow impact {hit}; expected {_MIN_SAMPLES} "
-            "or more. Increase test.interval (for a free decay: test.duration), and record again."
+            f"{rec.path}: only {max(decay_stop - decay_start, 0)} samples follow impact {impact}; expected "
+            f"{_MIN_SAMPLES} or more. Increase test.interval (for a free decay: test.duration), and record again."
         )
     return read_start, decay_start, decay_stop, read_stop

@@ -10,6 +10,7 @@ import scipy
 from scipy import fft
 
 from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.renamed import renamed
 from rig.core.results import Result, complete_style, format_quantity
 from rig.core.results.uncertainty import expand
 
@@ -51,7 +52,7 @@ class ModalDecay(Result):
 
     # natural frequency at the amplitude with the smallest uncertainty [Hz]; `center` if no amplitude determines it
     frequency: float
-    frequency_error: float  # Hz; NaN if no amplitude determines the frequency
+    frequency_std: float  # Hz; NaN if no amplitude determines the frequency
     center: float  # center frequency of the band-pass, Hz: the peak of the spectrum
     time: Array  # time after the impact, s
     envelope: Array  # amplitude of the acceleration, m/s²
@@ -60,10 +61,16 @@ class ModalDecay(Result):
     # `MAX_RELATIVE_UNCERTAINTY`
     amplitude: Array
     damping: Array  # damping ratio at these amplitudes
-    damping_error: Array
-    damping_smear: Array  # limit of the bias of `damping` due to averaging over neighboring amplitudes
-    natural: Array  # natural frequency at these amplitudes, Hz
-    natural_error: Array  # Hz
+    damping_std: Array
+    damping_bias_limit: Array  # limit of the bias of `damping` due to averaging over neighboring amplitudes
+    natural_frequency: Array  # natural frequency at these amplitudes, Hz
+    natural_frequency_std: Array  # Hz
+
+    frequency_error = renamed("frequency_error", "frequency_std")
+    damping_error = renamed("damping_error", "damping_std")
+    damping_smear = renamed("damping_smear", "damping_bias_limit")
+    natural = renamed("natural", "natural_frequency")
+    natural_error = renamed("natural_error", "natural_frequency_std")
 
     def summary(self) -> str:
         """Return the natural frequency, and the damping ratio at the largest and at small amplitudes."""
@@ -80,19 +87,19 @@ class ModalDecay(Result):
         return {
             "amplitude_m/s²": self.amplitude,
             "damping_ratio": self.damping,
-            "damping_ratio_std": self.damping_error,
-            "frequency_Hz": self.natural,
-            "frequency_std_Hz": self.natural_error,
+            "damping_ratio_std": self.damping_std,
+            "frequency_Hz": self.natural_frequency,
+            "frequency_std_Hz": self.natural_frequency_std,
         }
 
     @property
     def percent(self) -> tuple[Array, Array]:
         """Damping ratio at each amplitude and its expanded uncertainty, %."""
-        return 100.0 * self.damping, 100.0 * expand(self.damping_error)
+        return 100.0 * self.damping, 100.0 * expand(self.damping_std)
 
     def frequency_text(self) -> str:
         """Format the natural frequency with its expanded uncertainty."""
-        return format_quantity(self.frequency, float(expand(self.frequency_error)), "Hz")
+        return format_quantity(self.frequency, float(expand(self.frequency_std)), "Hz")
 
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the damping ratio as a function of amplitude with its expanded uncertainty."""

@@ -20,6 +20,7 @@ from analysis.core.recordings.names import as_context, require_recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError, SceneError, suggestion
 from rig.core.base.input_files import duplicate_files
+from rig.core.base.renamed import renamed
 from rig.core.numerics.blas_threads import with_one_blas_thread
 from rig.core.results import Result, complete_style, format_number, format_percent
 from rig.core.scene.loading import SceneLike, scene_of
@@ -78,9 +79,12 @@ class Mode:
     """A natural mode of the fitted structure without dampers and coil spring, with expanded uncertainties."""
 
     frequency: float  # undamped natural frequency, Hz
-    frequency_bound: float  # Hz
+    frequency_expanded: float  # Hz
     damping: float  # ratio
-    damping_bound: float
+    damping_expanded: float
+
+    frequency_bound = renamed("frequency_bound", "frequency_expanded")
+    damping_bound = renamed("damping_bound", "damping_expanded")
 
 
 @dataclass(frozen=True)
@@ -307,7 +311,7 @@ def _result(problem: Problem, estimated: Estimate, report: Report) -> Fit:
 
 def _missing_clock_tolerance(problem: Problem, modes: Sequence[Mode]) -> list[str]:
     """Return a note if no clock tolerance is stated, and a usual tolerance would widen the frequency intervals."""
-    smallest = min((mode.frequency_bound / mode.frequency for mode in modes), default=np.inf)
+    smallest = min((mode.frequency_expanded / mode.frequency for mode in modes), default=np.inf)
     if problem.clock_tolerance or smallest > _USUAL_CLOCK_TOLERANCE:
         return []
     return [

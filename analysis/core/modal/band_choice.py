@@ -42,8 +42,8 @@ class BandChoice(NamedTuple):
     """Variation of poles between parts of the lines."""
 
     missing: tuple[tuple[str, ...], ...]  # names of the parts that lack each pole
-    frequency_error: Array  # standard uncertainty, Hz, shape (poles,)
-    damping_error: Array  # standard uncertainty, shape (poles,)
+    frequency_std: Array  # standard uncertainty, Hz, shape (poles,)
+    damping_std: Array  # standard uncertainty, shape (poles,)
 
 
 def end_parts(frequency: Array, identify: Callable[[NDArray[np.intp]], ComplexArray]) -> Iterator[Part]:
@@ -103,5 +103,5 @@ def band_choice(poles: ComplexArray, parts: Sequence[Part]) -> BandChoice:
             else:
                 missing[k].append(part.name)
     mean_squares = [np.mean(np.square(each), axis=0) if each else np.zeros(2) for each in differences]
-    frequency_error, damping_error = _MEAN_SQUARE_RATIO * np.sqrt(np.reshape(mean_squares, (-1, 2)).T)
-    return BandChoice(tuple(map(tuple, missing)), frequency_error, damping_error)
+    frequency_std, damping_std = _MEAN_SQUARE_RATIO * np.sqrt(np.reshape(mean_squares, (-1, 2)).T)
+    return BandChoice(tuple(map(tuple, missing)), frequency_std, damping_std)

@@ -110,7 +110,7 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
         )
     # A pole is omitted if the uncertainty of the curves at its frequency is unbounded.
     frequency: Array = np.asarray(abs(fitted_poles.poles) / (2 * np.pi), dtype=float)
-    is_unbounded = expand(fitted_poles.frequency_error) >= frequency
+    is_unbounded = expand(fitted_poles.frequency_std) >= frequency
     is_in_gap = ~is_unbounded & are_in_gaps(measured.frequency, fitted_poles.poles)
     accepted = ~(is_unbounded | is_in_gap)
     uncertain, unmeasured = frequency[is_unbounded], frequency[is_in_gap]
@@ -130,10 +130,10 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     residuals = _residual_terms(measured.frequency, fitted_poles.value, poles, residue)
     result = Modes(
         frequency=frequency[accepted],
-        frequency_error=np.hypot(fitted_poles.frequency_error[accepted], clock_error),
+        frequency_std=np.hypot(fitted_poles.frequency_std[accepted], clock_error),
         damping=-poles.real / abs(poles),
-        damping_error=fitted_poles.damping_error[accepted],
-        shape_error=_shape_errors(curves, poles, residue),
+        damping_std=fitted_poles.damping_std[accepted],
+        shape_std=_shape_errors(curves, poles, residue),
         residue=residue,
         responses=tuple(curve.response for curve in curves),
         chart=tuple(chart),

@@ -192,8 +192,8 @@ def _remove_computational_poles(
     """
     rejected: list[float] = []
     while model.poles.size:
-        _, damping_error = pole_errors(curves, model)
-        relative_damping_uncertainty = damping_error * abs(model.poles) / -model.poles.real
+        _, damping_std = pole_errors(curves, model)
+        relative_damping_uncertainty = damping_std * abs(model.poles) / -model.poles.real
         relative_uncertainty = np.where(
             are_in_band(curves, model.poles),
             np.maximum(relative_damping_uncertainty, MAX_RELATIVE_UNCERTAINTY * _systematic_ratio(model, frfs)),

@@ -70,7 +70,7 @@ def mode_warnings(
             f"Rejected the stable poles at {_listed(unmeasured)} Hz: the lines around them were omitted. There may be "
             "several modes there."
         )
-    f, zeta, zeta_uncertainty = modes.frequency, modes.damping, modes.damping_error
+    f, zeta, zeta_uncertainty = modes.frequency, modes.damping, modes.damping_std
     if count is not None and f.size < count:
         yield f"Identified only {f.size} of {count} requested modes: no other mode is significant in these curves."
     half_widths = zeta * f
@@ -82,7 +82,7 @@ def mode_warnings(
             f"{_listed(f[narrow])} Hz: the peak is narrower than the resolution of {resolution:.3g} Hz, so only an "
             "upper bound of the damping is known. Use much longer blocks, burst random, multisine or stepped sine."
         )
-    peaks = [*zip(f[narrow], modes.frequency_error[narrow], strict=True)]
+    peaks = [*zip(f[narrow], modes.frequency_std[narrow], strict=True)]
     peaks += [each[:2] for each in modes.uncertain if 2.0 * each.damping * each.frequency < resolution]
     hum = [
         f"{natural:.4g} Hz ({mains})"
@@ -130,7 +130,7 @@ def extrapolates_damping(modes: Modes, curves: Sequence[Response]) -> NDArray[np
     resolution = max(curve.resolution for curve in curves)
     undersampled = np.asarray((n_points < 2) & (resolution <= _WIDENING_RATIO * half_widths), dtype=bool)
     if estimator_of(curves[0].test).resolves_between_lines:
-        undersampled &= modes.damping_error > _MAX_DAMPING_UNCERTAINTY * modes.damping
+        undersampled &= modes.damping_std > _MAX_DAMPING_UNCERTAINTY * modes.damping
     return undersampled
 
 

@@ -14,6 +14,7 @@ from analysis.core.modal_models.lscf import ChartPole
 from analysis.core.modal_models.pole_residue import modal_receptance
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
+from rig.core.base.renamed import renamed
 from rig.core.results import Result, complete_style, format_interval, format_percent, format_quantity
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import expand
@@ -53,29 +54,29 @@ class UncertainMode(NamedTuple):
     """A pole that may be a mode or may represent an error of the curves, with standard uncertainties."""
 
     frequency: float  # undamped natural frequency, Hz
-    frequency_error: float  # Hz
+    frequency_std: float  # Hz
     damping: float  # damping ratio
-    damping_error: float
+    damping_std: float
     reason: str  # why the pole is not counted as a mode
 
     def frequency_text(self) -> str:
         """Write the natural frequency with its expanded uncertainty (95 %)."""
-        return _frequency_text(self.frequency, self.frequency_error)
+        return _frequency_text(self.frequency, self.frequency_std)
 
     def damping_text(self) -> str:
         """Write the damping ratio with its expanded uncertainty (95 %), or an upper limit."""
-        return _damping_text(self.damping, self.damping_error)
+        return _damping_text(self.damping, self.damping_std)
 
     def cells(self) -> tuple[str, str]:
         """Write natural frequency [Hz] and damping ratio, %, without their units, for a table."""
-        return _cells(self.frequency, self.frequency_error, self.damping_text())
+        return _cells(self.frequency, self.frequency_std, self.damping_text())
 
     def without_exponential_window(self, time_constant: float) -> UncertainMode:
         """Remove the damping of an exponential window, see `Modes.without_exponential_window`."""
-        frequency, damping, damping_error = _without_window(
-            np.array(self.frequency), np.array(self.damping), np.array(self.damping_error), time_constant
+        frequency, damping, damping_std = _without_window(
+            np.array(self.frequency), np.array(self.damping), np.array(self.damping_std), time_constant
         )
-        return self._replace(frequency=float(frequency), damping=float(damping), damping_error=float(damping_error))
+        return self._replace(frequency=float(frequency), damping=float(damping), damping_std=float(damping_std))
 
 
 @dataclass(frozen=True, repr=False)
@@ -84,13 +85,13 @@ class Modes(Result):
 
     Attributes
     ----------
-    frequency, frequency_error : ndarray, shape (modes,)
+    frequency, frequency_std : ndarray, shape (modes,)
         Undamped natural frequency abs(p)/2 pi and its standard uncertainty [Hz]; all uncertainties are NaN if a file
         states none.
-    damping, damping_error : ndarray, shape (modes,)
+    damping, damping_std : ndarray, shape (modes,)
         Damping ratio and its standard uncertainty; if this is more than a third of the ratio, only an upper limit is
-        known: ``damping + 2 damping_error``.
-    shape_error : ndarray, shape (responses, modes)
+        known: ``damping + 2 damping_std``.
+    shape_std : ndarray, shape (responses, modes)
         Standard uncertainty of each element of `shapes`, from the uncertainty of the curves at the resonance, including
         sensor tolerances.
     residue : ndarray of complex, shape (responses, modes)
@@ -121,10 +122,10 @@ class Modes(Result):
     """
 
     frequency: Array
-    frequency_error: Array
+    frequency_std: Array
     damping: Array
-    damping_error: Array
-    shape_error: Array
+    damping_std: Array
+    shape_std: Array
     residue: ComplexArray
     responses: tuple[str, ...]
     chart: tuple[ChartPole, ...]
@@ -137,6 +138,10 @@ class Modes(Result):
     places: tuple[str, ...] = ()
     bodies: tuple[int, ...] = ()
     uncertain: tuple[UncertainMode, ...] = ()
+
+    frequency_error = renamed("frequency_error", "frequency_std")
+    damping_error = renamed("damping_error", "damping_std")
+    shape_error = renamed("shape_error", "shape_std")
 
     def summary(self) -> str:
         """List frequency and damping ratio of each mode, with their 95 % intervals, and count the uncertain modes."""
@@ -152,25 +157,25 @@ class Modes(Result):
 
     def frequency_text(self, mode: int) -> str:
         """Write a natural frequency with its expanded uncertainty (95 %)."""
-        return _frequency_text(self.frequency[mode], self.frequency_error[mode])
+        return _frequency_text(self.frequency[mode], self.frequency_std[mode])
 
     def damping_text(self, mode: int) -> str:
         """Write a damping ratio with its expanded uncertainty (95 %), or an upper limit if it is poorly determined."""
-        return _damping_text(self.damping[mode], self.damping_error[mode])
+        return _damping_text(self.damping[mode], self.damping_std[mode])
 
     def cells(self, mode: int) -> tuple[str, str]:
         """Write natural frequency [Hz] and damping ratio, %, without their units, for a table."""
-        return _cells(self.frequency[mode], self.frequency_error[mode], self.damping_text(mode))
+        return _cells(self.frequency[mode], self.frequency_std[mode], self.damping_text(mode))
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return frequency, damping ratio, and the shape at each response, with standard uncertainties."""
         return {
             "frequency_Hz": self.frequency,
-            "frequency_std_Hz": self.frequency_error,
+            "frequency_std_Hz": self.frequency_std,
             "damping_ratio": self.damping,
-            "damping_ratio_std": self.damping_error,
+            "damping_ratio_std": self.damping_std,
             **{f"shape_{name}": row for name, row in zip(self.responses, self.shapes, strict=True)},
-            **{f"shape_{name}_std": row for name, row in zip(self.responses, self.shape_error, strict=True)},
+            **{f"shape_{name}_std": row for name, row in zip(self.responses, self.shape_std, strict=True)},
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
@@ -227,8 +232,8 @@ class Modes(Result):
         names, shapes, errors = [], [], []
         # The largest element scales a shape, so its uncertainty is zero. It gets the weight of the most precise other
         # element.
-        smallest_error = np.min(self.shape_error, axis=0, initial=np.inf, where=self.shape_error > 0.0)
-        weights = 1.0 / np.where(np.isfinite(smallest_error), np.maximum(self.shape_error, smallest_error), 1.0) ** 2
+        smallest_error = np.min(self.shape_std, axis=0, initial=np.inf, where=self.shape_std > 0.0)
+        weights = 1.0 / np.where(np.isfinite(smallest_error), np.maximum(self.shape_std, smallest_error), 1.0) ** 2
         ordered = sorted(number, key=lambda key: number[key] or inf)
         for key in ordered:
             rows = [row for row, other in enumerate(keys) if other == key]
@@ -237,7 +242,7 @@ class Modes(Result):
             is_unnamed = len(rows) == 1 and (not places[rows[0]] or places[rows[0]].startswith("body "))
             names.append(self.responses[rows[0]] if is_unnamed else key)
             shapes.append((ratio * self.shapes[rows]).sum(axis=0))
-            errors.append(np.sqrt(((ratio * self.shape_error[rows]) ** 2).sum(axis=0)))
+            errors.append(np.sqrt(((ratio * self.shape_std[rows]) ** 2).sum(axis=0)))
         shape, error = np.array(shapes), np.array(errors)
         largest, modes = np.argmax(abs(shape), axis=0), np.arange(shape.shape[1])
         error[largest, modes] = 0.0
@@ -269,10 +274,8 @@ class Modes(Result):
         """
         if not time_constant > 0.0:
             raise SceneError(f"exponential window: got a time constant of {time_constant} s; expected above 0 s")
-        frequency, damping, damping_error = _without_window(
-            self.frequency, self.damping, self.damping_error, time_constant
-        )
-        if (excessive := np.flatnonzero(damping + expand(damping_error) <= 0.0)).size:
+        frequency, damping, damping_std = _without_window(self.frequency, self.damping, self.damping_std, time_constant)
+        if (excessive := np.flatnonzero(damping + expand(damping_std) <= 0.0)).size:
             k = int(excessive[0])
             share = 1.0 / (2 * np.pi * time_constant * self.frequency[k])
             raise SceneError(
@@ -288,7 +291,7 @@ class Modes(Result):
             self,
             frequency=frequency,
             damping=damping,
-            damping_error=damping_error,
+            damping_std=damping_std,
             warnings=(*self.warnings, note),
             uncertain=tuple(each.without_exponential_window(time_constant) for each in self.uncertain),
         )
@@ -366,12 +369,12 @@ def _damping_text(damping: float, error: float) -> str:
 
 
 def _without_window(
-    frequency: Array, damping: Array, damping_error: Array, time_constant: float
+    frequency: Array, damping: Array, damping_std: Array, time_constant: float
 ) -> tuple[Array, Array, Array]:
     """Remove the damping of an exponential window from natural frequencies [Hz] and damping ratios."""
     poles = _poles(frequency, damping) + 1.0 / time_constant
     natural = np.asarray(abs(poles) / (2 * np.pi))
-    return natural, np.asarray(-poles.real / abs(poles)), damping_error * frequency / natural
+    return natural, np.asarray(-poles.real / abs(poles)), damping_std * frequency / natural
 
 
 def _poles(frequency: Array, damping: Array) -> ComplexArray:

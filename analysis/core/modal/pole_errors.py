@@ -50,12 +50,12 @@ def pole_errors(curves: Curves, model: ModalModel) -> tuple[Array, Array]:
     (W. K. Newey, K. D. West, Econometrica 55 (1987) 703-708). The estimate is corrected for few data (J. G. MacKinnon,
     H. White, Journal of Econometrics 29 (1985) 305-325, estimator HC3). The third assumes errors of the reference.
     """
-    frequency_error, damping_error = propagate(model.poles, _covariance_factors(curves, model))
+    frequency_std, damping_std = propagate(model.poles, _covariance_factors(curves, model))
     # Errors of random phase shift a pole in any direction of the complex plane. With few lines the estimate in one
     # direction may be small by chance, so the frequency error is at least the root mean square of both directions.
-    decay_uncertainty = damping_error * abs(model.poles) / (2 * np.pi)
-    frequency_error = np.maximum(frequency_error, np.hypot(frequency_error, decay_uncertainty) / np.sqrt(2.0))
-    return _add_min_uncertainty(model.poles, frequency_error, damping_error)
+    decay_uncertainty = damping_std * abs(model.poles) / (2 * np.pi)
+    frequency_std = np.maximum(frequency_std, np.hypot(frequency_std, decay_uncertainty) / np.sqrt(2.0))
+    return _add_min_uncertainty(model.poles, frequency_std, damping_std)
 
 
 def refined_pole_errors(poles: ComplexArray, covariance: Array) -> tuple[Array, Array]:
@@ -68,9 +68,9 @@ def refined_pole_errors(poles: ComplexArray, covariance: Array) -> tuple[Array, 
     return _add_min_uncertainty(poles, *propagate(poles, [factor]))
 
 
-def _add_min_uncertainty(poles: ComplexArray, frequency_error: Array, damping_error: Array) -> tuple[Array, Array]:
+def _add_min_uncertainty(poles: ComplexArray, frequency_std: Array, damping_std: Array) -> tuple[Array, Array]:
     min_error = -_MIN_UNCERTAINTY * poles.real
-    return np.hypot(frequency_error, min_error / (2 * np.pi)), np.hypot(damping_error, min_error / abs(poles))
+    return np.hypot(frequency_std, min_error / (2 * np.pi)), np.hypot(damping_std, min_error / abs(poles))
 
 
 def propagate(poles: ComplexArray, factors: Sequence[Array]) -> tuple[Array, Array]:
@@ -80,16 +80,16 @@ def propagate(poles: ComplexArray, factors: Sequence[Array]) -> tuple[Array, Arr
     """
     count = poles.size
     decay_rate, damped, natural = -poles.real, poles.imag, abs(poles)
-    frequency_error, damping_error = np.empty(count), np.empty(count)
+    frequency_std, damping_std = np.empty(count), np.empty(count)
     for i in range(count):
         # Derivatives of frequency and damping ratio with respect to the two parameters of a pole.
         of_frequency = np.array([decay_rate[i], damped[i]]) * decay_rate[i] / natural[i] / (2 * np.pi)
         of_damping = np.array([damped[i] ** 2, -decay_rate[i] * damped[i]]) * decay_rate[i] / natural[i] ** 3
         pairs = [factor[[i, i + count]] for factor in factors]
-        frequency_error[i], damping_error[i] = (
+        frequency_std[i], damping_std[i] = (
             max(float(np.linalg.norm(derivative @ pair)) for pair in pairs) for derivative in (of_frequency, of_damping)
         )
-    return frequency_error, damping_error
+    return frequency_std, damping_std
 
 
 def systematic_pole_errors(
@@ -105,9 +105,9 @@ def systematic_pole_errors(
     width_errors = tuple(name for name in _WIDTH_ERRORS if name not in already_counted)
     half_width_hz = half_width(poles)
     resolution = max(curve.resolution for curve in frfs)
-    frequency_error = np.where(2.0 * half_width_hz < resolution, _MAX_LINE_ERROR * resolution, 0.0)
+    frequency_std = np.where(2.0 * half_width_hz < resolution, _MAX_LINE_ERROR * resolution, 0.0)
     widening = np.minimum(LEAKAGE_FACTOR * resolution**2 / half_width_hz, _MAX_WIDENING * resolution)
-    damping_error = 2.0 * np.pi * widening / abs(poles)
+    damping_std = 2.0 * np.pi * widening / abs(poles)
     for curve in frfs:
         stiffness, phase, width = (
             _relative(curve, names) for names in (_STIFFNESS_ERRORS, _PHASE_ERRORS, width_errors)
@@ -117,10 +117,10 @@ def systematic_pole_errors(
             distance = abs(curve.frequency - natural - 1j * width_hz)
             by_stiffness, by_phase = _shift(stiffness, distance, width_hz), _shift(phase, distance, width_hz)
             by_width = float(np.nan_to_num(width[int(np.argmin(distance))], nan=1.0, posinf=1.0)) * width_hz
-            frequency_error[i] = max(frequency_error[i], float(np.linalg.norm([by_stiffness, by_phase, by_width])))
+            frequency_std[i] = max(frequency_std[i], float(np.linalg.norm([by_stiffness, by_phase, by_width])))
             decay_uncertainty = float(np.linalg.norm([width_hz / natural * by_stiffness, by_phase, by_width]))
-            damping_error[i] = max(damping_error[i], decay_uncertainty / natural)
-    return frequency_error, damping_error
+            damping_std[i] = max(damping_std[i], decay_uncertainty / natural)
+    return frequency_std, damping_std
 
 
 def _relative(curve: Response, names: Sequence[str]) -> Array:

@@ -39,7 +39,7 @@ def separate(modes: Modes, inputs: tuple[str, ...], outputs: tuple[Point, ...]) 
     vectors: list[tuple[ComplexArray, ComplexArray]] = []  # shape and participation factors of each mode
     for k in range(modes.frequency.size):
         residue = modes.residue[:, k].reshape(n_outputs, n_inputs)
-        noise = float(np.linalg.norm(modes.shape_error[:, k])) * float(abs(residue).max())
+        noise = float(np.linalg.norm(modes.shape_std[:, k])) * float(abs(residue).max())
         left, singular, right = np.linalg.svd(residue, full_matrices=False)
         for r in range(singular.size):
             if r == 0 or singular[r] > max(_DETECTION_SIGMAS * noise, min_ratio * singular[0]):
@@ -48,7 +48,7 @@ def separate(modes: Modes, inputs: tuple[str, ...], outputs: tuple[Point, ...]) 
     shapes, participation = (np.stack(columns, axis=1) for columns in zip(*vectors, strict=True))
     reference = int(np.argmax(np.min(abs(participation), axis=1)))
     rows = np.arange(n_outputs) * n_inputs + reference
-    error = np.sqrt(np.mean(np.square(modes.shape_error[:, pole_of_mode].reshape(n_outputs, n_inputs, -1)), axis=1))
+    error = np.sqrt(np.mean(np.square(modes.shape_std[:, pole_of_mode].reshape(n_outputs, n_inputs, -1)), axis=1))
     largest = np.argmax(abs(shapes), axis=0)
     error[largest, np.arange(len(vectors))] = 0.0
     repeated = [f"{modes.frequency[k]:.5g} Hz" for k in dict.fromkeys(pole_of_mode) if pole_of_mode.count(k) > 1]
@@ -57,9 +57,9 @@ def separate(modes: Modes, inputs: tuple[str, ...], outputs: tuple[Point, ...]) 
         modes,
         **{
             name: getattr(modes, name)[pole_of_mode]
-            for name in ("frequency", "frequency_error", "damping", "damping_error")
+            for name in ("frequency", "frequency_std", "damping", "damping_std")
         },
-        shape_error=error,
+        shape_std=error,
         residue=shapes * participation[reference],
         responses=tuple(point.name for point in outputs),
         places=tuple(point.place for point in outputs),

@@ -50,8 +50,8 @@ class IdentifiedPoles(NamedTuple):
 
     poles: ComplexArray  # rad/s, shape (modes,)
     residue: ComplexArray  # shape (responses, modes)
-    frequency_error: Array  # standard uncertainties, Hz
-    damping_error: Array  # standard uncertainties
+    frequency_std: Array  # standard uncertainties, Hz
+    damping_std: Array  # standard uncertainties
     model_error: float  # largest model error of the windows; 0 if noise explains the residuals
     rejected: list[float]  # frequencies of poles whose damping or height is not determined, Hz
     uncertain: list[UncertainMode]  # poles that parts of the lines do not confirm
@@ -82,7 +82,7 @@ def identify_windows(curves: Sequence[Response], value: ComplexArray, count: int
 
     halves = list(half_parts(curves[0].frequency, poles_of))
     parts = [no_poles(value), *(_confirm(fit, halves) for fit in fits)]
-    poles, residue, frequency_error, damping_error = (
+    poles, residue, frequency_std, damping_std = (
         np.concatenate(column, axis=-1) for column in list(zip(*parts, strict=True))[:4]
     )
     # Heights of peaks are compared as accelerations, because displacements would favor low frequencies. A peak without
@@ -94,8 +94,8 @@ def identify_windows(curves: Sequence[Response], value: ComplexArray, count: int
     return IdentifiedPoles(
         poles[chosen],
         residue[:, chosen],
-        frequency_error[chosen],
-        damping_error[chosen],
+        frequency_std[chosen],
+        damping_std[chosen],
         max(part.model_error for part in parts),
         [each for part in parts for each in part.rejected],
         [each for part in parts for each in part.uncertain],
@@ -155,7 +155,7 @@ def _confirm(window: _WindowFit, halves: Sequence[Part]) -> IdentifiedPoles:
 
     choice = band_choice(poles, [*end_parts(curves[0].frequency, identify), *halves])
     systematic = [standard_of_limit(each) for each in systematic_pole_errors(remove_unbounded(curves), poles)]
-    of_choice = choice.frequency_error, choice.damping_error
+    of_choice = choice.frequency_std, choice.damping_std
     smallest = -_MIN_UNCERTAINTY * poles.real / np.stack([np.full(poles.size, 2 * np.pi), abs(poles)])
     errors = np.linalg.norm([pole_errors(fitted.weighted, fitted.model), systematic, of_choice, smallest], axis=0)
     natural, damping = abs(poles) / (2 * np.pi), -poles.real / abs(poles)

@@ -21,6 +21,7 @@ from daq.core.excitation.profiles.sweep_control import estimate_amplitudes, obse
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import BASELINE, location_styles
+from rig.core.base.renamed import renamed
 from rig.core.numerics.runs import runs_of
 from rig.core.results import Result, complete_style, format_frequencies
 from rig.core.scene.excitation.kind import Chirp
@@ -53,9 +54,11 @@ class Level:
     values: Array
     low: Array
     high: Array
-    bound: Array  # profile or limit; NaN where there is none
+    limit: Array  # profile or limit; NaN where there is none
     rms: float  # root mean square in the band of the profile, m/s²; of a sine, that of the readings
     kurtosis: float
+
+    bound = renamed("bound", "limit")
 
 
 @dataclass(frozen=True, repr=False)
@@ -120,7 +123,7 @@ class ProfileCheck(Result):
     def excess(self, level: Level) -> Array:
         """Return a limited channel relative to its limit [dB]; NaN where there is no limit."""
         with np.errstate(invalid="ignore", divide="ignore"):
-            return self._decibels * np.log10(level.values / level.bound)
+            return self._decibels * np.log10(level.values / level.limit)
 
     def is_limited(self, level: Level) -> NDArray[np.bool_]:
         """Return flags of the frequencies at which a channel limits the drive.
@@ -163,8 +166,8 @@ class ProfileCheck(Result):
             excess = self.excess(level)
             if (excess > 0.0).any():
                 highest = int(np.nanargmax(excess))
-                limited = np.flatnonzero(np.isfinite(level.bound))
-                is_end = highest in limited[[0, -1]] and limited.size < level.bound.size
+                limited = np.flatnonzero(np.isfinite(level.limit))
+                is_end = highest in limited[[0, -1]] and limited.size < level.limit.size
                 place = f"at {self.frequency[highest]:.4g} Hz{', where the limit ends' * is_end}"
                 texts.append(f"{level.channel} up to {excess[highest]:.1f} dB above its limit, {place}")
         return texts
@@ -192,11 +195,11 @@ class ProfileCheck(Result):
         return f"{self.label}: {'; '.join(parts)}"
 
     def columns(self) -> Mapping[str, Array]:
-        """Return frequency, profile, control, and values, interval and bound of each channel."""
+        """Return frequency, profile, control, and values, interval and limit of each channel."""
         columns = {"frequency_Hz": self.frequency, "profile": self.profile, "control": self.control}
         for level in (*self.channels, *self.limited):
             columns |= {f"{level.channel}": level.values, f"{level.channel} low": level.low}
-            columns |= {f"{level.channel} high": level.high, f"{level.channel} bound": level.bound}
+            columns |= {f"{level.channel} high": level.high, f"{level.channel} bound": level.limit}
         return columns
 
     def draw(self, ax: Axes, **style: Any) -> None:
@@ -210,7 +213,7 @@ class ProfileCheck(Result):
         for level, limiting in zip(self.limited, limited, strict=True):
             ax.loglog(self.frequency, level.values, color=limiting.color, lw=0.9, label=level.channel)
             line = {"color": limiting.color, "lw": 1.2, "label": f"limit of {level.channel}"}
-            ax.loglog(self.frequency, level.bound, ls=(0, (1, 1.5)), **line)
+            ax.loglog(self.frequency, level.limit, ls=(0, (1, 1.5)), **line)
             acts = self.is_limited(level) & self.is_reduced
             bottom = ax.get_xaxis_transform()
             ax.fill_between(self.frequency, 0.0, 0.02, where=acts, transform=bottom, color=limiting.color, lw=0)

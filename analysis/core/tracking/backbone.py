@@ -27,6 +27,7 @@ from daq.core.recording.recorded_test import HELD_PHASE
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import location_styles
+from rig.core.base.renamed import renamed
 from rig.core.results import Result, complete_style, format_limited, format_number
 from rig.core.results.uncertainty import SENSITIVITY
 from rig.core.system.structural_model import structural_model
@@ -61,17 +62,17 @@ class Backbone(Result):
         Unit of the level.
     level, force : ndarray, shape (n,)
         Level, and amplitude of the measured force in N.
-    frequency, frequency_bound : ndarray, shape (n,)
+    frequency, frequency_expanded : ndarray, shape (n,)
         Frequency of phase resonance and half of its 95 % interval [Hz]. The interval includes the effect of the
         remaining phase deviation.
-    phase_deviation, phase_deviation_bound : ndarray, shape (n,)
+    phase_deviation, phase_deviation_expanded : ndarray, shape (n,)
         Phase of the body relative to that of phase resonance, and half of its 95 % interval [rad].
-    natural_frequency, natural_frequency_bound : ndarray, shape (n,)
+    natural_frequency, natural_frequency_expanded : ndarray, shape (n,)
         Natural frequency of the mode without the contributions of other modes to the phase of the body, and half of its
         95 % interval [Hz].
-    amplitude, amplitude_bound : ndarray, shape (n,)
+    amplitude, amplitude_expanded : ndarray, shape (n,)
         Displacement of the body and half of its 95 % interval [m].
-    damping, damping_bound : ndarray, shape (n,)
+    damping, damping_expanded : ndarray, shape (n,)
         Damping ratio and half of its 95 % interval.
     settled : ndarray of bool, shape (n,)
         Whether phase and amplitude settled.
@@ -83,16 +84,22 @@ class Backbone(Result):
     level: Array
     force: Array
     frequency: Array
-    frequency_bound: Array
+    frequency_expanded: Array
     phase_deviation: Array
-    phase_deviation_bound: Array
+    phase_deviation_expanded: Array
     natural_frequency: Array
-    natural_frequency_bound: Array
+    natural_frequency_expanded: Array
     amplitude: Array
-    amplitude_bound: Array
+    amplitude_expanded: Array
     damping: Array
-    damping_bound: Array
+    damping_expanded: Array
     settled: NDArray[np.bool_]
+
+    frequency_bound = renamed("frequency_bound", "frequency_expanded")
+    phase_deviation_bound = renamed("phase_deviation_bound", "phase_deviation_expanded")
+    natural_frequency_bound = renamed("natural_frequency_bound", "natural_frequency_expanded")
+    amplitude_bound = renamed("amplitude_bound", "amplitude_expanded")
+    damping_bound = renamed("damping_bound", "damping_expanded")
 
     def summary(self) -> str:
         """Return the number of levels, and the frequency at the first and last level and at its extreme values."""
@@ -107,14 +114,14 @@ class Backbone(Result):
     def level_points(self) -> list[LevelPoint]:
         """Return natural frequency, damping ratio, excitation frequency and amplitude of each point."""
         columns = {
-            "natural frequency / Hz": (self.natural_frequency, self.natural_frequency_bound),
-            "damping ratio / %": (100.0 * self.damping, 100.0 * self.damping_bound),
-            "excitation frequency / Hz": (self.frequency, self.frequency_bound),
+            "natural frequency / Hz": (self.natural_frequency, self.natural_frequency_expanded),
+            "damping ratio / %": (100.0 * self.damping, 100.0 * self.damping_expanded),
+            "excitation frequency / Hz": (self.frequency, self.frequency_expanded),
             "phase deviation / °": (
                 np.degrees(abs(self.phase_deviation)),
-                np.degrees(self.phase_deviation_bound),
+                np.degrees(self.phase_deviation_expanded),
             ),
-            f"amplitude of {self.body} / mm": (1e3 * self.amplitude, 1e3 * self.amplitude_bound),
+            f"amplitude of {self.body} / mm": (1e3 * self.amplitude, 1e3 * self.amplitude_expanded),
         }
         points = []
         for k, level in enumerate(self.level.tolist()):
@@ -141,15 +148,15 @@ class Backbone(Result):
             "level": self.level,
             "force_N": self.force,
             "frequency_Hz": self.frequency,
-            "frequency_bound_Hz": self.frequency_bound,
+            "frequency_bound_Hz": self.frequency_expanded,
             "phase_deviation_rad": self.phase_deviation,
-            "phase_deviation_bound_rad": self.phase_deviation_bound,
+            "phase_deviation_bound_rad": self.phase_deviation_expanded,
             "natural_frequency_Hz": self.natural_frequency,
-            "natural_frequency_bound_Hz": self.natural_frequency_bound,
+            "natural_frequency_bound_Hz": self.natural_frequency_expanded,
             "amplitude_m": self.amplitude,
-            "amplitude_bound_m": self.amplitude_bound,
+            "amplitude_bound_m": self.amplitude_expanded,
             "damping_ratio": self.damping,
-            "damping_ratio_bound": self.damping_bound,
+            "damping_ratio_bound": self.damping_expanded,
             "settled": self.settled,
         }
 
@@ -160,7 +167,7 @@ class Backbone(Result):
         line = {"color": color, "ls": ":", "lw": 1.0, "marker": "o", "markersize": 4.5}
         bars = complete_style(style, label=self.label, capsize=2, elinewidth=1.0, **line)
         ax.errorbar(
-            self.frequency, 1e3 * self.amplitude, 1e3 * self.amplitude_bound, self.frequency_bound, **bars
+            self.frequency, 1e3 * self.amplitude, 1e3 * self.amplitude_expanded, self.frequency_expanded, **bars
         )  # fmt: skip
         span, right = float(np.ptp(self.frequency)), np.sort(self.frequency)
         for frequency, amplitude, level in self.marks():
@@ -230,12 +237,12 @@ def backbone(rec: Recording) -> Backbone:
             "level": float(marker.fields["level"]),
             "force": force,
             "frequency": response.frequency[line],
-            "frequency_bound": abs(mode.damping) * omega / turn * tangent,
+            "frequency_expanded": abs(mode.damping) * omega / turn * tangent,
             "phase_deviation": phase_error,
-            "phase_deviation_bound": rotation,
+            "phase_deviation_expanded": rotation,
             **mode._asdict(),
             "amplitude": amplitude,
-            "amplitude_bound": relative * amplitude,
+            "amplitude_expanded": relative * amplitude,
             "settled": marker.fields.get("settled") is not False,
         })  # fmt: skip
     return Backbone(
@@ -250,9 +257,9 @@ class _Mode(NamedTuple):
     """A mode near phase resonance; the `_bound`s are halves of 95 % intervals."""
 
     natural_frequency: float  # Hz
-    natural_frequency_bound: float
+    natural_frequency_expanded: float
     damping: float
-    damping_bound: float
+    damping_expanded: float
 
 
 _NO_MODE = _Mode(np.nan, np.nan, np.nan, np.nan)

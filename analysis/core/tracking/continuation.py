@@ -22,6 +22,7 @@ from daq.core.recording.recorded_test import FOLLOWED_CURVE
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import level_styles
+from rig.core.base.renamed import renamed
 from rig.core.results import Result, complete_style, format_limited, format_number
 from rig.core.results.text import format_quantity
 from rig.core.results.uncertainty import SENSITIVITY
@@ -43,7 +44,7 @@ class Fold(NamedTuple):
 
     level: float  # level, in the unit of the test
     frequency: float  # Hz
-    bound: float  # expanded uncertainty of the frequency, Hz
+    expanded: float  # expanded uncertainty of the frequency, Hz
     amplitude: float  # m
     position: float  # position along the curve, in numbers of points
 
@@ -64,9 +65,9 @@ class AmplitudeCurve(Result):
         Lowest and highest frequency of the test [Hz].
     level, force : ndarray, shape (n,)
         Level in the unit of the test, and amplitude of the measured force in N.
-    frequency, frequency_bound : ndarray, shape (n,)
+    frequency, frequency_expanded : ndarray, shape (n,)
         Frequency and half of the 95 % interval of the frequency that has this amplitude at the level [Hz].
-    amplitude, amplitude_bound : ndarray, shape (n,)
+    amplitude, amplitude_expanded : ndarray, shape (n,)
         Displacement of the body and half of its 95 % interval [m].
     stable, settled : ndarray of bool, shape (n,)
         Whether the motion is stable at constant force, and whether steady state was reached.
@@ -81,12 +82,15 @@ class AmplitudeCurve(Result):
     level: Array
     force: Array
     frequency: Array
-    frequency_bound: Array
+    frequency_expanded: Array
     amplitude: Array
-    amplitude_bound: Array
+    amplitude_expanded: Array
     stable: NDArray[np.bool_]
     settled: NDArray[np.bool_]
     folds: tuple[Fold, ...]
+
+    frequency_bound = renamed("frequency_bound", "frequency_expanded")
+    amplitude_bound = renamed("amplitude_bound", "amplitude_expanded")
 
     def summary(self) -> str:
         """Return the numbers of points and folds, and the largest amplitude."""
@@ -117,7 +121,7 @@ class AmplitudeCurve(Result):
         if not chosen.any():
             return float("inf")
         is_high = self.amplitude[chosen] > 0.5 * self.amplitude[chosen].max()
-        steps, noise = abs(np.diff(self.frequency[chosen])), 2.0 * self.frequency_bound[chosen]
+        steps, noise = abs(np.diff(self.frequency[chosen])), 2.0 * self.frequency_expanded[chosen]
         return float(np.maximum(steps, noise[1:])[is_high[1:]].max(initial=0.0))
 
     def level_points(self) -> list[LevelPoint]:
@@ -127,9 +131,10 @@ class AmplitudeCurve(Result):
             chosen = np.flatnonzero(self.level == level)
             highest = chosen[np.argmax(self.amplitude[chosen])]
             frequency, *peak = (
-                float(values[highest]) for values in (self.frequency, 1e3 * self.amplitude, 1e3 * self.amplitude_bound)
+                float(values[highest])
+                for values in (self.frequency, 1e3 * self.amplitude, 1e3 * self.amplitude_expanded)
             )
-            folds = [format_quantity(fold.frequency, fold.bound, "Hz") for fold in self.folds if fold.level == level]
+            folds = [format_quantity(fold.frequency, fold.expanded, "Hz") for fold in self.folds if fold.level == level]
             if folds:
                 note = f"fold{'s' * (len(folds) > 1)} at {', '.join(folds)}"
             elif self.settled[chosen].any():
@@ -166,9 +171,9 @@ class AmplitudeCurve(Result):
             "level": self.level,
             "force_N": self.force,
             "frequency_Hz": self.frequency,
-            "frequency_bound_Hz": self.frequency_bound,
+            "frequency_bound_Hz": self.frequency_expanded,
             "amplitude_m": self.amplitude,
-            "amplitude_bound_m": self.amplitude_bound,
+            "amplitude_bound_m": self.amplitude_expanded,
             "stable": self.stable,
             "settled": self.settled,
         }
@@ -186,7 +191,7 @@ class AmplitudeCurve(Result):
             face = color if is_stable else "white"
             points = complete_style(style, color=color, marker=marker, ms=4, ls="", elinewidth=0.7, zorder=3)
             x, y, bound = (
-                column[part] for column in (self.frequency, 1e3 * self.amplitude, 1e3 * self.amplitude_bound)
+                column[part] for column in (self.frequency, 1e3 * self.amplitude, 1e3 * self.amplitude_expanded)
             )
             ax.errorbar(x, y, bound, markerfacecolor=face, label=name, **points)
         for level in dict.fromkeys(fold.level for fold in self.folds):
@@ -194,7 +199,7 @@ class AmplitudeCurve(Result):
             ax.errorbar(
                 [fold.frequency for fold in folds],
                 [1e3 * fold.amplitude for fold in folds],
-                xerr=[fold.bound for fold in folds],
+                xerr=[fold.expanded for fold in folds],
                 fmt="x",
                 color="black",
                 zorder=4,
@@ -256,9 +261,9 @@ def continuation(rec: Recording) -> AmplitudeCurve:
             "level": np.full(frequency.size, level),
             "force": motion.force,
             "frequency": frequency,
-            "frequency_bound": bound,
+            "frequency_expanded": bound,
             "amplitude": motion.amplitude,
-            "amplitude_bound": motion.relative * motion.amplitude,
+            "amplitude_expanded": motion.relative * motion.amplitude,
             "stable": n_passed % 2 == 0,
             "settled": settled,
         })  # fmt: skip

@@ -22,6 +22,7 @@ from analysis.core.tracking.body_motion import body_motion
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import recording_styles
+from rig.core.base.renamed import renamed
 from rig.core.results import Result, complete_style
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ class ForceSurface(Result):
         Frequency in Hz and displacement amplitude in m.
     stiffness : ndarray, shape (n,), complex
         Dynamic stiffness, force per displacement [N/m].
-    force, force_bound : ndarray, shape (n,)
+    force, force_expanded : ndarray, shape (n,)
         Force amplitude and half of its 95 % interval at the stated displacement amplitude [N]. The interval includes
         the uncertainty of the displacement, which changes the force by the slope between the measured amplitudes.
     """
@@ -62,7 +63,9 @@ class ForceSurface(Result):
     amplitude: Array
     stiffness: ComplexArray
     force: Array
-    force_bound: Array
+    force_expanded: Array
+
+    force_bound = renamed("force_bound", "force_expanded")
 
     def _curves(self) -> Iterable[tuple[float, Array, Array, Array]]:
         """Yield each frequency in Hz with amplitudes in m, and force with half of its 95 % interval in N.
@@ -85,7 +88,7 @@ class ForceSurface(Result):
             lower = np.clip(np.searchsorted(known, amplitude) - 1, 0, known.size - 2)
             share = (amplitude - known[lower]) / np.diff(known)[lower]
             change = abs(np.diff(stiffness))[lower] * amplitude
-            bound = np.interp(amplitude, known, self.force_bound[chosen]) + share * (1.0 - share) * change
+            bound = np.interp(amplitude, known, self.force_expanded[chosen]) + share * (1.0 - share) * change
             yield frequency, amplitude, force, bound
 
     def at_force(self, force: float) -> dict[str, NDArray[Any]]:
@@ -153,7 +156,7 @@ class ForceSurface(Result):
             "frequency_Hz": self.frequency,
             "amplitude_m": self.amplitude,
             "force_N": self.force,
-            "force_bound_N": self.force_bound,
+            "force_bound_N": self.force_expanded,
         }
 
     def draw(self, ax: Axes, **style: Any) -> None:
@@ -163,7 +166,7 @@ class ForceSurface(Result):
             along = chosen[np.argsort(self.frequency[chosen])]
             label = f"{1e3 * float(np.median(self.amplitude[along])):.3g} mm"
             bars = complete_style(style, label=label, color=color, marker=marker, ms=3, lw=0.8, capsize=2)
-            ax.errorbar(self.frequency[along], self.force[along], self.force_bound[along], **bars)
+            ax.errorbar(self.frequency[along], self.force[along], self.force_expanded[along], **bars)
         ax.set(xlabel="frequency / Hz", ylabel="force / N")
 
 

@@ -69,9 +69,9 @@ def write_modes(modes: Modes, path: Path) -> None:
         path,
         {
             "frequency_Hz": modes.frequency,
-            "frequency_std_Hz": modes.frequency_error,
+            "frequency_std_Hz": modes.frequency_std,
             "damping_ratio": modes.damping,
-            "damping_ratio_std": modes.damping_error,
+            "damping_ratio_std": modes.damping_std,
             "shapes": modes.shapes,
             "residues": modes.residue,
             "responses": np.array(modes.responses, dtype=object),

@@ -58,10 +58,10 @@ def read_modes(path: str | Path) -> Modes:
     unknown, count = np.full(poles.size, np.nan), len(names)
     return Modes(
         frequency=np.asarray(abs(poles) / (2.0 * np.pi), dtype=np.float64),
-        frequency_error=unknown,
+        frequency_std=unknown,
         damping=0.0 - poles.real / abs(poles),
-        damping_error=unknown,
-        shape_error=np.full(shapes.shape, np.nan),
+        damping_std=unknown,
+        shape_std=np.full(shapes.shape, np.nan),
         residue=shapes,
         responses=names,
         chart=(),

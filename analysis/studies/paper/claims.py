@@ -166,7 +166,7 @@ def resonance_peaks(data: Columns) -> np.ndarray:
     """
     curve = Response.curve(data["frequency"], data["compliance"][2], "body3", error=data["error"][2])
     found = [resonance_peak(curve, *band) for band in ((10.5, 15.0), (30.0, 37.0), (45.0, 52.0))]
-    return np.array([(np.nan, np.inf) if highest is None else (highest.value, highest.bound) for highest in found])
+    return np.array([(np.nan, np.inf) if highest is None else (highest.value, highest.expanded) for highest in found])
 
 
 def _c3(parts: Parts) -> Claim:

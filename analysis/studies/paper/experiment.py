@@ -66,7 +66,7 @@ def bare_sweep(scene: Scene, path: Path) -> Arrays:
         arrays["transfer"] = np.array([curve.value for curve in curves])
         modes = identify(frequency_responses(recording, BODIES)[0], count=3)
         shapes = modes.residue.imag
-        arrays["omega"], arrays["omega_error"] = 2 * np.pi * modes.frequency, 2 * np.pi * modes.frequency_error
+        arrays["omega"], arrays["omega_error"] = 2 * np.pi * modes.frequency, 2 * np.pi * modes.frequency_std
         arrays["damping"] = modes.damping
         largest = np.take_along_axis(shapes, np.abs(shapes).argmax(axis=0)[None], axis=0)
         arrays["shapes"] = shapes / largest

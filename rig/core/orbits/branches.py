@@ -127,7 +127,7 @@ class _Explorer:
             if len(self.branches) == MAX_BRANCHES:
                 self.failures.append(
                     f"stopped after {MAX_BRANCHES} branches: the branch through {self.axis.name} "
-                    f"{getattr(start.setting, self.axis.field):.8g} (events [{start.plan.label}]) and adjacent "
+                    f"{getattr(start.operating_point, self.axis.field):.8g} (events [{start.plan.label}]) and adjacent "
                     "branches are missing. Choose narrower bounds."
                 )
                 return
@@ -146,8 +146,8 @@ class _Explorer:
 
     def _continue(self, start: Orbit) -> OrbitBranch:
         """Follow the branch through an orbit in both directions."""
-        family = OrbitFamily(self.problem, start.plan, start.setting, self.axis.field, start.unknowns)
-        x = np.append(start.unknowns, getattr(start.setting, self.axis.field))
+        family = OrbitFamily(self.problem, start.plan, start.operating_point, self.axis.field, start.unknowns)
+        x = np.append(start.unknowns, getattr(start.operating_point, self.axis.field))
         curve = continuation.trace(family, x, self.bounds, family.scale, STEPS, family.margins)
         orbits = tuple(family.orbit(x) for x in curve.points)
         return OrbitBranch(
@@ -174,15 +174,15 @@ class _Explorer:
 
     def _simulate_perturbed(self, orbit: Orbit) -> list[Orbit]:
         """Simulate from a perturbed unstable orbit; return the orbit to which the motion settles, or an empty list."""
-        propagator, _ = start_propagator(self.problem, orbit.setting)
+        propagator, _ = start_propagator(self.problem, orbit.operating_point)
         set_to_orbit(propagator, orbit)
         n = propagator.system.states
         # Relative changes up to 1e-5, different for each state.
         propagator.state.z[:n] *= 1 + 1e-5 * np.cos(np.arange(n))
         try:
-            return [search_orbit(self.problem, orbit.setting, propagator)]
+            return [search_orbit(self.problem, orbit.operating_point, propagator)]
         except RunError as failure:
-            value = getattr(orbit.setting, self.axis.field)
+            value = getattr(orbit.operating_point, self.axis.field)
             self.failures.append(f"where Type {orbit.motion_type} is unstable, {self.axis.name} {value:.8g}: {failure}")
             return []
 
@@ -190,7 +190,7 @@ class _Explorer:
         """Return whether an orbit lies on a branch: same events, and same response after interpolation."""
         if not branch.plan.has_same_cycle(orbit.plan):
             return False
-        offset = branch.value - getattr(orbit.setting, self.axis.field)
+        offset = branch.value - getattr(orbit.operating_point, self.axis.field)
         segments = np.flatnonzero(offset[:-1] * offset[1:] <= 0).tolist()
         # An orbit found across the border of an adjacent branch is just beyond an end of this branch.
         if abs(offset[0]) < END_DISTANCE * abs(branch.value[0]):

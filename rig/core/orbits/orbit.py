@@ -16,6 +16,7 @@ from scipy.linalg.lapack import dgeev
 
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RunError
+from rig.core.base.renamed import renamed
 from rig.core.engine.trajectory import event_table
 from rig.core.laws.events import (
     CEILING_IMPACT,
@@ -66,7 +67,7 @@ class Orbit(Result):
 
     Attributes
     ----------
-    setting : OperatingPoint
+    operating_point : OperatingPoint
         Operating point: frequency [Hz], level of the drive, and, if varied, clearance and mass ratio.
     repetition : int
         Number of drive periods after which the motion repeats.
@@ -96,7 +97,7 @@ class Orbit(Result):
         Equations that the orbit solves.
     """
 
-    setting: OperatingPoint
+    operating_point: OperatingPoint
     repetition: int
     frf: NDArray[np.complex128]
     reference_amplitude: float
@@ -110,6 +111,8 @@ class Orbit(Result):
     plan: Plan = field(repr=False)
     problem: OrbitProblem = field(repr=False, compare=False)
 
+    setting = renamed("setting", "operating_point")
+
     def summary(self) -> str:
         """Return the type of motion, its operating point, and its stability in words."""
         stable = "stable" if self.stable else "unstable"
@@ -121,8 +124,8 @@ class Orbit(Result):
 
     def columns(self) -> dict[str, Array]:
         """Return time over a cycle from its first event, displacement of each body, and gap of each moving damper."""
-        sequence, system = self.plan.sequence, self.problem.varied_system(self.setting)
-        family = OrbitFamily(self.problem, self.plan, self.setting, "frequency", self.unknowns)
+        sequence, system = self.plan.sequence, self.problem.varied_system(self.operating_point)
+        family = OrbitFamily(self.problem, self.plan, self.operating_point, "frequency", self.unknowns)
         equations, derivatives = family.equations(self.frequency)
         states = shoot(equations, derivatives, sequence, self.unknowns).states
         instants = self.plan.instants(self.unknowns)
@@ -162,7 +165,7 @@ class Orbit(Result):
     @property
     def frequency(self) -> float:
         """Frequency of the drive [Hz]."""
-        return self.setting.frequency
+        return self.operating_point.frequency
 
     # Most orbits of a search are rejected by their margin alone, so further quantities are computed when first used.
     @cached_property
@@ -188,13 +191,16 @@ class Orbit(Result):
         touch, release with finite-duration contact) and closing `speed` [m/s].
         """
         dampers, engine_kinds, times, speeds = self._event_columns
-        return event_table(times, dampers, engine_kinds, speeds, self.problem.varied_system(self.setting))
+        return event_table(times, dampers, engine_kinds, speeds, self.problem.varied_system(self.operating_point))
 
     @cached_property
     def damper_motion(self) -> tuple[str, ...]:
         """Type of motion of each damper that moves, then of each joint."""
         dampers, engine_kinds, times, _ = self._event_columns
-        system, cycle = self.problem.varied_system(self.setting), self.plan.repetition / self.setting.frequency
+        system, cycle = (
+            self.problem.varied_system(self.operating_point),
+            self.plan.repetition / self.operating_point.frequency,
+        )
         return tuple(
             type_of(engine_kinds[is_own], times[is_own], system, j, self.plan.repetition, cycle)
             for j, is_own in enumerate(dampers == np.arange(len(system.elements))[:, None])
@@ -336,7 +342,7 @@ class OrbitFamily:
         harmonic = 2 / equations.period * integral
         amplitude = problem.reference.amplitude(setting.level, harmonic)
         return Orbit(
-            setting=setting,
+            operating_point=setting,
             repetition=plan.repetition,
             frf=harmonic[:bodies] / amplitude,
             reference_amplitude=abs(amplitude),

@@ -243,7 +243,7 @@ def shortest_cycle(orbit: Orbit) -> tuple[Plan, OperatingPoint, Array] | None:
             sequence.kind[:cycle_events].tolist(), sequence.damper[:cycle_events].tolist(), sequence.wall[0],
             orbit.repetition // cycles, orbit.problem.system,
         )  # fmt: skip
-        return plan, orbit.setting, orbit.unknowns[: len(orbit.unknowns) - events + cycle_events]
+        return plan, orbit.operating_point, orbit.unknowns[: len(orbit.unknowns) - events + cycle_events]
     return None
 
 

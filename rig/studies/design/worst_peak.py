@@ -66,7 +66,7 @@ def refined_peak(problem: OrbitProblem, response: OrbitResponse, body: int) -> t
         return largest, frequency
 
     def negative_magnitude(trial_frequency: float) -> float:
-        operating_point = OperatingPoint(float(trial_frequency), orbit.setting.level)
+        operating_point = OperatingPoint(float(trial_frequency), orbit.operating_point.level)
         try:
             solution = solve(problem, orbit.plan, operating_point, orbit.unknowns)
         except RunError:

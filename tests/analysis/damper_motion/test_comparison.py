@@ -66,17 +66,17 @@ def test_measured_peak_lies_within_bounds(natural, ratio, offset, points_per_ban
     dense = np.linspace(natural - step, natural + step, 4001)
     exact = abs(two_modes(dense, natural, ratio))
     assert estimate is not None
-    assert abs(estimate.value - exact.max()) <= estimate.bound + 1e-5 * exact.max()
+    assert abs(estimate.value - exact.max()) <= estimate.expanded + 1e-5 * exact.max()
     assert estimate.lowest_frequency - step / 200 <= dense[np.argmax(exact)] <= estimate.highest_frequency + step / 200
     # With coarse points, interpolation of a wide peak is less certain.
-    assert error > 0 or ratio > 0.02 or estimate.bound < 0.02 * exact.max()
+    assert error > 0 or ratio > 0.02 or estimate.expanded < 0.02 * exact.max()
 
 
 def test_jump_near_peak_removes_upper_bound() -> None:
     f = np.linspace(9.0, 11.0, 41)
     value = np.where(f < 10.2, 1.0, 0.005) / (1.0 - (f / 10.6) ** 2 + 0.002j)
     estimate = peak(measured_curve(f, value), 9.0, 11.0)
-    assert estimate is not None and math.isinf(estimate.bound) and estimate.frequency == pytest.approx(10.15)
+    assert estimate is not None and math.isinf(estimate.expanded) and estimate.frequency == pytest.approx(10.15)
     change = PeakChange("body1", 10.0, 0.01, Peak(1e-3, 0.0, 10.0, 10.0, 10.0), estimate)
     assert math.isinf(change.decibel[2])
     _, row = describe_changes([change], ("µm/N", 1e6))
@@ -89,7 +89,7 @@ def test_omitted_points_near_peak_remove_upper_bound() -> None:
     curve = measured_curve(f, 1.0 / (1.0 - (f / 10.03) ** 2 + 0.02j))
     included = abs(f - 10.1) > 0.12
     estimate = peak(replace(curve.at(included), omitted=f[~included]), 9.0, 11.0)
-    assert estimate is not None and math.isinf(estimate.bound) and estimate.value < abs(curve.value).max()
+    assert estimate is not None and math.isinf(estimate.expanded) and estimate.value < abs(curve.value).max()
 
 
 def amplitude_dependent_receptance(f: np.ndarray) -> np.ndarray:
@@ -112,9 +112,9 @@ def test_narrow_peak_lies_within_bound(step, offset) -> None:
     f = 18.6 + step * (np.arange(-5, 5) + offset)
     estimate = peak(measured_curve(f, amplitude_dependent_receptance(f)), f[0], f[-1])
     exact = height_of_narrow_peak()
-    assert estimate is not None and estimate.low <= exact <= estimate.value + estimate.bound
+    assert estimate is not None and estimate.low <= exact <= estimate.value + estimate.expanded
     assert estimate.low >= abs(amplitude_dependent_receptance(f)).max()
-    assert step > 0.05 or estimate.bound < 0.02 * exact
+    assert step > 0.05 or estimate.expanded < 0.02 * exact
 
 
 def test_warning_of_coarse_points_gives_required_step() -> None:
@@ -124,7 +124,7 @@ def test_warning_of_coarse_points_gives_required_step() -> None:
     assert "by up to 9 %" in warning and warning.endswith("Measure every 0.1 Hz there.")
     coarse_points = np.linspace(17.0, 20.0, 3)
     estimate = peak(measured_curve(coarse_points, amplitude_dependent_receptance(coarse_points)), 17.0, 20.0)
-    assert estimate is not None and math.isinf(estimate.bound)
+    assert estimate is not None and math.isinf(estimate.expanded)
 
 
 def test_unbounded_errors_do_not_overflow() -> None:
@@ -132,16 +132,16 @@ def test_unbounded_errors_do_not_overflow() -> None:
     curve = measured_curve(f, 1e3 * two_modes(f, 10.0, 0.01), 1e-3)
     with np.errstate(over="raise"):
         estimate = peak(curve.with_limits({"aliasing": np.full(f.size, np.inf)}), 9.0, 11.0)
-    assert estimate is not None and estimate.bound > 1e50 * estimate.value
+    assert estimate is not None and estimate.expanded > 1e50 * estimate.value
 
 
 def test_tolerances_of_a_peak_are_combined_as_variances() -> None:
     one, two = (Peak(1.0, 0.0, 10.0, 9.9, 10.1, lower_limit=1.0, tolerances=(0.05,) * count) for count in (1, 2))
     # No error exceeds its limit; two rectangular distributions have k = 2.
-    assert (one.bound, two.bound) == pytest.approx((0.05, 2.0 * math.sqrt(2.0 / 3.0) * 0.05))
-    assert two.low == pytest.approx(1.0 - two.bound)
+    assert (one.expanded, two.expanded) == pytest.approx((0.05, 2.0 * math.sqrt(2.0 / 3.0) * 0.05))
+    assert two.low == pytest.approx(1.0 - two.expanded)
     scattered = Peak(1.0, 0.06, 10.0, 9.9, 10.1, tolerances=(0.05, 0.05))
-    assert scattered.bound == pytest.approx(math.hypot(0.06, two.bound))
+    assert scattered.expanded == pytest.approx(math.hypot(0.06, two.expanded))
 
 
 def test_changes_are_printed_with_their_limits() -> None:
@@ -173,8 +173,8 @@ def test_tolerances_cancelling_on_one_flank_widen_peak() -> None:
         abs(measured(dense, *errors)).max() for errors in tolerance * np.random.default_rng(1).uniform(-1, 1, (400, 2))
     ]
     exact = abs(two_modes(dense, natural, 0.01)).max()
-    assert np.mean(abs(np.array(heights) - exact) < estimate.bound) > 0.95
-    assert estimate.bound < 0.5 * exact
+    assert np.mean(abs(np.array(heights) - exact) < estimate.expanded) > 0.95
+    assert estimate.expanded < 0.5 * exact
 
 
 def test_small_peak_on_flank_is_compared() -> None:
@@ -187,7 +187,7 @@ def test_small_peak_on_flank_is_compared() -> None:
     modes = replace(analysis.identify([curve(0.01)]), frequency=np.array([79.0]), damping=np.array([0.01]))
     [raised] = peak_changes(modes, [curve(0.01)], [curve(0.004)])
     [lost] = peak_changes(modes, [curve(0.01)], [curve(0.5)])
-    assert raised.bare.frequency == pytest.approx(79.0, abs=1.0) and not raised.bare.at_end
+    assert raised.baseline.frequency == pytest.approx(79.0, abs=1.0) and not raised.baseline.at_end
     assert raised.decibel[1] > 0.0
     assert lost.decibel[1:] == (-math.inf, math.inf)
     assert "no peak is left between" in describe_changes([lost], ("µm/N", 1e6))[-1]
@@ -223,7 +223,10 @@ def test_shared_sensors_cancel_in_changes() -> None:
     )
     modes = analysis.identify([bare])
     [different_sensors], [same_sensors] = (peak_changes(modes, [bare], [damped], shared) for shared in ((), ("body1",)))
-    assert same_sensors.bare == different_sensors.bare and same_sensors.bare.bound > 0.15 * same_sensors.bare.value
+    assert (
+        same_sensors.baseline == different_sensors.baseline
+        and same_sensors.baseline.expanded > 0.15 * same_sensors.baseline.value
+    )
     assert different_sensors.decibel[2] - different_sensors.decibel[1] > 3.5
     # A common factor does not move a peak.
     assert different_sensors.shift == same_sensors.shift

@@ -273,10 +273,10 @@ def test_finite_duration_impacts_lie_within_errors(tmp_path, chain, converter, d
     expected &= ~((touches["time"][:, None] > begin) & (touches["time"][:, None] < end)).any(axis=1)
     assert matched.all() and matched.sum() > 15 and true_matched[expected].all()
     assert np.all(np.sign(detected.jump) == np.sign(jump[true_matched]))
-    assert np.all(abs(detected.time - touches["time"][true_matched]) < 4.0 * detected.time_error)
-    assert np.median(detected.time_error) < 0.1 * duration
+    assert np.all(abs(detected.time - touches["time"][true_matched]) < 4.0 * detected.time_std)
+    assert np.median(detected.time_std) < 0.1 * duration
     assert np.all(
-        abs(detected.jump - jump[true_matched]) < 4.0 * detected.jump_error + sensitivity_tolerance * abs(detected.jump)
+        abs(detected.jump - jump[true_matched]) < 4.0 * detected.jump_std + sensitivity_tolerance * abs(detected.jump)
     )
 
 

@@ -52,9 +52,9 @@ def test_linear_decay_frequencies_lie_within_bounds():
         peak_frequencies = spectral_peaks(signal[begin:], rate, 4, 2.0, 200.0)
         for index, peak in enumerate(peak_frequencies):
             mode = modal_decay(signal, rate, peak, band_width(peak_frequencies, index), begin)
-            if np.isfinite(mode.frequency_error):
+            if np.isfinite(mode.frequency_std):
                 true_frequency = natural[np.argmin(abs(natural - peak))]
-                normalized_errors.append((mode.frequency - true_frequency) / mode.frequency_error)
+                normalized_errors.append((mode.frequency - true_frequency) / mode.frequency_std)
                 peak_error_ratios.append(abs(peak / true_frequency - 1.0) / abs(mode.frequency / true_frequency - 1.0))
     # Of 80 modes, more than 60 have a determined frequency; 95 % lie within two standard uncertainties.
     assert len(normalized_errors) > 60
@@ -70,7 +70,7 @@ def test_clock_error_is_in_frequency_bound(tmp_path):
         (mode,) = analysis.decay(rec).modes
     # A clock error of 0.1 % at 100 Hz.
     assert abs(mode.frequency - 100.0) == pytest.approx(0.1, rel=0.01)
-    assert 2.0 * mode.frequency_error == pytest.approx(0.1, rel=0.01)
+    assert 2.0 * mode.frequency_std == pytest.approx(0.1, rel=0.01)
 
 
 def test_damping_above_noise_floor_is_correct(tmp_path):
@@ -122,8 +122,8 @@ def test_amplitude_dependent_damping_lies_within_bounds(law, noise):
     signal = np.append(np.zeros(640), tone) + noise * random.standard_normal(5760)
     mode = modal_decay(signal, rate, natural, natural / 4.0, 640)
     error = abs(mode.damping - DAMPING_LAWS[law](mode.amplitude))
-    assert mode.damping.size > 10 and np.mean(error <= 2.0 * mode.damping_error) >= 0.95
-    assert np.median(mode.damping_error / mode.damping) < 0.1
+    assert mode.damping.size > 10 and np.mean(error <= 2.0 * mode.damping_std) >= 0.95
+    assert np.median(mode.damping_std / mode.damping) < 0.1
 
 
 def test_displacement_channel_gives_acceleration_decay(tmp_path):
@@ -141,26 +141,26 @@ def test_displacement_channel_gives_acceleration_decay(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("interval", "hit", "error", "message"),
+    ("interval", "impact", "error", "message"),
     [
         (None, 1, RecordingError, "kind: impulse"),
         (1.0, 2, SceneError, "impacts 1 to 1"),
         (0.1, 1, RecordingError, "only 240 samples follow impact 1"),
     ],
 )
-def test_missing_decay_is_explained(tmp_path, interval, hit, error, message):
+def test_missing_decay_is_explained(tmp_path, interval, impact, error, message):
     path = tmp_path / "a.mcap"
     if interval is None:
         synthetic.stepped_sine(path, [12.0])
     else:
         synthetic.impulses(path, interval=interval)
     with daq.open(path) as rec, pytest.raises(error, match=message):
-        analysis.decay(rec, hit=hit)
+        analysis.decay(rec, impact=impact)
 
 
 def within_bounds(mode, expected):
     """Return where the damping differs by less than 3 %, or by less than its bound if noise makes it larger."""
-    bound = 2.0 * mode.damping_error / mode.damping
+    bound = 2.0 * mode.damping_std / mode.damping
     return abs(mode.damping / expected.damping - 1.0) < np.maximum(bound, 0.03)
 
 
@@ -213,10 +213,10 @@ def test_only_amplitudes_above_noise_are_reported(tmp_path):
             decay = analysis.decay(rec, channel="body3")
         for mode in decay.modes:
             assert mode.amplitude.min() > 20.0 * mode.noise
-            noise_part = np.sqrt(mode.damping_error**2 - (0.5 * mode.damping_smear) ** 2)
+            noise_part = np.sqrt(mode.damping_std**2 - (0.5 * mode.damping_bias_limit) ** 2)
             assert np.all(noise_part <= 0.05 * mode.damping)
             error = mode.damping - MODAL_DAMPING
-            normalized_error = error / np.maximum(mode.damping_error, 0.01 * MODAL_DAMPING)
+            normalized_error = error / np.maximum(mode.damping_std, 0.01 * MODAL_DAMPING)
             assert np.max(abs(normalized_error)) < 4.0
 
 

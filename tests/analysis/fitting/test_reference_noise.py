@@ -50,12 +50,12 @@ def test_modal_values_lie_in_their_intervals(bench):
     normalized_errors = []
     for k, frequency in enumerate(chain.modes[0]):
         mode = fitted.modes[k]
-        normalized_errors += [abs(mode.frequency - frequency) / mode.frequency_bound]
-        normalized_errors += [abs(mode.damping - chain.damping[k]) / mode.damping_bound]
-        assert abs(modes.frequency[k] - frequency) < 3.0 * modes.frequency_error[k]
+        normalized_errors += [abs(mode.frequency - frequency) / mode.frequency_expanded]
+        normalized_errors += [abs(mode.damping - chain.damping[k]) / mode.damping_expanded]
+        assert abs(modes.frequency[k] - frequency) < 3.0 * modes.frequency_std[k]
         # The 95 % intervals of the fit and of the identification agree within a factor of 1.6.
-        assert 1 / 1.5 < 2.0 * modes.frequency_error[k] / mode.frequency_bound < 1.6
-        assert 1 / 1.5 < 2.0 * modes.damping_error[k] / mode.damping_bound < 1.6
+        assert 1 / 1.5 < 2.0 * modes.frequency_std[k] / mode.frequency_expanded < 1.6
+        assert 1 / 1.5 < 2.0 * modes.damping_std[k] / mode.damping_expanded < 1.6
     # One in twenty 95 % intervals may miss the true value, but no error may reach 1.5 times its bound.
     assert sum(error > 1.0 for error in normalized_errors) <= 1 and max(normalized_errors) < 1.5
 

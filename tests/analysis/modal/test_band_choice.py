@@ -48,8 +48,8 @@ def test_differences_between_parts_add_uncertainty() -> None:
     choice = band_choice(poles_at([100.0]), parts)
 
     assert choice.missing == ((),)
-    assert choice.frequency_error[0] == pytest.approx(1.2 * 0.2)
-    assert choice.damping_error[0] == pytest.approx(0.0012)
+    assert choice.frequency_std[0] == pytest.approx(1.2 * 0.2)
+    assert choice.damping_std[0] == pytest.approx(0.0012)
 
 
 def test_parts_that_lack_a_pole_are_named() -> None:
@@ -61,7 +61,7 @@ def test_pole_of_part_belongs_to_nearest_pole() -> None:
     choice = band_choice(poles_at([100.0, 103.0], 0.016), parts_of([100.0, 103.0], [101.4], damping=0.016))
 
     assert choice.missing == ((), ("part 1",))
-    assert choice.frequency_error[1] == pytest.approx(0.0, abs=1e-9)
+    assert choice.frequency_std[1] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_mode_next_to_end_of_window_is_not_expected() -> None:
@@ -111,10 +111,8 @@ def test_intervals_of_bands_contain_modes_of_all_lines(low: float, high: float) 
     all_lines, band = (analysis.identify([_with_echo(lines)]) for lines in (frequency, frequency[inside]))
 
     assert all_lines.frequency.size == band.frequency.size == 2
-    assert (
-        abs(all_lines.frequency - band.frequency) < 2 * np.hypot(all_lines.frequency_error, band.frequency_error)
-    ).all()
-    assert (abs(all_lines.damping - band.damping) < 2 * np.hypot(all_lines.damping_error, band.damping_error)).all()
+    assert (abs(all_lines.frequency - band.frequency) < 2 * np.hypot(all_lines.frequency_std, band.frequency_std)).all()
+    assert (abs(all_lines.damping - band.damping) < 2 * np.hypot(all_lines.damping_std, band.damping_std)).all()
 
 
 def test_parts_may_need_larger_model_error(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -151,7 +149,7 @@ def test_pole_of_uncertain_frequency_is_uncertain(monkeypatch: pytest.MonkeyPatc
     exact = window_fits.band_choice
 
     def shifted(*arguments: Any) -> BandChoice:
-        return exact(*arguments)._replace(frequency_error=np.array([1.2]))
+        return exact(*arguments)._replace(frequency_std=np.array([1.2]))
 
     monkeypatch.setattr(window_fits, "band_choice", shifted)
     with pytest.raises(RecordingError, match=r"Uncertain modes: \(120\.0 ± 2\.4\) Hz"):

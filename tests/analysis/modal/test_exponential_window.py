@@ -25,7 +25,7 @@ def test_damping_of_exponential_window_is_removed() -> None:
     windowed = windowed_modes()
     modes = windowed.without_exponential_window(TIME_CONSTANT)
     assert windowed.damping[0] == pytest.approx(0.012, rel=0.01)
-    assert abs(modes.damping[0] - DAMPING) < 2 * modes.damping_error[0] < 2e-4
+    assert abs(modes.damping[0] - DAMPING) < 2 * modes.damping_std[0] < 2e-4
     assert modes.frequency[0] == pytest.approx(NATURAL, rel=1e-5)
     assert "exponential window (time constant 0.5 s) is removed" in modes.warnings[-1]
 

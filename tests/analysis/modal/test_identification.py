@@ -85,8 +85,8 @@ def test_mode_errors_agree_with_stated_uncertainty(tmp_path):
             # The synthetic data contain no aliased images of the drive.
             modes = analysis.identify([with_only(curve, {}) for curve in curves])
             omega, _ = natural_modes_of(rec.scene)
-        normalized.append((modes.frequency - omega / (2 * np.pi)) / modes.frequency_error)
-        normalized.append((modes.damping - DAMPING) / modes.damping_error)
+        normalized.append((modes.frequency - omega / (2 * np.pi)) / modes.frequency_std)
+        normalized.append((modes.damping - DAMPING) / modes.damping_std)
         np.testing.assert_allclose(modes.frequency, omega / (2 * np.pi), rtol=2e-4)
         np.testing.assert_allclose(modes.damping, DAMPING, rtol=0.05)
     assert 0.3 < np.std(normalized) < 2.0
@@ -162,9 +162,9 @@ def test_close_noisy_modes_lie_within_uncertainty():
     natural, frfs = two_modes(30.0, 0.01, zeta, 250, noise=0.01, seed=3)
     modes = analysis.identify(frfs)
     assert modes.frequency.size == 2
-    assert np.all(abs(modes.frequency - natural) < 3.0 * modes.frequency_error)
-    assert np.all(abs(modes.damping - zeta) < 3.0 * modes.damping_error)
-    assert np.all(modes.damping_error < 0.1 * zeta)
+    assert np.all(abs(modes.frequency - natural) < 3.0 * modes.frequency_std)
+    assert np.all(abs(modes.damping - zeta) < 3.0 * modes.damping_std)
+    assert np.all(modes.damping_std < 0.1 * zeta)
 
 
 def test_stabilization_diagram_shows_poles_and_modes():
@@ -199,8 +199,8 @@ def test_clock_error_limits_frequencies():
             for frf in frfs
         ]
     )
-    assert np.all(abs(modes.frequency - natural) < 1.96 * modes.frequency_error)
-    assert modes.frequency_error == pytest.approx(clock * natural / 1.96, rel=0.2)
+    assert np.all(abs(modes.frequency - natural) < 1.96 * modes.frequency_std)
+    assert modes.frequency_std == pytest.approx(clock * natural / 1.96, rel=0.2)
 
 
 def test_modes_below_band_are_not_counted():
@@ -281,12 +281,12 @@ def test_narrow_peaks_in_files_have_large_uncertainty(windowed, tmp_path):
     np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="f [Hz],a re [m/N],a im [m/N]", comments="")
     modes = analysis.identify(analysis.read_frfs(tmp_path / "a.csv"))
     assert modes.frequency.size == 2
-    assert np.all(abs(modes.frequency - natural) < 2.0 * modes.frequency_error)
-    assert np.all(modes.frequency_error < spacing)
-    assert np.all(abs(modes.damping - half_widths / natural) < 2.0 * modes.damping_error)
-    assert np.all(modes.damping + 2.0 * modes.damping_error < 2.0 * spacing / natural)
+    assert np.all(abs(modes.frequency - natural) < 2.0 * modes.frequency_std)
+    assert np.all(modes.frequency_std < spacing)
+    assert np.all(abs(modes.damping - half_widths / natural) < 2.0 * modes.damping_std)
+    assert np.all(modes.damping + 2.0 * modes.damping_std < 2.0 * spacing / natural)
     assert modes.damping_text(0).startswith("below")
-    assert replace(modes, damping_error=modes.damping + 1.0).damping_text(0) == "not determined"
+    assert replace(modes, damping_std=modes.damping + 1.0).damping_text(0) == "not determined"
     assert sum("narrower than the resolution" in warning for warning in modes.warnings) == 1
 
 
@@ -296,7 +296,7 @@ def test_jump_is_reported_as_nonlinear(sweep):
     # A jump between resonances, which dampers cause when they lift off.
     jump = np.where(curves[0].frequency > 24.3, 0.8 + 0.3j, 1.0)
     modes = analysis.identify([replace(curve, value=curve.value * jump) for curve in curves])
-    assert np.all(modes.damping > 1e-4) and np.all(modes.damping_error < 0.5 * modes.damping)
+    assert np.all(modes.damping > 1e-4) and np.all(modes.damping_std < 0.5 * modes.damping)
     assert modes.model_error > 0.01
     assert any("The modes do not explain the response" in warning for warning in modes.warnings)
 
@@ -331,7 +331,7 @@ def test_lines_of_infinite_error_do_not_hide_nonlinearity():
     modes = analysis.identify([*limited, frfs[2]])
     assert len(modes.frequency) == 3
     assert modes.model_error > 0.01
-    assert np.isfinite(modes.frequency_error).all() and np.isfinite(modes.damping_error).all()
+    assert np.isfinite(modes.frequency_std).all() and np.isfinite(modes.damping_std).all()
 
 
 def test_spring_force_tolerance_is_in_frequency_uncertainty():
@@ -345,8 +345,8 @@ def test_spring_force_tolerance_is_in_frequency_uncertainty():
             for frf, value in zip(frfs, values, strict=True)
         ]
     )
-    assert np.all(abs(modes.frequency - natural) < 2.0 * modes.frequency_error)
-    assert np.all(modes.frequency_error < 3e-3 * natural)
+    assert np.all(abs(modes.frequency - natural) < 2.0 * modes.frequency_std)
+    assert np.all(modes.frequency_std < 3e-3 * natural)
     assert np.max(abs(modes.frequency / natural - 1.0)) > 1e-4
 
 
@@ -373,8 +373,8 @@ def peak_in_gap(lines):
 def test_damping_from_a_single_line_lies_within_error():
     # The curvature due to distant modes is below the noise of each line, but larger than the effect of damping.
     modes = analysis.identify(peak_in_gap([12.75]))
-    assert modes.damping == pytest.approx([DAMPING_IN_GAP], abs=2.0 * modes.damping_error[0])
-    assert modes.damping_error[0] < 0.2 * DAMPING_IN_GAP
+    assert modes.damping == pytest.approx([DAMPING_IN_GAP], abs=2.0 * modes.damping_std[0])
+    assert modes.damping_std[0] < 0.2 * DAMPING_IN_GAP
 
 
 def test_peak_without_lines_is_no_mode():
@@ -387,7 +387,7 @@ def test_sensor_tolerance_is_in_shape_uncertainty(sweep):
     [curves] = analysis.frequency_responses(sweep)
     inaccurate = with_only(curves[1], {SENSITIVITY: 0.2 * abs(curves[1].value)})
     modes = analysis.identify([curves[0], inaccurate, curves[2]])
-    relative_error = modes.shape_error / abs(modes.shapes)
+    relative_error = modes.shape_std / abs(modes.shapes)
     largest = abs(modes.shapes).argmax(axis=0)
     for mode in range(3):
         for response in range(3):
@@ -401,7 +401,7 @@ def test_force_tolerance_does_not_affect_shapes(sweep) -> None:
     [curves] = analysis.frequency_responses(sweep)
     exact = analysis.identify(curves)
     modes = analysis.identify([with_sensors(curve, force=0.15) for curve in curves])
-    np.testing.assert_allclose(modes.shape_error, exact.shape_error, atol=1e-3)
+    np.testing.assert_allclose(modes.shape_std, exact.shape_std, atol=1e-3)
 
 
 def test_shapes_contain_tolerances_of_two_sensors(sweep) -> None:
@@ -409,7 +409,7 @@ def test_shapes_contain_tolerances_of_two_sensors(sweep) -> None:
     modes = analysis.identify([with_sensors(curve, force=0.11, **{curve.response: 0.11}) for curve in curves])
     # An element is the ratio of two readings: two independent limits of error of 11 %, without that of the force.
     np.testing.assert_allclose(
-        modes.shape_error, abs(modes.shapes) * 0.11 * np.sqrt(2.0 / 3.0) * (modes.shape_error > 0.0), rtol=0.05
+        modes.shape_std, abs(modes.shapes) * 0.11 * np.sqrt(2.0 / 3.0) * (modes.shape_std > 0.0), rtol=0.05
     )
 
 

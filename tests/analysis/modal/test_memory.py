@@ -41,7 +41,7 @@ def test_blocks_of_responses_give_the_same_modes(monkeypatch):
     by_response = analysis.identify(curves)
     np.testing.assert_allclose(by_response.frequency, whole.frequency, rtol=1e-9)
     np.testing.assert_allclose(by_response.damping, whole.damping, rtol=1e-6)
-    np.testing.assert_allclose(by_response.damping_error, whole.damping_error, rtol=1e-6)
+    np.testing.assert_allclose(by_response.damping_std, whole.damping_std, rtol=1e-6)
 
 
 POLES = 2 * np.pi * np.array([15.0, 40.0]) * (-0.01 + 1j)

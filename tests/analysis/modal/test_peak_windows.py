@@ -57,7 +57,7 @@ def test_limits_far_from_peaks_leave_modes_equal() -> None:
     )
     assert all_lines.frequency.size == 2
     np.testing.assert_array_equal(all_lines.frequency, band.frequency)
-    np.testing.assert_array_equal(all_lines.damping_error, band.damping_error)
+    np.testing.assert_array_equal(all_lines.damping_std, band.damping_std)
 
 
 def test_ripple_of_echo_is_not_modes() -> None:

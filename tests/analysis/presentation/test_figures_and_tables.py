@@ -345,8 +345,8 @@ def test_titles_of_modes_are_separate(count):
     poles = tuple(ChartPole(order, f, 0.01, True) for f in frequencies for order in range(5, 25))
     zeros = np.zeros(count)
     modes = Modes(
-        frequency=frequencies, frequency_error=zeros, damping=ratios, damping_error=zeros,
-        shape_error=np.zeros((5, count)), residue=-1e-3j * np.ones((5, count)), responses=names, chart=poles,
+        frequency=frequencies, frequency_std=zeros, damping=ratios, damping_std=zeros,
+        shape_std=np.zeros((5, count)), residue=-1e-3j * np.ones((5, count)), responses=names, chart=poles,
         lower=np.zeros(5), upper=np.zeros((5, 3)), model_error=0.0, label="", warnings=(),
     )  # fmt: skip
     ones = np.ones(frequency.size)
@@ -355,7 +355,7 @@ def test_titles_of_modes_are_separate(count):
         for name, value in zip(names, modes.receptance(frequency), strict=True)
     ]
     figure = modes_figure(curves, modes, "Modes: five bodies")
-    uncertain = modes_figure(curves, replace(modes, shape_error=0.3 * np.eye(5)[:, [1] * count]), "Modes")
+    uncertain = modes_figure(curves, replace(modes, shape_std=0.3 * np.eye(5)[:, [1] * count]), "Modes")
     assert [figure.axes[2].lines[0].get_alpha() for figure in (figure, uncertain)] == [1.0, 0.35]
     figure.canvas.draw()
     titles = [axes._left_title.get_window_extent() for axes in figure.axes[2:]]
@@ -423,7 +423,7 @@ def test_swapped_channels_are_reported():
     swapped = theory._replace(shapes=theory.shapes[[2, 1, 0]])
     (note,) = theory_warnings(modes, swapped)
     assert "49.66 Hz (MAC 0." in note and "channels are swapped" in note
-    uncertain_shapes = replace(modes, shape_error=np.full(modes.shape_error.shape, np.inf))
+    uncertain_shapes = replace(modes, shape_std=np.full(modes.shape_std.shape, np.inf))
     assert not theory_warnings(uncertain_shapes, swapped)
     # With a wrong sign, a shape can be that of a distant mode.
     (note,) = theory_warnings(modes, theory._replace(shapes=theory.shapes[:, [1, 0, 2]]))

@@ -140,7 +140,7 @@ def test_frf_prints_asymmetric_interval_of_peak(recordings: list[Path], monkeypa
     curve = analysis.frf(recordings[0])[0].curves()[0].band(20.0, 60.0)
     [(resonance, _), *_] = frf_findings.resonance_peaks(curve)
     # The highest measured point is a lower limit of the peak.
-    found = Peak(2.11e-2, 3.4e-3, 33.6, 33.3, 33.9, lower_limit=2.09e-2, interpolation_bound=1e-4)
+    found = Peak(2.11e-2, 3.4e-3, 33.6, 33.3, 33.9, lower_limit=2.09e-2, interpolation_expanded=1e-4)
     monkeypatch.setattr(frf_findings, "resonance_peaks", lambda _: [(resonance, found)])
     assert any("at 33.60 Hz, is 21100 (20900 to 24500) µm/N" in line for line in describe_frfs([curve]))
 
@@ -173,7 +173,7 @@ def test_modes_have_equal_digits_in_all_outputs(recordings: list[Path], tmp_path
     rows = csv.DictReader(modes_table(tmp_path / "modes.csv", [modes]).read_text("utf-8").splitlines())
     lines = describe_modes(modes)[2:]
     for k, (row, line) in enumerate(zip(rows, lines, strict=True)):
-        bounds = expand(np.array([modes.frequency_error[k], 100.0 * modes.damping_error[k]]))
+        bounds = expand(np.array([modes.frequency_std[k], 100.0 * modes.damping_std[k]]))
         values = float(row["frequency_Hz"]), 100.0 * float(row["damping_ratio"])
         texts = [format_interval(*pair) for pair in zip(values, bounds.tolist(), strict=True)]
         assert all(text in headline and text in line for text in texts)
@@ -634,7 +634,7 @@ def test_mode_that_is_not_identified_is_named(recordings: list[Path]) -> None:
         [reference] = measurements.results
         [sweep] = reference.sweeps
         assert sweep.modes is not None
-        names = ("frequency", "frequency_error", "damping", "damping_error")
+        names = ("frequency", "frequency_std", "damping", "damping_std")
         modes = replace(sweep.modes, **{name: getattr(sweep.modes, name)[1:] for name in names})
         other = replace(reference, sweeps=(replace(sweep, modes=modes, found=sweep.found[1:]),))
     missing = f"mode of {sweep.modes.frequency[0]:.2f}\u00a0Hz</td>"
@@ -666,7 +666,7 @@ def test_first_box_states_faulty_impacts_and_steady_state(recordings: list[Path]
 
 def test_damping_between_lines_is_called_extrapolated() -> None:
     modes, f = SimpleNamespace(), np.array([10.0, 19.5, 20.0, 30.0])
-    modes.frequency, modes.damping, modes.damping_error = np.array([20.05, 25.0]), np.array([0.05, 0.005]), np.zeros(2)
+    modes.frequency, modes.damping, modes.damping_std = np.array([20.05, 25.0]), np.array([0.05, 0.005]), np.zeros(2)
     curve = Response.curve(f, np.ones(4, dtype=complex), "body1")
     assert extrapolates_damping(modes, [curve]).tolist() == [False, True]  # type: ignore[arg-type]
 

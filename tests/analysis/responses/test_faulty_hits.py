@@ -33,8 +33,8 @@ def test_double_hit_is_named_in_results(double_hit: Path) -> None:
     frfs = analysis.frfs(double_hit)
     assert text in frfs.warnings and text in analysis.identify(frfs).warnings
     assert any(text in line for line in daq.info(double_hit).lines)
-    assert any("Impact 2 was double" in note for note in analysis.decay(double_hit, "low", hit=2).warnings)
-    assert not any("double" in note for note in analysis.decay(double_hit, "low", hit=1).warnings)
+    assert any("Impact 2 was double" in note for note in analysis.decay(double_hit, "low", impact=2).warnings)
+    assert not any("double" in note for note in analysis.decay(double_hit, "low", impact=1).warnings)
 
 
 def test_double_hit_of_imported_file_is_named(double_hit: Path, tmp_path: Path) -> None:

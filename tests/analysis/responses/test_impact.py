@@ -342,6 +342,6 @@ def test_hammer_tolerance_does_not_affect_shapes(tmp_path):
     exact = natural_modes(mass, stiffness)[1]
     exact = exact / exact[abs(exact).argmax(axis=0), np.arange(len(mass))]
     assert {curve.uncertainty.scale for curve in curves} == {0.15}
-    assert modes.shape_error.max() < 0.01
+    assert modes.shape_std.max() < 0.01
     rows = [int(rec.channels[name].at.split()[1]) - 1 for name in modes.responses]
     np.testing.assert_allclose(modes.shapes.real, exact[rows], atol=5e-3)

@@ -163,8 +163,8 @@ def test_shapes_use_the_input_that_excites_every_mode():
     shapes, participation = np.array([[1.0, 1.0], [2.0, -1.0]]), np.array([[1.0, 0.0], [0.7, 0.8]])
     zeros, residue = np.zeros(2), np.einsum("am,km->akm", shapes, participation).reshape(4, 2) + 0j
     modes = Modes(
-        frequency=np.array([10.0, 20.0]), frequency_error=zeros, damping=zeros, damping_error=zeros,
-        shape_error=np.zeros((4, 2)), residue=residue, responses=("a/1", "a/3", "b/1", "b/3"), chart=(),
+        frequency=np.array([10.0, 20.0]), frequency_std=zeros, damping=zeros, damping_std=zeros,
+        shape_std=np.zeros((4, 2)), residue=residue, responses=("a/1", "a/3", "b/1", "b/3"), chart=(),
         lower=np.zeros(4), upper=np.zeros((4, 3)), model_error=0.0, label="", warnings=(),
     )  # fmt: skip
     separated = separate(modes, ("f1", "f3"), (Point("a", place="body 1"), Point("b", place="body 3")))
@@ -178,8 +178,8 @@ def test_model_error_is_no_second_shape(model_error, count):
     residue = np.array([[1.0, 0.5], [0.5, 0.4]]).reshape(4, 1) + 0j
     zero = np.zeros(1)
     modes = Modes(
-        frequency=np.array([10.0]), frequency_error=zero, damping=zero, damping_error=zero,
-        shape_error=np.zeros((4, 1)), residue=residue, responses=("a/1", "a/3", "b/1", "b/3"), chart=(),
+        frequency=np.array([10.0]), frequency_std=zero, damping=zero, damping_std=zero,
+        shape_std=np.zeros((4, 1)), residue=residue, responses=("a/1", "a/3", "b/1", "b/3"), chart=(),
         lower=np.zeros(4), upper=np.zeros((4, 3)), model_error=model_error, label="", warnings=(),
     )  # fmt: skip
     assert (

@@ -11,7 +11,7 @@ def curve_of(settled: bool) -> AmplitudeCurve:
     ones = np.ones(3)
     return AmplitudeCurve(
         "test", "body 1", "N", (9.0, 10.5), level=ones, force=ones, frequency=np.array([10.0, 10.2, 10.5]),
-        frequency_bound=0.01 * ones, amplitude=1e-3 * ones, amplitude_bound=1e-5 * ones,
+        frequency_expanded=0.01 * ones, amplitude=1e-3 * ones, amplitude_expanded=1e-5 * ones,
         stable=np.full(3, True), settled=np.full(3, settled), folds=(),
     )  # fmt: skip
 

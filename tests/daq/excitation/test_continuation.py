@@ -64,7 +64,7 @@ def test_unstable_points_are_exact_orbits(recording: Path, exact: list[tuple[Any
 def test_fold_is_exact(recording: Path, exact: list[tuple[Any, Any]]) -> None:
     [fold] = analysis.continuation(recording).folds
     [exact_fold] = [value for branch, _ in exact for value in branch.folds if 50.4 < value < 50.7]
-    assert abs(fold.frequency - exact_fold) < fold.bound < 0.02
+    assert abs(fold.frequency - exact_fold) < fold.expanded < 0.02
 
 
 def test_steps_name_the_resolved_distance(recording: Path) -> None:

@@ -74,9 +74,9 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_points_are_exact_orbits(recording: Path) -> None:
     measured = analysis.backbone(recording)
     assert measured.settled.all()
-    for level, frequency, bound, amplitude, amplitude_bound in zip(
-        *(measured.level, measured.frequency, measured.frequency_bound),
-        *(measured.amplitude, measured.amplitude_bound),
+    for level, frequency, bound, amplitude, amplitude_expanded in zip(
+        *(measured.level, measured.frequency, measured.frequency_expanded),
+        *(measured.amplitude, measured.amplitude_expanded),
         strict=True,
     ):
         test = {"kind": "sine", "frequency": frequency, "force": level}
@@ -84,7 +84,7 @@ def test_points_are_exact_orbits(recording: Path) -> None:
         [(exact, exact_amplitude)] = resonances(theory, frequency, 0)
         assert abs(frequency - exact) < bound < 0.02
         assert frequency == pytest.approx(exact, rel=2e-4)
-        assert abs(amplitude - exact_amplitude) < amplitude_bound
+        assert abs(amplitude - exact_amplitude) < amplitude_expanded
 
 
 def resonances(theory: rig.Scene, frequency: float, body: int) -> list[tuple[float, float]]:
@@ -103,10 +103,10 @@ def test_linear_backbone_is_the_mode(tmp_path: Path) -> None:
     scene = rig.load("held-response").replace(test={**TEST, "at": "body 1", "force": 0.5}, dampers=[])
     measured = analysis.backbone(daq.record(scene, tmp_path / "linear.mcap"))
     assert measured.frequency[0] == pytest.approx(49.663, abs=0.03)
-    assert measured.damping[0] == pytest.approx(0.005, abs=float(measured.damping_bound[0]))
+    assert measured.damping[0] == pytest.approx(0.005, abs=float(measured.damping_expanded[0]))
     # The other modes shift the phase of body 1 by 4 degrees.
     exact = structural_model(scene.replace(dampers=[])).modes.frequency[2]
-    assert abs(measured.natural_frequency[0] - exact) < measured.natural_frequency_bound[0] < 5e-3
+    assert abs(measured.natural_frequency[0] - exact) < measured.natural_frequency_expanded[0] < 5e-3
 
 
 def test_coil_shaker_is_locked() -> None:
@@ -161,14 +161,14 @@ def test_mode_is_locked_by_force_cell(tmp_path: Path) -> None:
     cell = {"name": "force", "at": "shaker", "hammer": {"sensitivity": "100 mV/N"}}
     measured = analysis.backbone(daq.record(coil_scene(0.01, cell), tmp_path / "cell.mcap"))
     assert measured.settled[0]
-    assert measured.frequency[0] == pytest.approx(NATURAL_FREQUENCY, abs=float(measured.frequency_bound[0]))
-    assert measured.damping[0] == pytest.approx(0.006, abs=float(measured.damping_bound[0]))
+    assert measured.frequency[0] == pytest.approx(NATURAL_FREQUENCY, abs=float(measured.frequency_expanded[0]))
+    assert measured.damping[0] == pytest.approx(0.006, abs=float(measured.damping_expanded[0]))
 
 
 def test_sensitivities_rotate_the_spring_force(tmp_path: Path) -> None:
     path = daq.record(coil_scene(0.01, {"name": "table", "at": "table"}), tmp_path / "spring.mcap")
     measured = analysis.backbone(path)
-    assert abs(measured.frequency[0] - NATURAL_FREQUENCY) < measured.frequency_bound[0]
+    assert abs(measured.frequency[0] - NATURAL_FREQUENCY) < measured.frequency_expanded[0]
 
 
 def test_undetermined_spring_force_is_named(tmp_path: Path) -> None:

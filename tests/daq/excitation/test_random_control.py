@@ -85,7 +85,7 @@ def test_table_follows_profile_and_unit_its_limit(recording: Path) -> None:
     check = analysis.profile(recording)
     assert check.within > 0.98
     (unit,) = check.limited
-    assert np.nanmax(10 * np.log10(unit.values / unit.bound)) < 1.5
+    assert np.nanmax(10 * np.log10(unit.values / unit.limit)) < 1.5
     ((name, low, high), *_) = check.notches()
     assert name == "unit" and low < 13.0 < high
     assert check.channels[0].kurtosis == pytest.approx(3.0, abs=0.3)

@@ -72,7 +72,7 @@ def test_table_follows_profile_and_unit_its_limit(recording: Path) -> None:
     check = analysis.profile(recording)
     (unit,) = check.limited
     assert check.within == 1.0
-    assert np.max(20 * np.log10(unit.values / unit.bound)) < 1.0
+    assert np.max(20 * np.log10(unit.values / unit.limit)) < 1.0
     ((name, low, high), *_) = check.notches()
     assert name == "unit" and low < 13.0 < high
     with daq.open(recording) as rec:

@@ -63,7 +63,7 @@ def test_array_of_responses_is_read() -> None:
 def test_measured_modes_do_not_depend_on_band() -> None:
     responses = list(analysis.read_frfs(file_of("ruler_grid_acc_3.mat"), unit="m/s^2/N"))
     narrow, wide = (analysis.identify([each.band(*band) for each in responses]) for band in ((155, 250), (60, 300)))
-    assert narrow.frequency[0] in wide.frequency and narrow.damping_error[0] in wide.damping_error
+    assert narrow.frequency[0] in wide.frequency and narrow.damping_std[0] in wide.damping_std
     assert abs(narrow.frequency[0] - 212.2) < 0.3
 
 

@@ -145,7 +145,7 @@ def _surface_points(case: Case) -> Iterator[_Point | None]:
             yield None
             continue
         exact = min(found, key=lambda each: abs(each.value - drive)).force
-        yield force, float(surface.force_bound[k]) + _EXACT_ERROR * force, exact, force
+        yield force, float(surface.force_expanded[k]) + _EXACT_ERROR * force, exact, force
 
 
 def _curve_points(case: Case) -> Iterator[_Point | None]:
@@ -199,11 +199,11 @@ def _phase_points(case: Case) -> Iterator[_Point | None]:
             continue
         exact = min(found, key=lambda each: abs(each.value - measured))
         width = max(float(result.damping[k]) * exact.value, 1e-6 * exact.value)
-        yield measured, float(result.frequency_bound[k]), exact.value, width
+        yield measured, float(result.frequency_expanded[k]), exact.value, width
         # At a coil spring, the force changes much with the frequency.
         there = [each.amplitude for each in _at_value(curve, body, measured)]
         amplitude = min(there, key=lambda each, known=exact.amplitude: abs(each - known))
-        yield float(result.amplitude[k]), float(result.amplitude_bound[k]), amplitude, amplitude
+        yield float(result.amplitude[k]), float(result.amplitude_expanded[k]), amplitude, amplitude
 
 
 def _folds(case: Case) -> Iterator[_Point | None]:
@@ -221,7 +221,7 @@ def _folds(case: Case) -> Iterator[_Point | None]:
             yield None
             continue
         nearest = min(exact, key=lambda value: abs(value - fold.frequency))
-        yield fold.frequency, fold.bound, nearest, 0.01 * fold.frequency
+        yield fold.frequency, fold.expanded, nearest, 0.01 * fold.frequency
 
 
 def _missed_folds(case: Case, kind: str) -> list[CheckResult]:
@@ -255,9 +255,10 @@ def _linear_points(case: Case) -> Iterator[_Point | None]:
         nearest = int(np.argmin(abs(frequencies - result.frequency[k])))
         frequency, ratio = float(frequencies[nearest]), float(ratios[nearest])
         yield (
-            float(result.natural_frequency[k]), float(result.natural_frequency_bound[k]), frequency, ratio * frequency
+            float(result.natural_frequency[k]), float(result.natural_frequency_expanded[k]),
+            frequency, ratio * frequency,
         )  # fmt: skip
-        yield float(result.damping[k]), float(result.damping_bound[k]), ratio, ratio
+        yield float(result.damping[k]), float(result.damping_expanded[k]), ratio, ratio
 
 
 # Functions that yield the compared points of each kind of test.

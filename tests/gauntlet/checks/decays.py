@@ -31,7 +31,7 @@ def check(case: Case, kind: str) -> list[CheckResult]:
     cycles = _cycle_amplitudes(case.scene)
     true = np.array([_damping_ratio(level, *cycles, case.scene) for level in mode.amplitude])
     is_known = np.isfinite(true)
-    expanded = expand(mode.damping_error)
+    expanded = expand(mode.damping_std)
     inside = (abs(mode.damping - true) <= expanded)[is_known]
     worst = float(np.max(abs(mode.damping / true - 1.0)[is_known], initial=0.0))
     outcome: Outcome = "warned" if decay.warnings else "wrong"

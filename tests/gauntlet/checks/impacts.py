@@ -95,8 +95,8 @@ def _agrees_within_errors(
     A jump is positive at the ceiling and negative at the floor.
     """
     nearest = np.abs(time - detected.time[matched, None]).argmin(axis=1)
-    time_bound = MAX_ERROR_SIGMAS * detected.time_error[matched]
-    jump_bound = MAX_ERROR_SIGMAS * detected.jump_error[matched] + tolerance(info) * abs(detected.jump[matched])
+    time_bound = MAX_ERROR_SIGMAS * detected.time_std[matched]
+    jump_bound = MAX_ERROR_SIGMAS * detected.jump_std[matched] + tolerance(info) * abs(detected.jump[matched])
     time_error, jump_error = detected.time[matched] - time[nearest], detected.jump[matched] - jump[nearest]
     return (abs(time_error) < time_bound) & (abs(jump_error) < jump_bound)
 

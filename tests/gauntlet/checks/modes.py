@@ -46,9 +46,8 @@ def compare_modes(scene: rig.Scene, curves: list[Response], kind: str) -> CheckR
     error = np.array(
         [
             [
-                abs(modes.frequency[i] - true_frequency[j])
-                / (modes.frequency_error[i] + _ROUNDING * true_frequency[j]),
-                abs(modes.damping[i] - true_ratio[j]) / (modes.damping_error[i] + _ROUNDING),
+                abs(modes.frequency[i] - true_frequency[j]) / (modes.frequency_std[i] + _ROUNDING * true_frequency[j]),
+                abs(modes.damping[i] - true_ratio[j]) / (modes.damping_std[i] + _ROUNDING),
             ]
             for i, j in matched
         ]
@@ -64,7 +63,7 @@ def compare_modes(scene: rig.Scene, curves: list[Response], kind: str) -> CheckR
     note = f"{len(matched)} of {true_frequency.size} modes identified, largest error {worst:.2f} standard uncertainties"
     note += "".join(f", {modes.frequency[i]:.5g} Hz is spurious" for i in spurious)
     note += "" if is_separated else f", the pair at {true_frequency[0]:.5g} Hz is not separated"
-    relative_bound = float(np.median(COVERAGE_FACTOR * modes.damping_error / modes.damping))
+    relative_bound = float(np.median(COVERAGE_FACTOR * modes.damping_std / modes.damping))
     return CheckResult(
         "modes", kind, outcome, int(np.sum(error < COVERAGE_FACTOR)) if counted else 0, error.size if counted else 0,
         relative_bound, note, scene.name,
@@ -88,7 +87,7 @@ def true_modes(scene: rig.Scene) -> tuple[Array, Array]:
 def _match(modes: Modes, frequency: Array, ratio: Array) -> tuple[list[tuple[int, int]], list[int]]:
     """Return pairs of indices of identified and true modes, nearest first, and the indices of spurious modes."""
     distance = abs(modes.frequency[:, None] - frequency)
-    is_close = distance < np.maximum(5.0 * modes.frequency_error[:, None], ratio * frequency)
+    is_close = distance < np.maximum(5.0 * modes.frequency_std[:, None], ratio * frequency)
     matched: list[tuple[int, int]] = []
     for flat_index in np.argsort(distance, axis=None):
         i, j = divmod(int(flat_index), frequency.size)

@@ -16,7 +16,7 @@ def assert_multipliers_are_those_of_differences(
     orbit: Orbit, free: Sequence[int], change: float, count: int = 2, rtol: float = 1e-4
 ) -> None:
     """Compare the `count` largest multipliers; `free`: states to disturb, `change`: disturbance, SI units."""
-    propagator, steps = start_propagator(OrbitProblem(orbit.problem.scene), orbit.setting)
+    propagator, steps = start_propagator(OrbitProblem(orbit.problem.scene), orbit.operating_point)
 
     def state_after_a_period(unknown: int, disturbance: float) -> NDArray[np.float64]:
         set_to_orbit(propagator, orbit)

@@ -107,7 +107,7 @@ def test_orbit_is_the_steady_motion(name: str) -> None:
 
 def free_states(orbit: rig.Orbit) -> list[int]:
     """Return the states that are free at the start of an orbit."""
-    propagator, _ = start_propagator(OrbitProblem(orbit.problem.scene), orbit.setting)
+    propagator, _ = start_propagator(OrbitProblem(orbit.problem.scene), orbit.operating_point)
     set_to_orbit(propagator, orbit)
     system, fixed = propagator.system, set[int]()
     for element, mode in zip(system.elements, propagator.state.mode, strict=True):
@@ -130,5 +130,5 @@ def test_multipliers_are_those_of_differences(name: str) -> None:
 @pytest.mark.parametrize(("name", "parameter"), [(name, each) for name in CASES for each in CASES[name].parameters])
 def test_derivatives_are_those_of_differences(name: str, parameter: str) -> None:
     orbit = rig.periodic_orbit(CASES[name].scene(), CASES[name].frequency)
-    setting = replace(orbit.setting, clearance=1e-3) if parameter == "clearance" else orbit.setting
+    setting = replace(orbit.operating_point, clearance=1e-3) if parameter == "clearance" else orbit.operating_point
     assert_derivatives_are_those_of_differences(orbit, setting, parameter)

@@ -83,7 +83,7 @@ def test_multipliers_are_those_of_the_poles() -> None:
 def test_multipliers_with_impacts_are_those_of_differences() -> None:
     scene = with_particle_damper()
     orbit = rig.periodic_orbit(scene, 49.6)
-    propagator, steps = start_propagator(OrbitProblem(scene), orbit.setting)
+    propagator, steps = start_propagator(OrbitProblem(scene), orbit.operating_point)
     state, n, flying, change = propagator.state, assemble(scene).states, orbit.plan.flying, 1e-7
 
     def state_after_a_period(unknown: int, disturbance: float) -> NDArray[np.float64]:

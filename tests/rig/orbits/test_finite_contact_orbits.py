@@ -38,7 +38,7 @@ def test_contact_force_may_return_during_overlap(contact: dict[str, float], freq
     # The contact force falls to zero and rises again (PRESS_FLOOR) while the damper still overlaps its floor.
     scene = fig9(**contact).replace(test={"kind": "sine", "frequency": frequency, "force": force})
     orbit = rig.periodic_orbit(scene, frequency)
-    propagator, steps = start_propagator(OrbitProblem(scene), orbit.setting)
+    propagator, steps = start_propagator(OrbitProblem(scene), orbit.operating_point)
     set_to_orbit(propagator, orbit)
     plan, unknowns = simulate_cycle(propagator, steps, orbit.repetition)
     # The margin is the distance to a change of the sequence of events.

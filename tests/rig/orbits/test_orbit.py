@@ -41,7 +41,7 @@ def fig9_curve() -> OrbitCurve:
 
 def propagator_on_orbit(scene: Scene, orbit: Orbit) -> tuple[Propagator, float]:
     """Return the engine in the state of an orbit, and the number of its time steps in a period."""
-    propagator, steps = start_propagator(OrbitProblem(scene), orbit.setting)
+    propagator, steps = start_propagator(OrbitProblem(scene), orbit.operating_point)
     set_to_orbit(propagator, orbit)
     return propagator, steps
 

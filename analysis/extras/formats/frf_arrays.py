@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.extras.importing.arrays import arrays_of
+from daq.extras.importing.matlab_file import ATTRIBUTE_MARK
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 
@@ -19,6 +20,8 @@ _BLOCK = re.compile(r"(.*[._])?(npts|n_?fft|n_?samples|block(_?(size|length))?)"
 _SPACING = re.compile(r"(.*[._])?(df|delta_?f|resolution|x_values\.increment)", re.IGNORECASE)
 # Name of the frequency of the first line, Hz, in files of Testlab.
 _START = re.compile(r"(.*\.)?x_values\.start_value")
+# Name of the unit of the values.
+_UNIT = re.compile(r"(.*[._@])?(units?|y_values\.quantity\.label)")
 # Fewest complex values of a response; a shorter array is more likely a setting than a response.
 _MIN_LINES = 4
 
@@ -46,8 +49,9 @@ def response_arrays(path: Path) -> ResponseArrays:
         if array.dtype.kind == "c" and array.ndim in (1, 2) and max(array.shape) >= _MIN_LINES
     }
     if not complex_arrays:
+        listed = ", ".join(name for name in arrays if ATTRIBUTE_MARK not in name)
         raise RecordingError(
-            f"{path} contains no array of complex numbers; its arrays are {', '.join(arrays) or 'none'}. Save the "
+            f"{path} contains no array of complex numbers; its arrays are {listed or 'none'}. Save the "
             "responses as complex numbers, or convert samples with `daq import`."
         )
     lengths = {max(array.shape) for array in complex_arrays.values()}
@@ -69,7 +73,7 @@ def response_arrays(path: Path) -> ResponseArrays:
         values = {name: column for name, column in values.items() if name not in real}
         coherence = dict(zip(values, real.values(), strict=True))
     frequency = _frequencies(path, arrays, lines)
-    return ResponseArrays(values, frequency, coherence, _text(arrays.get("unit")))
+    return ResponseArrays(values, frequency, coherence, _unit(arrays))
 
 
 def _frequencies(path: Path, arrays: Mapping[str, NDArray[Any]], lines: int) -> Array:
@@ -107,5 +111,11 @@ def _only(scalars: Mapping[str, float], names: re.Pattern[str]) -> float | None:
     return found.pop() if len(found) == 1 else None
 
 
-def _text(array: NDArray[Any] | None) -> str:
-    return "" if array is None or array.dtype.kind not in "UO" or array.size != 1 else str(array.item())
+def _unit(arrays: Mapping[str, NDArray[Any]]) -> str:
+    """Return the unit that the file states; an empty string without a unit, or for several."""
+    units = {
+        str(array.item())
+        for name, array in arrays.items()
+        if _UNIT.fullmatch(name) and array.size == 1 and array.dtype.kind in "UO"
+    }
+    return units.pop() if len(units) == 1 else ""

@@ -32,16 +32,19 @@ from rig.core.settings.quantities import FREQUENCY
 _ARRAY_ENDINGS = (".mat", ".h5", ".hdf5", ".npz", ".npy")
 # Heading of a column: name of the response, component, and unit of the phase.
 _COLUMN_NAME = re.compile(
-    r"(.*?)[\s_.:,|-]*(?<![^\W_])(real|re|imaginary|imag|im|magnitude|mag|amplitude|ampl|amp|abs|phase|pha|arg"
+    r"(.*?)[\s_.:,|-]*(?<![^\W_])(real|re|imaginary|imag|im|magnitude|mag|amplitude|ampl|amp|abs"
+    r"|phase|phase angle|pha|phi|arg"
     r"|realteil|imaginärteil|betrag|coherence|coh|kohärenz)"
     r"[\s_.]*(deg|rad|degrees|°)?",
     re.IGNORECASE,
 )
+# The component before the name, as circuit simulators write it: ``Re(tip)``.
+_COMPONENT_OF_NAME = re.compile(r"(re|im|abs|mag|phi|phase)\((.*)\)", re.IGNORECASE)
 # Unit of a phase; the column before it contains the magnitude.
 _ANGLE = re.compile(r"deg(rees?)?|°|rad(ians?)?|grad", re.IGNORECASE)
 # Unit of a magnitude in decibels: a reference value, and its unit.
 _DECIBELS = re.compile(
-    r"dB\s*(?:\(?re\.?:?\s*)?(?P<reference>\d[\d.]*(?:e[+-]?\d+)?)?\s*(?P<unit>[^\d\s].*?)?\)?", re.IGNORECASE
+    r"dB\s*(?:\(?re\.?:?\s*|/\s*)?(?P<reference>\d[\d.]*(?:e[+-]?\d+)?)?\s*(?P<unit>[^\d\s].*?)?\)?", re.IGNORECASE
 )
 # Frequencies are lines of a DFT if the relative variation of their spacing is below this; rounding in a table causes
 # such variation.
@@ -324,7 +327,7 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
             columns[k] = f"{name} phase", phase_unit, phase
     components: dict[str, dict[str, tuple[str, Array]]] = {}
     for name, column_unit, values in columns:
-        match = _COLUMN_NAME.fullmatch(name)
+        match = _COLUMN_NAME.fullmatch(_COMPONENT_OF_NAME.sub(r"\2 \1", name))
         if match is None:
             raise RecordingError(
                 f"{path}: column {name!r}; expected a name that ends in real, imag, magnitude or phase. {_IMPORT}"

@@ -10,15 +10,26 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 # Keywords, in lower case without spaces and punctuation. If several occur in a file, the first is used.
-_NAMES = ("yaxisdofs", "pointid", "channelname", "channel", "signalname", "signal", "name", "measurementlabel", "title")
-_UNITS = ("yaxisunits", "yaxisunit", "amplitudeunit", "channelunit", "units", "unit", "verticalunits")
+_NAMES = (
+    "yaxisdofs",
+    "pointid",
+    "channelname",
+    "channel",
+    "signalname",
+    "signal",
+    "name",
+    "tracename",
+    "measurementlabel",
+    "title",
+)
+_UNITS = ("yaxisunits", "yaxisunit", "amplitudeunit", "channelunit", "units", "unit", "vunit", "verticalunits")
 _ABSCISSA_UNITS = ("xaxisunits", "xaxisunit")
 # Keywords of the kind of data. Complex data have two columns for each function.
 _KINDS = ("datatype", "yaxistype", "functionclass", "measurementtype")
 # Texts of the kind by which complex data are stored as pairs: real and imaginary part, or magnitude and phase.
 _COMPLEX = re.compile(r"complex|real|frf|frequency response", re.IGNORECASE)
 _POLAR = re.compile(r"magnitude|amplitude|phase", re.IGNORECASE)
-# Keyword of a file whose first column is the number of the line.
+# Keyword of a file whose first column is the number of the line, if the unit of the abscissa is stated as well.
 _LINE_NUMBERS = "headersize"
 
 
@@ -40,7 +51,7 @@ def keyed_heading(rows: Sequence[Sequence[str]], column_count: int) -> Heading |
     for row in rows:
         parts = list(row) if len(row) > 1 else [part.strip() for part in "".join(row).split(":", 1)]
         cells.setdefault(re.sub(r"[\W_]", "", parts[0]).lower(), parts[1:])
-    first_column = int(_LINE_NUMBERS in cells)
+    first_column = int(_LINE_NUMBERS in cells and any(key in cells for key in _ABSCISSA_UNITS))
     count = column_count - first_column - 1
     units = _for_columns(cells, _UNITS, count)
     if units is None or count < 1:
@@ -63,6 +74,9 @@ def _for_columns(cells: Mapping[str, Sequence[str]], keys: Sequence[str], count:
     for key in keys:
         texts = list(cells.get(key, []))
         stated = [text for text in texts if text]
+        # A line of names may end with a delimiter; a further text belongs to the first column, which is then a signal.
+        if len(texts) == count + 1 and texts[-1]:
+            continue
         if len(texts) in (count, count + 1) and len(stated) > 1:
             return texts[:count]
         if len(stated) == 1:

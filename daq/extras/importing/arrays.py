@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.extras.importing.clock import Clock, clock_of_times, looks_like_times, rate_of_interval, warn_used_as_times
-from daq.extras.importing.matlab_file import MAX_DEPTH, matlab_arrays
+from daq.extras.importing.matlab_file import ATTRIBUTE_MARK, MAX_DEPTH, matlab_arrays
 from daq.extras.importing.signal import Signal
 from rig.core.base.errors import RecordingError, ShotrigError
 from rig.core.numerics.memory import require_memory_with_program
@@ -78,7 +78,10 @@ def _flatten(content: Mapping[str, Any], prefix: str = "", depth: int = 0) -> It
             continue
         array = np.asarray(value)
         items = array.ravel()[:_MAX_STRUCTURES]
-        if array.dtype.names and depth < MAX_DEPTH:
+        if array.dtype.names and array.size >= _MIN_SAMPLES and not array.dtype.hasobject:
+            # A table, as pandas and h5py store it: a column for each name.
+            yield from _flatten({column: array[column] for column in array.dtype.names}, f"{path}.", depth + 1)
+        elif array.dtype.names and depth < MAX_DEPTH:
             for number, item in enumerate(items, 1):
                 item_path = path if items.size == 1 else f"{path}({number})"
                 yield from _flatten(dict(zip(array.dtype.names, item, strict=True)), f"{item_path}.", depth + 1)
@@ -120,7 +123,7 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
             f"{name}({number})": row for number, row in enumerate(channel_rows[int(has_times) :], 1 + has_times)
         }
     if not sample_arrays:
-        listed = [f"{name} {array.shape}" for name, array in arrays.items()]
+        listed = [f"{name} {array.shape}" for name, array in arrays.items() if ATTRIBUTE_MARK not in name]
         ellipsis = " ..." if len(listed) > 8 else ""
         raise RecordingError(
             f"{path} contains no array of samples; it contains {', '.join(listed[:8]) + ellipsis or 'nothing'}. "
@@ -140,12 +143,23 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
             path,
             number,
             name,
-            units.get(name) or units.get(name.partition("(")[0]) or "",
+            units.get(name) or units.get(name.partition("(")[0]) or _stated_unit(arrays, name),
             row,
             _clock_of(path, name, scalars, clocks),
         )
         for number, (name, row) in enumerate(sample_arrays.items(), 1)
     ]
+
+
+def _stated_unit(arrays: Mapping[str, NDArray[Any]], name: str) -> str:
+    """Return the unit that an array states as an attribute; an empty string without it."""
+    stated = (arrays.get(f"{name.partition('(')[0]}{ATTRIBUTE_MARK}{key}") for key in ("unit", "units"))
+    return next((_text(unit) for unit in stated if unit is not None and unit.size == 1), "")
+
+
+def _text(array: NDArray[Any]) -> str:
+    value = array.item()
+    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
 
 
 def _clock_of(path: Path, name: str, scalars: Mapping[str, float], clocks: Mapping[str, Clock]) -> Clock:
@@ -154,11 +168,13 @@ def _clock_of(path: Path, name: str, scalars: Mapping[str, float], clocks: Mappi
     if clock_key in clocks:
         return clocks[clock_key]
     structure = name.split(".", 1)[0] if "." in name else ""
+    own_prefix = f"{name.partition('(')[0]}{ATTRIBUTE_MARK}"
 
     def matching_names(pattern: re.Pattern[str], named: Mapping[str, Any]) -> list[str]:
-        matching = [key for key in named if pattern.fullmatch(key)]
+        own = [key for key in named if key.startswith(own_prefix) and pattern.fullmatch(key.removeprefix(own_prefix))]
+        matching = [key for key in named if ATTRIBUTE_MARK not in key and pattern.fullmatch(key)]
         in_structure = [key for key in matching if structure and key.startswith(f"{structure}.")]
-        return in_structure or [key for key in matching if "." not in key]
+        return own or in_structure or [key for key in matching if "." not in key]
 
     if times := matching_names(_TIME_NAMES, clocks):
         return clocks[times[0]]

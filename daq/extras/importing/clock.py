@@ -19,7 +19,7 @@ from rig.core.base.errors import RecordingError, RunWarning
 from rig.core.results import format_percent
 
 # Names of a column of times.
-TIME_NAMES = re.compile(r"((date|datum)[ _/]?)?(time|zeit|t|x_value)(stamp)?", re.IGNORECASE)
+TIME_NAMES = re.compile(r"((date|datum)[ _/]?)?(time|zeit|t|x_value|seconds?)(stamp)?", re.IGNORECASE)
 
 # Relative rounding error of a number with all its digits.
 _RATE_ROUNDING = 1e-12

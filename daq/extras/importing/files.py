@@ -20,6 +20,8 @@ READERS = {
     ".wav": _SOUND,
     ".w64": _SOUND,
     ".flac": _SOUND,
+    ".aiff": _SOUND,
+    ".aif": _SOUND,
     ".csv": _TEXT,
     ".txt": _TEXT,
     ".tsv": _TEXT,

@@ -27,10 +27,12 @@ def join_repetitions(files: Sequence[Sequence[Signal]]) -> list[Signal]:
 
     Raises `RecordingError` if the files differ in sample rate or unit.
     """
-    return [_join(signals) for signals in zip(*files, strict=True)]
+    gaps = [GAP] * (len(files) - 1)
+    return [join(signals, gaps) for signals in zip(*files, strict=True)]
 
 
-def _join(signals: Sequence[Signal]) -> Signal:
+def join(signals: Sequence[Signal], gaps: Sequence[int]) -> Signal:
+    """Join signals of one name; `gaps`: numbers of lost samples between them."""
     first = signals[0]
     for other in signals[1:]:
         for what, expected, stated in (("rate", first.rate, other.rate), ("unit", first.unit, other.unit)):
@@ -40,7 +42,7 @@ def _join(signals: Sequence[Signal]) -> Signal:
                     f"{first.file}. Files of one test have the same rate and units: import the others separately."
                 )
     sizes = np.array([signal.samples for signal in signals])
-    starts = np.cumsum([0, *(sizes[:-1] + GAP)])
+    starts = np.cumsum([0, *(sizes[:-1] + gaps)])
 
     def read(start: int, stop: int) -> Array:
         values = np.full(stop - start, np.nan)
@@ -54,7 +56,7 @@ def _join(signals: Sequence[Signal]) -> Signal:
     full_scales = {signal.full_scale for signal in signals}
     return replace(
         first,
-        file=", ".join(signal.file for signal in signals),
+        file=", ".join(dict.fromkeys(signal.file for signal in signals)),
         samples=int(starts[-1] + sizes[-1]),
         read=read,
         full_scale=first.full_scale if len(full_scales) == 1 else None,

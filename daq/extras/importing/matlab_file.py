@@ -6,6 +6,7 @@ Its arguments are the file and the allowed memory in bytes.
 
 import os
 import pickle
+import re
 import subprocess
 import sys
 from contextlib import suppress
@@ -15,10 +16,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.extras.importing.clock import warn
 from rig.core.base.errors import RecordingError, RunError
 from rig.core.numerics.memory import LIMIT_VARIABLE, PROGRAM_BYTES, memory_limit
 
 _H5PY_MISSING, _MEMORY_MISSING = "needs h5py", "needs more memory"
+# Key of the names of the items that are not read; no variable has an empty name.
+_UNREADABLE = ""
+# Between the name of an array and that of its attribute.
+ATTRIBUTE_MARK = "@"
+# Attributes of an array that state its unit, its sample rate, or its sample interval.
+_STATED_ATTRIBUTES = re.compile(r"units?|.*(rate|freq|fs|sr|dt|interval|increment|delta).*", re.IGNORECASE)
 # Depth of structures within structures; a structure may refer to itself.
 MAX_DEPTH = 8
 # Maximum number of values in a file: cells may refer to themselves.
@@ -56,6 +64,8 @@ def matlab_arrays(path: Path) -> dict[str, Any]:
         )
     if isinstance(content, str):
         raise RecordingError(f"{path} {content}")
+    if unreadable := content.pop(_UNREADABLE, None):
+        warn(f"{path}: items of a type that is not read are left out: {', '.join(unreadable):.200}")
     return content
 
 
@@ -82,7 +92,7 @@ def _read_variables(file_name: str, max_bytes: int) -> dict[str, Any] | str:
             variables = {key: hdf_reader.value(file[key]) for key in file if not key.startswith("#")}
             # Programs in Python state the sample rate as an attribute.
             stated = {key: value for key, value in file.attrs.items() if np.asarray(value).dtype.kind in "biufSU"}
-            return {**stated, **variables}
+            return {**stated, **_attributes(file), **variables, _UNREADABLE: hdf_reader.unreadable}
     except ImportError:
         return _H5PY_MISSING
     except MemoryError:
@@ -102,6 +112,7 @@ class _HdfReader:
 
     def __init__(self, file: Any) -> None:
         self._file = file
+        self.unreadable: list[str] = []  # names of items of types that numpy does not have
         self._value_count = 0
         # Value of each item at each depth, and the number of values in it; cached because a hostile file may refer to
         # an item many times.
@@ -131,21 +142,28 @@ class _HdfReader:
             )
 
     def _unread_value(self, item: Any, depth: int) -> Any:
+        from h5py import check_dtype
+
         if hasattr(item, "keys"):
             fields = {name: self.value(item[name], depth + 1) for name in item}
             # Each field of an array of structures is a list of references, one for each structure.
             is_array = all(
-                not hasattr(field, "keys") and field.dtype.kind == "O" and not _matlab_class(field)
+                not hasattr(field, "keys") and check_dtype(ref=field.dtype) and not _matlab_class(field)
                 for field in item.values()
             )
             if not (fields and is_array):
-                return fields
+                return {**_attributes(item), **fields}
             structures = np.empty(min(np.size(values) for values in fields.values()), dtype=object)
             for number in range(structures.size):
                 structures[number] = {name: values.ravel()[number] for name, values in fields.items()}
             return structures
-        if item.attrs.get("MATLAB_empty", 0):
+        if item.attrs.get("MATLAB_empty", 0) or getattr(item, "size", None) in (None, 0):
             return np.array([])
+        if check_dtype(vlen=item.dtype) is str:
+            return np.asarray(item.asstr(errors="replace")[()], dtype=str).squeeze()
+        if item.dtype.kind == "O" and not check_dtype(ref=item.dtype):
+            self.unreadable.append(item.name)
+            return None
         values: NDArray[Any] = np.asarray(item[()]).T.squeeze()
         if values.dtype.kind == "O":
             cells = np.empty(values.shape, dtype=object)
@@ -157,6 +175,16 @@ class _HdfReader:
         if values.dtype.names == ("real", "imag"):
             return values["real"] + 1j * values["imag"]
         return values
+
+
+def _attributes(group: Any) -> dict[str, Any]:
+    """Return the units and clocks that the items of a group state as attributes: ``force@unit``."""
+    return {
+        f"{name}{ATTRIBUTE_MARK}{key}": value
+        for name in group
+        for key, value in group[name].attrs.items()
+        if not name.startswith("#") and _STATED_ATTRIBUTES.fullmatch(key) and np.asarray(value).dtype.kind in "biufSU"
+    }
 
 
 def _matlab_class(item: Any) -> str:

@@ -9,7 +9,7 @@ import csv
 import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from itertools import takewhile
+from itertools import accumulate, chain, takewhile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,25 +27,33 @@ _UNIT_IN_BRACKETS = re.compile(r"(.*?)\s*[\[(](?!\d)([^\[\]()]*(?:\([^\[\]()]*\)
 # A unit after an underscore, as `analysis export` writes it.
 _UNIT_AFTER_UNDERSCORE = re.compile(r"(.+)_(m/s\^?2|m/s²|m/s|m|N|V|g|s|ms|us|ns|k?Hz)")
 # A unit after a slash between blanks (ISO 80000-1), or after "in": ``f / kHz``, ``force in N``.
-_UNIT_AFTER_SLASH = re.compile(r"(.+?) (?:/|in) (\S+(?: re .+)?)")
+_UNIT_AFTER_SLASH = re.compile(r"(?:(.+?) )?(?:/|in) (\S+(?: re .+)?)")
+# The same without blanks (DIN 1313), in the first column: ``Time/s``, ``f/Hz``. Other names contain slashes, too.
+_ABSCISSA_WITH_SLASH = re.compile(r"(t|time|zeit|f|freq|frequency|frequenz)/([mnuµ]?s|k?Hz)", re.IGNORECASE)
 # Units that are not products of powers of other units.
 _ANGLE_OR_DECIBEL = re.compile(r"deg(rees?)?|°|rad(ians?)?|grad|dB\b.*", re.IGNORECASE)
 # Name of a column of line numbers; the abscissa is the next column.
 _LINE_NUMBER = re.compile(r"(#|no|nr|n|line|index|idx|sample|point|row)\.?( ?(#|no|nr|number)\.?)?", re.IGNORECASE)
 #: Units of time: the first cell of a line of units is one of them, or empty.
-TIME_UNITS = ("s", "ms", "us", "µs", "ns", "sec", "second", "Seconds")
+TIME_UNITS = ("s", "ms", "us", "µs", "ns", "sec", "second", "Second", "Seconds")
 # Units of time or of frequency.
 _ABSCISSA_UNITS = ("", *TIME_UNITS, "Hz", "kHz")
 # Length of the longest unit [characters].
 _MAX_UNIT_LENGTH = 16
 #: Name of a column without a name.
 UNNAMED = "column {}"
-# A complex number, as MATLAB and numpy write it.
-_COMPLEX_CELL = re.compile(r"\(?[-+]?[\d.]+(?:e[-+]?\d+)?[-+][\d.]+(?:e[-+]?\d+)?[ij]\)?", re.IGNORECASE)
+# A complex number in one cell, as numpy and MATLAB write it: ``(1.2+3.4j)``, ``1.2 - 3.4 i``. numpy writes ``+-``
+# before a negative imaginary part.
+_NUMBER = r"\d[\d.,]*(?:e[-+]?\d+)?"
+_COMPLEX_CELL = re.compile(rf"\(?\s*([-+]?{_NUMBER})\s*\+?([-+])\s*({_NUMBER})\s*\*?\s*[ij]\s*\)?", re.IGNORECASE)
+# A pair of real and imaginary part, as C++ and Fortran write it: ``(1.2,3.4)``.
+_COMPLEX_PAIR = re.compile(r"\(([^(),]+),([^(),]+)\)")
 # An exponent of Fortran's double precision.
 _FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[-+]\d+$)")
 # A number with dots between thousands and a decimal comma.
 _GROUPED_NUMBER = re.compile(r"[-+]?\d{1,3}(?:\.\d{3})+,\d*")
+# A number with marks or blanks between thousands, in a heading.
+_GROUPED_RATE = re.compile(r"\d{1,3}(?:([., ])\d{3})(?:\1\d{3})*")
 # A column of texts at the end of the lines.
 _COMMENTS = re.compile(r"(comment|remark|note|event|bemerkung|kommentar)(s|en)?", re.IGNORECASE)
 # The sample rate in a line of a heading: ``Sample rate: 51.2 kHz``, ``Sampling frequency [Hz]\t51200``. A number with
@@ -53,7 +61,7 @@ _COMMENTS = re.compile(r"(comment|remark|note|event|bemerkung|kommentar)(s|en)?"
 _RATE_UNIT, _INTERVAL_UNIT = "[kM]?(?:Hz|Sa?/s|sps)", "[mnuµμ]?s|seconds?"
 _STATED_RATE = re.compile(
     rf"\W*(?:sampl\w*|scan|abtast|mess)[ _-]?(?:rate|freq\w*)\W*({_RATE_UNIT})?\W*"
-    rf"(\d[\d.,]*(?:e[-+]?\d+)?)(?:\W*|\W*({_RATE_UNIT})\W*)",
+    rf"(\d(?:[\d.,]| (?=\d{{3}}\b))*(?:e[-+]?\d+)?)(?:\W*|\W*({_RATE_UNIT})\W*)",
     re.IGNORECASE,
 )
 # The sample interval in a line of a heading: ``Delta T (s): 0.001``.
@@ -74,12 +82,12 @@ _SECOND_FRACTION = re.compile(r":\d\d[.,](\d+)")
 _MAX_FRACTION_DIGITS = 6
 # First words of a LabVIEW file.
 LABVIEW_BEGIN = "LabVIEW Measurement"
-# Last line of each part of a heading.
-_LABVIEW_END = "***End_of_Header***"
+#: Last line of each part of a heading.
+LABVIEW_END = "***End_of_Header***"
 # Names that Express VIs of LabVIEW give to spectra, whose headings state times.
 _LABVIEW_SPECTRUM = re.compile(r"\((FFT|Power Spectrum|PSD)\b", re.IGNORECASE)
 # First words of the lines that begin a further segment.
-LABVIEW_SEGMENT_BEGINS = ("Channels", "Notes", "X_Value", _LABVIEW_END)
+LABVIEW_SEGMENT_BEGINS = ("Channels", "Notes", "X_Value", LABVIEW_END)
 _LABVIEW_TIME = re.compile(r"(\d{4})/(\d\d)/(\d\d) (\d\d):(\d\d):(\d\d)(\.\d+)?")
 
 
@@ -93,6 +101,8 @@ class Layout(NamedTuple):
     names: list[str]
     units: list[str]
     cells: tuple[int, ...] | None = None  # positions of the cells of a line that are read; None: all
+    stop: int | None = None  # number of lines in the file before the end of the table; None: all
+    has_complex: bool = False  # whether cells contain complex numbers, which are read as two columns each
     rate: float | None = None  # sample rate that the heading states, Hz
 
 
@@ -100,10 +110,9 @@ def read_beginning(path: Path) -> tuple[list[str], str]:
     """Return the first lines of a table (at least one), and its encoding."""
     with path.open("rb") as binary:
         head = binary.read(1 << 18)
-    is_utf16 = head.startswith((b"\xff\xfe", b"\xfe\xff"))
-    if b"\0" in head and not is_utf16:
+    encoding = _utf16_encoding(head) or "utf-8-sig"
+    if b"\0" in head and encoding == "utf-8-sig":
         raise RecordingError(f"{path}: this type of file cannot be read. Export the data as CSV, TDMS or UFF.")
-    encoding = "utf-16" if is_utf16 else "utf-8-sig"
     try:
         text = head.decode(encoding)
     except UnicodeDecodeError as error:
@@ -111,6 +120,21 @@ def read_beginning(path: Path) -> tuple[list[str], str]:
         encoding = encoding if error.start > len(head) - 4 else "cp1252"
         text = head.decode(encoding, errors="replace")
     return text.splitlines()[:_MAX_HEADING_LINES] or [""], encoding
+
+
+def _utf16_encoding(head: bytes) -> str:
+    """Return the encoding of a text of two bytes a character, with or without a byte order mark; empty for others.
+
+    >>> _utf16_encoding("1,2".encode("utf-16-le")), _utf16_encoding(b"1,2"), _utf16_encoding(bytes(8))
+    ('utf-16-le', '', '')
+    """
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    # The upper byte of nearly all characters of a table is 0, and the lower byte of none.
+    for low, encoding in ((head[::2], "utf-16-le"), (head[1::2], "utf-16-be")):
+        if head and b"\0" not in low and 2 * head.count(b"\0") > len(low):
+            return encoding
+    return ""
 
 
 def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
@@ -121,13 +145,56 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
             decimal_comma = any("," in cell for cell in cells)
             counts = {_settings_count(split_cells(each, delimiter), decimal_comma) for each in lines[:2]}
             first_cell = counts.pop() if number == 0 and len(counts) == 1 else 0
-            if len(cells) >= (1 if delimiter is None else 2) and _are_numbers(cells[first_cell:], decimal_comma):
-                layout = Layout(encoding, delimiter, decimal_comma, number, [], [])
+            if len(cells) < (1 if delimiter is None else 2):
+                continue
+            layout = Layout(encoding, delimiter, decimal_comma, number, [], [])
+            if _are_numbers(cells[first_cell:], decimal_comma):
                 return _with_columns(layout, lines[:number], cells, first_cell)
-    remedy = "Export the data as a table of numbers."
-    if any(_COMPLEX_CELL.fullmatch(cell) for line in lines for cell in split_cells(line, ",")):
-        remedy = "Write complex numbers as two columns: real and imaginary part."
-    raise RecordingError(f"{path}: no line of numbers among the first {len(lines)} lines. {remedy}")
+            complex_cells = _split_pairs(line, delimiter)
+            parts = [complex_parts(cell) for cell in complex_cells]
+            decimal_comma = any("," in part for part in chain(*parts))
+            if max(map(len, parts)) > 1 and _are_numbers([*chain(*parts)], decimal_comma):
+                layout = layout._replace(decimal_comma=decimal_comma)
+                return _with_complex_columns(_with_columns(layout, lines[:number], complex_cells, 0), parts)
+    raise RecordingError(
+        f"{path}: no line of numbers among the first {len(lines)} lines. Export the data as a table of numbers."
+    )
+
+
+def complex_parts(cell: str) -> list[str]:
+    """Split a complex number into its real and imaginary part; another cell is returned alone.
+
+    >>> complex_parts("(1.2+3.4j)"), complex_parts("1.2E-1 -3 i"), complex_parts("1.2+-3j"), complex_parts("1.5")
+    (['1.2', '3.4'], ['1.2E-1', '-3'], ['1.2', '-3'], ['1.5'])
+    """
+    match = _COMPLEX_CELL.fullmatch(cell)
+    return [match[1], match[2].replace("+", "") + match[3]] if match else [cell]
+
+
+def _split_pairs(line: str, delimiter: str | None) -> list[str]:
+    """Split a line that may contain complex numbers as pairs ``(1.2,3.4)``; the pairs become ``1.2+3.4j``."""
+    return split_cells(_COMPLEX_PAIR.sub(r"\1+\2j", line) if "(" in line else line, delimiter)
+
+
+def expand_complex(line: str, delimiter: str | None) -> str:
+    """Return a line with two cells for each complex number."""
+    parts = chain(*map(complex_parts, _split_pairs(line, delimiter)))
+    return (delimiter or " ").join(parts) + line[len(line.rstrip("\r\n")) :]
+
+
+def _with_complex_columns(layout: Layout, parts: Sequence[Sequence[str]]) -> Layout:
+    """Replace each column of complex numbers by two: real and imaginary part."""
+    included = layout.cells or tuple(range(len(parts)))
+    starts = [0, *accumulate(map(len, parts))]
+    names, units, cells = [], [], list[int]()
+    for name, unit, position in zip(layout.names, layout.units, included, strict=True):
+        is_complex = len(parts[position]) > 1
+        names += [f"{name} real", f"{name} imag"] if is_complex else [name]
+        units += [unit] * (1 + is_complex)
+        cells += range(starts[position], starts[position + 1])
+    if layout.names[-1] == UNNAMED.format(len(included)):
+        names = [UNNAMED.format(number) for number in range(1, len(names) + 1)]
+    return layout._replace(names=names, units=units, cells=tuple(cells) if layout.cells else None, has_complex=True)
 
 
 def _settings_count(cells: Sequence[str], decimal_comma: bool) -> int:
@@ -168,17 +235,24 @@ def _with_columns(layout: Layout, heading: Sequence[str], cells: Sequence[str], 
         stop -= 1
         rows_above = [row[:stop] for row in rows_above]
     names, units = _names_and_units(rows_above, stop - first_cell)
-    if not any(units) and (keyed := keyed_heading(rows_above, stop)) is not None:
-        first_cell = keyed.first_column
-        names = [name or other for name, other in zip(keyed.names, names[first_cell:], strict=True)]
-        units = keyed.units
+    if not any(units[1:]) and (keyed := keyed_heading(rows_above, stop)) is not None:
+        if any(units):
+            # A line of names states the unit of the abscissa only.
+            units = [units[0], *keyed.units[1:]] if len(keyed.units) == len(units) else units
+        else:
+            first_cell = keyed.first_column
+            names = [name or other for name, other in zip(keyed.names, names[first_cell:], strict=True)]
+            units = keyed.units
     is_numbered = _LINE_NUMBER.fullmatch(names[0]) or names[0] == UNNAMED.format(1)
-    if interval or (len(names) > 2 and is_numbered and _is_abscissa(names[1], units[1])):
+    # The column of times is empty if the heading states the sample interval.
+    is_empty = len(names) > 2 and not cells[first_cell] and _is_abscissa(names[0], units[0])
+    if interval or is_empty or (len(names) > 2 and is_numbered and _is_abscissa(names[1], units[1])):
         first_cell, names, units = first_cell + 1, names[1:], units[1:]
     if len(names) > 2 and _COMMENTS.fullmatch(names[-1]):
         stop, names, units = stop - 1, names[:-1], units[:-1]
     positions = None if (first_cell, stop) == (0, len(cells)) else tuple(range(first_cell, stop))
-    rate = rate_of_interval(interval) if interval else _stated_rate(heading, layout.decimal_comma)
+    keyed_lines = [" ".join(dict.fromkeys(cell for cell in row if cell)) for row in rows_above]
+    rate = rate_of_interval(interval) if interval else _stated_rate([*heading, *keyed_lines], layout.decimal_comma)
     return layout._replace(names=names, units=units, cells=positions, rate=rate)
 
 
@@ -205,10 +279,17 @@ def _stated_rate(heading: Sequence[str], decimal_comma: bool) -> float | None:
     2000.0
     >>> _stated_rate(["Sample interval: 20 us"], False), _stated_rate(["Sample rate: 1 MS/s"], False)
     (50000.0, 1000000.0)
+    >>> _stated_rate(["Sample rate: 10,000 Hz"], False), _stated_rate(["Abtastrate: 10.000 Hz"], True)
+    (10000.0, 10000.0)
     """
     for pattern in (_STATED_RATE, _STATED_INTERVAL):
         for match in filter(None, map(pattern.fullmatch, heading)):
-            if number := parse_number(match[2], decimal_comma):
+            grouped = _GROUPED_RATE.fullmatch(match[2])
+            # The decimal mark of the table does not separate thousands.
+            if grouped and grouped[1] == (",." if decimal_comma else ".,")[0]:
+                grouped = None
+            text = match[2] if grouped is None else match[2].replace(grouped[1], "")
+            if number := parse_number(text, decimal_comma):
                 unit = match[1] or match[3] or ""
                 prefix = "M" if unit[:1] == "M" and pattern is _STATED_RATE else unit[:1].lower()
                 number *= {"M": 1e6, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9}.get(prefix, 1.0)
@@ -222,7 +303,7 @@ def _names_and_units(rows_above: list[list[str]], column_count: int) -> tuple[li
     Programs write comments, such as types of sensors, between the units and the numbers.
     """
     adjacent = takewhile(lambda row: len(row) == column_count, reversed(rows_above))
-    rows = [[unescape_cell(cell.strip(" ,;")) for cell in row] for row in adjacent]
+    rows = [_spaced_slashes([unescape_cell(cell.strip(" ,;")) for cell in row]) for row in adjacent]
     if not rows:
         return [UNNAMED.format(number) for number in range(1, column_count + 1)], [""] * column_count
     names, units = rows[0], [""] * column_count
@@ -236,6 +317,18 @@ def _names_and_units(rows_above: list[list[str]], column_count: int) -> tuple[li
             names, units = row_names, row_units
             break
     return [name or UNNAMED.format(k) for k, name in enumerate(names, 1)], units
+
+
+def _spaced_slashes(row: list[str]) -> list[str]:
+    """Insert blanks around the slashes before the units of a line that writes them without.
+
+    >>> _spaced_slashes(["Time/s", "Tip/(m/s^2)"]), _spaced_slashes(["Time", "AI 1/Tip"])
+    (['Time / s', 'Tip / m/s^2'], ['Time', 'AI 1/Tip'])
+    """
+    if not _ABSCISSA_WITH_SLASH.fullmatch(row[0]):
+        return row
+    pairs = (cell.partition("/") for cell in row)
+    return [f"{name} / {_without_brackets(unit)}" if unit else name for name, _, unit in pairs]
 
 
 def _are_units(row: Sequence[str], above: Sequence[str]) -> bool:
@@ -257,7 +350,7 @@ def _name_and_unit(cell: str) -> tuple[str, str]:
         if match := pattern.fullmatch(cell):
             unit = match[2].strip()
             is_known = pattern is not _UNIT_AFTER_SLASH or _ANGLE_OR_DECIBEL.fullmatch(unit) or is_unit(unit)
-            return (match[1].rstrip("/ "), unit) if is_known else (cell, "")
+            return ((match[1] or "").rstrip("/ "), unit) if is_known else (cell, "")
     return cell, ""
 
 
@@ -280,7 +373,7 @@ def split_cells(line: str, delimiter: str | None) -> list[str]:
     if delimiter is None:
         return line.split()
     try:
-        (row,) = list(csv.reader([line.rstrip("\r\n")], delimiter=delimiter)) or [[]]
+        (row,) = list(csv.reader([line.rstrip("\r\n")], delimiter=delimiter, skipinitialspace=True)) or [[]]
     except csv.Error:
         # The csv module rejects cells of more than a hundred thousand characters.
         return [line]
@@ -314,6 +407,8 @@ def stamp_seconds(cell: str) -> float | None:
 
     >>> stamp_seconds("1970-01-02 00:00:00.25"), stamp_seconds("1970-01-01T00:00:01Z"), stamp_seconds("1.5")
     (86400.25, 1.0, None)
+    >>> stamp_seconds("1970/01/02 00:00:01")
+    86401.0
     >>> stamp_seconds("00:01:00.5"), stamp_seconds("02.01.1970 0:00:01,5"), stamp_seconds("1/2/1970 12:00:01 AM")
     (60.5, 86401.5, 86401.0)
     """
@@ -324,6 +419,7 @@ def stamp_seconds(cell: str) -> float | None:
         cell = f"{dated[4]}-{month:0>2}-{day:0>2} {dated[5]}"
     if twelve := _TWELVE_HOURS.fullmatch(cell):
         cell = f"{twelve[1]}{int(twelve[2]) % 12 + 12 * (twelve[4] in 'Pp'):02}{twelve[3]}"
+    cell = re.sub(r"^(\d{4})/(\d\d)/(?=\d\d )", r"\1-\2-", cell)
     date_and_time = cell if re.match(r"\d{4}-?\d\d", cell) else f"1970-01-01T{cell}"
     try:
         stamp = datetime.fromisoformat(re.sub(r"(?<=[ T])(?=\d:)", "0", date_and_time))
@@ -377,10 +473,10 @@ class LabviewHeading(NamedTuple):
 
 def read_labview_heading(lines: Sequence[str], where: str) -> LabviewHeading:
     """Read the heading of a LabVIEW file; raise `RecordingError` if the file is truncated or contradicts itself."""
-    ends = [number for number, line in enumerate(lines) if line.startswith(_LABVIEW_END)]
+    ends = [number for number, line in enumerate(lines) if line.startswith(LABVIEW_END)]
     if len(ends) < 2 or len(lines) <= ends[1] + 1:
         raise RecordingError(
-            f"{where}: its LabVIEW heading has no end; expected {_LABVIEW_END} twice, then a line of names, then "
+            f"{where}: its LabVIEW heading has no end; expected {LABVIEW_END} twice, then a line of names, then "
             "numbers. Export it again."
         )
     separator = "," if _cells_by_key(lines[: ends[0]], r"[\t,]").get("Separator", ["Tab"])[0] == "Comma" else "\t"

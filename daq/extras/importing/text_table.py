@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from itertools import islice
+from itertools import islice, pairwise, takewhile, zip_longest
 from pathlib import Path
 from typing import IO
 
@@ -21,15 +21,18 @@ from daq.extras.importing.clock import (
     warn,
     warn_used_as_times,
 )
+from daq.extras.importing.joined_files import GAP, are_repetitions, join
 from daq.extras.importing.signal import Signal
 from daq.extras.importing.text_layout import (
     LABVIEW_BEGIN,
+    LABVIEW_END,
     LABVIEW_SEGMENT_BEGINS,
     TIME_UNITS,
     UNNAMED,
     LabviewHeading,
     Layout,
     detect_layout,
+    expand_complex,
     parse_number,
     read_beginning,
     read_labview_heading,
@@ -55,6 +58,10 @@ _MAX_EXAMINED_LINES = 50
 # The usual length of the last number in a line is determined from at least this number of lines: trailing zeros shorten
 # single numbers.
 _MIN_LINES = 10
+# Largest number of segments of a LabVIEW file, each of which is read with an open file.
+_MAX_SEGMENTS = 200
+# Segments whose times deviate less from those of consecutive samples have no gap [samples].
+_MAX_DEVIATION = 0.5
 # Lines in a block, to limit the memory.
 BLOCK_LINES = 1 << 16
 # Measured memory for text and numbers, bytes per byte of a block.
@@ -69,7 +76,7 @@ def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
     """
     lines, encoding = read_beginning(path)
     if lines[0].startswith(LABVIEW_BEGIN):
-        return _labview_signals(path, read_labview_heading(lines, str(path)), encoding, stack)
+        return _labview_segments(path, lines, encoding, stack)
     layout = detect_layout(path, lines, encoding)
     table = _Table(path, layout, stack)
     columns = list(zip(layout.names, layout.units, strict=True))
@@ -90,8 +97,55 @@ def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
     ]
 
 
-def _labview_signals(path: Path, heading: LabviewHeading, encoding: str, stack: ExitStack) -> list[Signal]:
-    """List the channels of a LabVIEW file as signals; a column of times overrides the clock of the heading."""
+def _labview_segments(path: Path, lines: list[str], encoding: str, stack: ExitStack) -> list[Signal]:
+    """List the channels of a LabVIEW file; samples are lost between segments unless their times are consecutive."""
+    first = read_labview_heading(lines, str(path))
+    file_heading = list(takewhile(lambda line: not line.startswith(LABVIEW_END), lines))
+    headings, stops, open_heading = [first], [], list[str]()
+    with path.open(encoding=encoding, errors="replace", newline="") as file:
+        for number, line in enumerate(file):
+            if number < first.lines:
+                continue
+            if open_heading or line.startswith(LABVIEW_SEGMENT_BEGINS):
+                if not open_heading:
+                    stops.append(number)
+                open_heading.append(line.rstrip("\r\n"))
+                if len(open_heading) > 1 and open_heading[-2].startswith(LABVIEW_END):
+                    heading = read_labview_heading(
+                        [*file_heading, LABVIEW_END, *open_heading], f"{path}, line {number}"
+                    )
+                    headings.append(heading._replace(lines=number + 1))
+                    open_heading = []
+    if len(headings) > _MAX_SEGMENTS:
+        raise RecordingError(f"{path} has {len(headings)} segments; expected at most {_MAX_SEGMENTS}. Log to TDMS.")
+    segments = [
+        _labview_signals(path, heading, stop, encoding, stack)
+        for heading, stop in zip_longest(headings, stops)
+        if heading is not None
+    ]
+    if len(segments) == 1:
+        return segments[0]
+    if not are_repetitions(segments):
+        raise RecordingError(f"{path}: the channels of its segments differ. Split the file before each segment.")
+    gaps = [_lost_samples(before[0], after[0]) for before, after in pairwise(segments)]
+    warn(f"{path}: its {len(segments)} segments are joined; samples are lost between {np.count_nonzero(gaps)} of them")
+    return [join(signals, gaps) for signals in zip(*segments, strict=True)]
+
+
+def _lost_samples(before: Signal, after: Signal) -> int:
+    """Return 0 if a segment begins one sample interval after the end of the segment before, otherwise `GAP`."""
+    starts = [signal.start_ns * 1e-9 + signal.start_s for signal in (before, after)]
+    deviation = starts[1] - starts[0] - before.samples / (before.rate or np.inf)
+    return 0 if before.rate and abs(deviation) * before.rate < _MAX_DEVIATION else GAP
+
+
+def _labview_signals(
+    path: Path, heading: LabviewHeading, stop: int | None, encoding: str, stack: ExitStack
+) -> list[Signal]:
+    """List the channels of a segment as signals; a column of times overrides the clock of the heading.
+
+    `stop`: number of lines in the file before the next segment; None for the last segment.
+    """
     channels, has_times = heading.channels, heading.has_times
     layout = Layout(
         encoding,
@@ -101,6 +155,7 @@ def _labview_signals(path: Path, heading: LabviewHeading, encoding: str, stack: 
         [*(["time"] if has_times else []), *(channel.name for channel in channels)],
         [""] * (len(channels) + has_times),
         (*([0] if has_times else []), *(channel.cell for channel in channels)),
+        stop=stop,
     )
     table = _Table(path, layout, stack)
     clock = table.estimate_clock("s") if has_times else None
@@ -223,7 +278,7 @@ class _Table:
         """Estimate the clock from the first column, which contains times in `unit`."""
         where = f"{self._path}: the times in its first column"
         try:
-            scale = parse(f"1 {unit}", TIME) if unit and not self.has_times_of_day else 1.0
+            scale = parse(f"1 {unit.lower()}", TIME) if unit and not self.has_times_of_day else 1.0
         except ValueError as error:
             raise RecordingError(f"{where}: {error}; expected a unit of time such as s or ms") from None
         if self.rows < 2:
@@ -303,13 +358,12 @@ class _Table:
         line_number = 0
         while line := self._file.readline(_MAX_LINE):
             line_number += 1
+            if line_number > (self._layout.stop or line_number):
+                return
             if line_number <= self._layout.heading_lines or not line.strip():
                 continue
-            if self._layout.cells is not None and line.startswith(LABVIEW_SEGMENT_BEGINS):
-                raise RecordingError(
-                    f"{self._path}, line {line_number}: a second segment of measurement begins. Split the file "
-                    "before this line, or log to TDMS."
-                )
+            if self._layout.has_complex:
+                line = expand_complex(line, self._layout.delimiter)
             yield line_number, line
 
     def _parse_lines(self, lines: list[tuple[int, str]]) -> Array:

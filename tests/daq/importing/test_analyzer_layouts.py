@@ -12,7 +12,7 @@ import analysis
 from daq.extras.importing.files import signals_of
 from daq.extras.importing.text_table import text_signals
 from daq.extras.importing.units import quantity_and_scale
-from rig.core.base.errors import RecordingError, SceneError
+from rig.core.base.errors import RecordingError, RunWarning, SceneError
 
 FREQUENCY = np.arange(0.25, 50.0, 0.25)
 OMEGA = 2 * np.pi * FREQUENCY
@@ -125,10 +125,64 @@ def test_columns_of_coherence_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(curve.coherence, 0.98)
 
 
-def test_complex_cells_are_refused_with_remedy(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text("f,H\n" + "".join(f"{f},{f}-1.5e-3i\n" for f in range(20)))
-    with pytest.raises(RecordingError, match="two columns: real and imaginary part"):
-        analysis.read_frfs(tmp_path / "a.csv")
+@pytest.mark.parametrize(
+    ("heading", "form"),
+    [
+        ("f [Hz],tip [m/s^2/N]\n", "{f},({re:.8e}{im:+.8e}j)\n"),
+        ("f [Hz];tip [m/s^2/N]\n", "{f};{re:.8e} {sign} {abs:.8e} i\n"),
+        ("% f (Hz)      tip (m/s^2/N)\n", "{f}  {re:.8e}+{im:.8e}j\n"),
+        ("f (Hz)   tip (m/s^2/N)\n", "{f} ({re:.8e},{im:.8e})\n"),
+        ('f [Hz], "Re(tip) [m/s^2/N]", "Im(tip) [m/s^2/N]"\n', "{f},{re:.8e},{im:.8e}\n"),
+    ],
+)
+def test_complex_numbers_are_read(heading: str, form: str, tmp_path: Path) -> None:
+    values = zip(FREQUENCY, ACCELERANCE, strict=True)
+    rows = (form.format(f=f, re=h.real, im=h.imag, sign="-" if h.imag < 0 else "+", abs=abs(h.imag)) for f, h in values)
+    (tmp_path / "a.txt").write_text(heading + "".join(rows))
+    [curve] = analysis.read_frfs(tmp_path / "a.txt")
+    assert curve.response == "tip"
+    np.testing.assert_allclose(curve.value, ACCELERANCE, rtol=1e-7)
+
+
+def test_complex_number_without_heading_is_read(tmp_path: Path) -> None:
+    rows = zip(FREQUENCY, ACCELERANCE, strict=True)
+    (tmp_path / "a.csv").write_text("".join(f"{f},{h.real:.8e}{h.imag:+.8e}j\n" for f, h in rows))
+    [curve] = analysis.read_frfs(tmp_path / "a.csv", unit="m/s^2/N")
+    np.testing.assert_allclose(curve.value, ACCELERANCE, rtol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("heading", "row"),
+    [
+        ("Sample rate: 1,024 Hz\nforce [N],tip [m/s^2]\n", "{y},{z}\n"),
+        ("Abtastrate: 1.024 Hz\nforce [N];tip [m/s^2]\n", "{y};{z}\n"),
+        ("Sample rate: 1 024 Hz\nforce [N],tip [m/s^2]\n", "{y},{z}\n"),
+        (
+            '"Model","DL850"\n"TraceName","force","tip"\n"VUnit","N","m/s^2"\n"SampleRate",1.024E+03,1.024E+03\n',
+            ",{y},{z},\n",
+        ),
+        ("Source,force,tip\nSecond,N,m/s^2\n", "{t},{y},{z}\n"),
+        ("Time/s,force/N,tip/(m/s^2)\n", "{t},{y},{z}\n"),
+        ("in s,force in N,tip in m/s^2\n", "{t},{y},{z}\n"),
+    ],
+)
+def test_clock_and_units_of_instruments_are_read(heading: str, row: str, tmp_path: Path) -> None:
+    rows = "".join(row.format(t=f"{t:.9f}", y=f"{y:.9f}", z=f"{z:.9f}") for t, y, z in SAMPLES)
+    (tmp_path / "a.csv").write_text(heading + (rows.replace(".", ",") if "Abtast" in heading else rows))
+    with ExitStack() as stack:
+        signals = signals_of(tmp_path / "a.csv", stack)
+        assert [(signal.name, signal.unit) for signal in signals] == [("force", "N"), ("tip", "m/s^2")]
+        assert signals[0].rate == pytest.approx(1024.0)
+        np.testing.assert_allclose(signals[1].read(0, 300), SAMPLES[:, 2], atol=1e-8)
+
+
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be"])
+def test_utf16_needs_no_mark(encoding: str, tmp_path: Path) -> None:
+    rows = "".join(f"{t:.6f},{y:.6f}\n" for t, y, _ in SAMPLES)
+    (tmp_path / "a.csv").write_bytes(("Time (s),tip (m/s²)\n" + rows).encode(encoding))
+    with ExitStack() as stack:
+        [signal] = signals_of(tmp_path / "a.csv", stack)
+        assert (signal.name, signal.unit, signal.samples) == ("tip", "m/s²", 300)
 
 
 def test_unit_of_decibels_may_be_given(tmp_path: Path) -> None:
@@ -248,11 +302,35 @@ def test_arrays_of_hdf5_have_their_rate(tmp_path: Path) -> None:
         np.testing.assert_array_equal(signals[1].read(0, 300), SAMPLES[:, 2])
 
 
+def test_other_items_of_hdf5_are_omitted(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name, values in (("force", SAMPLES[:, 1]), ("tip", SAMPLES[:, 2])):
+            file[name] = values
+            file[name].attrs.update({"unit": "N" if name == "force" else "g", "sample_rate": 1024.0})
+        file["comment"], file["empty"], file["none"] = "first hit", h5py.Empty("f"), np.zeros((0, 3))
+        file.create_dataset("ragged", (2,), h5py.vlen_dtype(np.float64))[0] = [1.0, 2.0]
+    with ExitStack() as stack, pytest.warns(RunWarning, match="left out: /ragged"):
+        signals = signals_of(tmp_path / "a.h5", stack)
+    assert [(signal.name, signal.unit, signal.rate) for signal in signals] == [
+        ("force", "N", 1024.0),
+        ("tip", "g", 1024.0),
+    ]
+
+
+def test_table_of_hdf5_has_columns(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["data"] = np.array([tuple(row) for row in SAMPLES], dtype=[("time", "f8"), ("force", "f8"), ("tip", "f8")])
+    with ExitStack() as stack:
+        signals = signals_of(tmp_path / "a.h5", stack)
+        assert [(signal.name, signal.rate) for signal in signals] == [("data.force", 1024.0), ("data.tip", 1024.0)]
+        np.testing.assert_array_equal(signals[1].read(0, 300), SAMPLES[:, 2])
+
+
 def test_testlab_structure_states_frequencies(tmp_path: Path) -> None:
     axis = {"start_value": 0.25, "increment": 0.25, "number_of_values": FREQUENCY.size}
-    content = {"FRF_1": {"x_values": axis, "y_values": {"values": ACCELERANCE[:, None]}}}
-    scipy.io.savemat(tmp_path / "a.mat", content)
-    [curve] = analysis.read_frfs(tmp_path / "a.mat", unit="m/s^2/N")
+    ordinate = {"values": ACCELERANCE[:, None], "quantity": {"label": "(m/s^2)/N"}}
+    scipy.io.savemat(tmp_path / "a.mat", {"FRF_1": {"x_values": axis, "y_values": ordinate}})
+    [curve] = analysis.read_frfs(tmp_path / "a.mat")
     np.testing.assert_allclose(curve.frequency, FREQUENCY)
     np.testing.assert_allclose(curve.value, ACCELERANCE)
 

@@ -17,7 +17,7 @@ from daq.extras.importing.channel_table import Column
 from daq.extras.importing.files import signals_of
 from daq.extras.importing.text_table import text_signals
 from daq.extras.importing.units import quantity_and_scale
-from rig.core.base.errors import RecordingError, SceneError, ShotrigError
+from rig.core.base.errors import RecordingError, RunWarning, SceneError, ShotrigError
 from tests.daq.importing.files import (
     NAMES,
     RATE,
@@ -365,16 +365,31 @@ def test_sample_rate_is_known_by_any_name(name, tmp_path, imported):
     assert recording.rate == RATE
 
 
-def test_error_locates_second_labview_segment(tmp_path, imported):
+def labview_segments(starts, name="body1"):
+    """Return a LabVIEW file with segments of three samples at 1 kHz."""
     heading = LABVIEW_HEAD.format(name="Tab", point=".", columns="No")
-    segment = (
-        "Channels\t1\nY_Unit_Label\tg\nX0\t0\nDelta_X\t0.001\n"
-        + END_OF_HEADER
-        + "X_Value\tbody1\tComment\n\t1.0\n\t2.0\n\n"
+    segments = (
+        f"Channels\t1\nY_Unit_Label\tg\nX0\t{start}\nDelta_X\t0.001\n{END_OF_HEADER}X_Value\t{name}\tComment\n"
+        f"\t{number}.1\n\t{number}.2\n\t{number}.3\n\n"
+        for number, start in enumerate(starts, 1)
     )
-    (tmp_path / "a.lvm").write_text(heading + 2 * segment)
-    with pytest.raises(RecordingError, match=r"a.lvm, line 16: a second segment"):
-        imported(tmp_path / "a.lvm")
+    return heading + "".join(segments)
+
+
+def test_labview_segments_are_joined(tmp_path):
+    (tmp_path / "a.lvm").write_text(labview_segments([0.0, 0.003, 5.0]))
+    with ExitStack() as stack, pytest.warns(RunWarning, match="3 segments are joined; samples are lost between 1"):
+        [signal] = text_signals(tmp_path / "a.lvm", stack)
+        samples = signal.read(0, signal.samples)
+    np.testing.assert_array_equal(samples[np.isfinite(samples)], [1.1, 1.2, 1.3, 2.1, 2.2, 2.3, 3.1, 3.2, 3.3])
+    assert np.isnan(samples[6:-3]).all()
+
+
+def test_different_labview_segments_are_refused(tmp_path):
+    text = labview_segments([0.0]) + labview_segments([0.0], "body2").split(END_OF_HEADER, 1)[1].lstrip()
+    (tmp_path / "a.lvm").write_text(text)
+    with ExitStack() as stack, pytest.raises(RecordingError, match="channels of its segments differ"):
+        text_signals(tmp_path / "a.lvm", stack)
 
 
 def test_uncertain_labview_clock_is_reported(tmp_path, imported):

@@ -151,6 +151,7 @@ def test_complex_number_without_heading_is_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(curve.value, ACCELERANCE, rtol=1e-7)
 
 
+@pytest.mark.filterwarnings("ignore:.* the table has no times")
 @pytest.mark.parametrize(
     ("heading", "row"),
     [

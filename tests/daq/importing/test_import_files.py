@@ -369,7 +369,7 @@ def labview_segments(starts, name="body1"):
     """Return a LabVIEW file with segments of three samples at 1 kHz."""
     heading = LABVIEW_HEAD.format(name="Tab", point=".", columns="No")
     segments = (
-        f"Channels\t1\nY_Unit_Label\tg\nX0\t{start}\nDelta_X\t0.001\n{END_OF_HEADER}X_Value\t{name}\tComment\n"
+        f"Channels\t1\nY_Unit_Label\tg\nX0\t{start}\nDelta_X\t1.000000E-3\n{END_OF_HEADER}X_Value\t{name}\tComment\n"
         f"\t{number}.1\n\t{number}.2\n\t{number}.3\n\n"
         for number, start in enumerate(starts, 1)
     )

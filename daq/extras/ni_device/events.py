@@ -35,6 +35,7 @@ class Events:
         self._done: Listener | None = None
         self._signals: dict[Signal, Listener] = {}
         self._end_listeners: list[Callable[[None], None]] = []
+        self.n_sent = 0  # calls of listeners
         self.begin()
 
     @property
@@ -109,7 +110,7 @@ class Events:
 
     def begin(self) -> None:
         """Reset the counts of sent events at the start of a run."""
-        self._n_sent = 0  # every-N-samples events
+        self._n_every = 0  # every-N-samples events
         self._n_signaled = 0  # samples whose signals have been sent
         self._was_done_sent = False
         self._triggered: set[Signal] = set()  # triggers whose signals have been sent
@@ -129,14 +130,14 @@ class Events:
         was_sent = False
         if self._every_n_samples is not None:
             _, interval, listener = self._every_n_samples
-            while self._n_sent < n_samples // interval:
-                self._n_sent += 1
-                listener(interval)
+            while self._n_every < n_samples // interval:
+                self._n_every += 1
+                self._send(listener, interval)
                 was_sent = True
         for signal in _SIGNALS_OF_EACH_SAMPLE:
             if signal in self._signals:
                 for _ in range(n_samples - self._n_signaled):
-                    self._signals[signal](int(signal))
+                    self._send(self._signals[signal], int(signal))
         self._n_signaled = n_samples
         if run is None:
             return was_sent
@@ -145,8 +146,12 @@ class Events:
         for signal, has_occurred in occurred.items():
             if has_occurred and signal in self._signals and signal not in self._triggered:
                 self._triggered.add(signal)
-                self._signals[signal](int(signal))
+                self._send(self._signals[signal], int(signal))
         if self._done is not None and not self._was_done_sent and run.done:
             self._was_done_sent = True
-            self._done(0 if run.error is None else run.error.code)
+            self._send(self._done, 0 if run.error is None else run.error.code)
         return was_sent
+
+    def _send(self, listener: Listener, value: int) -> None:
+        self.n_sent += 1
+        listener(value)

@@ -1,6 +1,5 @@
 """A bench for tests: the emulated devices, the samples that a program has read and written, and faults."""
 
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -19,6 +18,7 @@ from daq.extras.ni_device.settings.task_settings import TaskSettings
 from daq.extras.ni_device.task import Task
 from daq.extras.ni_server.connection import Connection
 from daq.extras.ni_server.served_instrument import Limits
+from daq.extras.pytest_plugin.callback_waits import CallbackWaits, pause
 from daq.extras.pytest_plugin.description import find_channel, wired_bench
 from daq.extras.pytest_plugin.faults import Faults
 from daq.extras.pytest_plugin.transfers import Transfers
@@ -34,8 +34,6 @@ DEFAULT_MODULES = ("NI 9234", "NI 9263")
 # Wall-clock time of a sleep while the bench is in use [s]. In this time, other threads of the program can finish a
 # call.
 _YIELD_S = 0.002
-# Wall-clock time after which a program that calls no task waits for a callback [s].
-_IDLE_S = 0.05
 BenchLike = Scene | str | Path | Mapping[str, Any] | Sequence[str]
 
 
@@ -52,6 +50,8 @@ class NidaqmxBench:
         All reads and writes of tasks.
     faults : Faults
         Methods that inject faults.
+    callback_waits : CallbackWaits
+        Waits for callbacks; the fixture replaces Python's waiting functions by its own.
     """
 
     def __init__(self, chassis: Chassis) -> None:
@@ -61,9 +61,7 @@ class NidaqmxBench:
         chassis.transfer_listeners.append(self.transfers.add)
         self.grpc_options = Connection(chassis, Limits())
         self.address = self.grpc_options.address
-        self._is_closed = threading.Event()
-        if not self.follows_wall_clock:
-            threading.Thread(target=self._keep_callbacks_coming, daemon=True).start()
+        self.callback_waits = CallbackWaits(chassis)
 
     @property
     def follows_wall_clock(self) -> bool:
@@ -83,9 +81,9 @@ class NidaqmxBench:
     def sleep(self, seconds: float) -> None:
         """Let time pass on the bench while it is in use, otherwise on the wall clock; replaces `time.sleep`."""
         is_in_use = self._chassis.is_in_use
-        threading.Event().wait(min(seconds, _YIELD_S) if is_in_use else seconds)
+        pause(min(seconds, _YIELD_S) if is_in_use else seconds)
         if is_in_use:
-            self._chassis.pass_time(seconds)
+            self.callback_waits.sleep(seconds)
 
     def read(self, channel: str) -> Array:
         """Return all samples that tasks have read from an input, such as "ai0" or "cDAQ1Mod1/ai0"."""
@@ -120,18 +118,8 @@ class NidaqmxBench:
         finally:
             task.close()
 
-    def _keep_callbacks_coming(self) -> None:
-        """Let time pass at the speed of the wall clock while the program only waits for the callback of a task."""
-        position = -1
-        while not self._is_closed.wait(_IDLE_S):
-            has_callback = any(task.events.are_registered for task in list(self._chassis.tasks.values()))
-            if has_callback and position == self._chassis.position and self._chassis.is_in_use:
-                self._chassis.pass_time(_IDLE_S)
-            position = self._chassis.position
-
     def close(self) -> None:
         """Close the bench and all its tasks."""
-        self._is_closed.set()
         self.grpc_options.close(grace=None)
 
     def __enter__(self) -> Self:
@@ -163,8 +151,8 @@ def open_bench(
         Voltage at inputs without a wire: {"ai1": "0.5 V"}, or {"ai1": {"amplitude": "1 V", "frequency": "50 Hz"}}, or a
         function that returns the voltages [V] at an array of times [s]; only for modules.
     clock : {'fast', 'real'} or Clock, optional
-        With 'fast', time passes only during calls of tasks and in `time.sleep`, as fast as the machine computes, and
-        at the speed of the wall clock while the program waits for a callback.
+        With 'fast', time passes only during calls of tasks, in `time.sleep`, and while the main thread waits for a
+        callback in `threading.Event.wait` or `queue.Queue.get`, as fast as the machine computes.
 
     Raises
     ------

@@ -86,6 +86,8 @@ def _bench_in_use(bench: Any, **settings: Any) -> Iterator[NidaqmxBench]:
             patch.setattr(owner, name, value)
         if not opened.follows_wall_clock:
             patch.setattr("time.sleep", opened.sleep)
+            for owner, name, value in opened.callback_waits.replacements():
+                patch.setattr(owner, name, value)
         try:
             yield opened
         finally:

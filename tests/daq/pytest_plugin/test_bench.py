@@ -1,6 +1,8 @@
 """Benches for tests: wires, sources, modules, transfers and faults, through NI's client."""
 
+import queue
 import threading
+import time
 
 import nidaqmx
 import numpy as np
@@ -8,6 +10,7 @@ import pytest
 from nidaqmx.constants import AcquisitionType, Coupling
 
 import rig
+from daq.extras.ni_device.errors import DaqError
 from daq.extras.pytest_plugin import transfers
 from daq.extras.pytest_plugin.bench import open_bench
 from rig.core.base.errors import RecordingError, SceneError
@@ -52,12 +55,37 @@ def continuous(bench, channels="cDAQ1Mod1/ai0", **timing):
     return task
 
 
-def test_callback_arrives_while_program_waits(open_for_test):
-    counts, has_three = [], threading.Event()
-    with continuous(open_for_test(TWO_MODULES), samps_per_chan=10_000) as task:
+@pytest.fixture
+def open_with_waits(open_for_test, monkeypatch):
+    """Return a function that opens a bench on which time passes while the test waits, as the fixture of users does."""
+
+    def open_and_replace(*arguments, **settings):
+        bench = open_for_test(*arguments, **settings)
+        for owner, name, value in bench.callback_waits.replacements():
+            monkeypatch.setattr(owner, name, value)
+        return bench
+
+    return open_and_replace
+
+
+def compute_for(seconds):
+    """Use the processor for a wall-clock time [s]."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        pass
+
+
+@pytest.mark.parametrize("compute_s", [0.0, 0.3])
+def test_callback_arrives_while_program_waits(open_with_waits, compute_s):
+    counts, has_three, elapsed = [], threading.Event(), []
+    bench = open_with_waits(TWO_MODULES)
+    with continuous(bench, samps_per_chan=10_000) as task:
 
         def read_block(_task, _event, n_samples, _data):
             counts.append(len(task.read(n_samples)))
+            elapsed.append(bench.elapsed)
+            compute_for(compute_s)
+            elapsed.append(bench.elapsed)
             if len(counts) == 3:
                 has_three.set()
             return 0
@@ -65,7 +93,56 @@ def test_callback_arrives_while_program_waits(open_for_test):
         task.register_every_n_samples_acquired_into_buffer_event(500, read_block)
         task.start()
         assert has_three.wait(30.0)
-    assert counts[:3] == [500, 500, 500]
+        assert bench.elapsed == elapsed[-1] < 0.32
+    assert counts == [500, 500, 500]
+    assert elapsed[::2] == elapsed[1::2]
+
+
+def test_queue_receives_blocks_of_callbacks(open_with_waits):
+    blocks, bench = queue.Queue(), open_with_waits(TWO_MODULES)
+    with continuous(bench, samps_per_chan=10_000) as task:
+        task.register_every_n_samples_acquired_into_buffer_event(
+            500, lambda _task, _event, n_samples, _data: blocks.put(task.read(n_samples)) or 0
+        )
+        task.start()
+        assert [len(blocks.get(timeout=1.0)) for _ in range(3)] == [500, 500, 500]
+        assert bench.elapsed < 0.32
+    with pytest.raises(queue.Empty):
+        blocks.get(timeout=0.01)
+
+
+def test_computing_program_gets_no_bench_time(open_with_waits):
+    bench = open_with_waits(TWO_MODULES)
+    with continuous(bench) as task:
+        task.register_every_n_samples_acquired_into_buffer_event(500, lambda *_: 0)
+        task.start()
+        begin = bench.elapsed
+        compute_for(0.2)
+        assert bench.elapsed == begin
+
+
+def test_timeout_of_wait_is_bench_time(open_with_waits):
+    bench, never = open_with_waits(TWO_MODULES), threading.Event()
+    with continuous(bench, samps_per_chan=100_000) as task:
+        task.register_every_n_samples_acquired_into_buffer_event(50_000, lambda *_: 0)
+        task.start()
+        begin = bench.elapsed
+        assert not never.wait(2.0)
+        assert bench.elapsed - begin == pytest.approx(2.0)
+
+
+def test_error_of_bench_reaches_waiting_test(open_with_waits):
+    def fail_later(times):
+        if times[0] > 0.1:
+            raise ArithmeticError("no voltage")
+        return 0.0 * times
+
+    bench = open_with_waits(TWO_MODULES, sources={"ai0": fail_later})
+    with continuous(bench) as task:
+        task.register_every_n_samples_acquired_into_buffer_event(500, lambda *_: 0)
+        task.start()
+        with pytest.raises(DaqError, match="no voltage"):
+            threading.Event().wait(5.0)
 
 
 @pytest.mark.parametrize("rate", [5120.0, 51200.0, 51200.0 / 7])

@@ -43,7 +43,7 @@ def draw_bench(picture: str) -> None:
                 waiting.until(
                     lambda page: (
                         re.match(r"9\d %", page.find_element(By.ID, "progress").text)
-                        and page.find_element(By.ID, "lag").text == "real time"
+                        and page.find_element(By.ID, "lag").text == ""
                     )
                 )
                 driver.save_screenshot(picture)

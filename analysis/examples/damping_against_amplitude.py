@@ -28,14 +28,14 @@ for decay, color in zip(decays, colors, strict=True):
 # Damping ratio of each mode over its own amplitude. Without dampers it is constant. With them it is larger while the
 # acceleration, the sum of all modes, exceeds 1 g.
 # sphinx_gallery_thumbnail_number = 2
-panels = plt.subplots(1, 3, figsize=(9, 3), sharex=True, sharey=True, layout="constrained")[1]
+panels = plt.subplots(3, 1, sharex=True, sharey=True, layout="constrained")[1]
 for decay, color in zip(decays, colors, strict=True):
     for number, mode in enumerate(sorted(decay.modes, key=lambda mode: mode.frequency)):
         axes = panels[number]
         axes.semilogx(mode.amplitude, 100.0 * mode.damping, "o-", color=color, label=decay.label)
-        axes.set(title=f"mode {number + 1}", xlabel="amplitude / (m/s²)")
-panels[0].set(ylabel="damping ratio / %", ylim=(0.0, None))
-panels[0].legend(fontsize="small")
+        axes.set(ylabel=f"ζ of mode {number + 1} / %", ylim=(0.0, 5.0))
+panels[-1].set(xlabel="amplitude / (m/s²)")
+panels[0].legend(loc="upper left")
 print(
     f"With dampers, the acceleration of body3 stays below 1 g from {decays[1].quiet_from:.2f} s on;\n"
     f"without dampers, from {decays[0].quiet_from:.2f} s on."

@@ -47,12 +47,12 @@ print(f"largest deviation of the {inside.sum()} measured points from exact orbit
 # %%
 # Random vibration of a shaker table with a profile. Where a limited channel would exceed its limit, the drive has a
 # notch.
+# sphinx_gallery_thumbnail_number = 2
 table = rig.load("shaker-table-random", {"test.duration": "30 s"})
 profile = analysis.profile(daq.record(table, "random.mcap", overwrite=True))
 axes = plt.subplots(layout="constrained")[1]
 profile.draw(axes)
 axes.set_ylim(0.003)
-axes.set_title("Random vibration: the limit of the unit causes notches")
 axes.legend()
 print(profile)
 print("notches:", *(f"{name} from {low:.4g} to {high:.4g} Hz" for name, low, high in profile.notches()))

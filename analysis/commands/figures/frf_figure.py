@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 _ROUGHNESS_POINTS = 25
 # A point with a smaller coherence is drawn as noise: more than half of its power does not depend on the force.
 _MIN_COHERENCE = 0.5
-# A limit of systematic error below this fraction of the magnitude would be invisible, and is not drawn.
-_MIN_VISIBLE_RATIO = 3e-3
+# An interval below this fraction of the magnitude is narrower than the points, and is not explained.
+_MIN_VISIBLE_RATIO = 0.02
 # On a logarithmic axis, this fraction of the magnitude replaces zero, and the inverse replaces infinity.
 _ZERO_RATIO = 1e-9
 # A point is drawn as noise if its standard uncertainty exceeds this fraction of the magnitude: its 95 % interval then
@@ -38,8 +38,9 @@ _MAX_ROUGHNESS = 0.35
 # The phase is not drawn where a quarter of the steps between neighboring points exceed this angle [rad]: the line would
 # show noise.
 _MAX_PHASE_STEP = 0.3
-# Upper ends of the phase axis, degrees, the preferred first: compliances of a driven body are from 0° to -180°.
-_PHASE_TOPS = (90.0, 180.0, 0.0)
+# Upper ends of the phase axis, degrees, the preferred first: compliances of a driven body are from 0° to -180°, also
+# with scatter. A phase that passes through all angles wraps on the flank of a resonance, not at its center.
+_PHASE_TOPS = (30.0, 120.0, 210.0)
 # A line is undetermined if less than this fraction of the lines around it is determined.
 _MIN_DETERMINED = 0.75
 # A gap of fewer undetermined lines does not end a determined range; it is an antiresonance.
@@ -49,7 +50,9 @@ _STRIP_HEIGHT = 0.015
 # Curves with more lines than this are drawn without points, which would hide each other.
 MAX_POINTS = 600
 #: Curves with more lines than this are drawn as lines with some of their points: adjacent symbols would touch.
-MAX_MARKED = 200
+MAX_MARKED = 160
+# Distance between the symbols of these curves, relative to the diagonal of the axes.
+_MARK_DISTANCE = 0.02
 # Only the highest of the arrows within this relative distance in frequency is drawn: they would hide the curves.
 _ARROW_RANGE = 0.02
 # A peak between points is marked if it exceeds the highest point by this fraction.
@@ -73,8 +76,8 @@ PEAK_SYMBOLS = {
 }
 # Width of the label of a peak, relative to the axes.
 _LABEL_WIDTH = 0.06
-# The axis includes this multiple of a marked value, for an arrow and the labels.
-_MARK_SPACE = 2.5
+# Space above a marked value for an arrow and labels, relative to the height of the axes.
+_MARK_SPACE = 0.13
 _MARKERS = {"circles": "o", "diamonds": "D"}
 _LABEL_COLOR = "#555555"
 # Height of the label of a peak [points].
@@ -98,12 +101,13 @@ def frf_figure(
     theory: Sequence[Response] = (),
     marks: Sequence[tuple[float, str]] = (),
     styles: Sequence[CurveStyle] = (),
+    remarks: Sequence[str] = (),
 ) -> Figure:
     """Draw measured frequency responses on common axes.
 
     `frfs`: curves of the same motion and reference, with their labels in the legend. `theory`: curves without error
     bars, drawn thin and dotted. `marks`: frequency [Hz] and text of vertical lines. `styles`: styles of the curves;
-    default: the styles of their bodies.
+    default: the styles of their bodies. `remarks`: sentences for the caption.
     """
     low, high = determined_band(frfs)
     if high <= low:
@@ -114,7 +118,7 @@ def frf_figure(
         styles = [styles[0]._replace(dashes=())]
     top = phase_top(frfs)
     with new_figure(6.8) as figure:
-        magnitude_axes, phase_axes, coherence_axes = figure.subplots(3, 1, height_ratios=[3.2, 1.3, 0.9])
+        magnitude_axes, phase_axes, coherence_axes = figure.subplots(3, 1, height_ratios=[3.4, 1.3, 0.7])
         for curve in theory:
             color = location_style(curve.outputs[0].at).color if curve.outputs[0].at and not several else _THEORY_COLOR
             style: dict[str, Any] = {"color": color, "lw": 0.9, "ls": ":", "zorder": 3.5}
@@ -147,6 +151,9 @@ def frf_figure(
         )
         for axes, last in ((magnitude_axes, False), (phase_axes, False), (coherence_axes, True)):
             frequency_axis(axes, low, high, last)
+        low_value, top_value = magnitude_axes.get_ylim()
+        space = (top_value / low_value) ** _MARK_SPACE
+        magnitude_axes.set_ylim(low_value, max([top_value, *(space * height for height in heights)]))
         colors = [style.color if several else _LABEL_COLOR for style in styles]
         labels = [(mark, color) for marked, color in zip(marked_peaks, colors, strict=True) for mark in marked]
         _label_peaks(labels, frfs[0].shown_in[1], magnitude_axes)
@@ -154,7 +161,7 @@ def frf_figure(
         magnitude_axes.set_ylabel(f"|{name}| / ({unit})" if "/" in unit else name)
         add_title(magnitude_axes, title)
         phase_axes.set_ylabel("phase / °")
-        phase_axes.set_yticks(np.arange(top - 360.0, top + 1.0, 90.0))
+        phase_axes.set_yticks(phase_ticks(top))
         phase_axes.set_ylim(top - 375.0, top + 15.0)
         coherence_axes.set_ylabel("coherence")
         coherence_axes.set_ylim(-0.03, 1.06)
@@ -170,7 +177,8 @@ def frf_figure(
                 text, (0.5, 0.5), xycoords="axes fraction", ha="center", va="center", fontsize=8, color="#555555"
             )
         figure.align_ylabels([magnitude_axes, phase_axes, coherence_axes])
-        add_legend_below(figure, *_caption(frfs, {mark.symbol for marked in marked_peaks for mark in marked}))
+        symbols = {mark.symbol for marked in marked_peaks for mark in marked}
+        add_legend_below(figure, *remarks, *_caption(frfs, symbols))
         return figure
 
 
@@ -190,9 +198,11 @@ def determined_band(frfs: Sequence[Response]) -> tuple[float, float]:
 def _caption(frfs: Sequence[Response], symbols: set[str]) -> list[str]:
     """Explain bands and markers in sentences."""
     sentences = []
-    if any(_has_scatter(frf) for frf in frfs):
-        sentences.append("Dark band: scatter (type A, 95 %).")
     causes = visible_systematic_errors(frfs)
+    if any(_is_visible(frf, frf.expanded_random()) for frf in frfs):
+        sentences.append("Dark band: scatter (type A, 95 %).")
+    elif not causes and any(_has_scatter(frf) for frf in frfs):
+        sentences.append("95 % intervals: narrower than the points.")
     if causes:
         sentences.append(f"Light band: also limits of error (type B): {', '.join(causes)}.")
     if not all(is_determined(frf).all() for frf in frfs):
@@ -202,7 +212,7 @@ def _caption(frfs: Sequence[Response], symbols: set[str]) -> list[str]:
         sentences.append("No phase where it scatters from line to line.")
     if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
         sentences.append("Crosses: steady state not reached.")
-    if any(np.isfinite(frf.value).sum() < frf.frequency.size or frf.resolution == 0.0 for frf in frfs):
+    if any(frf.frequency.size <= MAX_MARKED and not folds_back(frf.frequency) for frf in frfs):
         sentences.append("Thin curve: local model through the points, with gaps where they do not determine it.")
     sentences += [text for symbol, text in PEAK_SYMBOLS.items() if symbol in symbols]
     if any(frf.omitted.size for frf in frfs):
@@ -237,10 +247,14 @@ def _draw_curve(
         points["marker"] = ""
         # Short dashes show the scatter of neighboring lines.
         line["ls"] = (0.0, tuple(_DASH_SCALE * length for length in style.dashes)) if style.dashes else "-"
-    elif frf.frequency.size > MAX_MARKED and not is_folded:
-        points["markevery"] = -(-frf.frequency.size // MAX_MARKED)
+    elif is_folded:
+        line |= {"ls": ""}
+    elif frf.frequency.size > MAX_MARKED:
+        # A gap of a solid line is an undetermined range.
+        line |= {"ls": "-"}
+        points["markevery"] = _MARK_DISTANCE
     else:
-        line |= {"ls": "" if is_folded else "-", "lw": 0.7}
+        line |= {"ls": "-", "lw": 0.7}
     factor = frf.shown_in[1]
     magnitude, random = factor * abs(frf.value), factor * np.nan_to_num(frf.expanded_random())
     total = factor * np.nan_to_num(frf.expanded(), posinf=np.inf)
@@ -356,8 +370,7 @@ def _draw_marks(marks: Iterable[PeakMark], factor: float, color: str, axes: Axes
     """Draw the marks of a curve; return the heights that the axis must include, in its unit."""
     heights = []
     for symbol, frequency, height, _ in marks:
-        # An arrow or a label is above the mark.
-        heights.append(_MARK_SPACE * factor * height)
+        heights.append(factor * height)
         if symbol in _MARKERS:
             style: dict[str, Any] = {"mfc": "white", "mec": color, "mew": 1.0, "ms": 4.5, "zorder": 5}
             axes.plot(frequency, factor * height, _MARKERS[symbol], **style)
@@ -370,33 +383,61 @@ def _draw_marks(marks: Iterable[PeakMark], factor: float, color: str, axes: Axes
 
 
 def _label_peaks(marks: Sequence[tuple[PeakMark, str]], factor: float, axes: Axes) -> None:
-    """Write the frequency above the highest of the peaks around it; above it, those of other curves in their colors.
+    """Write the frequency above each peak, or above the highest of the peaks around it if it would hide curves.
 
-    `marks`: peaks with the colors of their labels.
+    `marks`: peaks with the colors of their labels; of several curves with the same color, the highest is labeled.
     """
     from matplotlib.patheffects import withStroke
 
     to_axes = axes.transData + axes.transAxes.inverted()
     groups: list[tuple[float, PeakMark, list[str]]] = []
+    taken: list[tuple[float, float]] = []
     for mark, color in sorted(marks, key=lambda pair: (pair[0].symbol not in PEAK_SYMBOLS, -pair[0].height)):
         position = to_axes.transform((mark.frequency, factor * mark.height))[0]
-        highest, labeled = next(
-            ((each, colors) for at, each, colors in groups if abs(position - at) <= _LABEL_WIDTH), (mark, [])
-        )
+        near = [group for group in groups if abs(position - group[0]) <= _LABEL_WIDTH]
+        if mark.symbol not in PEAK_SYMBOLS:
+            # A peak at a point may be noise; it is labeled near a marked peak, for comparison.
+            near += [group for group in groups if abs(mark.frequency / group[1].frequency - 1.0) < MODE_SHIFT]
+            if not near:
+                continue
+        if not near:
+            groups.append((position, mark, []))
+            near = groups[-1:]
+        _, highest, labeled = near[0]
         is_same = abs(mark.frequency / highest.frequency - 1.0) < MODE_SHIFT
-        # A peak at a point may be noise; it is labeled next to a marked peak, for comparison.
-        if color in labeled or not is_same or not (labeled or mark.symbol in PEAK_SYMBOLS):
+        is_free = _is_free(axes, (mark.frequency, factor * mark.height), taken)
+        if color in labeled or not is_same or not (is_free or abs(position - near[0][0]) <= _LABEL_WIDTH):
             continue
-        if not labeled:
-            groups.append((position, mark, labeled))
+        place, row = (mark, 0) if is_free else (highest, len(labeled))
+        if mark.symbol not in PEAK_SYMBOLS:
+            axes.plot(mark.frequency, factor * mark.height, "o", mfc="none", mec=color, ms=6.5, mew=0.8, zorder=5)
         digits = 4 if mark.symbol in _MARKERS else 3
         axes.annotate(
-            f"{mark.frequency:.{digits}g} Hz", (highest.frequency, factor * highest.height),
-            xytext=(0, (17 if highest.symbol == "arrows" else 5) + _LABEL_POINTS * len(labeled)),
+            f"{mark.frequency:#.{digits}g} Hz", (place.frequency, factor * place.height),
+            xytext=(0, (17 if place.symbol == "arrows" else 5) + _LABEL_POINTS * row),
             textcoords="offset points", ha="center", fontsize=7.5, color=color, zorder=5,
             path_effects=[withStroke(linewidth=2.0, foreground="white")],
         )  # fmt: skip
+        taken.append(tuple(axes.transData.transform((place.frequency, factor * place.height))))
         labeled.append(color)
+
+
+def _is_free(axes: Axes, point: tuple[float, float], taken: Iterable[tuple[float, float]]) -> bool:
+    """Return whether a label above a point would hide no curve, and no label above the points `taken` [pixels]."""
+    x, y = axes.transData.transform(point)
+    width, height = _LABEL_WIDTH * axes.bbox.width, 2.0 * _LABEL_POINTS * axes.figure.dpi / 72.0
+    if any(abs(x - other) < width and abs(y - level) < height for other, level in taken):
+        return False
+    inside = x + np.linspace(-0.5, 0.5, 101) * width
+    for line in axes.get_lines():
+        drawn = axes.transData.transform(line.get_xydata())
+        drawn = drawn[np.isfinite(drawn).all(axis=1)]
+        if drawn.shape[0] > 1 and line.get_transform() == axes.transData:
+            horizontal, vertical = drawn[np.argsort(drawn[:, 0])].T
+            level = np.interp(inside, horizontal, vertical, left=-np.inf, right=-np.inf)
+            if ((level > y + 0.1 * height) & (level < y + height)).any():
+                return False
+    return True
 
 
 def with_local_models(
@@ -432,13 +473,18 @@ def _has_scatter(frf: Response) -> bool:
     return bool(np.any((frf.degrees_of_freedom > 0) | (np.isfinite(frf.error) & (frf.error > 0))))
 
 
+def _is_visible(frf: Response, half_width: Array) -> bool:
+    """Return whether a band around a curve is wider than its points at any determined point."""
+    return bool(np.any((half_width > _MIN_VISIBLE_RATIO * abs(frf.value)) & is_determined(frf)))
+
+
 def visible_systematic_errors(frfs: Sequence[Response]) -> list[str]:
     """Return the names of the systematic errors that are visible at any point of the curves, the largest first."""
     ratios: dict[str, float] = {}
     for frf in frfs:
         for name, limit in frf.limits.items():
-            ratio = limit / np.maximum(abs(frf.value), 1e-300)
-            if np.any(ratio > _MIN_VISIBLE_RATIO):
+            if _is_visible(frf, limit):
+                ratio = limit / np.maximum(abs(frf.value), 1e-300)
                 ratios[name] = max(ratios.get(name, 0.0), float(np.nanmedian(ratio)))
     return sorted(ratios, key=ratios.__getitem__, reverse=True)
 
@@ -460,11 +506,15 @@ def includes_sensors(frfs: Sequence[Response]) -> bool:
     return all(any(name in frf.limits for name in (SENSITIVITY, SYSTEMATIC)) for frf in frfs)
 
 
-def intervals_text(frfs: Sequence[Response]) -> str:
-    """Write which errors the intervals of results contain, for a caption."""
-    missing = ["calibration"] * (not includes_sensors(frfs))
-    missing += ["clock"] * (not all(CLOCK in frf.limits for frf in frfs))
-    return "95 % intervals" + f" (without {' and '.join(missing)}: no tolerance is stated)" * bool(missing)
+def unstated_tolerances(frfs: Sequence[Response]) -> list[str]:
+    """Return the causes of errors that the uncertainties of responses lack, because no tolerance is stated."""
+    has_clock = all(CLOCK in frf.limits for frf in frfs)
+    return ["calibration"] * (not includes_sensors(frfs)) + ["the sample clock"] * (not has_clock)
+
+
+def intervals_text(missing: Sequence[str]) -> str:
+    """Write which errors the intervals of results lack, for a caption; `missing`: from `unstated_tolerances`."""
+    return "95 % intervals" + f" (without errors of {' and '.join(missing)}: no tolerance is stated)" * bool(missing)
 
 
 def _visible_edges(frf: Response) -> Array:
@@ -534,22 +584,29 @@ def break_at_wraps(frequency: Array, angle: Array, values: Array | None = None) 
     return np.insert(frequency, wraps, between), np.insert(angle if values is None else values, wraps, np.nan)
 
 
-def phase_degrees(value: ComplexArray, top: float = 90.0) -> Array:
+def phase_degrees(value: ComplexArray, top: float = _PHASE_TOPS[0]) -> Array:
     """Return the phase in degrees, from `top` - 360 to `top`."""
     return top - np.mod(top - np.degrees(np.angle(value)), 360.0)
 
 
-def phase_top(frfs: Sequence[Response]) -> float:
-    """Return the upper end of the phase axis, in degrees: the first at which each curve wraps at most once.
+def phase_ticks(top: float) -> list[float]:
+    """Return the ticks of a phase axis with an upper end, degrees.
 
-    Scatter around ±180° wraps several times. If it does at each upper end, the curves wrap least at the returned one.
+    >>> phase_ticks(30.0)
+    [-270.0, -180.0, -90.0, 0.0]
+    """
+    return [90.0 * k for k in range(int(top // 90.0) - 3, int(top // 90.0) + 1)]
+
+
+def phase_top(frfs: Sequence[Response]) -> float:
+    """Return the upper end of the phase axis, in degrees: that at which the curves wrap least.
+
     Curves that fold back are not counted, because their points are not joined.
     """
     ordered = [frf.sorted() for frf in frfs if not folds_back(frf.frequency)]
     values = [frf.value[is_determined(frf) & is_smooth(frf)] for frf in ordered]
 
     def wraps(top: float) -> int:
-        counts = [int(np.count_nonzero(abs(np.diff(phase_degrees(each, top))) > 180.0)) for each in values]
-        return sum(counts) if max(counts, default=0) > 1 else 0
+        return sum(int(np.count_nonzero(abs(np.diff(phase_degrees(each, top))) > 180.0)) for each in values)
 
     return min(_PHASE_TOPS, key=wraps)

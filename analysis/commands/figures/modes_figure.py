@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.commands.figures.frf_figure import determined_band, intervals_text, is_determined
+from analysis.commands.figures.frf_figure import determined_band, intervals_text, is_determined, unstated_tolerances
 from analysis.core.modal.modes import Modes
 from rig.core.base.arrays import Array
 from rig.core.base.escaping import escape_figure
@@ -107,7 +107,7 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
             )  # fmt: skip
         data = "Points" if is_sparse else "Broad and pale"
         add_legend_below(
-            figure, f"{data}: measured. Lines: modal model. ±: {intervals_text(frfs)}.",
+            figure, f"{data}: measured. Lines: modal model. ±: {intervals_text(unstated_tolerances(frfs))}.",
             "Shapes: the largest element is +1.",
         )  # fmt: skip
         return figure

@@ -27,6 +27,7 @@ from analysis.core.recordings.names import (
     belongs_to,
     excitation_text,
     relabel,
+    validity_texts,
     with_recordings,
     without_common_direction,
 )
@@ -87,6 +88,7 @@ def present_frf(
     moving: dict[str, bool] = {}
     excitations: dict[str, str] = {}
     acquisitions: set[str] = set()
+    remarks: list[str] = []
     for path, label in zip(paths, labels(recordings, paths), strict=True):
         if is_frf_file(path):
             file_curves = read_curves(path, reference, response, unit)
@@ -99,6 +101,9 @@ def present_frf(
         groups = frequency_responses(rec, response, reference, motion, progress=progress, **options)
         curves += [relabel(frf, rec.scene.name, label) for group in groups for frf in group]
         moving[label], excitations[label] = not rec.scene.is_linear, excitation_text(rec)
+        if texts := validity_texts(rec):
+            text = f"{'; '.join(texts)}."
+            remarks.append(f"{label}: {text}" if len(paths) > 1 else text[0].upper() + text[1:])
         acquisitions.add(acquisition_text(rec, groups[0][0], blocks.title(rec.test.kind)))
         warnings += with_recording_name(path, [warning for group in groups for warning in group[0].warnings])
         tolerance_remarks += stated_tolerances(rec, [frf for group in groups for frf in group])
@@ -106,7 +111,7 @@ def present_frf(
             from analysis.commands.presentation.theory import linear_theory
 
             theory_curves += [linear_theory(rec, frf) for frf in groups[0]]
-    files = _draw_figures(curves, theory_curves, stem, baseline_label(moving), excitations, acquisitions)
+    files = _draw_figures(curves, theory_curves, stem, baseline_label(moving), excitations, acquisitions, remarks)
     files.append(frf_table(table, curves))
     return CommandOutput(tuple(files), (*describe_frfs(curves), *dict.fromkeys(tolerance_remarks)), tuple(warnings))
 
@@ -212,11 +217,12 @@ def _draw_figures(
     baseline: str,
     excitations: Mapping[str, str],
     acquisitions: Collection[str] = (),
+    remarks: Sequence[str] = (),
 ) -> list[Path]:
     """Draw one figure for a single sweep, or one figure for each FRF of several sweeps; return the files.
 
     `baseline`: label of the recording with which all others are compared; `excitations`: test and level by recording;
-    `acquisitions`: averages, lines and sample rates of all recordings.
+    `acquisitions`: averages, lines and sample rates of all recordings; `remarks`: sentences for the captions.
     """
     from analysis.commands.figures.frf_figure import frf_figure
     from rig.core.base.figure_style import save_figure
@@ -234,7 +240,11 @@ def _draw_figures(
             test = f"{test[:-1]}; {inputs.pop()})"
         return save_figure(
             frf_figure(
-                labeled, f"{quantity}: {sweep_labels[0]}{test}", _without_duplicates(theory), _jump_marks(labeled)
+                labeled,
+                f"{quantity}: {sweep_labels[0]}{test}",
+                _without_duplicates(theory),
+                _jump_marks(labeled),
+                remarks=remarks,
             ),
             stem,
         )
@@ -254,7 +264,7 @@ def _draw_figures(
             named = [replace(curve, label=name) for curve, name in zip(named, names, strict=True)]
         figure_stem = stem if len(groups) == 1 else with_channel_name(stem, name)
         files += save_figure(
-            frf_figure(named, title, _without_duplicates(same_frf), _jump_marks(labeled), styles), figure_stem
+            frf_figure(named, title, _without_duplicates(same_frf), _jump_marks(labeled), styles, remarks), figure_stem
         )
     return files
 

@@ -16,7 +16,14 @@ from analysis.commands.presentation.outputs import (
 from analysis.commands.presentation.tables import Row, write_table
 from analysis.core.recordings.names import OpenRecordings, full_test_text, scene_labels, with_recordings
 from analysis.core.responses.measurands import select_channels
-from analysis.core.signals.shock_spectrum import ShockSpectrum, prescribed_spectrum, srs
+from analysis.core.signals.shock_spectrum import (
+    OCTAVE_STEPS,
+    ShockSpectrum,
+    prescribed_spectrum,
+    scatter_text,
+    spectra_of_shocks,
+    srs,
+)
 from daq.core.recording.recorded_test import deviation_unit, shocks_of
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import COLORS, add_legend_below, add_title, new_figure, save_figure, set_log_scale
@@ -85,7 +92,10 @@ def present_srs(
         add_title(axes, title)
         signed = " Dashed: positive. Dotted: negative." if len(spectra) == 1 else ""
         part = "the chosen part" if (from_s, to_s) != (None, None) else "the first shock"
-        add_legend_below(figure, f"Largest magnitude of the absolute acceleration (maximax) in {part}.{signed}")
+        if len(paths) == 1 and part == "the first shock" and len(shocks_of(rec.markers)) > 1:
+            part += f"; {scatter_text([spectra_of_shocks(rec, each.channel, q) for _, each in spectra])}"
+        maximax = f"Largest magnitude of the absolute acceleration (maximax, {OCTAVE_STEPS} per octave)"
+        add_legend_below(figure, f"{maximax} in {part}.{signed}")
         files = save_figure(figure, stem)
     rows: list[Row] = [
         (label, spectrum.channel, spectrum.unit, spectrum.q, *values)

@@ -73,6 +73,13 @@ class Mark(NamedTuple):
     color: str = ""  # default: that of text
 
 
+class Strip(NamedTuple):
+    """A marked range of the abscissa at the axis."""
+
+    ends: tuple[float, float]
+    color: str
+
+
 @dataclass(frozen=True)
 class Panel:
     """A pair of axes; all panels of a chart share the abscissa."""
@@ -86,7 +93,7 @@ class Panel:
     ticks: Sequence[float] | None = None  # ticks of the vertical axis
     image: dict[str, Any] | None = None  # image from `level_image`
     marks: Sequence[Mark] = ()
-    strips: Sequence[tuple[float, float]] = ()  # ranges of the abscissa without a determined value
+    strips: Sequence[Strip] = ()
 
 
 @dataclass(frozen=True)
@@ -170,7 +177,7 @@ def _panel(panel: Panel) -> dict[str, Any]:
         "curves": [_curve(curve, panel.logarithmic) for curve in panel.curves],
         "image": panel.image,
         "marks": panel.marks,
-        "strips": panel.strips,
+        "strips": [strip._asdict() for strip in panel.strips],
     }
 
 

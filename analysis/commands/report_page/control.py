@@ -14,15 +14,16 @@ from analysis.commands.report_page.charts import (
     side_limits,
 )
 from analysis.commands.report_page.measurements import Measurement
-from analysis.commands.report_page.responses import value_ranges
+from analysis.commands.report_page.responses import value_strips
 from analysis.core.decays.sensor_correction import correct_motion
 from analysis.core.signals.profile_check import ProfileCheck
+from analysis.core.signals.shock_spectrum import OCTAVE_STEPS, prescribed_spectrum
 from analysis.core.tracking.backbone import Backbone
 from analysis.core.tracking.body_motion import CurvePart
 from analysis.core.tracking.continuation import AmplitudeCurve
 from daq.core.recording.recorded_test import shocks_of
 from rig.core.base.arrays import Array
-from rig.core.base.palette import BASELINE, CurveStyle, location_style, location_styles
+from rig.core.base.palette import BASELINE, CurveStyle, location_style
 from rig.core.results import format_percent
 from rig.core.scene.excitation import FORCE_TOLERANCE
 from rig.core.scene.excitation.profile import from_decibels
@@ -37,10 +38,10 @@ _PULSE_VIEW = 3.0
 
 def _profile_chart(check: ProfileCheck) -> Chart:
     """Return a chart of control and limited channels with their bounds."""
-    control, *limited = location_styles([level.place for level in (check.channels[0], *check.limited)])
+    control, *limited = check.styles()
     frequency = check.frequency
     curves = [
-        Curve("profile", frequency, check.profile, *check.band, CurveStyle(BASELINE)),
+        Curve("profile", frequency, check.profile, *check.band, CurveStyle(BASELINE, (6, 3))),
         Curve("control", frequency, check.control, style=control._replace(dashes=())),
     ]
     for level, style in zip(check.limited, limited, strict=True):
@@ -51,7 +52,8 @@ def _profile_chart(check: ProfileCheck) -> Chart:
         f"Control channel with profile and tolerance of {check.tolerance:g} dB; limited channels with limits (dotted)"
         + " and 95 % intervals" * check.is_density
         + "."
-        + " Strip at the axis: outside the tolerance, where no limit acts." * bool(check.is_outside.any()),
+        + " Colored strips: a limit keeps the control below the tolerance." * bool(check.is_reduced.any())
+        + " Black strips: outside the tolerance, where no limit acts." * bool(check.is_outside.any()),
         "Control and limited channels against the profile.",
         [
             Panel(
@@ -60,7 +62,7 @@ def _profile_chart(check: ProfileCheck) -> Chart:
                 curves,
                 height=280,
                 logarithmic=True,
-                strips=value_ranges(frequency, check.is_outside),
+                strips=[strip for marked, color in check.strips() for strip in value_strips(frequency, marked, color)],
                 limits=(_SHOWN_BELOW * float(np.nanmin(check.profile)), 2.0 * highest),
             )
         ],
@@ -156,17 +158,24 @@ def control_charts(measurement: Measurement) -> list[Chart]:
         x_unit="ms",
         x_view=view,
     )
-    curves = [
-        Curve(each.channel, each.frequency, each.maximax, style=location_style(rec.channels[each.channel].at))
-        for each in measurement.spectra
-    ]
-    prescribed = test.shock_spectrum()
+    curves = []
+    for shocks in measurement.spectra:
+        spread = np.array([each.maximax for each in shocks])
+        first, style = shocks[0], location_style(rec.channels[shocks[0].channel].at)
+        curves.append(
+            Curve(first.channel, first.frequency, first.maximax, spread.min(axis=0), spread.max(axis=0), style)
+        )
+    prescribed, of_pulse = test.shock_spectrum(), prescribed_spectrum(rec, first.q, first.frequency)
+    if of_pulse is not None:
+        curves.insert(0, Curve("prescribed pulse", *of_pulse, style=CurveStyle(BASELINE)))
     if prescribed is not None:
         frequency, values, tolerance = prescribed
         ratio = from_decibels(tolerance)
         curves.append(Curve("prescribed", frequency, values, values / ratio, values * ratio, CurveStyle(BASELINE)))
     response = Chart(
-        "Shock response spectra (maximax) of the first shock, Q = 10.",
+        f"Shock response spectra (maximax, {OCTAVE_STEPS} per octave) of the first shock, Q = {first.q:g}"
+        + f"; bands: all {len(shocks)} shocks" * (len(shocks) > 1)
+        + ".",
         "Shock response spectra of the control channel and the bodies.",
         [Panel("shock response", "m/s²", curves, height=260, logarithmic=True)],
         x_name="natural frequency",

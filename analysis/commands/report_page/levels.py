@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from analysis.commands.figures.frf_figure import MODE_SHIFT, intervals_text
-from analysis.commands.report_page.measurements import Measurement, SweepResults
+from analysis.commands.report_page.measurements import Measurement, SweepResults, missing_tolerances
 from analysis.commands.report_page.tables import table
 from analysis.core.damper_motion.dampers import Dampers
 from analysis.core.modal.mode_warnings import extrapolates_damping
@@ -78,8 +78,7 @@ def level_table(measurements: Sequence[Measurement]) -> str:
         for title, group in groups.items():
             rows += [(", ".join(filter(None, (label, title))),)] if len(measurements) > 1 or title else []
             rows += level_rows(group, keys)
-    curves = [frf for measurement in measurements for sweep in measurement.sweeps for frf in sweep.frfs]
-    caption = f"Results at each level, with {intervals_text(curves)}"
+    caption = f"Results at each level, with {intervals_text(missing_tolerances(measurements))}"
     if "phase deviation / °" in keys:
         caption += ". " + _MODE_CAPTION.format("phase resonance", "")
     elif "natural frequency / Hz" in keys:

@@ -12,7 +12,7 @@ from typing import NamedTuple, ParamSpec, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.commands.figures.frf_figure import PeakMark, peak_marks
+from analysis.commands.figures.frf_figure import PeakMark, peak_marks, unstated_tolerances
 from analysis.commands.presentation.comparison import MeasurementPoints
 from analysis.commands.presentation.outputs import with_recording_name, with_sweep_name
 from analysis.core.damper_motion.comparison import (
@@ -29,10 +29,11 @@ from analysis.core.modal.identification import identify
 from analysis.core.modal.mode_warnings import extrapolates_damping
 from analysis.core.modal.modes import Modes
 from analysis.core.recordings.names import OpenRecordings, baseline_label, relabel, scene_labels, sweep_name
+from analysis.core.responses.errors.systematic import clock_deviation, tolerance
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import response_channels
 from analysis.core.signals.profile_check import ProfileCheck, profile
-from analysis.core.signals.shock_spectrum import ShockSpectrum, srs
+from analysis.core.signals.shock_spectrum import ShockSpectrum, spectra_of_shocks
 from analysis.core.tracking.backbone import Backbone, backbone
 from analysis.core.tracking.continuation import AmplitudeCurve, continuation
 from daq.core.recording.recorded_test import FOLLOWED_CURVE, HELD_PHASE, ControlledTones, shocks_of
@@ -127,8 +128,8 @@ class Measurement:
     profile: ProfileCheck | None = None
     # Curve of a continuation or phase-resonance test. The controller chooses the frequencies, so there is no sweep.
     tracked: AmplitudeCurve | Backbone | None = None
-    # Shock response spectra of the control channel and of the bodies, for the first shock.
-    spectra: tuple[ShockSpectrum, ...] = ()
+    # Shock response spectra of the control channel and of the bodies, each for all shocks.
+    spectra: tuple[list[ShockSpectrum], ...] = ()
 
 
 @dataclass
@@ -179,7 +180,7 @@ class Measurements:
 
     def _measure(self, path: Path, label: str, rec: Recording) -> Measurement:
         frfs_of_sweeps = tracked = None
-        spectra: Sequence[ShockSpectrum] = ()
+        spectra: Sequence[list[ShockSpectrum]] = ()
         tracking = next((analysis for tones, analysis in _TRACKED.items() if tones.measured(rec.markers)), None)
         if tracking is not None:
             tracked = self._attempt(path, "Tracked curve", tracking, rec)
@@ -257,11 +258,11 @@ def _without_common_beginning(names: Sequence[str]) -> tuple[str, list[str]]:
     return subject, [name.removeprefix(f"{subject}, ") if subject else name for name in names]
 
 
-def _shock_spectra(rec: Recording) -> list[ShockSpectrum]:
-    """Return the spectra of the control channels of a shock test and of the responses."""
+def _shock_spectra(rec: Recording) -> list[list[ShockSpectrum]]:
+    """Return the spectra of the control channels of a shock test and of the responses, each for all shocks."""
     assert rec.scene.test is not None
     controls = [str(name) for _, name in rec.scene.test.named_channels]
-    return [srs(rec, name) for name in dict.fromkeys((*controls, *response_channels(rec)))]
+    return [spectra_of_shocks(rec, name) for name in dict.fromkeys((*controls, *response_channels(rec)))]
 
 
 def _peaks_of_modes(frfs: Sequence[Response], modes: Modes) -> tuple[tuple[tuple[Response, Peak], ...], ...]:
@@ -284,6 +285,15 @@ def highest_peak(
     """
     others = [(frf, peak) for frf, found in resonances for _, peak in found if not peak.at_end]
     return max((*peaks, *others), key=lambda pair: pair[1].value, default=None)
+
+
+def missing_tolerances(measurements: Sequence[Measurement]) -> list[str]:
+    """Return the causes of errors that results lack: no tolerance of a sensor or sample clock is stated."""
+    missing = unstated_tolerances([frf for each in measurements for sweep in each.sweeps for frf in sweep.frfs])
+    for rec in (each.rec for each in measurements if not each.sweeps):
+        is_stated = all(tolerance(info) for info in rec.channels.values() if info.quantity != "voltage")
+        missing += ["calibration"] * (not is_stated) + ["the sample clock"] * (not clock_deviation(rec))
+    return sorted(set(missing))
 
 
 def force_deviation(measurement: Measurement, frf: Response) -> NDArray[np.float64]:

@@ -148,17 +148,17 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
     descriptions: dict[str, list[str]] = {}
     for each in results:
         descriptions.setdefault(_test_description(each), []).append(f"“{each.label}”")
-    tests = "".join(
-        f'<p class="test">{escape_html(", ".join(labels))}: {typeset(text)}</p>'
-        for text, labels in descriptions.items()
-    )
+    # The title names a single recording.
+    name = f"“{baseline.label}”: " if len(results) == 1 else "\n"
+    named = [f"{', '.join(labels)}: {text}" for text, labels in descriptions.items()]
+    tests = "".join(f'<p class="test">{typeset(_without_name(text, name))}</p>' for text in named)
     caption = f"<figcaption>Rig of “{escape_html(drawn.label)}”</figcaption>" if len(results) > 1 else ""
     body = [
         tests,
         '<div class="first"><div>',
         '<section class="answer">',
-        *map(_summary_html, summary),
-        *(f'<p class="limitation">{typeset(text)}</p>' for text in limitations(results)),
+        *(_summary_html(_without_name(text, name)) for text in summary),
+        *(f'<p class="limitation">{typeset(_without_name(text, name))}</p>' for text in limitations(results)),
         "</section>",
         f'<p class="test">{escape_html(note)}</p>' if note else "",
         f'</div><figure class="rig">{rig_drawing(drawn.rec.scene)}{caption}</figure></div>',
@@ -167,6 +167,12 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
     for title, parts in filled.items():
         body += [f'<h2 id="{anchors[title]}">{escape_html(title)}</h2>', *parts]
     return summary, body
+
+
+def _without_name(text: str, name: str) -> str:
+    """Remove the name of a recording at the start of a sentence."""
+    rest = text.removeprefix(name)
+    return rest[:1].upper() + rest[1:]
 
 
 def _summary_html(text: str) -> str:

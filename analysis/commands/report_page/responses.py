@@ -21,6 +21,7 @@ from analysis.commands.figures.frf_figure import (
     is_determined,
     is_smooth,
     phase_degrees,
+    phase_ticks,
     phase_top,
     undetermined_text,
     with_local_models,
@@ -30,6 +31,7 @@ from analysis.commands.report_page.charts import (
     Curve,
     Mark,
     Panel,
+    Strip,
     limits_with_margin,
     needs_logarithmic_axis,
     side_limits,
@@ -172,7 +174,7 @@ def response_chart(
     ordered = [frf.with_gaps() for frf in frfs]
     unit, factor = ordered[0].shown_in
     magnitude, phase, coherence, relative = [], [], [], []
-    strips: list[tuple[float, float]] = []
+    strips: list[Strip] = []
     top = phase_top(frfs)
     rows = zip(frfs, ordered, names, styles, peaks or [()] * len(ordered), strict=True)
     for original, full, name, style, found in rows:
@@ -207,7 +209,7 @@ def response_chart(
         magnitude.append(curve)
         unknown = ~known & np.isfinite(frf.value)
         if unknown.any():
-            strips += value_ranges(f, unknown)
+            strips += value_strips(f, unknown, _UNDETERMINED.color)
             # One point more at either end closes the gap between the gray and the colored curve.
             joined = unknown | np.roll(unknown, 1) | np.roll(unknown, -1)
             stored = joined | np.roll(joined, 1)
@@ -256,7 +258,7 @@ def response_chart(
                 phase,
                 105,
                 limits=(top - 375.0, top + 15.0),
-                ticks=[top - 90.0 * k for k in range(4, -1, -1)],
+                ticks=phase_ticks(top),
             ),
             Panel("γ²", "", coherence, height=75, limits=(0.0, 1.05), ticks=(0.0, 0.5, 1.0)),
             Panel("U", "%", relative, height=90, logarithmic=True, limits=_percent_limits(relative)),
@@ -393,16 +395,17 @@ def _first_view(band: NDArray[np.float64], modes: NDArray[np.float64]) -> tuple[
     return view if high / low > 2.0 * view[1] / view[0] else None
 
 
-def value_ranges(f: NDArray[np.float64], selected: NDArray[np.bool_]) -> list[tuple[float, float]]:
-    """Return the ends of the ranges of selected frequencies; an end is halfway to the next frequency.
+def value_strips(f: NDArray[np.float64], selected: NDArray[np.bool_], color: str) -> list[Strip]:
+    """Return a strip for each range of selected frequencies; an end is halfway to the next frequency.
 
-    >>> value_ranges(np.arange(5.0), np.array([False, True, True, False, True]))
+    >>> [strip.ends for strip in value_strips(np.arange(5.0), np.array([False, True, True, False, True]), "")]
     [(0.5, 2.5), (3.5, 4.0)]
     """
     middle = np.concatenate([f[:1], (f[1:] + f[:-1]) / 2.0, f[-1:]])
     steps = np.diff(np.concatenate([[0], selected.astype(int), [0]]))
     ends = zip(middle[np.flatnonzero(steps > 0)], middle[np.flatnonzero(steps < 0)], strict=True)
-    return [(min(a, b), max(a, b)) for a, b in ((float(f"{a:.8g}"), float(f"{b:.8g}")) for a, b in ends)]
+    rounded = ((float(f"{a:.8g}"), float(f"{b:.8g}")) for a, b in ends)
+    return [Strip((min(a, b), max(a, b)), color) for a, b in rounded]
 
 
 def _percent_limits(curves: Sequence[Curve]) -> tuple[float, float]:

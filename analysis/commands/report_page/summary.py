@@ -9,15 +9,20 @@ from operator import le
 
 import numpy as np
 
-from analysis.commands.figures.frf_figure import includes_sensors
 from analysis.commands.presentation.damper_findings import detection_limits
 from analysis.commands.report_page.levels import level_headline, level_points
-from analysis.commands.report_page.measurements import Measurement, SweepChange, SweepResults, force_deviation
+from analysis.commands.report_page.measurements import (
+    Measurement,
+    SweepChange,
+    SweepResults,
+    force_deviation,
+    missing_tolerances,
+)
 from analysis.commands.report_page.tables import change_text
 from analysis.core.damper_motion.dampers import Dampers
 from analysis.core.modal.mode_warnings import MAX_LINEAR_RESIDUAL
-from analysis.core.responses.errors.systematic import clock_deviation, tolerance
-from daq.core.recording.markers import faults_of_impacts, impacts_of
+from analysis.core.recordings.names import validity_texts
+from analysis.core.signals.shock_spectrum import scatter_text
 from daq.core.recording.recorded_test import deviation_unit, shocks_of
 from rig.core.results import format_decimals, format_frequencies, format_limited, format_percent
 from rig.core.scene.excitation import FORCE_TOLERANCE
@@ -47,17 +52,12 @@ def limitations(measurements: Sequence[Measurement]) -> list[str]:
     texts = []
     for measurement in measurements:
         rec = measurement.rec
-        faults = ["nonlinear, valid only for this kind and level of excitation" * (not rec.scene.is_linear)]
+        faults = validity_texts(rec)
         residual = max(
             (sweep.modes.model_error for sweep in measurement.sweeps if sweep.modes is not None), default=0.0
         )
         if residual > MAX_LINEAR_RESIDUAL:
             faults.append(f"the modes leave a residual of {format_percent(residual)} of the peak height")
-        if faulty := faults_of_impacts(rec.markers):
-            omission = "; all are averaged, without clipped samples" * bool(rec.overloads)
-            faults.append(f"of {len(impacts_of(rec.markers))} impacts, {faulty}{omission}")
-        elif rec.overloads:
-            faults.append(f"{len(rec.overloads)} overload{'s' * (len(rec.overloads) > 1)}")
         faults += [] if measurement.profile is None else measurement.profile.excesses()
         faults += [] if measurement.tracked is None else measurement.tracked.omissions()
         if rec.gaps:
@@ -73,20 +73,15 @@ def limitations(measurements: Sequence[Measurement]) -> list[str]:
                 faults.append(f"force up to {format_percent(float(deviation.max()))} from its level at {where}")
         if any(faults):
             texts.append(f"“{measurement.label}”: {'; '.join(dict.fromkeys(filter(None, faults)))}.")
-    curves = [frf for measurement in measurements for sweep in measurement.sweeps for frf in sweep.frfs]
-    others = [each for each in measurements if not each.sweeps]
-    infos = [info for each in others for info in each.rec.channels.values() if info.quantity != "voltage"]
-    missing = ["calibration errors"] * (not (includes_sensors(curves) and all(map(tolerance, infos))))
-    missing += ["errors of the sample clock"] * (not all(clock_deviation(each.rec) for each in measurements))
-    if missing:
-        texts.append(f"The intervals do not include {' and '.join(missing)}: no tolerance is stated.")
+    if missing := missing_tolerances(measurements):
+        texts.append(f"The intervals do not include errors of {' and '.join(missing)}: no tolerance is stated.")
     return texts
 
 
 def _control_texts(measurement: Measurement) -> list[str]:
     """Return a sentence on the controlled motion of each test: its profile, or its shocks."""
     if measurement.profile is not None:
-        return [f"{measurement.profile.agreement()}."]
+        return [measurement.profile.agreement().replace("; ", "\n")]
     shocks = shocks_of(measurement.rec.markers)
     if not shocks:
         return []
@@ -100,8 +95,11 @@ def _control_texts(measurement: Measurement) -> list[str]:
         f"largest deviation {max(deviations):.3g} {unit}."
     )
     if measurement.spectra:
-        text += f" Largest values of the shock response spectra, Q = {measurement.spectra[0].q:g}:"
-    for each in measurement.spectra:
+        several = f", {scatter_text(measurement.spectra)}" * (len(shocks) > 1)
+        text += (
+            f" Largest values of the shock response spectra, first shock, Q = {measurement.spectra[0][0].q:g}{several}:"
+        )
+    for each, *_ in measurement.spectra:
         peak = int(np.argmax(each.maximax))
         text += f"\n{each.channel}: {each.maximax[peak]:.3g} {each.unit} at {each.frequency[peak]:.3g} Hz"
     return [text]

@@ -14,7 +14,7 @@ from analysis.commands.figures.frf_figure import MODE_SHIFT, includes_sensors, i
 from analysis.commands.presentation.comparison import change_heading, change_rows
 from analysis.commands.presentation.decay_findings import DECAY_HEADING, decay_rows
 from analysis.commands.presentation.mode_findings import MIN_SAME_SHAPE_MAC
-from analysis.commands.report_page.measurements import Measurement, SweepChange
+from analysis.commands.report_page.measurements import Measurement, SweepChange, missing_tolerances
 from analysis.core.damper_motion.comparison import Peak, PeakChange
 from analysis.core.modal.modes import Modes, mac
 from analysis.core.responses.errors.systematic import tolerance
@@ -39,8 +39,10 @@ _NO_BREAK = re.compile(
     r"(?<=[\d)]) (?=(?:%|[kM]?Hz|[kmµ]?N|dB|g|kg|m?s|[mµ]?m|m?V|µm/N|m/s²|k?N/m|mm/s)(?![\w/]))| (?=±)|(?<=±) "
     r"|(?<=\d) (?=→)|(?<=→) (?=\d)|(?<=Δf) |(?<=\d) (?=to [+\u2212]?\d)"
     r"|(?<=\d to) (?=[+\u2212]?\d)|(?<=least) (?=\d)|(?<=at) (?=least)|(?<=≥) "
-    r"|(?<=\bat) (?=\d)| (?=at [\d.]+ \w+(?: →|$))|(?<=\bbody) (?=\d)"
+    r"|(?<=\bat) (?=\d)|(?<=ζ) (?==)|(?<=ζ =) | (?=at [\d.]+ \w+(?: →|$))|(?<=\bbody) (?=\d)"
 )
+# Mark of an extrapolated peak in a table.
+_EXTRAPOLATED = "*"
 _CODE = re.compile("`([^`]+)`")
 # Overloads or gaps that are listed individually; a longer list would hide the other rows.
 _MAX_LISTED = 5
@@ -103,8 +105,8 @@ def resonances(measurements: Sequence[Measurement], baseline: Measurement) -> st
                 ("", "") if highest is None else (highest[0].ratio, highest[1].height_text(highest[0].shown_in[1]))
             )
             frequency, damping = modes.cells(k)
-            rows.append((frequency, damping + sweep.damping_note(k), location, height))
-        rows += [(*each.cells(), f"uncertain: {each.reason}", "") for each in modes.uncertain]
+            rows.append((location, frequency, damping + sweep.damping_note(k), height))
+        rows += [(f"uncertain: {each.reason}", *each.cells(), "") for each in modes.uncertain]
         rows += [
             (f"mode of {format_decimals(frequency, 2)} Hz", "not determined", "", "")
             for frequency in np.concatenate([*known, []]).tolist()
@@ -112,18 +114,35 @@ def resonances(measurements: Sequence[Measurement], baseline: Measurement) -> st
         ]
     found = (peak for measurement in measurements for sweep in measurement.sweeps for peak in sweep.peaks)
     units = " or ".join(dict.fromkeys(peak[0].shown_in[0] for peak in found if peak is not None)) or "µm/N"
-    heading = ["natural frequency / Hz", "damping ratio / %", "response with the highest peak", f"peak / ({units})"]
-    curves = [frf for measurement in measurements for sweep in measurement.sweeps for frf in sweep.frfs]
-    return table(f"Resonances, with {intervals_text(curves)}", heading, rows) if rows else ""
+    heading = ["response with the highest peak", "natural frequency / Hz", "damping ratio / %", f"peak / ({units})"]
+    return (
+        table(f"Resonances, with {intervals_text(missing_tolerances(measurements))}", heading, rows, numbers=3)
+        if rows
+        else ""
+    )
 
 
 def changes_table(changes: Sequence[SweepChange]) -> str:
     """Return the table that `analysis compare` prints, with the changes of each pair of sweeps, as HTML."""
     rows: list[tuple[str, ...]] = []
     for (baseline, compared), group in groupby(changes, lambda change: (change.baseline, change.compared)):
-        rows += [(f"{baseline} → {compared}",), *change_rows([each.change for each in group], changes[0].shown_in)]
-    heading = change_heading(changes[0].shown_in) if changes else ()
-    return table("Changes of the resonance peaks", heading, rows, numbers=len(heading) - 1) if rows else ""
+        cells = change_rows([each.change for each in group], changes[0].shown_in)
+        rows += [(f"{baseline} → {compared}",), *(tuple(map(_marked, row)) for row in cells)]
+    if not rows:
+        return ""
+    unit = changes[0].shown_in[0]
+    heading = [text.replace(f" {unit}", f" / ({unit})") for text in change_heading(changes[0].shown_in)]
+    marked = any(_EXTRAPOLATED in cell for row in rows for cell in row)
+    caption = (
+        "Changes of the resonance peaks. Equivalent ζ: damping ratio of a linear mode with the changed peak"
+        + f". {_EXTRAPOLATED}: extrapolated, more than 3 dB above the points on either side" * marked
+    )
+    return table(caption, heading, rows, numbers=len(heading) - 1)
+
+
+def _marked(cell: str) -> str:
+    """Replace a remark by the mark that the caption explains."""
+    return cell.replace(" (extrapolated)", _EXTRAPOLATED)
 
 
 def change_text(change: PeakChange) -> str:
@@ -205,7 +224,7 @@ def test_sentence(scene: Scene) -> str:
 
     >>> import rig
     >>> test_sentence(rig.load("fig8-no-damper"))
-    'stepped sine, 8 to 60 Hz, 2.6 N, 150 points'
+    'stepped sine, 8 to 60 Hz, 2.6 N, 150 points upward'
     """
     return "none" if scene.test is None else scene.test.sentence(scene.driven_shaker)
 

@@ -9,6 +9,7 @@ from typing import Concatenate, ParamSpec, Protocol, TypeVar
 
 import numpy as np
 
+from daq.core.recording.markers import faults_of_impacts, impacts_of
 from daq.core.recording.recording import Recording
 from rig.core.base.errors import RecordingError
 from rig.core.results.response import Response
@@ -171,6 +172,16 @@ def excitation_text(rec: Recording) -> str:
     if test.held_motion is not None:
         level += f" at {rec.scene.structure.label(test.held_motion[0])}"
     return ", ".join(filter(None, [test.title, level]))
+
+
+def validity_texts(rec: Recording) -> list[str]:
+    """Describe what limits the validity of responses: nonlinear parts, and impacts or samples with faults."""
+    texts = ["nonlinear, valid only for this kind and level of excitation"] * (not rec.scene.is_linear)
+    if faulty := faults_of_impacts(rec.markers):
+        evaluated = ", evaluated before and after the overload" * bool(rec.overloads)
+        return [*texts, f"of {len(impacts_of(rec.markers))} impacts, {faulty}{evaluated}"]
+    count = len(rec.overloads)
+    return [*texts, *[f"{count} overload{'s' * (count > 1)}"] * (count > 0)]
 
 
 def acquisition_text(rec: Recording, frf: Response | None = None, estimate: str = "") -> str:

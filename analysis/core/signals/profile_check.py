@@ -20,7 +20,7 @@ from daq.core.excitation.profiles.random_control_check import line_warnings
 from daq.core.excitation.profiles.sweep_control import estimate_amplitudes, observation_samples
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
-from rig.core.base.palette import BASELINE, location_styles
+from rig.core.base.palette import BASELINE, CurveStyle, location_styles
 from rig.core.base.renamed import renamed
 from rig.core.numerics.runs import runs_of
 from rig.core.results import Result, complete_style, format_frequencies
@@ -41,6 +41,7 @@ _SMALLEST_EXCESS_DB = 0.05
 # Number of periods of a window in which the amplitude of a sweep is estimated: fewer do not separate harmonics, more
 # blur the sweep.
 _PERIODS = 4.0
+_OUTSIDE_COLOR = "#222222"
 # Independent averages per segment, for half-overlapping segments with a Hann window.
 _INDEPENDENT_RATIO = 0.95
 
@@ -151,6 +152,16 @@ class ProfileCheck(Result):
         """Fraction of the frequencies within the tolerance or reduced by a limit."""
         return float(1.0 - np.mean(self.is_outside))
 
+    def styles(self) -> list[CurveStyle]:
+        """Return the style of the control, and of each limited channel."""
+        return location_styles([level.place for level in (self.channels[0], *self.limited)])
+
+    def strips(self) -> list[tuple[NDArray[np.bool_], str]]:
+        """Return flags and color of the frequencies that a chart marks: reduced by a limited channel, and outside."""
+        limiting = [(self.is_limited(level) & self.is_reduced) for level in self.limited]
+        colors = [style.color for style in self.styles()[1:]]
+        return [*zip(limiting, colors, strict=True), (self.is_outside, _OUTSIDE_COLOR)]
+
     def notches(self) -> list[tuple[str, float, float]]:
         """Return channel, lowest and highest frequency of each band in which a limit reduces the drive [Hz]."""
         return [
@@ -206,7 +217,7 @@ class ProfileCheck(Result):
         """Draw control and limited channels with profile, tolerance, limits, and strips where a limit acts."""
         ax.loglog(self.frequency, self.profile, "--", color=BASELINE, lw=1.2, label="profile", zorder=3)
         ax.fill_between(self.frequency, *self.band, color="#999999", alpha=0.3, lw=0)
-        control, *limited = location_styles([level.place for level in (self.channels[0], *self.limited)])
+        control, *limited = self.styles()
         names = " and ".join(level.channel for level in self.channels)
         line = complete_style(style, color=control.color, lw=1.8, label=f"control: {names}")
         ax.loglog(self.frequency, self.control, **line)
@@ -214,12 +225,9 @@ class ProfileCheck(Result):
             ax.loglog(self.frequency, level.values, color=limiting.color, lw=0.9, label=level.channel)
             line = {"color": limiting.color, "lw": 1.2, "label": f"limit of {level.channel}"}
             ax.loglog(self.frequency, level.limit, ls=(0, (1, 1.5)), **line)
-            acts = self.is_limited(level) & self.is_reduced
+        for marked, color in self.strips():
             bottom = ax.get_xaxis_transform()
-            ax.fill_between(self.frequency, 0.0, 0.02, where=acts, transform=bottom, color=limiting.color, lw=0)
-        ax.fill_between(
-            self.frequency, 0.0, 0.02, where=self.is_outside, transform=ax.get_xaxis_transform(), color="#222222", lw=0
-        )
+            ax.fill_between(self.frequency, 0.0, 0.02, where=marked, transform=bottom, color=color, lw=0)
         density = "acceleration spectral density"
         ax.set(xlabel="frequency / Hz")
         ax.set_ylabel(f"{density if self.is_density else 'acceleration amplitude'} / ({self.unit})")

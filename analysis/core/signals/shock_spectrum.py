@@ -5,6 +5,7 @@ The method is that of ISO 18431-4 for the absolute acceleration (see `daq.core.d
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, floor, log2
 from typing import TYPE_CHECKING, Any
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
     from daq.core.recording.recording import Recording
 
+#: Default number of natural frequencies per octave.
+OCTAVE_STEPS = 12
 # Default limits of the natural frequencies: lowest in Hz, and highest as a fraction of the sample rate.
 _LOWEST_HZ = 5.0
 _HIGHEST_RATIO = 0.2
@@ -117,7 +120,7 @@ def srs(
     q: float = 10.0,
     lowest: float | None = None,
     highest: float | None = None,
-    per_octave: int = 12,
+    per_octave: int = OCTAVE_STEPS,
     from_s: float | None = None,
     to_s: float | None = None,
 ) -> ShockSpectrum:
@@ -188,6 +191,18 @@ def srs(
     # The response after the motion crosses zero, so neither spectrum is negative.
     positive, negative = np.maximum(largest, 0.0), np.maximum(-smallest, 0.0)
     return ShockSpectrum(info.name, rec.scene.name, unit, q, frequency, positive, negative, warnings)
+
+
+def spectra_of_shocks(rec: Recording, channel: str, q: float = 10.0) -> list[ShockSpectrum]:
+    """Return the spectrum of a channel in each shock at full level."""
+    spans = [(mark.first_sample / rec.rate, (mark.end + 1) / rec.rate) for mark in shocks_of(rec.markers)]
+    return [srs(rec, channel, q=q, from_s=start, to_s=stop) for start, stop in spans]
+
+
+def scatter_text(spectra: Sequence[Sequence[ShockSpectrum]]) -> str:
+    """Write by how much the spectra of several shocks differ at most; `spectra`: those of each channel."""
+    ratios = [np.ptp([each.maximax for each in shocks], axis=0) / shocks[0].maximax for shocks in spectra]
+    return f"the {len(spectra[0])} shocks differ by at most {format_percent(float(np.max(ratios)))}"
 
 
 def prescribed_spectrum(rec: Recording, q: float, frequency: Array) -> tuple[Array, Array] | None:

@@ -49,8 +49,7 @@ def layout(
     overview = rrb.TimeSeriesView(
         origin=ENVELOPE_ENTITY,
         name=f"{title}, {part}: envelopes",
-        # The legend of the plot below is also valid here.
-        plot_legend=rrb.PlotLegend(visible=False),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
         axis_x=axis,
     )
     phase_view = rrb.StateTimelineView(
@@ -58,11 +57,17 @@ def layout(
         name="test (gray: settling; green: measurement, decay; red: overload)",
         time_view=axis,
     )
-    curve_views = [_curve_view(entity, f"{title} around the cursor", cursor_range) for entity, title in plots]
+    # The legend of the plot above is also valid for its quantity; here it would hide curves.
+    curve_views = [
+        _curve_view(entity, f"{title} around the cursor", cursor_range, has_legend=position > 0)
+        for position, (entity, title) in enumerate(plots)
+    ]
     right_column: list[rrb.View | rrb.Tabs] = [overview]
     right_column.append(curve_views[0] if len(curve_views) == 1 else rrb.Tabs(*curve_views, active_tab=0))
     if damper_count:
-        right_column.append(_curve_view("dampers/gap_mm", "damper gap [mm] around the cursor (truth)", cursor_range))
+        right_column.append(
+            _curve_view("dampers/gap_mm", "damper gap [mm] around the cursor (truth)", cursor_range, True)
+        )
         contacts = rrb.TimeSeriesView(
             origin="dampers/contact",
             name="contact of each damper (truth; yellow: flight, brown: floor, red: ceiling)",
@@ -97,9 +102,9 @@ def layout(
     )
 
 
-def _curve_view(entity: str, title: str, cursor_range: rrb.TimeRange) -> rrb.TimeSeriesView:
+def _curve_view(entity: str, title: str, cursor_range: rrb.TimeRange, has_legend: bool) -> rrb.TimeSeriesView:
     ranges = rrb.VisibleTimeRange(TIMELINE, cursor_range)
-    legend = rrb.PlotLegend(rrb.Corner2D.LeftTop)
+    legend = rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=has_legend)
     return rrb.TimeSeriesView(origin=entity, name=title, time_ranges=ranges, plot_legend=legend)
 
 

@@ -26,6 +26,10 @@ _MAX_SEGMENTS = 200
 _SIZE_INCH = (7.6, 3.6)
 _BACKGROUND = "#16181d"
 _FOREGROUND = "#c8ccd4"
+# Highest shown frequency, relative to that of the highest mode: above it, channels show noise.
+_SHOWN_MODES = 4.0
+# Ratio of the largest to the smallest shown amplitude.
+_SHOWN_RATIO = 1e5
 # Displayed units, by SI units, with their factors; other units are as recorded.
 _DISPLAY_UNITS = {"m": (1e6, "µm"), "m/s": (1e3, "mm/s"), "m/s^2": (1.0 / STANDARD_GRAVITY, "g")}
 
@@ -106,7 +110,7 @@ def spectrum_picture(recording: Recording, start: int, stop: int) -> bytes:
         channels = {name: info for name, info in recording.channels.items() if info.quantity == quantity}
         spectra = {name: channel_spectrum(recording, name, start, stop) for name in channels}
         frequency = next(iter(spectra.values()))[0]
-        in_range = (frequency >= 1.0) & (frequency <= max(100.0, 8 * natural_hz[-1]))
+        in_range = (frequency >= 1.0) & (frequency <= max(100.0, _SHOWN_MODES * natural_hz[-1]))
         factor, shown_unit = _DISPLAY_UNITS.get(unit, (1.0, unit))
         for name, (_, amplitude) in spectra.items():
             color = tuple(component / 255 for component in channel_color(channels[name].at))
@@ -122,6 +126,8 @@ def spectrum_picture(recording: Recording, start: int, stop: int) -> bytes:
         set_log_scale(panel.xaxis)
         if any(np.any(amplitude[in_range] > 0.0) for _, amplitude in spectra.values()):
             set_log_scale(panel.yaxis, 5)
+            highest = max(factor**estimate.power * np.nanmax(each[in_range]) for _, each in spectra.values())
+            panel.set_ylim(bottom=max(panel.get_ylim()[0], highest / _SHOWN_RATIO**estimate.power))
         inner = f"({shown_unit})" if "/" in shown_unit else shown_unit
         panel.set_ylabel(f"{quantity} / {estimate.unit.replace('UNIT', inner)}".replace("^2", "²"), color=_FOREGROUND)
         panel.set_facecolor(_BACKGROUND)
@@ -130,8 +136,10 @@ def spectrum_picture(recording: Recording, start: int, stop: int) -> bytes:
         panel.spines[:].set_color(_FOREGROUND)
         panel.legend(facecolor=_BACKGROUND, edgecolor="none", labelcolor=_FOREGROUND, fontsize="small", framealpha=0.6)
     panels[-1].set_xlabel("frequency / Hz", color=_FOREGROUND)
+    test = recording.scene.test
+    level = "" if test is None else f"{test.level_text(recording.scene.driven_shaker)}, "
     panels[0].set_title(
-        f"{estimate.title}, lines of {frequency[0]:.2g} Hz; dotted: modes without dampers",
+        f"{level}{estimate.title}, lines of {frequency[0]:.2g} Hz; dotted: modes without dampers",
         color=_FOREGROUND, fontsize="medium", loc="left",
     )  # fmt: skip
     picture = io.BytesIO()

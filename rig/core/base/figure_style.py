@@ -37,8 +37,9 @@ _MIN_DECADE_RATIO = 300.0
 # Smallest and largest value of a logarithmic axis that matplotlib can draw.
 _DRAWABLE_RANGE = 1e-250, 1e250
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-# Number of characters per line of a note below a figure of the default width.
-_NOTE_CHARACTERS = 100
+# Number of characters per line of a subtitle, and of a note below a figure, whose font is smaller.
+_SUBTITLE_CHARACTERS = 100
+_NOTE_CHARACTERS = 118
 # Name of the text below all axes.
 _CAPTION = "caption"
 # Maximum number of legend entries in one line, if their labels are short.
@@ -169,13 +170,12 @@ def add_title(axes: Axes, text: str) -> None:
     has_exponent = isinstance(axes.yaxis.get_major_formatter(), ScalarFormatter)
     name, subtitle = re.fullmatch(r"(.*?)(?: \(((?:[^()]|\([^()]*\))*)\))?", text, re.DOTALL).groups()  # type: ignore[union-attr]
     title = _lines(escape_figure(name), _TITLE_CHARACTERS)
-    lines = wrap(escape_figure(subtitle or ""), _NOTE_CHARACTERS)
-    pad = _SUBTITLE_HEIGHT + _LINE_HEIGHT * (len(lines) - 1) if lines else None
+    lines = _lines(escape_figure(subtitle or ""), _SUBTITLE_CHARACTERS)
+    pad = _SUBTITLE_HEIGHT + _LINE_HEIGHT * lines.count("\n") if lines else None
     axes.set_title(title, y=None if has_exponent else 1.0, pad=pad)
     if lines:
         axes.annotate(
-            "\n".join(lines), (0.0, 1.0), xycoords="axes fraction", xytext=(0.0, 5.0),
-            textcoords="offset points", fontsize=8.5,
+            lines, (0.0, 1.0), xycoords="axes fraction", xytext=(0.0, 5.0), textcoords="offset points", fontsize=8.5,
         )  # fmt: skip
 
 
@@ -193,7 +193,7 @@ def frequency_axis(axes: Axes, low: float, high: float, labeled: bool) -> None:
     """Set up a frequency axis with plain tick labels, logarithmic unless its range is short."""
     axes.set_xlim(low, high)
     if high / low >= 2.0:
-        set_log_scale(axes.xaxis, 10)
+        set_log_scale(axes.xaxis, 12)
     if labeled:
         axes.set_xlabel("frequency / Hz")
     else:
@@ -225,8 +225,16 @@ def _decade_label(value: float, position: float) -> str:
     >>> _decade_label(0.01, 0), _decade_label(1e-6, 0)
     ('0.01', '10⁻⁶')
     """
-    exponent = round(np.log10(value))
-    return f"{value:g}" if -4 <= exponent <= 4 else f"10{str(exponent).translate(_SUPERSCRIPTS)}"
+    return f"{value:g}" if -4 <= round(np.log10(value)) <= 4 else power_label(value, position)
+
+
+def power_label(value: float, position: float) -> str:
+    """Label a power of ten by its exponent.
+
+    >>> power_label(0.01, 0)
+    '10⁻²'
+    """
+    return f"10{str(round(np.log10(value))).translate(_SUPERSCRIPTS)}"
 
 
 def _plain_label(value: float) -> str:
@@ -327,13 +335,16 @@ def _wrapped(figure: Figure, sentences: Sequence[str]) -> str:
 
 
 def _lines(text: str, characters: int) -> str:
-    r"""Wrap text; a number, its uncertainty and its unit stay on one line.
+    r"""Wrap text into lines of similar length; a number, its uncertainty and its unit stay on one line.
 
-    >>> _lines("height 2.1 ± 0.2 mm", 14)
-    'height\n2.1 ± 0.2 mm'
+    >>> _lines("height 2.1 ± 0.2 mm", 14), _lines("one two three four", 14)
+    ('height\n2.1 ± 0.2 mm', 'one two\nthree four')
     """
     joined = re.sub(r"(?<=\d) (?=[^\W\d]{1,3}\b|%)|(?<=±) | (?=±)", "\u00a0", text)
-    return "\n".join(wrap(joined, characters)).replace("\u00a0", " ")
+    count = len(wrap(joined, characters))
+    shortest = max([1, len(joined) // max(count, 1), *map(len, joined.split(" "))])
+    narrowest = next((width for width in range(shortest, characters) if len(wrap(joined, width)) <= count), characters)
+    return "\n".join(wrap(joined, narrowest)).replace("\u00a0", " ")
 
 
 def save_with_table(figure: Figure, stem: Path, rows: Iterable[Sequence[object]]) -> list[Path]:

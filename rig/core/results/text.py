@@ -1,7 +1,7 @@
 """Numbers, expanded uncertainties and ranges of frequencies as text."""
 
 from collections.abc import Sequence
-from math import floor, inf, isfinite, log10
+from math import ceil, floor, inf, isfinite, log10
 
 import numpy as np
 
@@ -9,6 +9,8 @@ from rig.core.numerics.runs import runs_of
 
 # Listed ranges; more are summarized by a count, so a message stays readable.
 _MAX_RANGES = 8
+# Digits of a value with an interval; further digits are finer than the tolerances of sample clocks.
+_MAX_DIGITS = 6
 
 
 def format_number(value: float) -> str:
@@ -71,9 +73,20 @@ def format_interval(value: float, expanded: float) -> str:
     """
     if expanded == 0.0:
         return round_to_bound(value, expanded)
-    return f"{round_to_bound(value, expanded)} " + (
-        f"± {round_to_bound(expanded, expanded)}" if isfinite(expanded) else "(unbounded)"
-    )
+    return " ± ".join(_round_pair(value, expanded)) if isfinite(expanded) else f"{value:.4g} (unbounded)"
+
+
+def _round_pair(value: float, expanded: float) -> tuple[str, str]:
+    """Round a number and its expanded uncertainty to the same digit, the uncertainty upwards at the last digit.
+
+    >>> _round_pair(2.4213, 0.204), _round_pair(13.036529, 0.000071)
+    (('2.42', '0.20'), ('13.0365', '0.0001'))
+    """
+    decimals = _MAX_DIGITS - 1 - floor(log10(abs(value))) if value else 0
+    last = 10.0**-decimals
+    if 0 < decimals <= 9 and 0.0 < expanded < 10.0 * last:
+        return f"{value:.{decimals}f}", f"{ceil(expanded / last) * last:.{decimals}f}"
+    return round_to_bound(value, expanded), round_to_bound(expanded, expanded)
 
 
 def format_limited(value: float, expanded: float, highest: float = inf) -> str:
@@ -104,7 +117,7 @@ def format_quantity(value: float, expanded: float, unit: str) -> str:
     """
     if not isfinite(expanded):
         return f"{round_to_bound(value, expanded)} {unit} (unbounded)"
-    return f"({round_to_bound(value, expanded)} ± {round_to_bound(expanded, expanded)}) {unit}"
+    return f"({' ± '.join(_round_pair(value, expanded))}) {unit}"
 
 
 def format_frequencies(frequencies: Sequence[float], chosen: Sequence[bool]) -> str:

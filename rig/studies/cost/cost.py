@@ -10,13 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.core.base.figure_style import add_page_title, new_figure, save_with_table
+from rig.core.base.figure_style import add_caption, add_page_title, new_figure, power_label, save_with_table
 from rig.core.base.output_files import file_stem
 from rig.core.results import Result
 from rig.core.results.text import format_number, table_lines
 from rig.core.scene.scene import Scene
 from rig.core.system.assembly import assemble
 from rig.core.system.spheres import spheres_of
+from rig.studies.cost.high_precision import DIGITS
 from rig.studies.cost.motion_study import SHORT_STEP_SETTING, MotionStudy, Point, default_frequency, motion_study
 from rig.studies.cost.steady_study import OTHER_PACKING, SteadyStudy, steady_study
 
@@ -206,7 +207,16 @@ def _draw(study: MotionStudy, steady: SteadyStudy) -> Figure:
         if steady.points:
             draw_points(panels[1], steady.points, "total CPU time / s")
             panels[1].set(ylabel="error of the compliance, relative", title=_steady_title(steady))
-        add_page_title(figure, study.scene.name)
+        level = "" if study.scene.test is None else study.scene.test.level_text(study.scene.driven_shaker)
+        add_page_title(
+            figure, study.scene.name, ", ".join(filter(None, [level, "CPU times on one core of this machine"]))
+        )
+        add_caption(
+            figure, "Errors relative to the largest displacement or compliance; 1 is 100 %. Reference: a motion with "
+            f"{DIGITS} decimal digits. As called: with setup; warm: without. Guard pause: no event detection after "
+            "separations. Penalty: stiff springs as walls. Linear: without dampers, or with dampers at rest. "
+            "Approximate: theory of Inoue et al.",
+        )  # fmt: skip
         return figure
 
 
@@ -248,9 +258,11 @@ def draw_points(axes: Axes, points: tuple[Point, ...], label: str) -> None:
         errors = [_drawn_error(point) for point in connected]
         axes.plot([point.cpu for point in connected], errors, "-", color=color, lw=1.0, alpha=0.6)
         for point in method_points:
-            marker_size = 12 if marker == "*" else 6
+            marker_size, order = (12, 4) if marker == "*" else (6, 3)
             face = color if point.is_correct else "white"
-            axes.plot(point.cpu, _drawn_error(point), marker, color=color, ms=marker_size, zorder=3, mfc=face, mew=1.3)
+            axes.plot(
+                point.cpu, _drawn_error(point), marker, color=color, ms=marker_size, zorder=order, mfc=face, mew=1.3
+            )
             # "as called" includes setup, "warm" does not; see `motion_study`.
             if point.setting in (SHORT_STEP_SETTING, "as called", "warm"):
                 text = "guard pause" if point.setting == SHORT_STEP_SETTING else point.setting
@@ -265,5 +277,7 @@ def draw_points(axes: Axes, points: tuple[Point, ...], label: str) -> None:
     axes.set_yscale("log")
     axes.set_xlabel(label)
     axes.margins(y=0.1)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(power_label)
     if methods:
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=3)

@@ -166,6 +166,8 @@ class MotionMap(Result):
 
     def draw_axes(self, ax: Axes) -> None:
         """Label the axes; draw the take-off level, and the level or clearance of the scene."""
+        from matplotlib.patheffects import withStroke
+
         (lowest_hz, *_, highest_hz), (lowest_value, *_, highest_value) = self.borders
         ax.grid(False)
         ax.set(xlim=(lowest_hz, highest_hz), xlabel="frequency / Hz")
@@ -175,11 +177,13 @@ class MotionMap(Result):
             ylim=(lowest_value, highest_value),
             ylabel=f"{self.over} / {'mm' if in_millimeters else self.unit.replace('^2', '²')}",
         )
+        # A white border makes a line visible on dark cells.
+        border: Any = {"path_effects": [withStroke(linewidth=2.8, foreground="white")]}
         if self.over != "clearance":
-            ax.plot(self.frequency, self.take_off, color="black", lw=1.2)
+            ax.plot(self.frequency, self.take_off, color="black", lw=1.2, **border)
         scene_value = self.own_value
         if scene_value is not None:
-            ax.axhline(scene_value, color="black", lw=1.0, ls="--")
+            ax.axhline(scene_value, color="black", lw=1.0, ls="--", **border)
 
 
 def map_motion(
@@ -400,5 +404,10 @@ def _draw(map_: MotionMap) -> Figure:
         if not np.isfinite(settling).all():
             handles.append(Patch(facecolor="white", edgecolor="black", lw=0.5, label="does not settle (right)"))
         figure.legend(handles=handles, loc="outside lower center", ncols=5)
-        add_page_title(figure, f"{map_.scene.name} (computed)")
+        rows, points = map_.kind.shape
+        add_page_title(
+            figure, f"{map_.scene.name} (computed)",
+            f"{rows} × {points} steady motions; each row upward in frequency, each motion from that at the previous "
+            "frequency, so settling also depends on the step",
+        )  # fmt: skip
         return figure

@@ -255,7 +255,7 @@ def test_curve_is_interrupted_at_omitted_points():
 def test_axis_contains_wide_bounds():
     axes, caption = draw_curve(0.8e-6)
     low, high = axes.get_ylim()
-    assert high >= 1.8 and low <= 0.2 and "sensors' sensitivity" in caption
+    assert high >= 1.8 and low <= 0.2 and "sensors' sensitivity" in caption.replace("\n", " ")
 
 
 @pytest.mark.parametrize("limit", [2e-6, np.inf])
@@ -317,7 +317,7 @@ def test_compared_peaks_have_labels_in_their_colors():
     ]
     axes = frf_figure(curves, "Compliance", styles=recording_styles([True, False])).axes[0]
     labels = {text.get_text(): text.get_color() for text in axes.texts if text.get_text().endswith(" Hz")}
-    assert labels == {"20.2 Hz": BASELINE, "19 Hz": RECORDINGS[0]}
+    assert labels == {"20.20 Hz": BASELINE, "19.0 Hz": RECORDINGS[0]}
 
 
 def test_rough_phase_is_not_drawn():
@@ -488,4 +488,4 @@ def test_phase_axis_is_common_to_figures_of_compliances() -> None:
     # The phase beyond the second mode is -360°.
     value = 1.0 / ((13.0**2 - f**2 + 0.5j * f) * (35.0**2 - f**2 + 1.0j * f))
     _, phase_axes, _ = frf_figure([Response.curve(f, value, "body2")], "").axes
-    assert phase_axes.get_yticks().tolist() == [-270.0, -180.0, -90.0, 0.0, 90.0]
+    assert phase_axes.get_yticks().tolist() == [-270.0, -180.0, -90.0, 0.0]

@@ -36,5 +36,5 @@ def test_excess_at_end_of_limit_is_named():
     unit, limit = np.ones(10), np.full(10, np.nan)
     limit[:6], unit[5] = 2.0, 20.0
     result = check(np.ones(10), unit)
-    result = replace(result, limited=(replace(result.limited[0], bound=limit),))
+    result = replace(result, limited=(replace(result.limited[0], limit=limit),))
     assert result.excesses() == ["unit up to 10.0 dB above its limit, at 15 Hz, where the limit ends"]

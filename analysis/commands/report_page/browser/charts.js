@@ -6,13 +6,13 @@
   const DARK = { text: "#dfe4ea", grid: "#3d4752", page: "#14181d" };
   // Grays of undetermined curves and of the baseline of a comparison in the data, and on a dark page.
   const GRAYS = { "#9aa2ab": "#68737f", "#404040": "#f2f4f7" };
-  const UNDETERMINED = "#9aa2ab";
   const PRINT_WIDTH = 700; // px: the printable width of A4
   // Printed height of a panel relative to its height on screen: two charts of a tall and three low panels fit on a page.
-  const printHeight = (panel) => panel.height * (panel.height < 220 ? 0.5 : 0.72);
+  const printHeight = (panel) => panel.height * (panel.height < 220 ? 0.57 : 0.74);
   const MIN_CONTRAST = 6; // of curves on a dark page: they are thinner than text, for which WCAG requires 4.5
   const MIN_DECADE = 120; // px: a shorter decade has no grid lines between its ends
-  const MIN_LABEL = 14; // px between labels of decades
+  const MIN_LABEL = 14, MIN_LABEL_WIDTH = 34; // px between labels of a vertical and of a horizontal logarithmic axis
+  const MANTISSAS = [[1, 2, 3, 4, 5, 6, 8], [1, 2, 3, 5, 7], [1, 2, 5]];
   const LABEL_ROW = 14, LABEL_ROWS = 3; // px, and the largest number of rows of labels for which a panel is higher
   const SYMBOLS = ["dots", "crosses", "circles", "diamonds", "arrows", "path"]; // drawn over the series, in any order of the abscissa
   const FONT = "12px system-ui, sans-serif";
@@ -134,9 +134,9 @@
     const inside = (x) => Math.min(Math.max(x, left), left + width);
     const position = (x, y) => [plot.valToPos(x, "x", true), plot.valToPos(y, "y", true)];
     context.save();
-    context.fillStyle = shade(UNDETERMINED);
-    for (const ends of panel.strips) {
+    for (const { ends, color } of panel.strips) {
       const [low, high] = ends.map((x) => inside(plot.valToPos(x, "x", true)));
+      context.fillStyle = shade(color);
       context.fillRect(low, top + height - 5 * ratio, high - low, 5 * ratio);
     }
     for (const curve of panel.curves.filter(({ draw }) => SYMBOLS.includes(draw))) {
@@ -192,10 +192,12 @@
     context.restore();
   }
 
-  // Mantissas that are labeled on a logarithmic axis: decades; over less than two decades also values between.
-  function labeledMantissas(low, high) {
-    const wide = Math.log10(high / low);
-    return wide > 2 ? [1] : wide > 1.2 ? [1, 2, 5] : wide > 0.9 ? [1, 2, 3, 5, 7] : [1, 2, 3, 4, 5, 6, 8];
+  // Mantissas that are labeled on a logarithmic axis: decades; over less than two decades also values between that leave
+  // space between their labels.
+  function labeledMantissas(plot, number) {
+    const { min, max } = plot.scales[plot.axes[number].scale], space = number ? MIN_LABEL : MIN_LABEL_WIDTH;
+    const fits = (set) => set.every((value, k) => decade(plot, number) * Math.log10((set[k + 1] ?? 10) / value) >= space);
+    return (max <= 100 * min && MANTISSAS.find(fits)) || [1];
   }
 
   // Length of a decade of a logarithmic axis, px.
@@ -208,7 +210,7 @@
 
   // Ticks of a logarithmic axis; even steps if fewer than three of them would be labeled within a decade.
   function logarithmicTicks(plot, number, low, high) {
-    const ticks = [], labeled = labeledMantissas(low, high);
+    const ticks = [], labeled = labeledMantissas(plot, number);
     const drawn = decade(plot, number) < MIN_DECADE ? labeled : [1, 2, 3, 4, 5, 6, 7, 8, 9];
     let count = 0;
     for (let exponent = Math.floor(Math.log10(low)); 10 ** exponent <= high; exponent++) {
@@ -232,7 +234,7 @@
 
   // Labels of these ticks: the labeled mantissas, or all even steps.
   function logarithmicLabels(plot, ticks, number) {
-    const scale = plot.scales[plot.axes[number].scale], labeled = labeledMantissas(scale.min, scale.max);
+    const scale = plot.scales[plot.axes[number].scale], labeled = labeledMantissas(plot, number);
     const every = labeled.length > 1 ? 1 : Math.ceil(MIN_LABEL / decade(plot, number));
     const labels = ticks.map((value) => {
       const [mantissa, exponent] = value.toExponential(3).split("e").map(Number);
@@ -354,9 +356,10 @@
     paints.push(() => { svg.style.stroke = svg.style.fill = shade(color); });
   }
 
-  // One table below the chart: a name for each curve, which hides it, and its value in each panel under the cursor.
+  // One table below the chart: a name for each curve, which hides it, and its value in each panel under the cursor. It
+  // covers the caption while it shows values, so that the page does not move.
   function readout(holder, chart, drawn) {
-    const table = element(holder, "table", "", "readout"), head = element(table, "tr");
+    const frame = element(holder, "div", "", "legend"), table = element(frame, "table", "", "readout"), head = element(table, "tr");
     const abscissa = element(head, "th");
     const update = [(x) => { abscissa.textContent = `${chart.x.name}: ${x == null ? "–" : `${Number(x.toPrecision(6))} ${chart.x.unit}`}`; }];
     for (const panel of chart.panels) element(head, "td", panel.label);
@@ -386,6 +389,7 @@
     for (const show of update) show(null, null);
     return (plot) => {
       const i = plot.cursor.idx;
+      frame.style.minHeight = i == null ? "" : `${frame.offsetHeight}px`;
       table.classList.toggle("idle", i == null);
       for (const show of update) show(i == null ? null : plot.data[0][i], i);
     };
@@ -487,8 +491,8 @@
           y: { distr: panel.log ? 3 : 1, range: range(panel.log, panel.range) },
         },
         axes: [
-          axis(last ? chart.x.label : "", chart.x.log, last ? 34 : 6, chart.x.log ? 34 : 50),
-          axis(panel.label, panel.log, 58, 20, panel.ticks),
+          axis(last ? chart.x.label : "", chart.x.log, last ? 34 : 6, chart.x.log ? 34 : 70),
+          axis(panel.label, panel.log, 58, 26, panel.ticks),
         ],
         series: [{ label: chart.x.name }, ...shown],
         bands,

@@ -75,7 +75,7 @@ const response = {
     const showsLast = previous && $("last").checked;
     if (showsLast) for (const row of previous.rows) magnitude.push({ x: previous.frequency, y: micro(row.magnitude), color: LAST, width: 1 });
     const isClipped = curves?.rows.some((row) => row.relation.some(Boolean));
-    setText("thin", [curves ? [`Δf ${digits(curves.frequency[1] - curves.frequency[0], 2)} Hz`, this.details].filter(Boolean).join(", ") : "", isClipped ? "dashed: clipped; arrow: side of the true value" : "", curves ? "thin: uncertain (γ² < 0.7, or phase scatters)" : "", showsLast ? `gray: last test, ${digits(previous.level, 3)} N` : ""].filter(Boolean).join("; "));
+    setText("thin", [curves ? [curves.level == null ? "" : `${digits(curves.level, 3)} N`, `Δf ${digits(curves.frequency[1] - curves.frequency[0], 2)} Hz`, this.details].filter(Boolean).join(", ") : "", isClipped ? "dashed: clipped; arrow: side of the true value" : "", curves ? "thin: uncertain (γ² < 0.7, or phase scatters)" : "", showsLast ? `gray: last test, ${digits(previous.level, 3)} N` : ""].filter(Boolean).join("; "));
     if (theory && $("theory").checked) {
       theory.rows.forEach((row, k) => magnitude.push({ x: theory.frequency, y: micro(row), color: this.channels[k].color, dash: [7, 4], width: 1 }));
     }
@@ -99,7 +99,7 @@ const response = {
     this.chart.x.log = range[1] >= 2 * range[0] && range[0] > 0;
     this.chart.show(range, [
       { name: "|compliance| / (µm/N)", log: true, share: 3.2, curves: magnitude, range: [low, isClipped ? 2 * high : high] },
-      { name: "phase / °", range: [-285, 105], ticks: fixed([-270, -180, -90, 0, 90]), curves: phase },
+      { name: "phase / °", range: [-345, 45], ticks: fixed([-270, -180, -90, 0]), curves: phase },
       // A single average has no coherence.
       ...(curves?.rows.every((row) => row.coherence.every(isNaN)) ? [] : [{ name: "γ²", range: [0, 1.02], ticks: fixed([0, 0.5, 1]), share: 0.7, curves: coherence }]),
       ...(curves ? this.forcePanel(curves) : []),
@@ -140,13 +140,13 @@ const response = {
     if (!peaks.length) return $("peaks").replaceChildren();
     const uncertain = peaks.map((peak) => this.isUncertain(peak));
     fillTable($("peaks"), [["peak", "f / Hz", "value", "≈ damping"], ...peaks.map(([name, f, value, damping, relation], k) => [
-      name, digits(f, 5), relation === "?" ? "clipped" : `${relation || (uncertain[k] ? "~" : "")}${withUnit(value, "m/N")}`, damping == null || uncertain[k] ? "–" : `${digits(100 * damping, 2)} %`])]);
+      name, digits(f, 5), relation === "?" ? "clipped" : `${relation || (uncertain[k] ? "~" : damping == null ? "≥ " : "")}${withUnit(value, "m/N")}`, damping == null || uncertain[k] ? "–" : `${digits(100 * damping, 2)} %`])]);
     peaks.forEach(([, , , damping, relation], k) => {
       const row = $("peaks").rows[k + 1];
       row.classList.toggle("bound", relation !== "");
       row.classList.toggle("uncertain", uncertain[k]);
       row.title = uncertain[k] ? "Uncertain: the curve is thin here (γ² < 0.7, or the phase scatters). Sweep slower, or average more." : "";
-      if (damping == null && !uncertain[k]) row.lastChild.title = relation ? "No damping: the peak is clipped." : "No damping: the half-power width has fewer than 3 lines, one side of the peak is not measured, or its coherence is below 0.7.";
+      if (damping == null && !uncertain[k]) row.lastChild.title = relation ? "No damping: the peak is clipped." : "Lower limit, no damping: the half-power width has fewer than 3 lines, one side of the peak is not measured, or its coherence is below 0.7.";
     });
   },
 };
@@ -175,7 +175,7 @@ function determined(phase, coherence) {
   return Array.from(coherence, (value, k) => (isSingle || value >= COHERENT) && around(inside, k).some(Boolean));
 }
 
-// The phase from -270° to 90°, as in the report: a receptance out of phase stays at -180° whatever the noise.
+// The phase from -330° to 30°, as in the report: a receptance out of phase stays at -180°, and in phase at 0°.
 function wrapped(phase) {
-  return phase.map((value) => (value > 90 ? value - 360 : value));
+  return phase.map((value) => (value > 30 ? value - 360 : value));
 }

@@ -18,7 +18,7 @@ const bar = {
     $("progress").querySelector("i").style.width = `${100 * (progress ?? 0)}%`;
     $("progress").lastChild.textContent = progress == null ? "" : `${Math.floor(100 * progress)} %${remaining == null ? "" : `, ${Math.ceil(remaining)} s left`}`;
     setText("force", state.running ? levelText(state) : "");
-    setText("lag", state.lag < 0.04 ? "real time" : `${Math.round(1000 * state.lag)} ms late`);
+    setText("lag", state.lag < 0.04 ? "" : `${Math.round(1000 * state.lag)} ms late`);
     const overloads = Object.keys(state.overloads).length;
     $("overloads").hidden = !overloads;
     setText("overloads", `${overloads} overload${overloads > 1 ? "s" : ""}: Clear`);
@@ -55,7 +55,9 @@ const bar = {
     for (const [number, peak, faults, accepted, complete, overloaded] of hits) {
       const isClipped = overloaded.some((row) => channels[row].at === "hammer");
       const verdict = faults.map((fault) => (fault === "clipped" ? `${overloaded.length > 2 ? `${overloaded.length} channels` : names(overloaded)} clipped` : fault)).join(", ");
-      if (complete && !accepted) excluded.push(`Impact ${number} is not averaged${verdict ? `: ${verdict}` : ""}.`);
+      // The report needs no complete decay.
+      const use = faults.includes("clipped") && !isClipped ? " The report uses it up to the overload." : "";
+      if (complete && !accepted) excluded.push(`Impact ${number} is not averaged${verdict ? `: ${verdict}` : ""}.${use}`);
       const row = make($("hit-list"), "tr"), box = make(make(row, "td"), "input");
       Object.assign(box, { type: "checkbox", checked: accepted, disabled: !complete, title: "Use this impact for the response" });
       box.addEventListener("change", () => send("accept", [number, box.checked]));

@@ -86,7 +86,8 @@ class SteppedTest(KindOfTest):
     @property
     def details(self) -> tuple[str, ...]:
         """Number of frequencies, and their order."""
-        return f"{len(self.order)} points", {"up": "", "down": "downward", "both": "up and down"}[self.direction]
+        direction = {"up": "upward", "down": "downward", "both": "up and down"}[self.direction]
+        return (f"{len(self.order)} points {direction}",)
 
     @property
     def dwells(self) -> tuple[float, ...]:

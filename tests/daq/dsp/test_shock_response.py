@@ -66,3 +66,18 @@ def test_stiff_oscillator_follows_its_base() -> None:
     largest, smallest = shock_response(motion, 4096.0, np.array([800.0]), 10.0)
     assert largest[0] == pytest.approx(motion.max(), rel=1e-3)
     assert smallest[0] == pytest.approx(motion.min(), rel=1e-3)
+
+
+def test_impacts_agree_with_finely_sampled_motion() -> None:
+    # Pulses behind an anti-aliasing filter, whose band ends at 0.45 of the sample rate, at random times.
+    random = np.random.default_rng(3)
+    instant, size = random.uniform(50.0, 950.0, 12), random.normal(0.0, 1.0, 12)
+
+    def motion(oversampling: int) -> Array:
+        time = np.arange(1000 * oversampling)[:, None] / oversampling - instant
+        return (np.sinc(0.8 * time) * np.exp(-((time / 10.0) ** 2))) @ size
+
+    frequency = np.geomspace(0.01, 0.2, 40)
+    computed, fine = (shock_response(motion(n), float(n), frequency, 10.0) for n in (1, 32))
+    assert computed[0] == pytest.approx(fine[0], rel=2e-3)
+    assert computed[1] == pytest.approx(fine[1], rel=2e-3)

@@ -104,7 +104,7 @@ open_bench(clock="real").close()
         "rig presets",
         "rig explain fig9",
         "rig schema --explain",
-        "rig scenes --show fe-beam",
+        "rig scenes fe-beam",
         "daq info recordings/demo-sweep-no-damper.mcap",
         "analysis compare recordings/demo-sweep-no-damper.mcap recordings/demo-sweep-three-dampers.mcap -o {folder}",
     ],

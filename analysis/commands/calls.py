@@ -157,6 +157,7 @@ def modes(
     block: float | None = None,
     unit: str | None = None,
     progress: CountProgress | None = None,
+    response: Sequence[str] | None = None,
 ) -> Results[Modes]:
     """Estimate natural frequencies, damping ratios and mode shapes, as `analysis modes`.
 
@@ -168,6 +169,8 @@ def modes(
         Largest number of modes. Default: all significant modes.
     block, unit, progress : as in `frf`
         Length of blocks, unit of files, and a callable for the progress.
+    response : as in `frf`
+        Response channels.
 
     Returns
     -------
@@ -176,7 +179,7 @@ def modes(
     """
     from analysis.core.modal.identification import identify
 
-    responses = frf(recordings, None, reference, block=block, unit=unit, progress=progress)
+    responses = frf(recordings, response, reference, block=block, unit=unit, progress=progress)
     return Results(_labeled(identify(response, modes), response.label) for response in responses)
 
 

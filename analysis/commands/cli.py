@@ -124,7 +124,9 @@ def surface(
         _print_output(present_surface(files, output, force or ()))
 
 
-@app.command(example="analysis modes sweep.mcap", options="--reference --block S --unit UNIT --modes N")
+@app.command(
+    example="analysis modes sweep.mcap", options="--response CHANNEL --reference --block S --unit UNIT --modes N"
+)
 def modes(
     files: Curves,
     output: Folder = None,

@@ -23,7 +23,8 @@ Folder = Annotated[Path, "DIR: Folder for the figure and the table."]
 @app.command(example="rig scenes --copy fig9 mine.yaml")
 def scenes(
     show: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Print the file of the scene NAME.", autocompletion=completions)
+        str | None,
+        typer.Argument(metavar="[NAME]", help="Scene whose file to print.", autocompletion=completions),
     ] = None,
     copy: Annotated[
         tuple[str, Path] | None,
@@ -31,7 +32,7 @@ def scenes(
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """List the bundled scenes; print or copy a scene file."""
+    """List the bundled scenes, or print or copy one of them."""
     from rig.core.base.output_files import atomic_write
     from rig.core.scene.scene_files import bundled_scenes, scene_text, summary
 

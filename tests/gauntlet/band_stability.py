@@ -160,7 +160,7 @@ def differences(first: Modes, second: Modes, low: float, high: float, spacing: f
             if modes is second and not other.reason:
                 continue  # compared already
             for name in ("frequency", "damping"):
-                expanded = expand(max(getattr(each, f"{name}_error") for each in (mode, other)))
+                expanded = expand(max(getattr(each, f"{name}_std") for each in (mode, other)))
                 if (ratio := abs(getattr(mode, name) - getattr(other, name)) / expanded) > 1.0:
                     texts.append(f"{mode.frequency:.5g} Hz: {name} differs by {ratio:.1f} expanded uncertainties")
     return texts

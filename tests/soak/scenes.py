@@ -384,5 +384,5 @@ def rare_command(path: str, rng: random.Random) -> list[str]:
     )
     words = rng.choice(commands).split()
     if rng.random() < 0.1:
-        words = [*rng.choice((("rig", "help"), ("rig", "presets"), ("rig", "scenes", "--show"))), text]
+        words = [*rng.choice((("rig", "help"), ("rig", "presets"), ("rig", "scenes"))), text]
     return words

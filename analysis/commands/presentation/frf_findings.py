@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from analysis.commands.figures.frf_figure import unstated_tolerances
 from analysis.commands.presentation.inputs import check_inputs, labels, read_curves
 from analysis.commands.presentation.outputs import (
     CommandOutput,
@@ -113,7 +114,14 @@ def present_frf(
             theory_curves += [linear_theory(rec, frf) for frf in groups[0]]
     files = _draw_figures(curves, theory_curves, stem, baseline_label(moving), excitations, acquisitions, remarks)
     files.append(frf_table(table, curves))
-    return CommandOutput(tuple(files), (*describe_frfs(curves), *dict.fromkeys(tolerance_remarks)), tuple(warnings))
+    lines = (*describe_frfs(curves), *dict.fromkeys(tolerance_remarks), *missing_tolerances(curves))
+    return CommandOutput(tuple(files), lines, tuple(warnings))
+
+
+def missing_tolerances(frfs: Sequence[Response]) -> list[str]:
+    """Return a sentence about the errors that the intervals of results lack; empty if they contain all."""
+    missing = " and ".join(unstated_tolerances(frfs))
+    return [f"intervals without errors of {missing}: no tolerance is stated"] if missing else []
 
 
 def describe_frfs(curves: Sequence[Response]) -> list[str]:

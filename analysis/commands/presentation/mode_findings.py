@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.commands.presentation.frf_findings import missing_tolerances
 from analysis.commands.presentation.inputs import check_inputs, labels, read_curves
 from analysis.commands.presentation.outputs import (
     CommandOutput,
@@ -73,12 +74,14 @@ def present_modes(
     *,
     exponential_window: float | None = None,
     roving: bool = False,
+    response: Sequence[str] | None = None,
 ) -> CommandOutput:
     """Identify, draw and tabulate the modes of recordings or of FRF files of other programs.
 
     `output`: folder or stem of the files; `reference`: force or table; `count`: number of modes, by default estimated;
     `block`: length of a block [s]; `unit`: unit of FRFs whose file states none; `exponential_window`: time constant [s]
-    whose damping is subtracted; `roving`: the files are impacts at different points with the same sensors.
+    whose damping is subtracted; `roving`: the files are impacts at different points with the same sensors; `response`:
+    channels, by default all on bodies.
     """
     from analysis.commands.figures.modes_figure import modes_figure
     from analysis.commands.presentation.tables import modes_table
@@ -94,7 +97,7 @@ def present_modes(
     prepare_outputs(*dict.fromkeys([*figures, table]))
     names = labels(recordings, paths)
     tests: Iterator[list[_Sweep]] = (
-        _sweeps(recordings, path, name, reference, block, progress, unit)
+        _sweeps(recordings, path, name, response, reference, block, progress, unit)
         for path, name in zip(paths, names, strict=True)
     )
     if roving:
@@ -116,7 +119,7 @@ def present_modes(
             files += save_figure(modes_figure(frfs, modes, title), stem)
             unlike = theory is not None and not _has_near_frequency(modes, theory)
             theory = None if unlike else theory
-            lines += describe_modes(modes, theory)
+            lines += [*describe_modes(modes, theory), *(f"  {text}" for text in missing_tolerances(frfs))]
             if unlike:
                 lines.append("  shapes are not compared with the scene: no natural frequency of it is near")
             notes = [*modes.warnings, *theory_warnings(modes, theory)]
@@ -129,6 +132,7 @@ def _sweeps(
     recordings: OpenRecordings,
     path: Path,
     label: str,
+    response: Sequence[str] | None,
     reference: str | None,
     block: float | None,
     progress: CountProgress | None,
@@ -136,10 +140,10 @@ def _sweeps(
 ) -> list[_Sweep]:
     """Return the curves of each sweep of a recording, or the curves in a file of another program."""
     if is_frf_file(path):
-        return [_Sweep([replace(curve, label=label) for curve in read_curves(path, reference, None, unit)])]
+        return [_Sweep([replace(curve, label=label) for curve in read_curves(path, reference, response, unit)])]
     rec = recordings.of(path)
     options = vars(Blocks(block=block).for_kind(rec.test.kind))
-    responses = frequency_responses(rec, None, reference, progress=progress, **options)
+    responses = frequency_responses(rec, response, reference, progress=progress, **options)
     return [_Sweep(relabel(response, rec.scene.name, label), rec) for response in responses]
 
 

@@ -85,7 +85,8 @@ class ProfileCheck(Result):
     freedom : float
         Degrees of freedom of each line of a density; 0 for amplitudes.
     warnings : tuple of str
-        Warnings about lines that do not resolve the response, and about limits that end early.
+        Warnings about lines that do not resolve the response, limits that end early, and overloads before the full
+        level.
     """
 
     label: str
@@ -261,7 +262,10 @@ def profile(rec: Recording) -> ProfileCheck:
     start, stop = measured[-1].first_sample, measured[-1].end + 1
     has_lines = prescription.resolution is not None
     frequency, rows, freedom = (_densities if has_lines else _amplitudes)(rec, prescription, start, stop)
-    warnings = tuple(line_warnings(prescription, rec.scene, rec.channels.values())) if has_lines else ()
+    warnings = (
+        *(line_warnings(prescription, rec.scene, rec.channels.values()) if has_lines else ()),
+        *_early_overloads(rec, start),
+    )
     bound = prescription.profile.at(frequency)
     channels = [_level(rec, name, bound, rows[name], start, stop) for name in prescription.control.channels]
     limited = [_level(rec, each.channel, each.at(frequency), rows[each.channel], start, stop)
@@ -276,6 +280,22 @@ def profile(rec: Recording) -> ProfileCheck:
         rec.scene.name, unit, frequency, control, bound, tuple(channels), tuple(limited),
         prescription.tolerance, prescription.abort, freedom, warnings,
     )  # fmt: skip
+
+
+def _early_overloads(rec: Recording, start: int) -> list[str]:
+    """Report the channels that were overloaded after the sensors had settled and before the full level, at `start`."""
+    settled = max((mark.stop for mark in rec.markers if mark.kind == "settle" and mark.stop <= start), default=0)
+    first: dict[str, float] = {}
+    for mark in sorted(rec.markers, key=lambda mark: mark.first_sample):
+        if mark.kind == "overload" and mark.stop > settled and mark.first_sample < start:
+            first.setdefault(str(mark.fields["channel"]), mark.first_sample / rec.rate)
+    if not first:
+        return []
+    listed = ", ".join(f"{name} (from {seconds:.2f} s)" for name, seconds in first.items())
+    return [
+        f"Channels were overloaded before the full level: {listed}. The identified responses to the drive may be "
+        "wrong. Increase converter.range, or lower the profile."
+    ]
 
 
 def _densities(

@@ -7,7 +7,7 @@ Process. 146 (2021) 107023.)
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,14 +15,12 @@ import numpy as np
 from daq.core.excitation import stepped_sine
 from daq.core.excitation.controlled import controlled
 from daq.core.excitation.procedure import Form, FormValues
-from daq.core.excitation.sensor_settling import longest_wait
 from daq.core.excitation.station import Excitation, GivenUp, Station
 from daq.core.excitation.stepped_sine import StepsProcedure
 from daq.core.excitation.tones.envelope_control import MAX_POLE_TIMES_DEAD_TIME, EnvelopeTone
 from rig.core.base.arrays import Array
 
 if TYPE_CHECKING:
-    from daq.core.signal_chain.channel import ChannelInfo
     from rig.core.scene.excitation import ConstantResponse
     from rig.core.scene.excitation.kind import KindOfTest
     from rig.core.scene.scene import Scene
@@ -110,6 +108,7 @@ class ConstantResponseProcedure(StepsProcedure["ConstantResponse"]):
     """Tones at which a motion has a constant amplitude."""
 
     form = Form("constant response", ("low", "high"))
+    waits_for_sensors = True
     duration_ratio = 1.5
 
     def excite(self, station: Station, test: ConstantResponse) -> Excitation:
@@ -135,10 +134,6 @@ class ConstantResponseProcedure(StepsProcedure["ConstantResponse"]):
             raise GivenUp(" ".join([f"the motion of {test.at} reached the level at no frequency.", *messages]))
         for message in messages:
             station.warn(message)
-
-    def power_on_wait(self, channels: Sequence[ChannelInfo]) -> float:
-        """Return the longest time until the sensors have settled, s: the noise at rest is measured before the test."""
-        return longest_wait(channels)
 
     def part(self, test: ConstantResponse, seconds: float, scene: Scene) -> ConstantResponse:
         """Return the highest level at evenly spaced frequencies of the test."""

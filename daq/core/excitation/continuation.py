@@ -26,7 +26,6 @@ from typing import TYPE_CHECKING, Any
 from daq.core.excitation.constant_response import AT_LIMIT_RATIO
 from daq.core.excitation.controlled import measured_force
 from daq.core.excitation.procedure import Form, FormValues
-from daq.core.excitation.sensor_settling import longest_wait
 from daq.core.excitation.station import Excitation, GivenUp, Station
 from daq.core.excitation.stepped_sine import SteadyTonesProcedure, expected_wait
 from daq.core.excitation.tones.curve_tone import CurveTone, Point
@@ -39,7 +38,6 @@ from rig.core.base.arrays import Array
 from rig.core.results.text import format_decimals
 
 if TYPE_CHECKING:
-    from daq.core.signal_chain.channel import ChannelInfo
     from rig.core.scene.excitation import Continuation
     from rig.core.scene.excitation.kind import KindOfTest
     from rig.core.scene.scene import Scene
@@ -422,6 +420,7 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
     """A tone that follows the response curve of each level."""
 
     form = Form("continuation", ("level", "low", "high"))
+    waits_for_sensors = True
     # The durations of seven random curves with folds were 0.8 to 3.3 times their extrapolation.
     duration_ratio = 3.0
 
@@ -467,10 +466,6 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
                 count += (math.asinh((high - omega) / rate) + math.asinh((omega - low) / rate)) / test.step
         seconds = expected_wait(scene, test.settle.longest) + test.measure.periods / test.from_
         return len(test.levels) * min(count, test.points) * seconds
-
-    def power_on_wait(self, channels: Sequence[ChannelInfo]) -> float:
-        """Return the longest time until the sensors have settled, s: the noise at rest is measured before the test."""
-        return longest_wait(channels)
 
     def part(self, test: Continuation, seconds: float, scene: Scene) -> Continuation:
         """Return the curve of the highest level."""

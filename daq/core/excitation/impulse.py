@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from daq.core.excitation.procedure import Form, FormValues, Procedure
-from daq.core.excitation.sensor_settling import BASELINE_S, longest_wait, wait_for_sensors
+from daq.core.excitation.sensor_settling import BASELINE_S, longest_duration, wait_for_sensors
 from daq.core.excitation.station import Excitation, Station
 from rig.core.scene.excitation.impulse import Impulse
 
@@ -64,8 +64,8 @@ class ImpulseProcedure(Procedure["Impulse"]):
                 station.report((hit - 1 + stop / interval) / test.repeats, f"impact {hit} of {test.repeats}")
 
     def power_on_wait(self, channels: Sequence[ChannelInfo]) -> float:
-        """Return the longest wait before the first impact [s]."""
-        return BASELINE_S + longest_wait(channels)
+        """Return the longest time before the first impact [s], with the recording of offsets and noise."""
+        return BASELINE_S + longest_duration(channels)
 
     def part(self, test: Impulse, seconds: float, scene: Scene) -> Impulse:
         """Return the test with the impacts that fit into `seconds`; if some are omitted, all have the highest peak."""

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar, get_args
 
+from daq.core.excitation.sensor_settling import longest_duration
 from daq.core.excitation.station import Excitation, Station
 from rig.core.base.arrays import Array
 from rig.core.base.errors import SceneError
@@ -60,13 +61,15 @@ class Procedure(Generic[TestT]):
     band of the test. `rehearsal`: whether a long test is represented by its first part, or by dwells about the peaks of
     the linear response. `budget`: multiple of the CPU time for a rehearsal. `duration_ratio`: ratio by which the
     duration may differ from `seconds`; more than 1 if the waits at other levels or points differ from the waits in the
-    part. `form`: form of the test on the bench page; None if the page does not offer it.
+    part. `waits_for_sensors`: whether the test begins when the bias of the sensors has settled. `form`: form of the
+    test on the bench page; None if the page does not offer it.
     """
 
     detection: ClassVar[Detection] = "band"
     rehearsal: ClassVar[Rehearsal] = "part"
     budget: ClassVar[float] = 1.0
     duration_ratio: ClassVar[float] = 1.0
+    waits_for_sensors: ClassVar[bool] = False
     form: ClassVar[Form | None] = None
 
     def __init_subclass__(cls) -> None:
@@ -109,8 +112,8 @@ class Procedure(Generic[TestT]):
         return 0.0
 
     def power_on_wait(self, channels: Sequence[ChannelInfo]) -> float:
-        """Return the longest time until the sensors have settled after power-on [s] if the test waits for this."""
-        return 0.0
+        """Return the longest time before the test [s] in which the sensors settle after power-on."""
+        return longest_duration(channels) if self.waits_for_sensors else 0.0
 
     def control_seconds(self, test: TestT) -> float:
         """Return the CPU time of the controller [s]."""

@@ -16,7 +16,6 @@ from daq.core.excitation.profiles.identification import EXPECTED_PERIODS, identi
 from daq.core.excitation.profiles.random_control_check import line_warnings
 from daq.core.excitation.profiles.spectrum_control import SCATTER_DB, AveragedSpectra, NoiseSource, updated
 from daq.core.excitation.profiles.spectrum_shaping import lines_between
-from daq.core.excitation.sensor_settling import longest_wait
 from daq.core.excitation.station import Excitation, GivenUp, Station
 from rig.core.base.arrays import Array
 from rig.core.scene.excitation.profile import limits_drive
@@ -140,6 +139,7 @@ class RandomControlProcedure(Procedure["RandomControl"]):
     # The extremes of different parts of the test differ by about 10 %.
     budget = 4.0
     form = Form("random control of the scene", ())
+    waits_for_sensors = True
 
     def excite(self, station: Station, test: RandomControl) -> Excitation:
         """Run the levels of the ramp (marked `ramp`), and the full level (marked `measure` and `tolerance`)."""
@@ -191,10 +191,6 @@ class RandomControlProcedure(Procedure["RandomControl"]):
         yield from line_warnings(test.prescription, scene, channels)
         levels = ", ".join(f"{level:g}" for level in test.ramp)
         yield f"{test.duration:g} s at full level, after the identification and levels of {levels} dB"
-
-    def power_on_wait(self, channels: Sequence[ChannelInfo]) -> float:
-        """Return the longest wait before the identification [s]."""
-        return longest_wait(channels)
 
     def waits(self, test: RandomControl, scene: Scene) -> float:
         """Return the expected time of the identification, and of the averages beyond the times of the levels [s]."""

@@ -26,7 +26,7 @@ _DRIFT_SIGMAS = 4.0
 
 def wait_for_sensors(station: Station) -> Excitation:
     """Wait until the bias of the sensors has settled after power-on: no reading drifts during the measurement."""
-    max_samples = round(longest_wait(station.channels) * station.rate)
+    max_samples = round(_longest_settling(station.channels) * station.rate)
     if not max_samples:
         return
     first, end = station.now, station.now + max_samples
@@ -40,8 +40,13 @@ def wait_for_sensors(station: Station) -> Excitation:
     yield station.zero_drive(station.samples(BASELINE_S))
 
 
-def longest_wait(channels: Sequence[ChannelInfo]) -> float:
-    """Return the longest time that `wait_for_sensors` takes until the bias has settled [s]."""
+def longest_duration(channels: Sequence[ChannelInfo]) -> float:
+    """Return the longest duration of `wait_for_sensors` [s]."""
+    settling_s = _longest_settling(channels)
+    return settling_s + BASELINE_S if settling_s else 0.0
+
+
+def _longest_settling(channels: Sequence[ChannelInfo]) -> float:
     return max(map(settling_time, channels), default=0.0)
 
 

@@ -14,14 +14,12 @@ from daq.core.excitation.procedure import Form, Procedure
 from daq.core.excitation.profiles.identification import EXPECTED_PERIODS, MIN_COHERENCE, accelerations, identify
 from daq.core.excitation.profiles.spectrum_shaping import lines_between
 from daq.core.excitation.profiles.wave_replication import HalfSinePulse, Pulse, Replication, SpectrumPulse
-from daq.core.excitation.sensor_settling import longest_wait
 from daq.core.excitation.station import Excitation, GivenUp, Station
 from rig.core.base.errors import SceneError
 from rig.core.scene.excitation.profile import from_decibels
 from rig.core.scene.excitation.shock import PULSE_POSITION
 
 if TYPE_CHECKING:
-    from daq.core.signal_chain.channel import ChannelInfo
     from rig.core.scene.excitation import Shock
     from rig.core.scene.scene import Scene
 
@@ -93,6 +91,7 @@ class ShockProcedure(Procedure["Shock"]):
     """Shocks at a control channel."""
 
     form = Form("shock of the scene", ())
+    waits_for_sensors = True
 
     def excite(self, station: Station, test: Shock) -> Excitation:
         """Run practice pulses (marked `practice`) and shocks (marked `shock`)."""
@@ -127,10 +126,6 @@ class ShockProcedure(Procedure["Shock"]):
         yield station.zero_drive(station.samples(_REST * test.interval))
         if outside:
             station.warn(f"{'; '.join(outside)}. {_remedy(deviations)}")
-
-    def power_on_wait(self, channels: Sequence[ChannelInfo]) -> float:
-        """Return the longest wait before the identification [s]."""
-        return longest_wait(channels)
 
     def waits(self, test: Shock, scene: Scene) -> float:
         """Return the expected time of the identification, and of the rest at the end [s]."""

@@ -28,7 +28,6 @@ from daq.core.excitation.profiles.sine_control_check import (
 )
 from daq.core.excitation.profiles.spectrum_shaping import lines_between
 from daq.core.excitation.profiles.sweep_control import estimate_amplitudes, observation_samples
-from daq.core.excitation.sensor_settling import longest_wait
 from daq.core.excitation.station import Excitation, GivenUp, Station
 from rig.core.base.arrays import Array
 from rig.core.numerics.runs import runs_of
@@ -232,6 +231,7 @@ class SineControlProcedure(Procedure["SineControl"]):
     """A sweep with profile control."""
 
     form = Form("sine control of the scene", ())
+    waits_for_sensors = True
 
     def excite(self, station: Station, test: SineControl) -> Excitation:
         """Run the sweep.
@@ -288,10 +288,6 @@ class SineControlProcedure(Procedure["SineControl"]):
     def check(self, test: SineControl, scene: Scene, channels: Sequence[ChannelInfo]) -> Iterable[str]:
         """Describe the expected deviation from the profile, and the frequency bands in which a limit sets the drive."""
         return check_sweep(test, scene, channels).lines()
-
-    def power_on_wait(self, channels: Sequence[ChannelInfo]) -> float:
-        """Return the longest wait before the identification [s]."""
-        return longest_wait(channels)
 
     def waits(self, test: SineControl, scene: Scene) -> float:
         """Return the expected time of the identification and of the start [s]."""

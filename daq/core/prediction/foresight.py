@@ -60,7 +60,8 @@ class Expectation:
             is_transient = 0.0 < self.steady < _MAX_STEADY_RATIO * self.largest
             steady = f", transient ({format_quantity(self.steady, self.unit)} in steady state)" if is_transient else ""
             return f"{self.frequency:.4g} Hz{steady}"
-        cause = "" if self.driven is None else ", bias settling"
+        driven = "" if self.driven is None else format_quantity(self.driven, self.unit)
+        cause = "" if self.driven is None else f", bias settling ({driven} in the test)"
         return "" if self.time is None else f"{self.time:.2f} s{cause}"
 
     def __str__(self) -> str:

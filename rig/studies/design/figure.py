@@ -21,7 +21,7 @@ from rig.studies.design.check import Expected
 from rig.studies.design.choice import Choice, mass_unit
 from rig.studies.design.design import Design
 from rig.studies.design.overloads import overload_lines, predict_overloads
-from rig.studies.design.ranking import MIN_MACHINABLE_CLEARANCE
+from rig.studies.design.ranking import EQUAL_DB, IRREGULAR_RATIO, MIN_MACHINABLE_CLEARANCE
 from rig.studies.design.tuned_mass import TunedMass
 
 if TYPE_CHECKING:
@@ -135,12 +135,23 @@ def _tables(design: Design) -> list[str]:
         reductions = f"{design.reduction(design.tuned.peak):9.1f}" * len(design.question.levels)
         mass = format_decimals(factor * design.best.choice.mass, 1)
         lines.append(f"{mass:>14}{reductions}  for comparison, linear: {design.tuned}")
+    lines.append(_accuracy_of_reductions(design))
     lines += ["", f"{'':14}  largest peak in {response_unit}", f"{'mode, Hz':>14}{'without':>10}{levels}"]
     for mode in design.modes:
         peaks = "".join(f"{scale * peak.magnitude:9.4g}" for peak in mode.damped)
         remark = "" if mode.in_band else "  outside the band"
         lines.append(f"{format_decimals(mode.frequency, 2):>14}{scale * mode.undamped.magnitude:10.4g}{peaks}{remark}")
     return lines
+
+
+def _accuracy_of_reductions(design: Design) -> str:
+    """Return the numerical accuracy of the reductions, and the assumptions under which it is valid."""
+    is_irregular = any(peak.irregular_share for trial in design.front for peak in trial.peaks)
+    averages = f", {20.0 * np.log10(IRREGULAR_RATIO):.1f} dB where the motion is irregular" if is_irregular else ""
+    return (
+        f"accuracy of the computed reductions: {EQUAL_DB:g} dB{averages}; for the values of the scene and beds that "
+        "move as one mass"
+    )
 
 
 def write(design: Design, folder: Path) -> list[Path]:

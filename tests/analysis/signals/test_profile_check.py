@@ -1,10 +1,12 @@
 """Comparison of controlled motion with its profile, on constructed densities."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 
-from analysis.core.signals.profile_check import Level, ProfileCheck
+from analysis.core.signals.profile_check import Level, ProfileCheck, _early_overloads
+from daq.core.recording.markers import Marker
 
 FREQUENCY = np.arange(10.0, 20.0)
 NONE = np.full(10, np.nan)
@@ -38,3 +40,12 @@ def test_excess_at_end_of_limit_is_named():
     result = check(np.ones(10), unit)
     result = replace(result, limited=(replace(result.limited[0], limit=limit),))
     assert result.excesses() == ["unit up to 10.0 dB above its limit, at 15 Hz, where the limit ends"]
+
+
+def test_overloads_of_identification_are_reported():
+    overloads = [Marker("overload", first, first + 10, {"channel": name}) for first, name in
+                 ((100, "table"), (8000, "unit"), (9000, "unit"), (30_000, "table"))]  # fmt: skip
+    rec = SimpleNamespace(markers=[Marker("settle", 0, 5000), *overloads], rate=1000.0)
+    [warning] = _early_overloads(rec, 20_000)
+    assert "before the full level: unit (from 8.00 s)." in warning
+    assert _early_overloads(rec, 6000) == []

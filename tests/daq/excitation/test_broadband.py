@@ -1,5 +1,6 @@
 """Random, multisine, impulse and free-decay tests: force, timing and markers on the virtual bench."""
 
+import contextlib
 import re
 from typing import Any
 from unittest.mock import Mock
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 import rig
-from daq.core.excitation.sensor_settling import wait_for_sensors
+from daq.core.excitation.sensor_settling import longest_duration, wait_for_sensors
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.errors import SceneError
 from rig.core.scene.excitation.impulse import half_sine
@@ -227,6 +228,19 @@ def test_drift_at_longest_wait_is_not_settled(bias_settling: str, is_settled: bo
         station.now += samples
         samples = wait.send(np.arange(50.0)[None])  # a drift without noise
     assert station.mark.call_args.kwargs["settled"] is is_settled
+
+
+def test_longest_duration_is_that_of_the_wait() -> None:
+    sensor = {"accelerometer.bias": "9 V", "accelerometer.bias_settling": "0.2 s"}
+    channels = [ChannelInfo("a1", "body 2", "acceleration", 1.0, 100.0, sensor=sensor)]
+    station = Mock(channels=channels, rate=100.0, now=0)
+    station.samples, station.zero_drive = lambda seconds: round(100.0 * seconds), lambda samples: samples
+    wait, readings = wait_for_sensors(station), None
+    with contextlib.suppress(StopIteration):
+        while True:
+            station.now += wait.send(readings)
+            readings = np.arange(50.0)[None]  # a drift without noise
+    assert station.now / 100.0 == longest_duration(channels) == 2.25
 
 
 def test_shaker_is_not_driven_during_hammer_test() -> None:

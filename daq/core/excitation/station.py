@@ -47,6 +47,8 @@ class Station:
     # the length of a device's queue. With a window of the drive, the readings of samples that many earlier arrive.
     latency: int = 0
     now: int = 0  # index of the first sample of the next window
+    # Whether the marks of measurements are evaluated. A rehearsal does not need their amplitudes of the force.
+    evaluates_marks: bool = True
 
     def samples(self, seconds: float) -> int:
         """Return the number of samples in a time in s, rounded, at least 1."""

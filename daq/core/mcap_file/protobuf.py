@@ -16,6 +16,20 @@ class Schema(NamedTuple):
     message_encoding: str  # encoding of the messages, such as "json"
 
 
+# Numbers of the types of fields (google/protobuf/descriptor.proto).
+_FIELD_TYPES = {"double": 1, "float": 2, "fixed64": 6, "string": 9, "sfixed32": 15, "sfixed64": 16}
+_MESSAGE_TYPE = 11
+# Full name of the only imported message, and the descriptor of its file, without an import of the protobuf package: it
+# would take longer than to encode the samples of a minute.
+_TIMESTAMP, _TIMESTAMP_FILE = "google.protobuf.Timestamp", "google/protobuf/timestamp.proto"
+_TIMESTAMP_DESCRIPTOR = (
+    b'\n\x1fgoogle/protobuf/timestamp.proto\x12\x0fgoogle.protobuf";\n\tTimestamp'
+    b"\x12\x18\n\x07seconds\x18\x01 \x01(\x03R\x07seconds\x12\x14\n\x05nanos\x18\x02 \x01(\x05R\x05nanos"
+    b"B\x85\x01\n\x13com.google.protobufB\x0eTimestampProtoP\x01Z2google.golang.org/protobuf/types/known/timestamppb"
+    b"\xf8\x01\x01\xa2\x02\x03GPB\xaa\x02\x1eGoogle.Protobuf.WellKnownTypesb\x06proto3"
+)
+
+
 @cache
 def descriptor_set_bytes(package: str, messages: tuple[tuple[str, tuple[tuple[str, str], ...]], ...]) -> bytes:
     """Return the serialized FileDescriptorSet of protobuf messages and of their imports, as MCAP requires.
@@ -23,26 +37,34 @@ def descriptor_set_bytes(package: str, messages: tuple[tuple[str, tuple[tuple[st
     `messages` are (message, ((field, type), ...)); fields are numbered from 1. A type is a protobuf type such as
     ``double``, or the full name of a message; ``[]`` after it makes the field repeated.
     """
-    from google.protobuf import descriptor_pb2, timestamp_pb2
-
-    file = descriptor_pb2.FileDescriptorProto(name=f"{package}.proto", package=package, syntax="proto3")
-    descriptor_set = descriptor_pb2.FileDescriptorSet()
-    field_descriptor = descriptor_pb2.FieldDescriptorProto
+    imported = b""
+    file = text_field(1, f"{package}.proto") + text_field(2, package)
+    if any(_TIMESTAMP in field_type for _, fields in messages for _, field_type in fields):
+        imported = _bytes_field(1, _TIMESTAMP_DESCRIPTOR)
+        file += text_field(3, _TIMESTAMP_FILE)
     for message, fields in messages:
-        message_type = file.message_type.add(name=message)
-        for number, (name, field_type) in enumerate(fields, start=1):
-            repeated, field_type = field_type.endswith("[]"), field_type.removesuffix("[]")
-            field = message_type.field.add(name=name, number=number)
-            field.label = field_descriptor.LABEL_REPEATED if repeated else field_descriptor.LABEL_OPTIONAL
-            if "." not in field_type:
-                field.type = field_descriptor.Type.Value(f"TYPE_{field_type.upper()}")
-                continue
-            field.type, field.type_name = field_descriptor.TYPE_MESSAGE, f".{field_type}"
-            if field_type == "google.protobuf.Timestamp" and not file.dependency:
-                file.dependency.append(timestamp_pb2.DESCRIPTOR.name)
-                timestamp_pb2.DESCRIPTOR.CopyToProto(descriptor_set.file.add())
-    descriptor_set.file.append(file)
-    return bytes(descriptor_set.SerializeToString(deterministic=True))
+        descriptors = (_bytes_field(2, _field_descriptor(number, *field)) for number, field in enumerate(fields, 1))
+        file += _bytes_field(4, text_field(1, message) + b"".join(descriptors))
+    return imported + _bytes_field(1, file + text_field(12, "proto3"))
+
+
+def _field_descriptor(number: int, name: str, field_type: str) -> bytes:
+    """Return the FieldDescriptorProto of a field."""
+    is_repeated, field_type = field_type.endswith("[]"), field_type.removesuffix("[]")
+    is_message = "." in field_type
+    type_number = _MESSAGE_TYPE if is_message else _FIELD_TYPES[field_type]
+    numbers = bytes([0x18, number, 0x20, 3 if is_repeated else 1, 0x28, type_number])
+    return text_field(1, name) + numbers + (text_field(6, f".{field_type}") if is_message else b"")
+
+
+def _bytes_field(number: int, data: bytes) -> bytes:
+    """Encode a field of bytes, or of an embedded message."""
+    return varint(number << 3 | 2) + varint(len(data)) + data
+
+
+def text_field(number: int, text: str) -> bytes:
+    """Encode a field of text with a field number."""
+    return _bytes_field(number, text.encode())
 
 
 _ONE_BYTE = [bytes([number]) for number in range(0x80)]

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from daq.core.excitation.controlled import controlled
 from daq.core.excitation.lock_in import lock_in_of_signals
 from daq.core.excitation.station import Station
 from daq.core.excitation.stepped_sine import excite, expected_wait
-from daq.core.excitation.tones.steady_tone import SteadyTone
+from daq.core.excitation.tones.steady_tone import SteadyTone, Tone
 from daq.core.prediction.linear import noise_density
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array, ComplexArray
@@ -29,7 +30,7 @@ from rig.core.system.assembly import force_row
 from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.open_loop_drive import riding_equations, riding_response
 
-# Tones and transients are represented by at most this number of points per period of the highest frequency.
+# Tones and transients in a window are represented by at most this number of points per period of the highest frequency.
 _POINTS_PER_PERIOD = 32
 # Largest condition number of the matrix of mode shapes: beyond it, rounding errors reach 0.1 %. The waits then follow
 # from the slowest mode alone.
@@ -45,8 +46,15 @@ _MIN_REPEATED_WINDOWS = 500
 _DRAWN_AT_ONCE = 256
 # Number of windows whose amplitudes are computed at once: about as many as between two changes of the drive.
 _WINDOWS_AT_ONCE = 16
-# Weights of Durand's rule at both ends of an interval, for the integral of equally spaced values.
-_DURAND = np.array([5.0, 13.0]) / 12.0
+_NEXT_WINDOWS = np.arange(_WINDOWS_AT_ONCE)
+# Number of windows of different frequencies that are stored for further runs and levels (1 MB).
+_MAX_STORED_WINDOWS = 512
+# The drive of a transition has harmonics up to this order, plus this multiple of its phase deviation in rad; higher
+# harmonics are below 1e-10 (Bessel functions J_n(x) with n > 1.5 x + 15).
+_MIN_HARMONICS, _HARMONICS_PER_RADIAN = 16, 1.5
+# Decay rate that is added to all modes [1/s], so that no exponent of an undamped mode equals that of a drive. It is
+# negligible: the time constant is 12 days.
+_ADDED_DECAY_RATE = 1e-6
 
 
 class LinearWaits(NamedTuple):
@@ -69,11 +77,13 @@ def linear_waits(scene: Scene, system: HybridSystem, channels: Sequence[ChannelI
     if modes is None:
         return LinearWaits(np.full(shape, expected_wait(scene, test.steady_state.longest)), 0.0)
     runs = np.full((2, shape[0] * shape[1]), np.nan)
-    waits, windows = _run(scene, system, channels, modes, 0, _MAX_WINDOWS)
-    runs[0, : waits.size] = waits
-    limit = max(_REPEATED_WINDOWS - windows, _MIN_REPEATED_WINDOWS)
-    waits, _ = _run(scene, system, channels, modes, 1, limit)
-    runs[1, : waits.size] = waits
+    waits, tone = _run(scene, system, channels, modes, 0, _MAX_WINDOWS)
+    runs[:, : waits.size] = waits
+    if tone.has_noise:
+        limit = max(_REPEATED_WINDOWS - tone.windows, _MIN_REPEATED_WINDOWS)
+        waits, _ = _run(scene, system, channels, modes, 1, limit)
+        runs[1] = np.nan
+        runs[1, : waits.size] = waits
     first, second = runs[:, ~np.isnan(runs[1])]
     scatter = np.sqrt(np.sum((first - second) ** 2) / max(np.sum(first**2 + second**2), 1e-300))
     predicted = ~np.isnan(runs[0])
@@ -86,8 +96,8 @@ def linear_waits(scene: Scene, system: HybridSystem, channels: Sequence[ChannelI
 
 def _run(
     scene: Scene, system: HybridSystem, channels: Sequence[ChannelInfo], modes: _RidingModes, number: int, limit: int
-) -> tuple[Array, int]:
-    """Run the test up to a number of windows, with noise of a given seed; return the waits [s] and the windows used."""
+) -> tuple[Array, _PredictedTone]:
+    """Run the test up to a number of windows, with noise of a given seed; return the waits [s] and the tone."""
     test = scene.test
     assert isinstance(test, SteppedTest)
     rate = scene.converter.true_rate
@@ -107,7 +117,25 @@ def _run(
             drive = drives.send(drive)
     except StopIteration:
         pass
-    return np.array(waits), tone.windows
+    return np.array(waits), tone
+
+
+@lru_cache(maxsize=4)
+def _circle(harmonics: int) -> tuple[Array, Array, Array]:
+    """Return 2 `harmonics` equally spaced points on the unit circle, and the orders of their Fourier coefficients."""
+    angles = np.pi * np.arange(2 * harmonics) / harmonics
+    orders = np.arange(2 * harmonics)
+    orders[harmonics:] -= 2 * harmonics
+    return np.cos(angles), np.sin(angles), orders.astype(float)
+
+
+class _Window(NamedTuple):
+    """Windows of equal length at one frequency."""
+
+    seconds: float
+    steady: ComplexArray  # amplitudes of the steady state per unit of drive, (quantities,)
+    transient_gain: ComplexArray  # amplitudes of the transient of each mode, (modes, quantities)
+    scatter: Array  # standard deviations of the noise of the used channels in the amplitudes, (channels, quantities)
 
 
 @dataclass(frozen=True)
@@ -121,20 +149,47 @@ class _RidingModes:
     steady: ComplexArray  # complex amplitudes of the states per unit of drive, (tones, states)
     in_phase: ComplexArray  # modal coordinates of their real parts, (tones, modes)
     quadrature: ComplexArray  # modal coordinates of their imaginary parts, (tones, modes)
+    # Windows by their frequency and number of samples.
+    windows: dict[tuple[float, int], _Window] = field(default_factory=dict)
 
     @classmethod
     def of(cls, scene: Scene, system: HybridSystem, tones: Array) -> _RidingModes | None:
         """Return the modes; None if their shapes are nearly dependent. `tones`: frequencies of the test [Hz]."""
         name = scene.at_driven("shaker")
         descriptor, state_matrix, input_vector = riding_equations(system, name)
-        poles, shapes = np.linalg.eig(np.linalg.solve(descriptor, state_matrix))
+        eigenvalues, shapes = np.linalg.eig(np.linalg.solve(descriptor, state_matrix))
         if np.linalg.cond(shapes) > _MAX_CONDITION:
             return None
         to_modes: ComplexArray = np.linalg.inv(shapes)
         rows = {tone: row for row, tone in enumerate(dict.fromkeys(tones.tolist()))}
         steady = riding_response(system, name, 2.0 * np.pi * np.array(list(rows))).T
         participation = to_modes @ np.linalg.solve(descriptor, input_vector)
-        return cls(poles, shapes, participation, rows, steady, steady.real @ to_modes.T, steady.imag @ to_modes.T)
+        in_phase, quadrature = steady.real @ to_modes.T, steady.imag @ to_modes.T
+        poles = np.asarray(eigenvalues - _ADDED_DECAY_RATE, dtype=complex)
+        return cls(poles, shapes, participation, rows, steady, in_phase, quadrature)
+
+    def after_transition(
+        self, start: ComplexArray, tone: Tone, seconds: float, frequency: float, amplitude: float
+    ) -> ComplexArray:
+        """Return the modal coordinates at the end of the transition `Tone.transition`, from those at its start.
+
+        The frequency rises along half a cosine, so the phase is that of a tone of the mean frequency plus
+        `deviation` sin(angle), where the angle rises from 0 to pi. The drive is therefore a sum of exponential
+        functions, and the response to each of them has a closed form.
+        """
+        deviation = (frequency - tone.frequency) * seconds  # rad
+        harmonics = _MIN_HARMONICS + math.ceil(_HARMONICS_PER_RADIAN * abs(deviation))
+        cosine, sine, orders = _circle(harmonics)
+        mean, half_change = (tone.amplitude + amplitude) / 2.0, (amplitude - tone.amplitude) / 2.0
+        envelope = (mean - half_change * cosine) * np.exp(1j * (tone.phase - deviation * sine))
+        weights = np.fft.fft(envelope) / (4j * harmonics)
+        exponents = 1j * math.pi * (tone.frequency + frequency + orders / seconds)
+        # The drive is the sum of these exponential functions and of their conjugates.
+        weights, exponents = np.concatenate([weights, weights.conj()]), np.concatenate([exponents, exponents.conj()])
+        end_and_start = np.array([weights * np.exp(exponents * seconds), weights])
+        at_end, at_start = end_and_start @ (1.0 / (exponents[:, None] - self.poles))
+        free = np.exp(self.poles * seconds) * (start - self.participation * at_start)
+        return np.asarray(free + self.participation * at_end)
 
 
 class _PredictedTone(SteadyTone):
@@ -150,9 +205,7 @@ class _PredictedTone(SteadyTone):
         # the drive, or before the computed windows if that is later.
         self._transient = np.zeros(modes.poles.size, dtype=complex)
         self._decay = np.zeros((0, modes.poles.size), dtype=complex)
-        # Frequency of the present windows, Hz, their samples, and their duration [s].
-        self._window: tuple[float, int] | None = None
-        self._window_s = 0.0
+        self._window_s = 0.0  # duration of the present windows [s]
         # Amplitudes in the windows that are computed but not yet observed, the last window first, and the number of
         # windows that have been observed since they were computed.
         self._computed: list[ComplexArray] = []
@@ -167,30 +220,29 @@ class _PredictedTone(SteadyTone):
         self._sums[range(len(control), len(self._sums)), [used.index(row) for row in self._motion_rows]] = 1.0
         infos = [station.channels[row] for row in used]
         # Row vectors that yield these displacements and forces from the states.
-        self._rows = np.zeros((len(used), system.states))
-        for states_row, info in zip(self._rows, infos, strict=True):
+        rows = np.zeros((len(used), system.states))
+        for states_row, info in zip(rows, infos, strict=True):
             if info.quantity == "force":
                 states_row[:] = force_row(scene, system)
             else:
                 states_row[system.points.index(info.at)] = 1.0
+        self._gains = self._sums @ rows
         settings, tones = {channel.name: channel for channel in scene.channels or ()}, np.array(list(modes.rows))
         self._drawn = np.zeros((0, len(used)), dtype=complex)  # noise in the next windows, (windows, used channels)
         self._densities = np.empty((tones.size, len(used)))
         for row, info in zip(self._densities.T, infos, strict=True):
             gain = abs(info.response(tones)) * (2.0 * np.pi * tones) ** (info.derivative or 0)
             row[:] = noise_density(scene, settings.get(info.name), info, tones) / gain
+        self.has_noise = bool(self._densities.any())
 
     def transition(self, samples: int, frequency: float, amplitude: float) -> Array:
         """Compute the transient after a transition between drives; return zeros, because the drive is not used."""
         self._let_decay(0.0)
+        seconds = samples / self.station.rate
         start = self._transient + self._steady_coordinates()
-        points = self._points(samples)
-        wave = super().transition(points, frequency, amplitude)
-        values = np.append(wave, amplitude * np.sin(self.phase)) / self.rate
-        values[[0, -1]] *= _DURAND[0]
-        values[[1, -2]] *= _DURAND[1]
-        decay = self._decay_over(points)
-        end = decay[-1] * start + self._modes.participation * (values[::-1] @ decay)
+        end = self._modes.after_transition(start, self, seconds, frequency, amplitude)
+        self.phase = (self.phase + math.pi * (self.frequency + frequency) * seconds) % (2.0 * math.pi)
+        self.frequency, self.amplitude = frequency, amplitude
         self._transient = end - self._steady_coordinates()
         return np.zeros(samples)
 
@@ -225,11 +277,20 @@ class _PredictedTone(SteadyTone):
     def _compute_windows(self, samples: int) -> None:
         """Compute the amplitudes in the next windows, as long as the drive is not changed."""
         self._let_decay(0.0)
-        if self._window != (self.frequency, samples):
-            self._set_window(samples)
-        relative = self._relative_decay * (self._transient * np.exp(-1j * self.phase))
-        amplitudes = self.amplitude * self._steady + relative @ self._transient_gain + self._noise() @ self._scatter
-        self._computed = list(amplitudes[::-1, None])
+        key = self.frequency, samples
+        windows = self._modes.windows
+        if key not in windows:
+            if len(windows) == _MAX_STORED_WINDOWS:
+                windows.clear()
+            windows[key] = self._window(samples)
+        window = windows[key]
+        exponents = (self._modes.poles - 2j * math.pi * self.frequency) * window.seconds
+        # The transient before each of the next windows, relative to the phase of the tone.
+        relative = np.exp(np.outer(_NEXT_WINDOWS, exponents)) * (self._transient * np.exp(-1j * self.phase))
+        amplitudes = self.amplitude * window.steady + relative @ window.transient_gain
+        if self.has_noise:
+            amplitudes += self._noise() @ window.scatter
+        self._computed, self._window_s = list(amplitudes[::-1, None]), window.seconds
 
     def _let_decay(self, seconds: float) -> None:
         """Let the transient decay in the observed windows and for a further time in s; discard the other windows."""
@@ -237,23 +298,21 @@ class _PredictedTone(SteadyTone):
         self._drawn = self._drawn[self._n_observed :]
         self._computed, self._n_observed = [], 0
 
-    def _set_window(self, samples: int) -> None:
-        """Prepare windows of a given number of samples at the present frequency."""
-        self._window, self._window_s = (self.frequency, samples), samples / self.station.rate
-        # Ratio of the transient before each of the next windows to the present transient, relative to the phase.
-        exponents = (self._modes.poles - 2j * math.pi * self.frequency) * self._window_s
-        self._relative_decay = np.exp(np.outer(np.arange(_WINDOWS_AT_ONCE), exponents))
+    def _window(self, samples: int) -> _Window:
+        """Return windows of a given number of samples at the present frequency."""
+        seconds, row = samples / self.station.rate, self._modes.rows[self.frequency]
         lock_in_gain, noise_gain = lock_in_of_signals(
             self.frequency, self.rate, self._decay_over(self._points(samples))[:-1]
         )
-        row = self._modes.rows[self.frequency]
-        self._steady = -1j * (self._sums @ self._rows @ self._modes.steady[row])
-        gains = self._sums @ self._rows @ self._modes.shapes
-        self._transient_gain = (gains * lock_in_gain).T
         # Standard deviation of real and imaginary part for white noise up to half the sample rate; the weights of both
         # parts have about the same norm.
         deviation = noise_gain * math.sqrt(self.rate) / 2.0
-        self._scatter = (self._sums * self._densities[row] * deviation).T
+        return _Window(
+            seconds,
+            -1j * (self._gains @ self._modes.steady[row]),
+            (self._gains @ self._modes.shapes * lock_in_gain).T,
+            (self._sums * self._densities[row] * deviation).T,
+        )
 
     def _noise(self) -> ComplexArray:
         """Return complex random numbers for the next windows, shape (windows, used channels).
@@ -261,7 +320,7 @@ class _PredictedTone(SteadyTone):
         Real and imaginary part have a variance of 1.
         """
         if len(self._drawn) < _WINDOWS_AT_ONCE:
-            drawn = self._random.standard_normal((_DRAWN_AT_ONCE, 2 * len(self._rows))).view(complex)
+            drawn = self._random.standard_normal((_DRAWN_AT_ONCE, 2 * self._sums.shape[1])).view(complex)
             self._drawn = np.concatenate([self._drawn, drawn[::-1]])
         return self._drawn[:_WINDOWS_AT_ONCE]
 

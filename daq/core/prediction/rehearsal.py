@@ -41,14 +41,15 @@ class Extremes:
         """Update with the next values (rows, samples), starting at sample `first`; return their largest magnitudes."""
         if not values.size:
             return np.zeros(len(values))
-        magnitudes = np.abs(values)
-        samples = magnitudes.argmax(axis=1)
-        largest = magnitudes[np.arange(samples.size), samples]
-        is_larger = largest > self.magnitude
-        if is_larger.any():
-            self.magnitude[is_larger] = largest[is_larger]
-            self.sample[is_larger] = first + samples[is_larger]
+        largest = np.abs(values).max(axis=1)
+        self.update(first, values, largest)
         return largest
+
+    def update(self, first: int, values: Array, largest: Array) -> None:
+        """Update with the next values, whose largest magnitudes are known; only rows with a larger one are searched."""
+        for row in np.flatnonzero(largest > self.magnitude):
+            self.magnitude[row] = largest[row]
+            self.sample[row] = first + int(np.abs(values[row]).argmax())
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ class Rehearsal(BenchLoop):
 
     def __init__(self, scene: Scene, excluded_dwells: int = 0, bench: Bench | None = None) -> None:
         super().__init__(scene, bench=bench)
-        bench = self.bench
+        bench, self.station.evaluates_marks = self.bench, False
         self.scene, self.rate, self._excluded_dwells = scene, bench.rate, excluded_dwells
         self.readings = Extremes(len(bench.channels))
         powered_on_s = np.array([POWER_ON_RATIO * settling_time(info) for info in bench.channels])
@@ -161,10 +162,11 @@ class Rehearsal(BenchLoop):
         if self._excluded_dwells:
             return
         motion = block.motion
-        self._block_maxima.append((block.first, self.readings.add(block.first, readings)))
+        largest = self.readings.add(block.first, readings)
+        self._block_maxima.append((block.first, largest))
         if self.driven_readings is not self.readings:
             is_driven = block.first >= self._powered_on
-            self.driven_readings.add(block.first, np.where(is_driven[:, None], readings, 0.0))
+            self.driven_readings.update(block.first, readings, np.where(is_driven, largest, 0.0))
         self.accelerations.add(motion.first, motion.acceleration)
         if self._load_weights is not None:
             displacement, velocity, acceleration = self._load_weights

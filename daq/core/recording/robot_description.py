@@ -14,7 +14,7 @@ import numpy as np
 
 from daq.core.drawing.palette import DAMPER, DRIVE, GROUND, Color, body_color
 from daq.core.drawing.stack import DEPTH, HEADROOM, PLATE, WALL, WIDTH, Stack, round_factor, walls
-from daq.core.mcap_file.protobuf import Schema, descriptor_set_bytes, varint, varints
+from daq.core.mcap_file.protobuf import Schema, descriptor_set_bytes, text_field, varint, varints
 from rig.core.base.arrays import Array
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ class RobotDescription:
             '<limit lower="-1" upper="1" effort="0" velocity="0"/></joint>'
         )
         self._rest_heights.append(rest_height)
-        head = _TIMESTAMP + _encode_string(2, parent) + _encode_string(3, child) + _TRANSLATION
+        head = _TIMESTAMP + text_field(2, parent) + text_field(3, child) + _TRANSLATION
         self._message_template += b"\x0a" + varint(len(head) + _HEIGHT_BYTES + len(_NO_ROTATION))
         self._field_offsets.append((len(self._message_template), len(self._message_template) + len(head)))
         self._message_template += head + bytes(_HEIGHT_BYTES) + _NO_ROTATION
@@ -153,9 +153,3 @@ class RobotDescription:
 
 def _join(values: Sequence[float]) -> str:
     return " ".join(f"{value:g}" for value in values)
-
-
-def _encode_string(number: int, text: str) -> bytes:
-    """Encode a protobuf string field with a field number."""
-    content = text.encode()
-    return bytes([number << 3 | 2]) + varint(len(content)) + content

@@ -36,7 +36,8 @@ ResultT = TypeVar("ResultT")
 
 _CONFIG: Any = numba.config
 _ROOT = Path(__file__).parents[3]
-_IMPORTS = re.compile(rb"^from ((?:rig|daq)(?:\.\w+)+) import", re.MULTILINE)
+# A newline instead of `^`, because the search for a constant prefix is ten times as fast.
+_IMPORTS = re.compile(rb"\nfrom ((?:rig|daq)(?:\.\w+)+) import")
 # Number of allocations between runs of the cyclic garbage collector while numba compiles (Python default 700). The
 # compiler creates little garbage; more frequent runs would take a fifteenth of the compile time.
 _GC_THRESHOLD = 100_000
@@ -61,10 +62,10 @@ def _digest(folder: Path) -> str:
     digest.update(repr((llvmlite.binding.get_host_cpu_name(), llvmlite.binding.get_host_cpu_features())).encode())
     pending, visited = [folder], {folder}
     while pending:
-        texts = [file.read_bytes() for file in sorted(pending.pop().glob("*.py"))]
+        texts, names = _sources(pending.pop())
         for text in texts:
             digest.update(text)
-        for name in sorted({name for text in texts for name in _IMPORTS.findall(text)}):
+        for name in names:
             module = _ROOT / name.decode().replace(".", "/")
             imported = module if module.is_dir() else module.parent
             if imported not in visited and _has_kernels(imported):
@@ -74,9 +75,15 @@ def _digest(folder: Path) -> str:
 
 
 @functools.cache
+def _sources(folder: Path) -> tuple[list[bytes], list[bytes]]:
+    """Return the source texts of a folder, and the names of the modules of this project that they import."""
+    texts = [file.read_bytes() for file in sorted(folder.glob("*.py"))]
+    return texts, sorted({name for text in texts for name in _IMPORTS.findall(text)})
+
+
 def _has_kernels(folder: Path) -> bool:
     """Return whether a module of a folder defines compiled functions."""
-    return any(b"from rig.core.numerics.jit import" in file.read_bytes() for file in folder.glob("*.py"))
+    return any(b"from rig.core.numerics.jit import" in text for text in _sources(folder)[0])
 
 
 def machine_code_root() -> Path:
@@ -89,11 +96,13 @@ def machine_code_root() -> Path:
 def code_folder(source: Path) -> Path | None:
     """Create the folder for the machine code of the kernels in a source folder; None if it cannot be written."""
     folder = machine_code_root() / f"{source.name}-{_digest(source)}"
+    is_new = not folder.is_dir()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         TemporaryFile(dir=folder).close()
         os.utime(folder)
-        for other in folder.parent.iterdir():
+        # Old code is looked for when code is added, not at each start.
+        for other in folder.parent.iterdir() if is_new else ():
             if time.time() - other.stat().st_mtime > _MAX_UNUSED_S:
                 shutil.rmtree(other, ignore_errors=True)
     except OSError:

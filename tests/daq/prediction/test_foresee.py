@@ -9,10 +9,11 @@ import pytest
 
 import daq
 import rig
+from daq.core.excitation.tones.steady_tone import Tone
 from daq.core.prediction import rehearsal_plan
 from daq.core.prediction.force_difference import unresolved_force
 from daq.core.prediction.linear import channel_readings
-from daq.core.prediction.linear_waits import linear_waits
+from daq.core.prediction.linear_waits import _RidingModes, linear_waits
 from daq.core.prediction.rehearsal import Rehearsal
 from daq.core.virtual_bench.bench import Bench
 from rig.core.base.errors import SceneError
@@ -452,6 +453,23 @@ def test_complete_rehearsal_gives_exact_duration() -> None:
     foresight = daq.foresee(scene, cpu_seconds=20.0)
     assert foresight.seconds == Rehearsal(scene).run(np.inf).seconds
     assert foresight.seconds_range == (foresight.seconds, foresight.seconds) and not foresight.rehearsed
+
+
+@pytest.mark.parametrize(("end_hz", "end_drive"), [(20.0, 1.0), (20.1, 4.0), (60.0, 0.0)])
+def test_predicted_transition_equals_integrated_response(end_hz: float, end_drive: float) -> None:
+    scene = one_body(STEPS, shaker={"kind": "table", "body": 1, "spring": "5 kN/m"})
+    modes = _RidingModes.of(scene, assemble(scene), np.array([20.0]))
+    assert modes is not None
+    start, seconds, points = 1e-3 * (np.arange(modes.poles.size) + 1j), 0.4, 500_000
+    tone = Tone(points / seconds, 20.0)
+    tone.amplitude, tone.phase = 2.0, 0.7
+    computed = modes.after_transition(start, tone, seconds, end_hz, end_drive)
+    drive = tone.transition(points, end_hz, end_drive)
+    drive = np.append(drive, end_drive * np.sin(tone.phase))
+    # The integral of participation exp(pole (seconds - t)) drive(t), by the trapezoidal rule.
+    decay = np.exp(np.outer(np.linspace(seconds, 0.0, points + 1), modes.poles))
+    driven = np.trapezoid(decay * drive[:, None], dx=seconds / points, axis=0) * modes.participation
+    np.testing.assert_allclose(computed, decay[0] * start + driven, rtol=1e-6)
 
 
 def test_memory_of_one_more_step_is_small() -> None:

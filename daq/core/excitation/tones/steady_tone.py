@@ -277,22 +277,22 @@ class SteadyTones:
         """
         frequencies = [tone.frequency for tone in self.tones]
         first, samples = self.station.now, max(samples, min_samples(frequencies, self.station.rate))
-        # The tones are generated in blocks to limit the memory. The amplitudes in the blocks are used only if the force
-        # is controlled.
+        # The tones are generated in blocks to limit the memory. The amplitudes in the blocks are used only in the
+        # marks, if the force is controlled.
         block_samples, remaining = _window(frequencies, self.station.rate, _BLOCK_SAMPLES / self.station.rate), samples
-        is_controlled = any(tone.control is not None for tone in self.tones)
+        is_evaluated = self.station.evaluates_marks and any(tone.control is not None for tone in self.tones)
         amplitudes = np.zeros(len(self.tones), dtype=complex)
         while remaining:
             window = block_samples if remaining >= 2 * block_samples else remaining
             remaining -= window
-            if is_controlled:
+            if is_evaluated:
                 amplitudes += window / samples * (yield from self.observe(window))[:, 0]
             else:
                 yield self._drive([tone.hold(window) for tone in self.tones])
         for tone, amplitude in zip(self.tones, amplitudes, strict=True):
             marked = {"frequency": tone.frequency, "level": tone.level, **fields}
             force = marked["level"] if self.station.force_is_drive else None
-            if is_controlled:
+            if is_evaluated:
                 force = float(abs(amplitude))
             self.station.mark(
                 "measure", first, self.station.now, drive=tone.amplitude, force=force, settled=settled, **marked

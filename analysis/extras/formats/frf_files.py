@@ -334,17 +334,15 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
             )
         component = _COMPONENTS[match[2][0].lower()]
         components.setdefault(match[1].strip("|") or "response", {})[component] = (match[3] or column_unit, values)
-    curves = []
+    curves, incomplete = [], []
     for name, pair in components.items():
         _, coherence = pair.pop("coherence", ("", None))
         if not pair:
             # A column of coherence without the name of a response.
             continue
         if pair.keys() not in ({"real", "imag"}, {"magnitude", "phase"}):
-            raise RecordingError(
-                f"{path}: {name} has columns for {', '.join(pair)}; expected real and imag, or magnitude and phase. "
-                "Export both."
-            )
+            incomplete.append(f"{name} has columns for {', '.join(pair)}")
+            continue
         column_unit, first_column = pair["real"] if "real" in pair else pair["magnitude"]
         if "magnitude" in pair:
             column_unit, first_column = _linear_magnitude(f"{path}: {name}", column_unit, first_column)
@@ -355,7 +353,10 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
             phase_unit, phase = pair["phase"]
             value = first_column * np.exp(1j * (phase if phase_unit.startswith("rad") else np.radians(phase)))
         curves.append(_curve(path, name, frequency, scale * value, motion, coherence))
-    return curves
+    missing = f"{'; '.join(incomplete)}; expected real and imag, or magnitude and phase. Export both."
+    if not curves:
+        raise RecordingError(f"{path}: {missing}")
+    return [curve.warn(f"A response is left out: {missing}") for curve in curves] if incomplete else curves
 
 
 def _linear_magnitude(where: str, unit: str, magnitude: Array) -> tuple[str, Array]:

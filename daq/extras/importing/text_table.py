@@ -22,20 +22,22 @@ from daq.extras.importing.clock import (
     warn_used_as_times,
 )
 from daq.extras.importing.joined_files import GAP, are_repetitions, join
-from daq.extras.importing.signal import Signal
-from daq.extras.importing.text_layout import (
+from daq.extras.importing.labview_heading import (
     LABVIEW_BEGIN,
     LABVIEW_END,
     LABVIEW_SEGMENT_BEGINS,
+    LabviewHeading,
+    read_labview_heading,
+)
+from daq.extras.importing.signal import Signal
+from daq.extras.importing.text_layout import (
     TIME_UNITS,
     UNNAMED,
-    LabviewHeading,
     Layout,
     detect_layout,
     expand_complex,
     parse_number,
     read_beginning,
-    read_labview_heading,
     significant_digits,
     split_cells,
     stamp_resolution,

@@ -186,6 +186,16 @@ def test_utf16_needs_no_mark(encoding: str, tmp_path: Path) -> None:
         assert (signal.name, signal.unit, signal.samples) == ("tip", "m/s²", 300)
 
 
+def test_magnitude_of_reference_is_left_out(tmp_path: Path) -> None:
+    heading = "Frequency (Hz),Channel 1 Magnitude (dB),Channel 2 Magnitude (dB),Channel 2 Phase (deg)\n"
+    rows = "".join(f"{f:.4f},0.0,{level:.8f},{phase:.8f}\n" for f, level, phase in DECIBELS)
+    (tmp_path / "a.csv").write_text(heading + rows)
+    [curve] = analysis.read_frfs(tmp_path / "a.csv", unit="m/s^2/N")
+    assert curve.response == "Channel 2"
+    assert any("left out: Channel 1 has columns for magnitude;" in warning for warning in curve.warnings)
+    np.testing.assert_allclose(curve.value, ACCELERANCE, rtol=1e-6)
+
+
 def test_unit_of_decibels_may_be_given(tmp_path: Path) -> None:
     path = write(tmp_path / "a.asc", "f (Hz)\tMagnitude (dB)\tPhase (deg)\n", DECIBELS)
     np.testing.assert_allclose(abs(analysis.read_frfs(path, unit="m/s^2/N")["response"].value), abs(ACCELERANCE))

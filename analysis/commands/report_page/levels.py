@@ -100,22 +100,23 @@ def _bands(frequencies: Sequence[float]) -> list[tuple[float, float]]:
 def _mode_point(
     measurement: Measurement, sweep: SweepResults, level: str, band: tuple[float, float], ratio: str
 ) -> LevelPoint:
-    """Return the highest measured point in a band, and natural frequency and damping of the mode next to it.
+    """Return natural frequency and damping of the mode in a band, and the highest measured point of its peak.
 
-    `band`: that of the mode [Hz]; `ratio`: response whose peak is stated.
+    `band`: that of the mode [Hz]; `ratio`: response whose peak is stated. The flank of the peak of another mode may be
+    higher in the band than the peak of this mode; `sweep.found` contains no flanks.
     """
     modes, test = sweep.modes, measurement.rec.scene.test
     assert modes is not None
-    curve = next((frf for frf in sweep.frfs if frf.ratio == ratio), None)
-    line, excited_at = None, sum(band) / 2.0
-    if curve is not None:
-        inside = np.where((curve.frequency > band[0]) & (curve.frequency < band[1]), abs(curve.value), np.nan)
-        if np.isfinite(inside).any():
-            line = int(np.nanargmax(inside))
-            excited_at = float(curve.frequency[line])
-    mode = int(np.argmin(abs(modes.frequency - excited_at)))
-    if not band[0] < modes.frequency[mode] < band[1]:
+    inside = np.flatnonzero((band[0] < modes.frequency) & (modes.frequency < band[1])).tolist()
+    if not inside:
         return LevelPoint(level, np.nan, {}, "not identified")
+    peaks = {mode: peak for mode in inside for frf, peak in sweep.found[mode] if frf.ratio == ratio}
+    if peaks:
+        mode = max(peaks, key=lambda each: peaks[each].value)
+        center = peaks[mode].frequency
+    else:
+        mode = min(inside, key=lambda each: abs(modes.frequency[each] - sum(band) / 2.0))
+        center = float(modes.frequency[mode])
     frequency, damping = float(modes.frequency[mode]), 100.0 * float(modes.damping[mode])
     bounds = (float(expand(error[mode])) for error in (modes.frequency_std, 100.0 * modes.damping_std))
     quantities = {
@@ -123,8 +124,13 @@ def _mode_point(
         "damping ratio / %": (damping, format_limited(damping, next(bounds), 100.0)),
     }
     note = "damping extrapolated" * bool(extrapolates_damping(modes, sweep.frfs)[mode])
-    if curve is None or line is None:
+    curve = next((frf for frf in sweep.frfs if frf.ratio == ratio), None)
+    if curve is None or not np.isfinite(curve.value).any():
         return LevelPoint(level, np.nan, quantities, note)
+    # The highest point of a peak is one of the two next to its estimated maximum.
+    distance = np.where(np.isfinite(curve.value), abs(curve.frequency - center), np.inf)
+    line = int(max(np.argsort(distance)[:2], key=lambda each: np.nan_to_num(abs(curve.value[each]))))
+    excited_at = float(curve.frequency[line])
     quantities["excitation frequency / Hz"] = excited_at, f"{excited_at:.4g}"
     held = None if test is None else test.held_motion
     shown = next((frf for frf in sweep.frfs if held is not None and frf.outputs[0].at == held[0]), curve)

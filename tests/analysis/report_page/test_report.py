@@ -12,6 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 
 import analysis
 import daq
@@ -223,6 +224,17 @@ def test_headline_of_levels_agrees_with_their_table(level_recordings, tmp_path):
     for mode, line in enumerate(lines):
         ends = re.findall(r"\(([\d.]+ ± [\d.]+)\) Hz at (\d N)", line)
         assert len(ends) >= 2 and {(level, value) for value, level in ends} <= set(rows[4 * mode : 4 * mode + 4])
+
+
+def test_flank_of_strong_mode_is_not_weak_peak(tmp_path: Path) -> None:
+    # Body 2 adds a weak mode at 17.13 Hz; halfway to the strong mode at 15.86 Hz, the response of body 1 is higher.
+    structure = {"masses": [1.0, 0.001], "springs": [1e4, 11.5], "damping": {"modal": [0.02, 0.01]}}
+    test = {"kind": "stepped_sine", "from": 12, "to": 24, "points": 61, "force": ["1 N", "2 N"]}
+    channels = [{"name": "a1", "at": "body 1"}, {"name": "f", "at": "shaker"}]
+    scene = {"structure": structure, "shaker": {"kind": "force", "body": 1}, "test": test, "channels": channels}
+    path = daq.record(rig.loads(yaml.safe_dump({"name": "weak mode", **scene}), where="weak"), tmp_path / "a.mcap")
+    page = text_of(write_report([path], tmp_path / "a.html").files[0])
+    assert re.findall(r'data-label="excitation frequency.*?">(.*?)</td>', page) == ["15.8", "15.8", "17.2", "17.2"]
 
 
 def test_levels_of_one_recording_have_own_colors(level_recordings) -> None:

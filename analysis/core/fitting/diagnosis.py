@@ -7,7 +7,7 @@ reasons.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations, islice
 from operator import attrgetter
@@ -72,15 +72,19 @@ _MODEL_ERRORS = (0.1, 0.01, 0.0)
 # of mean squares: a likelihood ratio of 90. A free factor adds an unknown, so it is preferred only if its sum of
 # squares is smaller by more than this number of mean squares.
 _CLOSE_SQUARE = 9.0
-# A fitted factor indicates a unit error if the relative difference from the factor of the unit error is at most this.
-_UNIT_TOLERANCE = 0.06
+# The factor of the masses indicates a unit error if it differs from that of the unit error by at most this factor: so
+# well do people estimate the mean mass.
+_UNIT_TOLERANCE = 1.25
 _NO_UNIT_ERROR = (
     " (the factor does not correspond to a common unit error; the structure may also differ from the scene)"
 )
 # Delays of a channel that are tried for the first estimate [s].
 _TRIAL_DELAYS = np.arange(-5e-3, 5.01e-3, 2e-5)
-# The error of the first estimate of a delay is at most this [s].
-_MAX_DELAY_ERROR = 1e-4
+# A delay is searched in intervals of this radius [s] around the estimate, which is uncertain where few points are away
+# from resonances, in at most this number of intervals and to this tolerance [s]: 1e-8 s turn a phase at 1 kHz by 6e-5.
+_SEARCH_RADIUS = 1e-4
+_MAX_SEARCHES = 3
+_DELAY_TOLERANCE = 1e-8
 # A shorter delay than this is not reported [s].
 _MIN_DELAY = 5e-6
 # Relative tolerance of a sensor whose sensitivity is fitted freely: so large that it has no effect.
@@ -145,7 +149,10 @@ def mass_scale_error(problem: Problem, x: Array) -> str:
     if 1.0 / _MAX_MASS_RATIO < factor < _MAX_MASS_RATIO:
         return ""
     # Masses that are too large by a factor result from motion read too small, or force read too large, by this factor.
-    unit_error = _unit_error(1.0 / factor, _SCALE_MISTAKES) or _unit_error(factor, _FORCE_MISTAKES)
+    unit_errors = {1.0 / ratio: cause for ratio, cause in _SCALE_MISTAKES.items()} | _FORCE_MISTAKES
+    nearest = min(unit_errors, key=lambda ratio: abs(np.log(factor / ratio)))
+    is_near = abs(np.log(factor / nearest)) < np.log(_UNIT_TOLERANCE)
+    unit_error = f" ({unit_errors[nearest]})" if is_near else ""
     return (
         f"The curves fit with {factor:.4g} times the masses of the scene{unit_error}: the unit of force or motion "
         "differs from that in the recording, or the masses of the scene are wrong. Correct the unit or the masses."
@@ -318,14 +325,23 @@ def _try_delays(undelayed: _Refit, linear_curves: list[Curves]) -> _Explanations
         def square(delay: float, trial: _Refit = trial, sensor: Sensor = sensor) -> float:
             return trial.refit([_compensate_delay(curves, sensor, delay) for curves in linear_curves]).square
 
-        bounds = (initial_delay - _MAX_DELAY_ERROR, initial_delay + _MAX_DELAY_ERROR)
-        best = scipy.optimize.minimize_scalar(square, bounds=bounds, options={"xatol": 1e-6})
-        delay = float(best.x)
+        delay = minimize_near(square, initial_delay)
         if abs(delay) > _MIN_DELAY:
             direction = "late" if delay > 0.0 else "early"
             text = f"{sensor.name} reads {format_number(abs(delay) * 1e6)} µs {direction} (delay in the table)"
             corrected = [_compensate_delay(curves, sensor, delay) for curves in linear_curves]
             yield _Explanation(trial.refit(corrected), text)
+
+
+def minimize_near(square: Callable[[float], float], delay: float) -> float:
+    """Return the delay with the smallest sum of squares; the search continues from the end of an interval."""
+    for _ in range(_MAX_SEARCHES):
+        center, bounds = delay, (delay - _SEARCH_RADIUS, delay + _SEARCH_RADIUS)
+        best = scipy.optimize.minimize_scalar(square, bounds=bounds, options={"xatol": _DELAY_TOLERANCE})
+        delay = float(best.x)
+        if abs(delay - center) < 0.9 * _SEARCH_RADIUS:
+            break
+    return delay
 
 
 def _sensors(linear_curves: list[Curves]) -> list[Sensor]:
@@ -480,10 +496,3 @@ def _start(uncorrected: _Refit, curves: list[Curves]) -> _Refit:
 
 def _start_from_modes(problem: Problem) -> _Refit:
     return _Refit(problem, initial_unknowns(problem, problem.groups))
-
-
-def _unit_error(factor: float, unit_errors: Mapping[float, str]) -> str:
-    for unit_factor, text in unit_errors.items():
-        if abs(factor / unit_factor - 1.0) < _UNIT_TOLERANCE:
-            return f" ({text})"
-    return ""

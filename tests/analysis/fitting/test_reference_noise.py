@@ -10,7 +10,7 @@ import yaml
 import analysis
 import daq
 import rig
-from analysis.core.fitting.diagnosis import find_cause
+from analysis.core.fitting.diagnosis import find_cause, minimize_near
 from analysis.core.fitting.estimate import estimate_structure
 from analysis.core.fitting.measured import measured_curves
 from analysis.core.fitting.parameters import free_parameters
@@ -84,3 +84,14 @@ def test_delayed_channel_is_named_with_its_delay(bench):
     delay_text = re.search(r"a2 reads ([\d.]+) µs late", text)
     assert is_explained and delay_text is not None
     assert float(delay_text[1]) == pytest.approx(50.0, abs=1.0)
+
+
+def test_delay_far_from_its_estimate_is_found() -> None:
+    assert minimize_near(lambda delay: (1e6 * (delay - 2.7e-4)) ** 2, 0.0) == pytest.approx(2.7e-4, abs=1e-7)
+
+
+def test_wrong_unit_is_named_despite_uncertain_masses(bench) -> None:
+    _, path, scene = bench
+    masses = tuple(mass / 10.0 for mass in scene.structure.masses)
+    result = analysis.fit(path, scene.replace(structure=scene.structure.replace(masses=masses)))
+    assert "times the masses of the scene (g read as m/s²)" in result.misfit

@@ -408,7 +408,9 @@ def _label_peaks(marks: Sequence[tuple[PeakMark, str]], factor: float, axes: Axe
         is_free = _is_free(axes, (mark.frequency, factor * mark.height), taken)
         if color in labeled or not is_same or not (is_free or abs(position - near[0][0]) <= _LABEL_WIDTH):
             continue
-        place, row = (mark, 0) if is_free else (highest, len(labeled))
+        place = mark if is_free else highest
+        position = tuple(axes.transData.transform((place.frequency, factor * place.height)))
+        row = taken.count(position)
         if mark.symbol not in PEAK_SYMBOLS:
             axes.plot(mark.frequency, factor * mark.height, "o", mfc="none", mec=color, ms=6.5, mew=0.8, zorder=5)
         digits = 4 if mark.symbol in _MARKERS else 3
@@ -418,7 +420,7 @@ def _label_peaks(marks: Sequence[tuple[PeakMark, str]], factor: float, axes: Axe
             textcoords="offset points", ha="center", fontsize=7.5, color=color, zorder=5,
             path_effects=[withStroke(linewidth=2.0, foreground="white")],
         )  # fmt: skip
-        taken.append(tuple(axes.transData.transform((place.frequency, factor * place.height))))
+        taken.append(position)
         labeled.append(color)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -26,9 +26,10 @@ if TYPE_CHECKING:
 
     from daq.core.recording.recording import Recording
     from rig.core.base.arrays import Array
-    from rig.core.base.palette import CurveStyle
 
 _EXACT_COLOR = "#777777"
+# A highest orbit is measured if a point is within this relative distance in frequency.
+_LABEL_RANGE = 0.003
 
 
 class ExactBranch(NamedTuple):
@@ -54,21 +55,22 @@ def exact_branches(rec: Recording, result: AmplitudeCurve) -> list[ExactBranch]:
     return branches
 
 
-def _label_levels(exact: Sequence[ExactBranch], styles: Mapping[float, CurveStyle], unit: str, axes: Axes) -> None:
-    """Write each level, in the color of its points, above the highest exact orbit."""
+def _label_levels(exact: Sequence[ExactBranch], result: AmplitudeCurve, axes: Axes) -> None:
+    """Write each level, in the color of its points, above its highest exact orbit if that was not measured."""
     from matplotlib.patheffects import withStroke
 
-    for level, style in styles.items():
+    for level, style in level_styles(result.level).items():
         orbits = [
             (height, frequency)
             for each in exact
             if each.level == level
             for height, frequency in zip(each.amplitude.tolist(), each.branch.value.tolist(), strict=True)
         ]
-        if orbits:
-            height, frequency = max(orbits)
+        height, frequency = max(orbits, default=(0.0, np.inf))
+        measured = result.frequency[result.level == level]
+        if orbits and not (abs(measured / frequency - 1.0) < _LABEL_RANGE).any():
             axes.annotate(
-                f"{format_number(level)} {unit}", (frequency, 1e3 * height), (0, 5), textcoords="offset points",
+                f"{format_number(level)} {result.unit}", (frequency, 1e3 * height), (0, 5), textcoords="offset points",
                 ha="center", fontsize=8, color=style.color, zorder=5,
                 path_effects=[withStroke(linewidth=2.0, foreground="white")],
             )  # fmt: skip
@@ -100,9 +102,10 @@ def present_continuation(
                 axes.plot(branch.value, np.where(joined, 1e3 * amplitude, np.nan), ls=dashes, zorder=1, **line)
         for dashes, name in (("-", "exact, stable"), ((0, (3, 2)), "exact, unstable")) if exact else ():
             axes.plot([], [], ls=dashes, label=name, **line)
-        _label_levels(exact, level_styles(result.level), result.unit, axes)
+        _label_levels(exact, result, axes)
         omissions = [f"{text}." for text in result.omissions()]
-        add_legend_below(figure, "Points: measured, with 95 % intervals.", *omissions)
+        computed = ["Exact: computed from the scene."] * bool(exact)
+        add_legend_below(figure, "Points: measured, with 95 % intervals.", *computed, *omissions)
 
     title = "Response at constant level"
     written = present_each(

@@ -187,12 +187,7 @@ def describe_energy(energy: EnergyBalance, true_loss: np.ndarray | None = None) 
         )
         # Change of the dampers' share in %, if the structural damping changes by 10 %.
         change = 10.0 * energy.structure[i] / energy.supplied[i]
-        row = [
-            f"{energy.frequency[i]:.4g}",
-            format_number(1e3 * energy.supplied[i]),
-            damper_share,
-            f"{change:+.2g}",
-        ]
+        row = [f"{energy.frequency[i]:.4g}", format_number(1e3 * energy.supplied[i]), damper_share, f"{change:+.2g}"]
         rows.append(row if true_loss is None else [*row, f"{100.0 * true_loss[i] / energy.supplied[i]:.3g}"])
     return [
         "Energy per period, at the frequencies where the force supplies most:",

@@ -37,7 +37,9 @@ def present_surface(
             add_legend_below(figure, "Bars: 95 % intervals.", "Hollow: unstable." * is_unstable, held)
         else:
             result.draw(axes)
-            add_legend_below(figure, "Bars: 95 % intervals.")
+            sensors = "The tolerances of the sensors are common to all points of a level."
+            slope = "Bars: 95 % intervals of the force at the stated amplitude, whose uncertainty counts by the slope"
+            add_legend_below(figure, f"{slope} of the force over the amplitude. {sensors}")
 
     title = "Response at constant force" if forces else "Force at constant amplitude"
     return present_each(

@@ -233,10 +233,7 @@ def _modes(results: Sequence[Measurement], baseline: Measurement) -> list[str]:
                 mode_drawing(bodies, bodies.places, k, f"{modes.frequency_text(k)}, ζ = {sweep.damping_text(k)}")
                 for k in range(modes.frequency.size)
             ]
-            sections += [
-                f"<h3>{escape_html(modes.label)}</h3>",
-                f'<div class="shapes">{"".join(drawings)}</div>',
-            ]
+            sections += [f"<h3>{escape_html(modes.label)}</h3>", f'<div class="shapes">{"".join(drawings)}</div>']
     scale = '<p class="test">The largest element of each shape is ±1, with the signs of the baseline.</p>'
     return [scale, *sections] if sections else []
 

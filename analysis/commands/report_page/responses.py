@@ -252,14 +252,7 @@ def response_chart(
         f"{quantity.capitalize()} of {outputs} / {ordered[0].input} from {band.min():.4g} to {band.max():.4g} Hz.",
         [
             Panel(f"|{quantity}|", unit, magnitude, 240, True, _limits(magnitude, view), marks=marks, strips=strips),
-            Panel(
-                "phase",
-                "°",
-                phase,
-                105,
-                limits=(top - 375.0, top + 15.0),
-                ticks=phase_ticks(top),
-            ),
+            Panel("phase", "°", phase, 105, limits=(top - 375.0, top + 15.0), ticks=phase_ticks(top)),
             Panel("γ²", "", coherence, height=75, limits=(0.0, 1.05), ticks=(0.0, 0.5, 1.0)),
             Panel("U", "%", relative, height=90, logarithmic=True, limits=_percent_limits(relative)),
         ],

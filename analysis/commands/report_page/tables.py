@@ -19,12 +19,7 @@ from analysis.core.damper_motion.comparison import Peak, PeakChange
 from analysis.core.modal.modes import Modes, mac
 from analysis.core.responses.errors.systematic import tolerance
 from rig.core.base.escaping import escape_html
-from rig.core.results import (
-    format_decimals,
-    format_interval,
-    format_number,
-    format_percent,
-)
+from rig.core.results import format_decimals, format_interval, format_number, format_percent
 from rig.core.results.response import Response
 
 if TYPE_CHECKING:
@@ -41,8 +36,6 @@ _NO_BREAK = re.compile(
     r"|(?<=\d to) (?=[+\u2212]?\d)|(?<=least) (?=\d)|(?<=at) (?=least)|(?<=≥) "
     r"|(?<=\bat) (?=\d)|(?<=ζ) (?==)|(?<=ζ =) | (?=at [\d.]+ \w+(?: →|$))|(?<=\bbody) (?=\d)"
 )
-# Mark of an extrapolated peak in a table.
-_EXTRAPOLATED = "*"
 _CODE = re.compile("`([^`]+)`")
 # Overloads or gaps that are listed individually; a longer list would hide the other rows.
 _MAX_LISTED = 5
@@ -127,22 +120,15 @@ def changes_table(changes: Sequence[SweepChange]) -> str:
     rows: list[tuple[str, ...]] = []
     for (baseline, compared), group in groupby(changes, lambda change: (change.baseline, change.compared)):
         cells = change_rows([each.change for each in group], changes[0].shown_in)
-        rows += [(f"{baseline} → {compared}",), *(tuple(map(_marked, row)) for row in cells)]
+        rows.append((f"{baseline} → {compared}",))
+        rows += [tuple(cell.replace(" (extrapolated)", "*") for cell in row) for row in cells]
     if not rows:
         return ""
     unit = changes[0].shown_in[0]
     heading = [text.replace(f" {unit}", f" / ({unit})") for text in change_heading(changes[0].shown_in)]
-    marked = any(_EXTRAPOLATED in cell for row in rows for cell in row)
-    caption = (
-        "Changes of the resonance peaks. Equivalent ζ: damping ratio of a linear mode with the changed peak"
-        + f". {_EXTRAPOLATED}: extrapolated, more than 3 dB above the points on either side" * marked
-    )
-    return table(caption, heading, rows, numbers=len(heading) - 1)
-
-
-def _marked(cell: str) -> str:
-    """Replace a remark by the mark that the caption explains."""
-    return cell.replace(" (extrapolated)", _EXTRAPOLATED)
+    caption = "Changes of the resonance peaks. Equivalent ζ: damping ratio of a linear mode with the changed peak"
+    marked = ". *: extrapolated, more than 3 dB above the points on either side" * ("*" in str(rows))
+    return table(caption + marked, heading, rows, numbers=len(heading) - 1)
 
 
 def change_text(change: PeakChange) -> str:

@@ -205,11 +205,7 @@ def require_display(remedy: str) -> None:
 
 
 def headless_picture(
-    file: Path,
-    after_s: float | None,
-    size: tuple[int, int],
-    duration_s: float = 0.0,
-    last_entity: str | None = None,
+    file: Path, after_s: float | None, size: tuple[int, int], duration_s: float = 0.0, last_entity: str | None = None
 ) -> tuple[bytes, list[View]]:
     """Draw an .rrd or .mcap file without a window; return the PNG, and the views with reports of drawing problems.
 

@@ -25,12 +25,7 @@ from rig.core.steady_response.frequency_response import SteadyContinuation
 from rig.core.system.assembly import assemble
 from rig.core.system.open_loop_drive import level_of, with_ideal_force
 from rig.core.system.structural_model import structural_model
-from rig.studies.motion_map.grid import (
-    select_frequencies,
-    select_row_values,
-    take_off_levels,
-    vertical_axis,
-)
+from rig.studies.motion_map.grid import select_frequencies, select_row_values, take_off_levels, vertical_axis
 
 if TYPE_CHECKING:
     import xarray

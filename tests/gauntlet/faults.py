@@ -69,13 +69,14 @@ class FaultyRecording(Recording):
 def outcome_of(path: Path, channel: str, fault: str) -> tuple[str, str]:
     """Return what the analysis says of a recording with a fault in a channel, and its words."""
     with FaultyRecording(path, channel, fault) as recording:
-        names = {channel, "the force"} if recording.channels[channel].quantity == "force" else {channel}
+        is_force = recording.channels[channel].quantity == "force"
+        names = {channel.casefold(), *(["the force"] if is_force else [])}
         try:
             texts = blames(recording)
         except ShotrigError as error:
             return "refused", str(error)
     # A message may name two channels of which one is at fault.
-    is_named = fault != "none" and all(any(name in text for name in names) for text in texts)
+    is_named = fault != "none" and all(any(name in text.casefold() for name in names) for text in texts)
     return "silent" if not texts else "named" if is_named else "blamed", f"{channel}: {'; '.join(texts)}"
 
 

@@ -108,3 +108,22 @@ def test_damping_above_resonances_is_no_delay(highest: float) -> None:
     value = (shapes[1] * shapes[4] / (square - omega**2 + 2j * ratios * np.sqrt(square) * omega)).sum(axis=1)
     curve = Response.curve(frequency, value, "body2", error=1e-3 * abs(value))
     assert not delayed_channels([curve], "the force")
+
+
+def single_mode(frequency: Array, damping: float, base: float) -> ComplexArray:
+    """Return the response of a mode at 25 Hz to a force, or with `base` = 1 to a table with a dashpot."""
+    ratio = frequency / 25.0
+    dashpot = 2j * damping * ratio
+    return np.asarray((1.0 + base * dashpot) / (1.0 - ratio**2 + dashpot))
+
+
+def test_late_response_of_single_mode_is_named() -> None:
+    value = np.stack([single_mode(FREQUENCY, 0.01, 0.0) * shape for shape in (1.0, 0.6)], axis=1)
+    assert delayed_channels(curves_of(value, {2: 2e-3}), "the force").startswith("body2 seems to be (2")
+
+
+@pytest.mark.parametrize("damping", [0.15, 0.2])
+def test_dashpot_to_table_is_no_delay(damping: float) -> None:
+    frequency = np.linspace(20.0, 31.0, 151)
+    curves = curves_of(single_mode(frequency, damping, 1.0)[:, None], {}, frequency)
+    assert not delayed_channels(curves, "table")

@@ -41,6 +41,8 @@ _MAX_MISFIT_RATIO = 4.0
 _MODEL_ERROR = 0.005
 # Smallest standard deviation of the phases of residues [rad], due to modes outside the band and phases of sensors.
 _PHASE_DEVIATION = 0.05
+# Same of the residual terms, whose imaginary part is due to the damping of modes outside the band.
+_RESIDUAL_PHASE = 0.1
 # Standard deviation of the damping coupling of two modes, relative to the largest coupling that dashpots can cause.
 _MEAN_COUPLING = 0.3
 # Residuals of neighboring lines are correlated: a curve has the weight of at most this number of independent values.
@@ -56,8 +58,6 @@ _MIN_REDUCTION = 20.0
 # ... and with delays that differ from it by more than this fraction of a period of the highest frequency, and by more
 # than twice its expanded uncertainty.
 _SEPARATION = 0.25
-# The delay is at least this multiple of its expanded uncertainty.
-_MIN_RATIO = 2.5
 # The delay is confirmed by parts of the lines, each without every third line.
 _PARTS = 3
 # Squared coverage factor of a delay.
@@ -80,7 +80,7 @@ class _Delay(NamedTuple):
 
     @property
     def is_significant(self) -> bool:
-        return min(self.margin, self.reduction) > _MIN_REDUCTION and abs(self.time) > _MIN_RATIO * self.expanded
+        return min(self.margin, self.reduction) > _MIN_REDUCTION
 
 
 def delayed_channels(curves: Sequence[Response], source: str) -> str:
@@ -199,7 +199,7 @@ def _estimate_delay(frequency: Array, value: ComplexArray, error: Array, poles: 
     """Return the delay of a curve with the smallest sum of squares."""
     used = np.isfinite(error)
     frequency, value, error = frequency[used], value[used], error[used]
-    if used.sum() < _MIN_LINES or poles.size < 2:
+    if used.sum() < _MIN_LINES or poles.size < 1:
         return None
     highest = frequency.max()
     limit = max(_MAX_PERIODS / highest, _MAX_DELAY_S)
@@ -231,6 +231,9 @@ class _DelayFit:
         self._terms = np.concatenate(
             [terms_of_modes(s, poles, (1,)), np.stack(residual_terms(s)[: 1 + few.upper_terms])]
         )
+        # Terms of modes above the band are real with even powers of s, and due to damping with odd powers.
+        self._even_terms = np.arange(2 * poles.size + 1, len(self._terms), 2)
+        self._odd_terms = self._even_terms[: few.upper_terms // 2] + 1
         self._weight = 1.0 / np.hypot(error, _MODEL_ERROR * abs(value))
 
     def prepare(self, delays: Array) -> None:
@@ -241,13 +244,19 @@ class _DelayFit:
         targets = self._targets(delays)
         misfits = _misfits(columns, targets)
         best = int(np.argmin(misfits))
-        unknown = np.linalg.lstsq(columns, targets[best])[0] / size
+        fitted = np.linalg.lstsq(columns, targets[best])[0]
+        unknown = fitted / size
         residue = np.hypot(unknown[: 2 * self._poles.size : 2], unknown[1 : 2 * self._poles.size : 2])
         # A mode contains other modes in quadrature, in proportion to their coupling by damping.
         mixed = _damping_coupling(self._poles) * np.sqrt(residue[:, None] * np.maximum(residue, residue[:, None]))
-        self._deviation = np.hypot(_PHASE_DEVIATION * residue, _MEAN_COUPLING * np.linalg.norm(mixed, axis=1))
+        # The force of a dashpot between a table and the structure rotates a residue by 2 ζ.
+        phase = np.hypot(_PHASE_DEVIATION, -2.0 * self._poles.real / abs(self._poles))
+        self._deviation = np.hypot(phase * residue, _MEAN_COUPLING * np.linalg.norm(mixed, axis=1))
         expected = min(freedom, _MAX_VALUES)
-        self._weight = self._weight * np.sqrt(min(expected / max(float(misfits[best]), 1e-300), 1.0))
+        reduction = np.sqrt(min(expected / max(float(misfits[best]), 1e-300), 1.0))
+        self._weight = self._weight * reduction
+        even = columns[:, self._even_terms] @ fitted[self._even_terms]
+        self._residual_deviation = _RESIDUAL_PHASE * reduction * float(np.linalg.norm(even))
 
     def squares(self, delays: Array) -> Array:
         """Return the sum of squares of weighted residuals and penalties at each delay [s]."""
@@ -256,7 +265,8 @@ class _DelayFit:
         penalties = np.zeros((modes.size, size.size))
         # In a real mode, the real part of the residue is zero.
         penalties[modes, 2 * modes] = 1.0 / np.maximum(self._deviation * size[2 * modes], 1e-300)
-        return _misfits(np.concatenate([columns, penalties]), self._targets(delays))
+        damped = np.eye(size.size)[self._odd_terms] / max(self._residual_deviation, 1e-300)
+        return _misfits(np.concatenate([columns, penalties, damped]), self._targets(delays))
 
     def _columns(self) -> tuple[Array, Array]:
         """Return the weighted terms of the model as columns of unit length, and their lengths."""

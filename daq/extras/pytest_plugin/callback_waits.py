@@ -9,6 +9,7 @@ functions are therefore replaced during a test.
 import functools
 import queue
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -18,6 +19,8 @@ from daq.extras.ni_device.chassis import Chassis
 _wait_for_event, _get_from_queue = threading.Event.wait, queue.Queue.get
 # Interval at which a waiting thread checks whether callbacks have finished (wall-clock time) [s].
 _CHECK_INTERVAL_S = 0.001
+# Longest wait for a callback (wall-clock time) [s]. A longer callback probably waits for the main thread.
+_MAX_CALLBACK_S = 10.0
 # Longest step of the bench [s], after which the wait is checked: the end of a task has no known tick.
 _MAX_STEP_S = 0.05
 
@@ -34,6 +37,8 @@ class CallbackWaits:
         self._chassis = chassis
         # Number of finished callbacks of each task, in relation to the number of its events.
         self._finished = Counter[str]()
+        # Tasks whose callback did not finish in time: it may wait for the main thread.
+        self._late: set[str] = set()
 
     def replacements(self) -> Iterator[tuple[Any, str, Any]]:
         """Yield the functions to replace, each as its owner, its name and its new value."""
@@ -83,6 +88,7 @@ class CallbackWaits:
                 finally:
                     with self._chassis.changed:
                         self._finished[name] += 1
+                        self._late.discard(name)
 
             return register(task, *settings, counted)
 
@@ -111,8 +117,7 @@ class CallbackWaits:
             if not self._pass_to_event(end):
                 # The task has been closed, or the clock advances on request.
                 return True
-            while not is_done() and self._has_unfinished():
-                pause(_CHECK_INTERVAL_S)
+            self._await_callbacks(is_done)
         return True
 
     def _pass_to_event(self, end: int | None) -> bool:
@@ -121,20 +126,29 @@ class CallbackWaits:
         with chassis.changed:
             position, n_sent = chassis.position, self._n_sent()
 
-            def has_event() -> bool:
-                return self._n_sent() != n_sent or not chassis.is_in_use
+            def is_over() -> bool:
+                has_ended = end is not None and chassis.position >= end
+                return has_ended or self._n_sent() != n_sent or not chassis.is_in_use
 
-            chassis.clock.wait(chassis, has_event, lambda: self._ticks_to_event(end), _MAX_STEP_S)
+            chassis.clock.wait(chassis, is_over, lambda: self._ticks_to_event(end), _MAX_STEP_S)
             return chassis.position != position
 
     def _n_sent(self) -> int:
         """Return the number of events that have been sent to the callbacks."""
         return sum(events.n_sent for events in self._registered().values())
 
-    def _has_unfinished(self) -> bool:
-        """Return whether a callback of an event that has been sent has not finished."""
+    def _await_callbacks(self, is_done: Callable[[], bool]) -> None:
+        """Wait until the callbacks of the sent events have finished, except of tasks whose callback is late."""
+        end = time.monotonic() + _MAX_CALLBACK_S
+        while not is_done() and (unfinished := self._unfinished() - self._late):
+            if time.monotonic() > end:
+                self._late |= unfinished
+            pause(_CHECK_INTERVAL_S)
+
+    def _unfinished(self) -> set[str]:
+        """Return the names of the tasks with callbacks that have not finished."""
         with self._chassis.changed:
-            return any(events.n_sent > self._finished[name] for name, events in self._registered().items())
+            return {name for name, events in self._registered().items() if events.n_sent > self._finished[name]}
 
     def _ticks_to_event(self, end: int | None) -> int:
         """Return the number of ticks to the next event of a running task, or to the end of the wait."""

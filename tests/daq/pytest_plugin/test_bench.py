@@ -121,14 +121,27 @@ def test_computing_program_gets_no_bench_time(open_with_waits):
         assert bench.elapsed == begin
 
 
+def test_callback_may_wait_for_the_program(open_with_waits, monkeypatch):
+    monkeypatch.setattr("daq.extras.pytest_plugin.callback_waits._MAX_CALLBACK_S", 0.05)
+    resume, bench = threading.Event(), open_with_waits(TWO_MODULES)
+    with continuous(bench, samps_per_chan=100_000) as task:
+        task.register_every_n_samples_acquired_into_buffer_event(500, lambda *_: resume.wait() - 1)
+        task.start()
+        begin = bench.elapsed
+        bench.sleep(1.0)
+        passed = bench.elapsed - begin
+        resume.set()
+    assert passed == pytest.approx(1.0, abs=1e-4)
+
+
 def test_timeout_of_wait_is_bench_time(open_with_waits):
     bench, never = open_with_waits(TWO_MODULES), threading.Event()
     with continuous(bench, samps_per_chan=100_000) as task:
         task.register_every_n_samples_acquired_into_buffer_event(50_000, lambda *_: 0)
         task.start()
         begin = bench.elapsed
-        assert not never.wait(2.0)
-        assert bench.elapsed - begin == pytest.approx(2.0)
+        assert not never.wait(2.0123)
+        assert bench.elapsed - begin == pytest.approx(2.0123, abs=1e-4)
 
 
 def test_error_of_bench_reaches_waiting_test(open_with_waits):

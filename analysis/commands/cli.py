@@ -22,8 +22,7 @@ Recordings = Annotated[list[Path], "FILE...: Recordings (.mcap)."]
 Curves = Annotated[list[Path], "FILE...: Recordings (.mcap), or responses from other programs (.uff, .csv)."]
 Compared = Annotated[list[Path], "FILE...: Recordings (.mcap). The first is the baseline of the comparison."]
 Reported = Annotated[
-    list[Path],
-    "FILE...: Recordings (.mcap). The baseline is the first without moving dampers, otherwise the first.",
+    list[Path], "FILE...: Recordings (.mcap). The baseline is the first without moving dampers, otherwise the first."
 ]
 Folder = Annotated[Path | None, "DIR: Folder to write to. Default: the folder of the first FILE."]
 Table = Annotated[Path, "FILE: CSV table of results. Points in this table are not computed again."]

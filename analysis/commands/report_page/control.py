@@ -87,7 +87,9 @@ def _tracking_chart(result: AmplitudeCurve | Backbone) -> Chart:
         * (difference > FORCE_TOLERANCE),
     ]
     frequency = np.concatenate([np.asarray(curve.x) for curve in curves])
-    marks = [Mark(at, 1e3 * height, text) for at, height, text in sorted(result.marks())]
+    # A label is joined to the end of an interval.
+    ends = dict(zip(result.frequency.tolist(), (amplitude + bound).tolist(), strict=True))
+    marks = [Mark(at, ends.get(at, 1e3 * height), text) for at, height, text in sorted(result.marks())]
     return Chart(
         " ".join(filter(None, notes)),
         "Amplitude against frequency of the controlled tone.",

@@ -97,13 +97,7 @@ class BenchRecordings:
                 self.problem = self._chassis.report_problem("the recording", final_error)
 
     def _write_block(
-        self,
-        bench: Any,
-        channels: Any,
-        block: Any,
-        test: tuple[Scene, TestKind] | None,
-        start_ns: int,
-        n_failures: int,
+        self, bench: Any, channels: Any, block: Any, test: tuple[Scene, TestKind] | None, start_ns: int, n_failures: int
     ) -> None:
         if n_failures != self._n_failures:
             # No block is written after a failure of the recording.

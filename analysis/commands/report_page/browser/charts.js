@@ -104,7 +104,7 @@
   }
 
   const PATHS = {
-    dots: (context, x, y, r) => { context.arc(x, y, 0.7 * r, 0, 7); },
+    dots: (context, x, y, r) => { context.arc(x, y, 0.9 * r, 0, 7); },
     crosses: (context, x, y, r) => { context.moveTo(x - r, y - r); context.lineTo(x + r, y + r); context.moveTo(x - r, y + r); context.lineTo(x + r, y - r); },
     circles: (context, x, y, r) => { context.arc(x, y, 1.2 * r, 0, 7); },
     diamonds: (context, x, y, r) => { context.moveTo(x, y - 1.6 * r); for (const [dx, dy] of [[1, 0], [0, 1], [-1, 0], [0, -1]]) context.lineTo(x + 1.6 * dx * r, y + 1.6 * dy * r); },
@@ -162,7 +162,7 @@
       curve.x.forEach((value, i) => {
         const [x, y] = position(value, curve.y[i]), r = (curve.draw === "circles" ? 3.2 : 3) * ratio;
         if (curve.y[i] == null || x < left || x > left + width || y < top || y > top + height) return;
-        context.moveTo(x + (curve.draw === "dots" ? 0.7 : 1.2) * r, y);
+        context.moveTo(x + (curve.draw === "dots" ? 0.9 : 1.2) * r, y);
         PATHS[curve.draw](context, x, y, r);
       });
       if (["dots", "circles", "diamonds"].includes(curve.draw)) context.fill();

@@ -63,7 +63,7 @@ _SHORTEST_TURN = 0.125
 # known.
 _MAX_BAND_RATIO = 0.05
 # The curve begins at the first of these positions in the band, from 0 to 1, where the motion repeats.
-_STARTS = 0.0, 0.05, 0.1, 0.2
+_STARTS = 0.0, 0.05, 0.1, 0.15, 0.2
 # Without feedback, a response that changes by more than this factor has jumped to another branch: the step along a
 # branch is smaller.
 _JUMP_RATIO = 2.0
@@ -94,6 +94,7 @@ class _Curve:
 
     def __init__(self, station: Station, test: Continuation, tone: CurveTone, level: float) -> None:
         self._station, self._test, self._tone, self._level = station, test, tone, level
+        self._at_level = f"level {station.level_text(level)}"
         self._forward = math.copysign(1.0, test.to - test.from_)
         self._band = abs(test.to - test.from_)
         self.points: list[Point] = []
@@ -130,12 +131,12 @@ class _Curve:
                 yield from self._leap(self._reason(growth))
         if len(self.points) == test.points:
             self._station.warn(
-                f"level {self._level:g}: the curve ends at {self.points[-1].frequency:.4g} Hz after {test.points} "
+                f"{self._at_level}: the curve ends at {self.points[-1].frequency:.4g} Hz after {test.points} "
                 "points. Give more test.points, or a larger test.step."
             )
         elif self._share < 0.0:
             self._station.warn(
-                f"level {self._level:g}: the curve turns back and leaves the band at {self.points[-1].frequency:.4g} "
+                f"{self._at_level}: the curve turns back and leaves the band at {self.points[-1].frequency:.4g} "
                 "Hz, where the test began. Folds beyond are missed. Give a test.from farther from the resonance."
             )
 
@@ -209,7 +210,7 @@ class _Curve:
         self.points.append(point)
         self._holding = tone.is_holdable(point, 1.0 if self._holding else _BEGIN_RATIO)
         share = min(max(self._share, 0.0), 1.0)
-        station.report(share, f"{format_decimals(point.frequency, 2)} Hz, level {self._level:g}")
+        station.report(share, f"{format_decimals(point.frequency, 2)} Hz, {self._at_level}")
         return True
 
     def _scaled(self, start: Point, end: Point) -> tuple[float, float]:
@@ -430,22 +431,22 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
         tone, failures, useless = CurveTone(station, test, force), list[str](), 0
         yield from tone.measure_noise()
         for level in test.levels:
-            curve = _Curve(station, test, tone, level)
+            curve, at_level = _Curve(station, test, tone, level), f"level {station.level_text(level)}"
             try:
                 yield from curve.follow(tone.start(level))
             except Lost as loss:
-                failures.append(f"level {level:g}, {len(curve.points)} points: {loss}.")
+                failures.append(f"{at_level}, {len(curve.points)} points: {loss}.")
                 useless += not curve.folds
             if curve.irregular:
                 irregular = ", ".join(dict.fromkeys(f"{frequency:.5g}" for frequency in curve.irregular))
                 station.warn(
-                    f"level {level:g}: the motion does not repeat at {irregular} Hz. These points are omitted. "
+                    f"{at_level}: the motion does not repeat at {irregular} Hz. These points are omitted. "
                     "Give another level."
                 )
             if curve.gaps:
                 ends = ", ".join(f"{start:.5g} to {end:.5g}" for start, end in curve.gaps)
                 station.warn(
-                    f"level {level:g}: no points from {ends} Hz, where no steady motion was found: "
+                    f"{at_level}: no points from {ends} Hz, where no steady motion was found: "
                     "its period has doubled, or its impacts change. Folds there are missed. Give a smaller test.step."
                 )
             yield tone.end()

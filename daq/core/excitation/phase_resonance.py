@@ -108,7 +108,7 @@ def _failure(station: Station, test: PhaseResonance, tone: _PhaseTone, level: fl
     """Describe why a level has no lock."""
     quantity = measured_force(station)
     count = None if quantity is None else station.channels[quantity.rows[0]].unit_per_count
-    at_level = f"level {level:g}"
+    at_level = f"level {station.level_text(level)}"
     if quantity is not None and count is not None and quantity.factors == (1.0,):
         counts = abs(measured.force) / count
         if counts < _MIN_COUNTS:
@@ -131,7 +131,8 @@ class PhaseResonanceProcedure(SteadyTonesProcedure["PhaseResonance"]):
         tone, failures = _PhaseTone(station, test), list[str]()
         frequency, drive = test.frequency, 0.0
         for number, level in enumerate(test.levels):
-            station.report(number / len(test.levels), f"level {level:g}, {format_decimals(tone.frequency, 3)} Hz")
+            status = f"level {station.level_text(level)}, {format_decimals(tone.frequency, 3)} Hz"
+            station.report(number / len(test.levels), status)
             first_drive = tone.start(level)
             drive = first_drive if not number or not station.is_controlled else drive * level / test.levels[number - 1]
             first = station.now

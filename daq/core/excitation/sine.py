@@ -48,9 +48,10 @@ class SineProcedure(Procedure["Sine"]):
         tone.amplitude = level
         detector = Settling(_TOLERANCE)
         window = whole_periods(test.frequency, station.rate, WINDOW_S)
+        status = f"{format_decimals(test.frequency, 2)} Hz, level {station.level_text(level)}"
         first, total, steady_from = station.now, station.samples(test.duration), None
         while (remaining := first + total - station.now) > 0:
-            station.report((total - remaining) / total, f"{format_decimals(test.frequency, 2)} Hz, level {level:g}")
+            station.report((total - remaining) / total, status)
             n_samples, phase = min(window, remaining), tone.phase
             readings = yield station.drive(tone.hold(n_samples))
             if n_samples == window and steady_from is None:

@@ -65,6 +65,11 @@ class Station:
         levels = () if self.scene.test is None else self.scene.test.levels
         return levels[0] if levels else 0.0
 
+    def level_text(self, level: float) -> str:
+        """Return a level of the test with its unit, such as "2 N"."""
+        test, shaker = self.scene.test, self.scene.driven_shaker
+        return f"{level:g} {'' if test is None else test.level_unit(shaker)}".rstrip()
+
     @property
     def drive_level(self) -> float:
         """Level of a test without a controller, in the unit of the drive (V, m or N)."""

@@ -52,9 +52,7 @@ def excite(station: Station, test: SteppedTest, tone: SteadyTone) -> Generator[A
         drive = tone.start(level)
         last_drives: list[tuple[float, float]] = []  # frequency in Hz and drive amplitude
         tone.frequency = dwells[0]
-        # In open loop the level is the amplitude of the drive; its unit depends on the shaker.
-        unit = test.level_unit(station.scene.driven_shaker)
-        at_level = f"{level:g} {unit}" if station.is_controlled else f"level {level:g}"
+        at_level = station.level_text(level)
         for index, frequency in enumerate(dwells):
             direction = "down" if test.direction == "down" or index >= up_dwells else "up"
             station.report(completed / total, f"{format_decimals(frequency, 2)} Hz {direction}, {at_level}")

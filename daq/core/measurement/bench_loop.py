@@ -102,9 +102,10 @@ class BenchLoop(ABC):
                     # The last samples of the test are still delayed in the converter's filter.
                     self.acquire(np.repeat(self._last_drive[:, -1:], self.bench.latency, axis=1))
                 return True
-            except GivenUp:
+            except GivenUp as reason:
+                message = self._control.describe(str(reason), self.station.now)
                 self.acquire(ramp_down(self._last_drive, self.station.samples(RAMP_S)))
-                raise
+                raise GivenUp(message) from reason
         return False
 
     def ending_error(self, readings: Array) -> BaseException | None:

@@ -24,6 +24,9 @@ _CHECK_INTERVAL_S = 0.1
 _CONTROL_CHECK_INTERVAL_S = 0.5
 # A test ends if a control channel is overloaded for longer than this [s].
 _MAX_OVERLOAD_S = 1.0
+# An overload can be the cause that a test gives up if it occurred within this time before [s]: the tests wait at most
+# some seconds between their last measurement and this decision.
+_RECENT_S = 10.0
 # The settling of a sensor is simulated for at most this time; afterwards, the bias is assumed to be constant [s].
 _MAX_SETTLING_S = 60.0
 
@@ -140,19 +143,19 @@ class Limits:
 
 
 class ControlLoss:
-    """Monitors the channels that measure the controlled spring force or motion.
-
-    A clipped channel does not measure it.
-    """
+    """Monitors the overloads of the channels whose readings a controller uses: a clipped channel does not measure."""
 
     def __init__(self, scene: Scene, channels: Sequence[ChannelInfo]) -> None:
         self._rows = [row for row, info in enumerate(channels) if info.at in scene.controlled_terms]
         self._scene, self._channels = scene, channels
         self._overload_start: int | None = None  # first sample of the present overload
+        self._latest: dict[int, int] = {}  # sample after the last overload, by row
 
     def watch(self, first: int, flags: NDArray[np.bool_]) -> str | None:
         """Check overload flags, shape (channels, samples); return a message if an overload lasts too long."""
-        overloaded_rows = [row for row in self._rows if flags[row].any()] if flags.any() else []
+        any_overloaded = np.flatnonzero(flags.any(axis=1)).tolist() if flags.any() else []
+        self._latest.update(dict.fromkeys(any_overloaded, first + flags.shape[1]))
+        overloaded_rows = [row for row in self._rows if row in any_overloaded]
         if not overloaded_rows:
             self._overload_start = None
             return None
@@ -160,12 +163,25 @@ class ControlLoss:
         info, stop = self._channels[overloaded_rows[0]], first + flags.shape[1]
         if stop - self._overload_start <= _MAX_OVERLOAD_S * info.rate:
             return None
-        cause = bias_overload(self._scene, overloaded_rows[0], stop / info.rate)
-        test = self._scene.test
-        name, level = ("motion", test.level_key) if test is not None and test.held_motion else ("spring force", "force")
         return (
-            f"input {info.name}: overloaded since {self._overload_start / info.rate:.2f} s, so the {name} cannot "
-            f"be controlled. {cause or f'Choose a lower {level}, a larger converter range or a lower sensitivity.'}"
+            f"input {info.name}: overloaded since {self._overload_start / info.rate:.2f} s, so the control has no "
+            f"reading at {info.at}. {self._remedy(overloaded_rows[0], stop)}"
+        )
+
+    def describe(self, reason: str, now: int) -> str:
+        """Return the reason why a test gave up, behind a recent overload, which can be its cause; `now`: sample."""
+        rows = [row for row, stop in self._latest.items() if now - stop < _RECENT_S * self._channels[row].rate]
+        if not rows:
+            return reason
+        names = ", ".join(self._channels[row].name for row in rows)
+        verb = "input {} was" if len(rows) == 1 else "inputs {} were"
+        return f"{verb.format(names)} overloaded. {self._remedy(rows[0], now)} With these readings, {reason}"
+
+    def _remedy(self, row: int, now: int) -> str:
+        """Return the cause of the overload of a channel if it is a bias, and what to change."""
+        level = self._scene.level_key or "level"
+        return bias_overload(self._scene, row, now / self._channels[row].rate) or (
+            f"Choose a lower {level}, a larger converter range or a lower sensitivity."
         )
 
 

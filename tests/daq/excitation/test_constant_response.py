@@ -8,9 +8,8 @@ import pytest
 import daq
 import rig
 from daq.core.excitation.tones.envelope_control import EnvelopeControl, irregularity
-from rig.core.base.arrays import ComplexArray
+from rig.core.base.arrays import Array
 from rig.core.base.errors import RunError, SceneError
-from rig.core.scene.excitation import FORCE_TOLERANCE
 from rig.core.system.structural_model import receptance
 from tests.daq.excitation.virtual_device import run_device
 from tests.daq.measurement.bench_run import BenchRun, run, scene_with
@@ -59,23 +58,38 @@ def test_law_limits_drive_at_excess() -> None:
     assert abs(control.next_drive(2.0, -1.0)) <= 1.0
 
 
-def logistic_map(growth: float) -> ComplexArray:
-    """Return envelopes of ten windows that vary by up to 5 % with the logistic map."""
+PERIODS, PER_PERIOD = 20, 64
+
+
+def of_modulated(amplitudes: Array) -> float:
+    """Return the irregularity of a motion with these amplitudes in successive periods."""
+    turn = np.arange(PERIODS * PER_PERIOD) / PER_PERIOD
+    return irregularity(np.repeat(amplitudes, PER_PERIOD) * np.sin(2.0 * np.pi * turn), 1.0, float(PER_PERIOD))
+
+
+def logistic_map(growth: float) -> Array:
+    """Return amplitudes of successive periods that vary by up to 5 % with the logistic map."""
     values = [0.3]
     for _ in range(1000):
         values.append(growth * values[-1] * (1.0 - values[-1]))
-    return 1j * (1.0 + 0.05 * np.array(values[-10:]))
+    return 1.0 + 0.05 * np.array(values[-PERIODS:])
 
 
 def test_chaotic_motion_does_not_repeat() -> None:
     # Below 3.57 the map has periods of 2, 4, ...; at 3.9 it is chaotic.
-    assert irregularity(logistic_map(3.2)) < 1e-6 and irregularity(logistic_map(3.5)) < 1e-6
-    assert irregularity(logistic_map(3.9)) > FORCE_TOLERANCE
+    assert of_modulated(logistic_map(3.2)) < 1e-6 and of_modulated(logistic_map(3.5)) < 1e-6
+    assert of_modulated(logistic_map(3.9)) > 0.01
 
 
-def test_drift_and_noise_are_not_irregular() -> None:
-    noise = np.random.default_rng(1).normal(0.0, 1e-3, 10)
-    assert irregularity(1.0 + np.linspace(0.0, 0.01, 10) + noise + 0j) < FORCE_TOLERANCE
+def test_slow_drift_is_not_irregular() -> None:
+    assert of_modulated(1.0 + np.linspace(0.0, 0.01, PERIODS)) < 1e-3
+
+
+def test_motion_beside_harmonics_is_irregular() -> None:
+    # The envelope at the frequency itself is constant.
+    turn = np.arange(PERIODS * PER_PERIOD) / PER_PERIOD
+    motion = np.sin(2.0 * np.pi * turn) + 0.02 * np.sin(2.0 * np.pi * 0.382 * turn)
+    assert irregularity(motion, 1.0, float(PER_PERIOD)) > 0.004
 
 
 @pytest.fixture(scope="module")

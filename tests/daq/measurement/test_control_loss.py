@@ -8,6 +8,7 @@ import pytest
 import daq
 import rig
 from rig.core.base.errors import RunError
+from tests.daq.measurement.bench_run import run
 
 
 def test_clipped_control_channel_ends_test(tmp_path) -> None:
@@ -71,3 +72,22 @@ def test_error_does_not_name_small_bias(tmp_path) -> None:
     scene = rig.loads(BIASED.replace("range: 5 V", "range: 5 mV").replace("PCB 352C33}", "PCB 352C33, bias: 1 mV}"))
     with pytest.raises(RunError, match="Choose a lower force, a larger converter range"):
         daq.record(scene, tmp_path / "clipped.mcap")
+
+
+def test_overload_is_named_before_its_effect() -> None:
+    # The bias overloads the input after integration, so the phase of the motion is wrong and the tone does not lock.
+    scene = rig.load("backbone")
+    sensor = {"sensitivity": "100 mV/g", "bias": "10 V", "bias_settling": "2 s"}
+    amplifier = {"order": 2, "corner": "0.5 Hz", "gain": 100}
+    scene = scene.replace(
+        channels=[
+            {"name": "x", "at": "body 1", "accelerometer": sensor, "integrator": amplifier},
+            {"name": "force", "at": "shaker", "hammer": {"sensitivity": "10 mV/N"}},
+        ],
+        test=scene.test.replace(settle={"longest": 1.0}),
+    )
+    reason = run(scene).reason
+    assert reason.startswith("input x was overloaded. The bias of its sensor, 10 V (time constant 2 s), overloads")
+    assert (
+        reason.index("Set bias: 0 V") < reason.index("With these readings, level") < reason.index("no lock within 1 s")
+    )

@@ -8,6 +8,7 @@ from scipy.interpolate import CubicSpline
 
 import analysis
 import rig
+from daq.core.recording.markers import Marker
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import ShotrigError
 from rig.core.results.response import Response
@@ -26,8 +27,11 @@ _MISLEADING_ERROR = 0.05
 _EXACT_ERROR = 1e-4
 # The exact force is computed up to this relative deviation of the amplitude, and extrapolated.
 _MAX_PROBED = 0.06
-# Numbers of searches for orbits: where many motions repeat, some are found only by the second number.
-_SEARCHES = 2, 4
+# Numbers of searches for orbits: where many motions repeat, some are found only by a larger number.
+_SEARCHES = 2, 4, 16
+# A motion with a doubled period has at least this amplitude at 3/2 of the frequency, relative to that at the frequency,
+# and this multiple of the amplitudes at neighboring lines.
+_MIN_DOUBLED, _MIN_DOUBLED_RATIO = 1e-3, 5.0
 # Orbits are followed over the drive, relative to that of the point, and over the frequency.
 _DRIVES, _FREQUENCIES = (0.75, 1.33), (0.97, 1.03)
 
@@ -67,6 +71,7 @@ class _Crossing(NamedTuple):
     value: float  # of the parameter
     amplitude: float  # of the body, m
     force: float  # amplitude of its first harmonic, N
+    doubled: bool  # whether the motion repeats after several periods
 
 
 def _orbits(
@@ -102,7 +107,8 @@ def _crossings(curve: rig.OrbitCurve, body: int, offset_of: _Offset) -> Iterator
         along = np.append(0.0, np.cumsum(lengths))[chosen]
         curves = CubicSpline(along, np.array([branch.value, np.log(amplitude), np.log(force)]).T[chosen])
         for value, height, level_there in curves(CubicSpline(along, offset[chosen]).solve(0.0, extrapolate=False)):
-            yield _Crossing(float(value), float(np.exp(height)), float(np.exp(level_there)))
+            doubled = branch.orbits[0].repetition > 1
+            yield _Crossing(float(value), float(np.exp(height)), float(np.exp(level_there)), doubled)
 
 
 def _at_amplitude(curve: rig.OrbitCurve, body: int, level: float) -> list[_Crossing]:
@@ -120,25 +126,35 @@ def _phase_offset(_value: Array, frf: ComplexArray, _amplitude: Array) -> Array:
     return np.unwrap(np.angle(1j * frf))
 
 
-def _measured(case: Case) -> Iterator[tuple[Response, int, Mapping[str, Any]]]:
-    """Yield each settled point: the response of its level, its line there, and the fields of its marker."""
-    markers = [mark.fields for mark in case.recording.markers if mark.kind == "measure" and mark.fields["settled"]]
-    for level in dict.fromkeys(fields["level"] for fields in markers):
+def _measured(case: Case) -> Iterator[tuple[Response, int, Marker]]:
+    """Yield each settled point: the response of its level, its line there, and its marker."""
+    markers = [mark for mark in case.recording.markers if mark.kind == "measure" and mark.fields["settled"]]
+    for level in dict.fromkeys(mark.fields["level"] for mark in markers):
         for response in analysis.frequency_responses(case.recording, level=level):
-            for fields in markers:
-                if fields["level"] == level:
-                    yield response, int(np.argmin(abs(response.frequency - fields["frequency"]))), fields
+            for mark in markers:
+                if mark.fields["level"] == level:
+                    yield response, int(np.argmin(abs(response.frequency - mark.fields["frequency"]))), mark
+
+
+def _is_doubled(case: Case, channel: str, mark: Marker) -> bool:
+    """Return whether the measured motion repeats after two periods, not after one."""
+    turn = np.arange(mark.end + 1 - mark.first_sample) * mark.fields["frequency"] / case.scene.converter.rate
+    samples = np.hanning(turn.size) * case.recording.read(channel, mark.first_sample, mark.end + 1)
+    # The lines next to 3/2 are outside of the main lobe of the Hann window.
+    orders = 1.5 + np.array([0.0, -0.5, *(np.array([-5.0, -4.0, -3.0, 3.0, 4.0, 5.0]) / turn[-1])])
+    half, fundamental, *near = abs(np.exp(-2j * np.pi * np.outer(orders, turn)) @ samples)
+    return bool(half > max(_MIN_DOUBLED * fundamental, _MIN_DOUBLED_RATIO * np.sqrt(np.mean(np.square(near)))))
 
 
 def _surface_points(case: Case) -> Iterator[_Point | None]:
     """Yield the force of each settled point, and that of the orbit with its frequency and amplitude."""
     surface = analysis.force_surface(case.recording)
     body = case.scene.structure.labels.index(surface.body)
-    for response, line, fields in _measured(case):
+    for response, line, mark in _measured(case):
         [k] = np.flatnonzero(
             (surface.frequency == response.frequency[line]) & (surface.force == response.amplitude[line])
         )
-        force, drive = float(surface.force[k]), float(fields["drive"])
+        force, drive = float(surface.force[k]), float(mark.fields["drive"])
         curve = _orbits(case, drive, float(surface.frequency[k]), over_drive=True)
         found = [] if curve is None else _at_amplitude(curve, body, float(surface.amplitude[k]))
         if not found:
@@ -151,20 +167,24 @@ def _surface_points(case: Case) -> Iterator[_Point | None]:
 def _curve_points(case: Case) -> Iterator[_Point | None]:
     """Yield the force of each settled point, and that of the orbit with its frequency and amplitude."""
     [location] = case.scene.controlled_terms
-    for response, line, fields in _measured(case):
+    [channel] = [name for name, info in case.recording.channels.items() if info.at == location]
+    for response, line, mark in _measured(case):
         k = [output.at for output in response.outputs].index(location)
-        point = None
+        point, doubled = None, _is_doubled(case, channel, mark)
         for searches in _SEARCHES:
-            point = _curve_point(case, response, line, k, fields, searches) or point
+            point = _curve_point(case, response, line, k, mark.fields, searches, doubled) or point
             if point is not None and abs(point[0] - point[2]) <= point[1]:
                 break
         yield point
 
 
 def _curve_point(
-    case: Case, response: Response, line: int, k: int, fields: Mapping[str, Any], searches: int
+    case: Case, response: Response, line: int, k: int, fields: Mapping[str, Any], searches: int, doubled: bool
 ) -> _Point | None:
-    """Return the force of a settled point, and that of the orbit with its frequency and amplitude; `k`: output."""
+    """Return the force of a settled point, and that of the orbit with its frequency, amplitude and period.
+
+    `k`: output.
+    """
     body, shaker = int(response.outputs[k].at.removeprefix("body ")) - 1, case.scene.driven_shaker
     force, drive = float(response.amplitude[line]), float(fields["drive"])
     value, frequency = abs(response.value[line, k, 0]), float(response.frequency[line])
@@ -173,7 +193,8 @@ def _curve_point(
     # Within the interval of the amplitude the exact force changes, by more where the response is nonlinear.
     probed = min(relative, _MAX_PROBED)
     amplitudes = [value * force * (1.0 + error) for error in (-probed, 0.0, probed)]
-    found = [[] if curve is None else _at_amplitude(curve, body, amplitude) for amplitude in amplitudes]
+    at_amplitudes = [[] if curve is None else _at_amplitude(curve, body, amplitude) for amplitude in amplitudes]
+    found = [[each for each in some if each.doubled == doubled] for some in at_amplitudes]
     if not all(found):
         return None
     exact = [min(some, key=lambda each: abs(each.value - drive)).force for some in found]
@@ -190,9 +211,9 @@ def _phase_points(case: Case) -> Iterator[_Point | None]:
     """Yield frequency and amplitude of each locked level."""
     result = analysis.backbone(case.recording)
     body = case.scene.structure.labels.index(result.body)
-    for k, (_, _, fields) in zip(np.flatnonzero(result.settled), _measured(case), strict=True):
+    for k, (_, _, mark) in zip(np.flatnonzero(result.settled), _measured(case), strict=True):
         measured = float(result.frequency[k])
-        curve = _orbits(case, float(fields["drive"]), measured, over_drive=False)
+        curve = _orbits(case, float(mark.fields["drive"]), measured, over_drive=False)
         found = [] if curve is None else list(_crossings(curve, body, _phase_offset))
         if not found:
             yield None

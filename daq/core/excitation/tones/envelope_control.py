@@ -10,7 +10,7 @@ change the motion that it holds. (J. Sieber, B. Krauskopf, Nonlinear Dynamics 51
 """
 
 from collections import deque
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,8 +53,14 @@ _REDUCED_GAIN = 0.5
 AVERAGED_WINDOWS = 12
 # In steady state, the drives of these windows have at most this relative standard deviation.
 _MAX_SCATTER = 0.01
-# A motion that repeats after at most this number of windows is periodic, with a multiple of the period of the tone.
-_MAX_REPEATED_WINDOWS = 4
+# A motion that repeats after at most this number of periods of the tone is periodic.
+_MAX_REPEATED_PERIODS = 4
+# Orders of the tone's frequency at which successive periods are compared. Hann windows of two periods at these orders
+# cover the band from 0 to 2.5, without the drift of integrated channels at 0.
+_COMPARED_ORDERS = 1.0, 1.5
+# Successive periods of a periodic motion differ by at most this ratio. Feedback next to folds causes up to 0.2 %.
+# Chaotic motions next to corners have 0.5 to 2 %, and their force differs by as much or more from that of the orbit.
+_MAX_IRREGULARITY = 0.003
 # Number of windows at rest from which the noise is estimated, to 20 %.
 _NOISE_WINDOWS = 12
 # Variance of the envelopes by noise in a measurement, relative to that at rest, which a few windows determine roughly.
@@ -136,6 +142,7 @@ class EnvelopeTone(SteadyTone):
         self.motion = 0j  # last envelope of the controlled motion, m
         self.noise = 0.0  # standard deviation of the envelope in a window by noise, m
         self.scatter = 0.0  # relative standard deviation of the last drives
+        self._readings: list[Array] = []  # of the first channel of the motion, since the last measurement began
         self._observed = 0.0, 0j, 0j  # frequency and envelopes of motion and drive in the last observation of the mode
 
     def forget_mode(self) -> None:
@@ -166,6 +173,11 @@ class EnvelopeTone(SteadyTone):
         dead_time = (1.5 * self._window_at(frequency) + self.station.latency) / self.rate
         relative_pole = self._pole - 2j * np.pi * frequency
         return self._gain != 0.0 and abs(relative_pole) * dead_time <= MAX_POLE_TIMES_DEAD_TIME
+
+    def amplitudes(self, readings: Array, phases: Sequence[float]) -> ComplexArray:
+        """Return the complex amplitudes (tones, quantities) in a window, and store the readings of the motion."""
+        self._readings.append(readings[self._quantity.rows[0]])
+        return super().amplitudes(readings, phases)
 
     def observe(self, samples: int) -> Generator[Array, Array, ComplexArray]:
         """Hold the tone for a window; return the amplitudes (tones, quantities), and update the model of the mode."""
@@ -273,6 +285,7 @@ class EnvelopeTone(SteadyTone):
         window, motions, drives = self.window, [], []
         control = self._control_to(target * self.motion / abs(self.motion)) if feedback else None
         samples = max(samples, min_samples([self.frequency], self.rate))
+        self._readings.clear()
         for _ in range(-(-samples // window)):
             if control is None:
                 self.motion = (yield from self.observe(window))[0, 0] * self.direction
@@ -282,11 +295,14 @@ class EnvelopeTone(SteadyTone):
             drives.append(self.envelope)
         motion, drive = complex(np.mean(motions)), complex(np.mean(drives))
         invasive = float(np.sqrt(np.mean(abs(np.array(drives) - drive) ** 2))) / max(abs(drive), 1e-300)
-        envelopes = np.array(motions)
         noise = _NOISE_MARGIN**0.5 * self.noise / max(abs(motion), 1e-300)
         tolerance = float(np.hypot(FORCE_TOLERANCE, noise))
-        growth = _growth(envelopes, target, window / self.rate, tolerance)
-        return Held(motion, drive, invasive, growth, irregularity(envelopes) < tolerance)
+        growth = _growth(np.array(motions), target, window / self.rate, tolerance)
+        # The windows of the comparison have two periods, and a Hann window has 1.5 times the noise.
+        noise *= (1.5 * len(_COMPARED_ORDERS) * window * self.frequency / self.rate / 2.0) ** 0.5
+        largest = float(np.hypot(_MAX_IRREGULARITY, noise))
+        repeats = irregularity(np.concatenate(self._readings), self.frequency, self.rate) < largest
+        return Held(motion, drive, invasive, growth, repeats)
 
     def mark_measured(self, first: int, held: Held, settled: bool, **fields: Any) -> None:
         """Mark the measurement from a given sample to the present sample."""
@@ -310,17 +326,28 @@ def _growth(motions: ComplexArray, target: float, window: float, tolerance: floa
     return float(max(np.log(latest[-1] / latest[middle]) / ((latest.size - 1 - middle) * window), 1e-9))
 
 
-def irregularity(motions: ComplexArray) -> float:
-    """Return the scatter of the envelopes of successive windows about a periodic motion, relative to their mean.
+def irregularity(samples: Array, frequency: float, rate: float) -> float:
+    """Return the difference of successive periods of a motion, relative to its amplitude at its frequency in Hz.
 
-    Also motions with a multiple of the period of the tone repeat after some windows. Chaotic and quasi-periodic motions
-    do not. A slow drift hardly counts.
+    A motion with a multiple of the period repeats after some periods; the smallest difference counts. Chaotic and
+    quasi-periodic motions do not repeat, even if their envelopes at the frequency are nearly constant. A slow drift
+    hardly counts. `rate`: sample rate [Hz].
 
-    >>> alternating = 1.0 + 0.1 * (-1.0) ** np.arange(10)
-    >>> beat = 1.0 + 0.1 * np.cos(0.7 * np.arange(10))
-    >>> irregularity(alternating) < 1e-12, irregularity(beat) > 0.03
+    >>> t = np.arange(400)
+    >>> doubled, beating = (np.sin(t) + 0.1 * np.sin(ratio * t) for ratio in (0.5, 0.43))
+    >>> irregularity(doubled, 1.0, 2.0 * np.pi) < 1e-3, irregularity(beating, 1.0, 2.0 * np.pi) > 0.03
     (True, True)
     """
-    lags = range(1, min(_MAX_REPEATED_WINDOWS, motions.size // 2) + 1)
-    scatter = [float(np.sqrt(np.mean(abs(motions[lag:] - motions[:-lag]) ** 2) / 2.0)) for lag in lags]
-    return min(scatter, default=0.0) / max(abs(complex(np.mean(motions))), 1e-300)
+    turn = np.arange(samples.size) * frequency / rate
+    starts = np.arange(max(int(samples.size * frequency / rate + 1e-6) - 1, 1))
+    # Amplitudes in Hann windows of two periods that begin one period apart, shape (windows, orders).
+    local = turn - starts[:, None]
+    window = np.where((local >= 0.0) & (local < 2.0), np.sin(0.5 * np.pi * local) ** 2, 0.0)
+    amplitudes = np.stack(
+        [2.0 * (window * np.exp(-2j * np.pi * order * local)) @ samples for order in _COMPARED_ORDERS], axis=1
+    ) / np.sum(window, axis=1, keepdims=True)
+    differences = [
+        float(np.sqrt(np.mean(np.sum(abs(amplitudes[lag:] - amplitudes[:-lag]) ** 2, axis=1)) / 2.0))
+        for lag in range(1, min(_MAX_REPEATED_PERIODS, starts.size // 2) + 1)
+    ]
+    return min(differences, default=0.0) / max(abs(complex(np.mean(amplitudes[:, 0]))), 1e-300)

@@ -31,7 +31,7 @@ from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.open_loop_drive import riding_equations, riding_response
 
 # Tones and transients in a window are represented by at most this number of points per period of the highest frequency.
-_POINTS_PER_PERIOD = 32
+_POINTS_PER_PERIOD = 16
 # Largest condition number of the matrix of mode shapes: beyond it, rounding errors reach 0.1 %. The waits then follow
 # from the slowest mode alone.
 _MAX_CONDITION = 1e13
@@ -236,15 +236,19 @@ class _PredictedTone(SteadyTone):
         self.has_noise = bool(self._densities.any())
 
     def transition(self, samples: int, frequency: float, amplitude: float) -> Array:
-        """Compute the transient after a transition between drives; return zeros, because the drive is not used."""
-        self._let_decay(0.0)
+        """Compute the transient after a transition between drives; return no samples, because they are not used."""
+        self._let_decay()
         seconds = samples / self.station.rate
         start = self._transient + self._steady_coordinates()
         end = self._modes.after_transition(start, self, seconds, frequency, amplitude)
         self.phase = (self.phase + math.pi * (self.frequency + frequency) * seconds) % (2.0 * math.pi)
         self.frequency, self.amplitude = frequency, amplitude
         self._transient = end - self._steady_coordinates()
-        return np.zeros(samples)
+        return np.broadcast_to(0.0, samples)
+
+    def _drive(self, waves: Sequence[Array]) -> Array:
+        """Return a drive of the length of the waves, without samples."""
+        return waves[0][None]
 
     def _points(self, samples: int) -> int:
         """Return the number of points that represent a number of samples."""
@@ -270,13 +274,13 @@ class _PredictedTone(SteadyTone):
         if not self._computed:
             self._compute_windows(samples)
         self._n_observed += 1
-        self._advance_phase(samples)
+        self.station.now += samples
         return self._computed.pop()
         yield
 
     def _compute_windows(self, samples: int) -> None:
         """Compute the amplitudes in the next windows, as long as the drive is not changed."""
-        self._let_decay(0.0)
+        self._let_decay()
         key = self.frequency, samples
         windows = self._modes.windows
         if key not in windows:
@@ -292,9 +296,11 @@ class _PredictedTone(SteadyTone):
             amplitudes += self._noise() @ window.scatter
         self._computed, self._window_s = list(amplitudes[::-1, None]), window.seconds
 
-    def _let_decay(self, seconds: float) -> None:
-        """Let the transient decay in the observed windows and for a further time in s; discard the other windows."""
-        self._transient = self._transient * np.exp(self._modes.poles * (self._n_observed * self._window_s + seconds))
+    def _let_decay(self, seconds: float = 0.0) -> None:
+        """Hold the tone in the observed windows and for a further time in s, and discard the other windows."""
+        seconds += self._n_observed * self._window_s
+        self._transient = self._transient * np.exp(self._modes.poles * seconds)
+        self.phase = (self.phase + 2.0 * math.pi * self.frequency * seconds) % (2.0 * math.pi)
         self._drawn = self._drawn[self._n_observed :]
         self._computed, self._n_observed = [], 0
 
@@ -327,11 +333,6 @@ class _PredictedTone(SteadyTone):
     def measure(self, samples: int, settled: bool, fields: dict[str, Any]) -> Generator[Array, Array, None]:
         """Let the transient decay during a measurement."""
         self._let_decay(samples / self.station.rate)
-        self._advance_phase(samples)
+        self.station.now += samples
         return
         yield
-
-    def _advance_phase(self, samples: int) -> None:
-        """Hold the tone for a number of samples."""
-        self.phase = (self.phase + 2.0 * math.pi * self.frequency * samples / self.station.rate) % (2.0 * math.pi)
-        self.station.now += samples

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -65,25 +64,30 @@ class DisplacementFilter:
 
     def __init__(self, quantity: str, rate: float) -> None:
         self._order = {"displacement": 0, "velocity": 1, "acceleration": 2}[quantity]
-        self._rate = rate
-        self._state: Array | None = None
-
-    @cached_property
-    def _sections(self) -> Array:
-        """Second-order sections, designed with the first samples: a prediction writes none and imports no scipy."""
-        from scipy.signal import bilinear_zpk, zpk2sos
-
-        corner = 2 * np.pi * HIGH_PASS_HZ * np.exp(1j * np.pi * np.array([0.75, -0.75]))
-        zeros, poles = np.zeros(self._order), np.tile(corner, self._order)
-        return np.asarray(zpk2sos(*bilinear_zpk(zeros, poles, 1.0, fs=self._rate)))
+        self._sections = _high_passed_integration(self._order, rate)
+        self._state = np.zeros((self._order, 2))
 
     def run(self, samples: Array) -> Array:
         """Return the displacement at the next samples, in m; the samples are in SI units, shape (samples,)."""
         if self._order == 0 or not samples.size:
             return samples
-        from scipy.signal import sosfilt
+        # Imported here, because a recording without such a channel needs no compiled functions.
+        from daq.core.dsp.second_order import filter_sections
 
-        if self._state is None:
-            self._state = np.zeros((self._sections.shape[0], 2))
-        result, self._state = sosfilt(self._sections, samples, zi=self._state)
-        return np.asarray(result)
+        result = np.empty(samples.size)
+        filter_sections(self._sections, self._state, np.ascontiguousarray(samples), result)
+        return result
+
+
+def _high_passed_integration(order: int, rate: float) -> Array:
+    """Return the second-order sections of `DisplacementFilter`, shape (order, 6), for a number of integrations."""
+    doubled_rate = 2.0 * rate
+    corners = np.tile(2 * np.pi * HIGH_PASS_HZ * np.exp(1j * np.pi * np.array([0.75, -0.75])), order)
+    gain = np.real(doubled_rate**order / np.prod(doubled_rate - corners))
+    # The bilinear transform adds a zero at -1 for each zero at 1 of a derivative.
+    numerators = ([], [[1.0, 0.0, -1.0]], [[1.0, 2.0, 1.0], [1.0, -2.0, 1.0]])[order]
+    poles = (doubled_rate + corners) / (doubled_rate - corners)
+    denominators = [[1.0, -2.0 * pole.real, (pole * pole.conj()).real] for pole in poles[::2]]
+    sections = np.array([[*rows[0], *rows[1]] for rows in zip(numerators, denominators, strict=True)]).reshape(order, 6)
+    sections[:1, :3] *= gain
+    return sections

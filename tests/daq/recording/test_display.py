@@ -5,9 +5,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from scipy.signal import bilinear_zpk, sosfilt, zpk2sos
 
 import daq
 from daq.core.mcap_file.protobuf import message_class
+from daq.core.recording.displacement import HIGH_PASS_HZ, DisplacementFilter
 from daq.core.recording.recorder import Recorder
 from daq.core.recording.robot_description import TRANSFORMS_SCHEMA
 from tests.daq.recording.recordings import (
@@ -180,3 +182,13 @@ def test_recording_without_samples_has_no_display(tmp_path):
         pass
     with daq.open(path) as recording:
         assert (recording.samples, recording.status) == (0, "complete")
+
+
+@pytest.mark.parametrize(("quantity", "order"), [("velocity", 1), ("acceleration", 2)])
+def test_displacement_filter_is_that_of_scipy(quantity: str, order: int) -> None:
+    samples, rate = np.random.default_rng(1).standard_normal(500), 232.7
+    corners = 2 * np.pi * HIGH_PASS_HZ * np.exp(1j * np.pi * np.array([0.75, -0.75]))
+    sections = zpk2sos(*bilinear_zpk(np.zeros(order), np.tile(corners, order), 1.0, fs=rate))
+    displacement_filter = DisplacementFilter(quantity, rate)
+    displacement = [displacement_filter.run(part) for part in (samples[:200], samples[200:])]
+    np.testing.assert_array_equal(np.concatenate(displacement), sosfilt(sections, samples))

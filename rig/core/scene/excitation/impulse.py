@@ -8,6 +8,7 @@ from pydantic import Field
 
 from rig.core.base.arrays import Array
 from rig.core.base.errors import SceneError
+from rig.core.base.roots import bracketed_root
 from rig.core.scene.body_names import body_problems
 from rig.core.scene.excitation.kind import Count, Duration, KindOfTest, Pulses, Start
 from rig.core.scene.shaker import Body
@@ -151,8 +152,6 @@ def half_sine(peak: float, width: float, rate: float) -> Array:
     >>> float(pulse.max()), float(round(pulse.sum() / 5120.0 / (50.0 * 4e-3 * 2 / np.pi), 9))
     (50.0, 1.0)
     """
-    from scipy.optimize import brentq
-
     target_sum = 2 * width * rate / np.pi  # area of the pulse divided by its peak, in samples
     if target_sum < 1.2:  # 4 / pi for two samples; 1.2 accepts a width that is rounded as in the message
         raise SceneError(
@@ -166,5 +165,6 @@ def half_sine(peak: float, width: float, rate: float) -> Array:
         offset = np.arange(-half, half + 1)
         return np.where(abs(offset) < length / 2, np.cos(np.pi * offset / length), 0.0)
 
-    length = brentq(lambda samples: pulse(samples).sum() - target_sum, 1.0, 2.0 * width * rate + 4.0, xtol=1e-13)
+    longest = 2.0 * width * rate + 4.0
+    length = bracketed_root(lambda samples: float(pulse(samples).sum()) - target_sum, 1.0, longest, 1e-13)
     return peak * pulse(length)

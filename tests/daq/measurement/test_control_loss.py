@@ -1,4 +1,4 @@
-"""A test ends if the inputs of the force controller are overloaded; the error names a sensor's bias as the cause.
+"""A test ends if inputs of the controller are overloaded or a limit is reached; the error names the cause.
 
 The bias is the constant voltage at the output of an IEPE sensor.
 """
@@ -86,8 +86,35 @@ def test_overload_is_named_before_its_effect() -> None:
         ],
         test=scene.test.replace(settle={"longest": 1.0}),
     )
-    reason = run(scene).reason
+    result = run(scene)
+    reason = result.reason
     assert reason.startswith("input x was overloaded. The bias of its sensor, 10 V (time constant 2 s), overloads")
     assert (
         reason.index("Set bias: 0 V") < reason.index("With these readings, level") < reason.index("no lock within 1 s")
     )
+
+
+@pytest.mark.parametrize(
+    ("name", "limit"),
+    [
+        ("backbone", "10 um"),
+        ("held-response", "10 um"),
+        ("continuation", "10 um"),
+        ("shaker-table-sine", "0.5 m/s^2"),
+        ("shaker-table-random", "0.5 m/s^2"),
+        ("shaker-table-shock", "0.5 m/s^2"),
+    ],
+)
+def test_abort_limit_leaves_recording_and_no_drive(name, limit, tmp_path) -> None:
+    scene = rig.load(name)
+    first, *others = scene.channels
+    scene = scene.replace(channels=[first.replace(abort=limit), *others])
+    path = tmp_path / "aborted.mcap"
+    with pytest.raises(RunError, match="exceeds its abort limit"):
+        daq.record(scene, path)
+    with daq.open(path) as recording:
+        assert recording.markers[-1].kind == "abort"
+        assert recording.read(first.name, 0, recording.markers[-1].first_sample).any()
+    drive = run(scene).drive
+    # The ramp to zero takes 50 ms.
+    assert abs(drive).max() > 0.0 and not drive[:, -1].any()

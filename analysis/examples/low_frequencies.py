@@ -4,7 +4,7 @@ Integrators and AC coupling at low frequencies
 
 Accelerometers, integrating amplifiers and AC-coupled inputs act as high-pass filters.
 
-The analysis divides by their known response. The remaining error is noise.
+The analysis divides the readings by the known response of these filters. The remaining error is noise.
 """
 
 # %%

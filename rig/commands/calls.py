@@ -28,7 +28,7 @@ def response(
     direction: str | None = None,
     progress: CountProgress | None = None,
 ) -> SteadyResponse:
-    """Compute the steady response over frequency, at the level (amplitude of force or drive) of the scene's test.
+    """Compute the steady response at each frequency, at the level (amplitude of force or drive) of the scene's test.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def map(
     kept: str | Path | None = None,
     progress: CountProgress | None = None,
 ) -> MotionMap:
-    """Map types of motion and settling time over frequency (horizontal) and level or clearance (vertical).
+    """Map types of motion and settling time against frequency (horizontal) and level or clearance (vertical).
 
     Parameters
     ----------

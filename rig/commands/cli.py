@@ -248,7 +248,7 @@ def map_(
     overwrite: Overwrite = False,
     **options: Any,
 ) -> None:
-    """Map types of motion and settling time over level and frequency.
+    """Map types of motion and settling time against level and frequency.
 
     To continue an interrupted run, give the same command again.
     """
@@ -292,7 +292,7 @@ def design(
     ] = "0 %",
     cluster: Cluster = None,
     output: Annotated[
-        Path, "DIR: Folder for the scene, the figure and the table, design-NAME; NAME is the name in the scene."
+        Path, "DIR: Folder for scene, figure and table, which are named design-NAME after the name in the scene."
     ] = Path(),
     overwrite: Overwrite = False,
     **options: Any,

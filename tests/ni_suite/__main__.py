@@ -31,9 +31,8 @@ OUT_OF_SCOPE = {
     "bridges": r"bridge|strain|rosette",
     # The only devices with these properties are bridge modules (PXIe-4331); no emulated module has a bridge input.
     "properties of a bridge module": r"test_device_properties.*list_of_(float|uint)_property",
-    # The tests configure electronic data sheets (TEDS) from files; the sensors of the rig have their own.
-    "data sheets in files": r"teds",
-    "polynomial scales": r"polynomial|_poly_",
+    # Electronic data sheets (TEDS) of template 30; the sensors of the rig have template 25.
+    "data sheets of voltage sensors": r"(add|create)_teds_ai_voltage_chan",
     "currents and multimeters": r"current_chan|(current|voltage)_rms",
     "sensors that no emulated module reads": r"4_wire|charge_chan|eddy|lvdt|rvdt|chan_with_excit",
     # The properties are general, but the tests read them from a thermometer, a bridge, a power supply or a counter.

@@ -1,4 +1,4 @@
-"""Output of `analysis surface`: force over frequency and amplitude, and responses at constant force."""
+"""Output of `analysis surface`: force against frequency and amplitude, and responses at constant force."""
 
 from __future__ import annotations
 

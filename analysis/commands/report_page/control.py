@@ -111,7 +111,7 @@ def _modal_chart(result: Backbone) -> Chart:
         curves = [path, _bars(part, amplitude, values, bound)]
         panels.append(Panel(name, unit, curves, 170, limits=limits_with_margin(curves)))
     return Chart(
-        "Natural frequency and damping ratio of each level over its amplitude, with 95 % intervals.",
+        "Natural frequency and damping ratio at each level against amplitude, with 95 % intervals.",
         "Natural frequency and damping ratio against amplitude.",
         panels,
         x_name=f"amplitude of {result.body}",

@@ -89,7 +89,7 @@ def level_table(measurements: Sequence[Measurement]) -> str:
 
 
 def _bands(frequencies: Sequence[float]) -> list[tuple[float, float]]:
-    """Return the band [Hz] in which each mode of ascending frequencies at the first level may be at other levels."""
+    """Return, for each mode at the first level in ascending order, the band [Hz] in which it may be at other levels."""
     middles = [0.0, *((low + high) / 2.0 for low, high in pairwise(frequencies)), np.inf]
     return [
         (max(low, (1.0 - MODE_SHIFT) * each), min(high, (1.0 + MODE_SHIFT) * each))

@@ -277,7 +277,7 @@ def _symbols(name: str, style: CurveStyle, draw: str, points: Iterable[tuple[flo
 
 
 def force_charts(measurements: Sequence[Measurement], baseline_name: str) -> list[Chart]:
-    """Return a chart of the force of separate tones over frequency, with the tolerance of its controller."""
+    """Return a chart of the force of separate tones against frequency, with the tolerance of its controller."""
     sweeps = [
         (measurement, sweep.frfs[0])
         for measurement in measurements

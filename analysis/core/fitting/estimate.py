@@ -110,7 +110,7 @@ def _estimate_dampers(
 ) -> Array:
     """Estimate all unknowns from several initial values of the dampers, the scene's first; return the best.
 
-    Clearances with ceiling impacts and clearances without them are different optima, so both are tried.
+    The fit has separate optima with and without ceiling impacts, so initial clearances of both kinds are tried.
     `x_structure`: unknowns with the fitted structure, if it is known from linear recordings, and the initial dampers.
     """
     best, lowest_cost, orbit_states = x_structure, np.inf, [group.orbit_state() for group in damper_groups]

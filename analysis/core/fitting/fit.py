@@ -169,7 +169,7 @@ class Fit(Result):
         return {name: np.array([getattr(parameter, name) for parameter in self.parameters]) for name in names}
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the largest residual over frequency, in standard deviations."""
+        """Draw the largest residual against frequency, in standard deviations."""
         for compared in self.compared:
             order = np.argsort(compared.curves.frequency, kind="stable")
             largest = np.where(compared.is_fitted, compared.normalized_residuals.max(axis=0), np.nan)[order]

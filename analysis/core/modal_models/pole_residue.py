@@ -49,7 +49,7 @@ class Curves:
 
     @property
     def upper_terms(self) -> int:
-        """Count the terms of the series for modes above the band that the lines can determine."""
+        """Return the number of terms of the series for modes above the band that the lines determine."""
         return UPPER_TERMS if self.frequency.size >= _MIN_LINES else 1
 
     def unknowns(self, poles: int) -> int:

@@ -132,7 +132,7 @@ def rounding_gain_error(
 
 
 def _longer_transform(power: Array, size: int, new_size: int) -> Array:
-    """Interpolate a power spectrum to the bins of a transform of `new_size` samples; signals: at most `size` / 2."""
+    """Interpolate the power spectrum of signals of at most `size` / 2 samples to the bins for `new_size` samples."""
     correlation = fft.irfft(power, size, axis=1)
     n_lags = (size + 1) // 2
     padded = np.zeros((len(power), new_size))

@@ -48,7 +48,7 @@ _INDEPENDENT_RATIO = 0.95
 
 @dataclass(frozen=True)
 class Level:
-    """Motion of a channel over frequency with its 95 % interval, and prescribed values; all of shape (n,)."""
+    """Motion of a channel at each frequency with its 95 % interval, and its profile or limit; all of shape (n,)."""
 
     channel: str
     place: str  # location of the sensor: "body 2", "table"

@@ -230,7 +230,9 @@ def _check_options(rec: Recording, q: float, lowest: float, highest: float, per_
             f"{rec.path.name}."
         )
     if not 1 <= per_octave * max(1.0, log2(highest / lowest)) <= _MAX_FREQUENCIES:
-        raise SceneError(f"per_octave: got {per_octave}; expected 1 or more, and {_MAX_FREQUENCIES} in total at most.")
+        raise SceneError(
+            f"per_octave: got {per_octave}; expected 1 or more, with at most {_MAX_FREQUENCIES} frequencies in total."
+        )
 
 
 def _finite(rec: Recording, samples: Array) -> tuple[Array, tuple[str, ...]]:

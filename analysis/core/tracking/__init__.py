@@ -1,1 +1,1 @@
-"""Curves of nonlinear structures over the amplitude: backbones, and responses with folds."""
+"""Curves of nonlinear structures against amplitude: backbones, and responses with folds."""

@@ -254,7 +254,7 @@ def backbone(rec: Recording) -> Backbone:
 
 
 class _Mode(NamedTuple):
-    """A mode near phase resonance; the `_bound`s are halves of 95 % intervals."""
+    """A mode near phase resonance, with expanded uncertainties."""
 
     natural_frequency: float  # Hz
     natural_frequency_expanded: float

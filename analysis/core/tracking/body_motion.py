@@ -1,4 +1,4 @@
-"""Amplitude of one body along a measured response, for results against amplitude."""
+"""Amplitude of one body at each line of a measured response, for results as functions of amplitude."""
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple

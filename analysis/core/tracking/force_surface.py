@@ -1,4 +1,4 @@
-"""Harmonic force surface: the force over frequency and amplitude, from tests that hold the amplitude of a motion.
+"""Harmonic force surface: the force against frequency and amplitude, from tests that hold the amplitude of a motion.
 
 At one frequency the force is a single-valued function of the amplitude, even if several amplitudes belong to one force.
 Curves of constant force, with their unstable parts, follow from this function. (T. Karaagacli, H. N. Ozguven, Vibration
@@ -92,7 +92,7 @@ class ForceSurface(Result):
             yield frequency, amplitude, force, bound
 
     def at_force(self, force: float) -> dict[str, NDArray[Any]]:
-        """Return the response at constant force by interpolation over the amplitude.
+        """Return the response at constant force by interpolation between the held amplitudes.
 
         Parameters
         ----------
@@ -123,8 +123,8 @@ class ForceSurface(Result):
     def folds(self, force: float) -> list[tuple[float, float]]:
         """Return frequency (Hz) and amplitude (m) of the folds of the response at constant force.
 
-        At a fold the force over the amplitude is a maximum or minimum. Maxima and minima are interpolated linearly from
-        one measured frequency to the next.
+        At a fold the force has a maximum or minimum with respect to the amplitude. Maxima and minima are interpolated
+        linearly from one measured frequency to the next.
         """
         folds: list[tuple[float, float]] = []
         previous: dict[bool, tuple[float, float, float]] = {}

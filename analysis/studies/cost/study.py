@@ -243,7 +243,7 @@ class _Bench:
         except ShotrigError as failure:
             nan = float("nan")
             return Measurement(variant.group, variant.setting, nan, nan, nan, nan, str(failure))
-        # The largest error of any body is relative to the largest compliance at that frequency.
+        # The errors of all bodies are relative to the largest compliance at that frequency.
         errors = np.abs(measured - reference).max(axis=0) / np.abs(reference).max(axis=0)
         note = " ".join(dict.fromkeys(notes))
         return Measurement(variant.group, variant.setting, min(times), duration, float(errors.max()), correction, note)

@@ -84,7 +84,7 @@ def modes(parts: Parts) -> Figure:
 def _draw_panel(
     axes: Axes, data: Columns, at_depth: np.ndarray, deviations: np.ndarray, error: np.ndarray
 ) -> AxesImage:
-    """Draw deviations in % as a color map, with values and standard uncertainties, over clearance and acceleration."""
+    """Draw deviations in % as a color map, with values and uncertainties, against clearance and acceleration."""
     levels, clearances = np.unique(data["level"]), np.unique(data["clearance"])
     values = np.full((len(levels), len(clearances)), np.nan)
     for k in np.flatnonzero(at_depth):

@@ -54,7 +54,7 @@ def has_type_iii(scan: Columns) -> np.ndarray:
 
 
 def design(parts: Parts) -> Figure:
-    """Draw the design chart: peak compliance and type of motion at the peak, over clearance and force."""
+    """Draw the design chart: peak compliance and type of motion at the peak, against clearance and force."""
     with new_figure(6.8) as figure:
         rows = figure.subplots(2, 1)
         for axes, name, title in (
@@ -141,7 +141,7 @@ def _draw_map(
     has_white_text: np.ndarray,
     font_size: float,
 ) -> AxesImage:
-    """Draw values as colors over clearance and force, with a text in each cell."""
+    """Draw values as colors against clearance and force, with a text in each cell."""
     image = axes.imshow(values, origin="lower", aspect="auto", cmap=colormap, vmin=low, vmax=high)
     for (i, j), text in np.ndenumerate(texts):
         axes.text(

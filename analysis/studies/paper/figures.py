@@ -29,7 +29,7 @@ COMPLIANCE_LABEL = "compliance |X/F₁| / (µm/N)"
 
 
 def plot_body(axes: Axes, data: Columns, body: int, mark: str = "-", **style: Any) -> None:
-    """Draw the compliance of a body (from 0) over frequency."""
+    """Draw the compliance of a body (from 0) against frequency."""
     axes.plot(data["frequency"], abs(data["compliance"][body]), mark, **style)
 
 

@@ -50,8 +50,8 @@ _CHECKED_BYTES = 64
 _ATTACHMENT_HEAD = struct.Struct("<QQI")
 _DATA_SIZE = struct.Struct("<Q")
 _CHECKSUM_BYTES = 4
-# Records that no other record follows are verified up to a total size: a constant in bytes, plus a multiple of the
-# file's size.
+# Largest total size of the records that are verified although no other record follows: a constant [bytes], plus a
+# multiple of the file's size.
 _MAX_UNCONFIRMED_BYTES = 1 << 26
 _MAX_UNCONFIRMED_RATIO = 8
 

@@ -95,7 +95,7 @@ def _first_label(name: str) -> str:
 
 
 def _is_address(name: str) -> bool:
-    """Return whether a host is given by its IP address; a site of another host cannot have this address as its name."""
+    """Return whether a host is an IP address, which no other site can have as its name (DNS rebinding)."""
     try:
         ipaddress.ip_address(name)
     except ValueError:

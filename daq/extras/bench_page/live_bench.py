@@ -116,7 +116,7 @@ class TestController:
         self._test: tuple[Procedure[Any], Any] | None = None
         self._background_test: BackgroundTest | None = None
         self._controls: ToneControls | None = None
-        # Level and interval of the impacts that are averaged, and the message during a single impact.
+        # Level and interval of the impacts in the present average, and the message shown during a single impact.
         self._series: tuple[float, float] | None = None
         self._single_impact = ""
         # First sample, stop and marker fields of each impact of the test.

@@ -73,7 +73,7 @@ def rate_of_interval(interval: float, max_error: float = 0.0) -> float:
     relative_error = max(max_error / interval, _RATE_ROUNDING)
     reciprocal = 1.0 / interval
     rate, digits = _shortest_number(reciprocal * (1.0 - relative_error), reciprocal * (1.0 + relative_error))
-    # An interval of few digits, such as 39 µs, is exact.
+    # An interval with few digits, such as 39 µs, is assumed to be exact.
     _, digits_of_interval = _shortest_number(interval * (1.0 - _RATE_ROUNDING), interval * (1.0 + _RATE_ROUNDING))
     return rate if digits <= digits_of_interval else reciprocal
 

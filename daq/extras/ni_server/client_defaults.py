@@ -59,7 +59,8 @@ def replacements() -> Iterator[tuple[Any, str, Any]]:
     persisted = (storage.PersistedTask, storage.PersistedChannel, storage.PersistedScale)
     for owner in (nidaqmx.Task, Scale, system.Device, system.PhysicalChannel, *persisted):
         yield owner, "__init__", _with_options(owner.__init__)
-    for name in (f"create_{scale_type}_scale" for scale_type in ("lin", "map", "table")):
+    scale_types = ("lin", "map", "polynomial", "table")
+    for name in ("calculate_reverse_poly_coeff", *(f"create_{scale_type}_scale" for scale_type in scale_types)):
         yield Scale, name, staticmethod(_with_options(getattr(Scale, name)))
     remote = system.System.remote
     yield system.System, "local", staticmethod(lambda: remote(_options()))

@@ -12,9 +12,9 @@ from pathlib import Path
 from daq.extras.ni_device.connecting import connect_scene
 from daq.extras.ni_server.bench_time import BenchTime
 from daq.extras.ni_server.client_defaults import environment
-from daq.extras.ni_server.missing_excitation import report_missing_excitation
 from daq.extras.ni_server.service import Server
 from daq.extras.ni_server.signal_forwarding import forward_signals
+from daq.extras.ni_server.starter_script import report_missing_excitation
 from rig.core.base.errors import SceneError
 from rig.core.scene.scene import Scene
 

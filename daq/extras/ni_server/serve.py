@@ -20,9 +20,9 @@ from daq.extras.ni_device.chassis import Chassis
 from daq.extras.ni_device.connecting import connect_scene
 from daq.extras.ni_server.bench_time import BenchTime
 from daq.extras.ni_server.live import LiveRecording
-from daq.extras.ni_server.missing_excitation import report_missing_excitation
 from daq.extras.ni_server.served_instrument import Limits
 from daq.extras.ni_server.service import Server
+from daq.extras.ni_server.starter_script import report_missing_excitation, starter_script
 from rig.core.base.ending_signals import TERMINATION_SIGNALS
 from rig.core.base.errors import SceneError
 from rig.core.base.input_files import read_file
@@ -126,7 +126,7 @@ def collect_garbage_often() -> None:
 
 
 def announcement(chassis: Chassis, host: str, port: int, encrypted: bool) -> str:
-    """Return the text that `daq serve` prints: address, devices with their channels, and the options of a client."""
+    """Return the text that `daq serve` prints: address, devices with their channels, and a script for clients."""
     address = _endpoint(host, port)
     lines = [f"Server listening on port {port} ({address}{', with TLS' if encrypted else ''})", ""]
     modules = [chassis.devices.module(name) for name in chassis.devices.names]
@@ -147,8 +147,7 @@ def announcement(chassis: Chassis, host: str, port: int, encrypted: bool) -> str
             lines.append(f"  {terminal}: {describe_output(chassis.bench.scene, bench_index + 1)}")
     channel_function = "grpc.insecure_channel" if not encrypted else "grpc.secure_channel"
     credentials_argument = "" if not encrypted else ', grpc.ssl_channel_credentials(open("ca.pem", "rb").read())'
-    options = f'nidaqmx.GrpcSessionOptions({channel_function}("{address}"{credentials_argument}), session_name="")'
-    return "\n".join([*lines, "", f"In Python: nidaqmx.Task(grpc_options={options})"])
+    return "\n".join([*lines, *starter_script(chassis, f'{channel_function}("{address}"{credentials_argument})')])
 
 
 def parse_address(address: str, port: int) -> tuple[str, int]:

@@ -1,5 +1,5 @@
 """Pytest plugin: tests of programs for NI's package `nidaqmx` run on a bench of emulated devices, without hardware.
 
-Start with `plugin`, the options and fixtures, and `test_bench`, which tests use. A bench is a scene, or it has modules
+Start with `plugin` (options and fixtures) and `bench` (the object that a test uses). A bench is a scene, or modules
 without mechanics: see `description` and `wired_terminals`.
 """

@@ -306,7 +306,7 @@ class ResponseValues(Result):
     def band(self, low: float | str, high: float | str) -> Self:
         """Select the lines from `low` to `high`, in Hz or as strings with their unit.
 
-        Raises `SceneError` if there is no line between them.
+        Raises `SceneError` if the response has no line between these frequencies.
         """
         first, last = number(low, FREQUENCY, "low"), number(high, FREQUENCY, "high")
         if first > last:

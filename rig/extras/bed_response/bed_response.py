@@ -1,4 +1,4 @@
-"""Steady-state motion of beds of grains over frequency, compared with single-mass models, for `rig grains`.
+"""Steady-state motion of beds of grains at each frequency, compared with single-mass models, for `rig grains`.
 
 A *bed* is the particles of one damper; LAMMPS moves its grains by the discrete element method. Worker processes compute
 the motion at each frequency, and a table stores it.
@@ -47,7 +47,7 @@ class _Case(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class BedResponse(Result):
-    """Steady-state motion over frequency, with beds of grains and with each bed modeled as one mass.
+    """Steady-state motion at each frequency, with beds of grains and with each bed modeled as one mass.
 
     Attributes
     ----------

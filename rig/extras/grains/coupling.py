@@ -205,7 +205,7 @@ class CoupledPropagator:
         """Renumber events and breaks by sample interval instead of time step; the states remain those of the steps."""
 
         def in_intervals(segment: NDArray[np.int64], offset: Array) -> tuple[NDArray[np.int64], Array]:
-            """Convert numbers of steps, and times within steps, to those of sample intervals."""
+            """Convert numbers of steps, and times in steps, to numbers of sample intervals and times in these."""
             return segment // self.substeps, offset + (segment % self.substeps) * self.step
 
         event_segment, event_offset = in_intervals(trajectory.event_segment, trajectory.event_offset)

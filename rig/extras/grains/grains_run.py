@@ -26,7 +26,7 @@ class GrainsState(NamedTuple):
     """Results of a run up to the end of a section, and the state of beds and structure at this end."""
 
     coupled: CoupledState
-    rows: Array  # shape (rows of `MotionSamples`, samples so far)
+    rows: Array  # motion so far, as in `MotionSamples.rows`; shape (rows, samples)
     contact: NDArray[np.int8]  # shape (dampers, samples so far)
     events: NDArray[np.void]  # events so far
     energy: tuple[Energy, ...]  # energy balance of each section

@@ -175,7 +175,7 @@ class Trial:
 
     @property
     def mean_peak(self) -> float:
-        """Geometric mean of the peaks over the levels (the mean in dB), as `Peak.magnitude`."""
+        """Geometric mean of the peaks at all levels (the mean in dB), as `Peak.magnitude`."""
         return float(np.exp(np.mean(np.log([peak.magnitude for peak in self.peaks]))))
 
 
@@ -246,7 +246,7 @@ class Objective:
         return digest((scenes, self.levels, self.band, self.bodies, impact_law, self.density))
 
     def worst(self, choice: Choice) -> Peak:
-        """Compute the worst peak of a design over levels and structures."""
+        """Compute the worst peak of a design at all levels, for all structures."""
         peaks = []
         for scene in self.scenes:
             damped = scene.replace(dampers=choice.dampers(self.impact_law))

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-#: Clearances of the chart (worst peak over clearance and force), relative to the clearances of the best design.
+#: Clearances of the chart (worst peak against clearance and force), relative to the clearances of the best design.
 CHART_CLEARANCES = np.geomspace(0.25, 4.0, 7)
 #: The levels of the chart extend beyond the requested levels by this factor.
 CHART_MARGIN = 2.0
@@ -78,7 +78,7 @@ class Design(Result):
     charted : Choice
         The best dampers; dampers without a ceiling get the largest clearance searched.
     chart : tuple of tuple of Peak
-        Worst peak over clearance (rows) and level.
+        Worst peak for each clearance (rows) and level.
     """
 
     scene: Scene

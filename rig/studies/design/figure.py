@@ -123,7 +123,7 @@ def _comparison_with_tuned_mass(design: Design, tuned: TunedMass) -> str:
 
 
 def _tables(design: Design) -> list[str]:
-    """Return two tables over the levels: reductions by the best dampers of each mass, and the peaks of each mode."""
+    """Return two tables with the levels as columns: reductions by the best dampers of each mass, peaks of modes."""
     factor, unit = mass_unit(max(trial.choice.mass for trial in design.front))
     level_unit, (_, response_unit, scale) = design.question.level.unit, design.question.response_display
     levels = "".join(f"{f'{format_number(level)} {level_unit}':>9}" for level in design.question.levels)
@@ -253,7 +253,7 @@ def _draw(design: Design) -> Figure:
 
 
 def _draw_chart(axes: Axes, design: Design) -> None:
-    """Draw the reduction of the worst peak over level and clearance (the chart of the design)."""
+    """Draw the reduction of the worst peak against level and clearance (the chart of the design)."""
     reduction = np.array([[design.reduction(peak) for peak in row] for row in design.chart])
     choice = design.charted
     chosen = choice.clearances[choice.heaviest_index]

@@ -1,4 +1,4 @@
-"""The worst peak of a structure with dampers at one force level: the maximum over frequency and body."""
+"""The worst peak of a structure with dampers at one force level: the maximum over all frequencies and bodies."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def response_at_level(problem: OrbitProblem, level: float, frequencies: Array) -
 
 
 def refined_peak(problem: OrbitProblem, response: OrbitResponse, body: int) -> tuple[float, float]:
-    """Compute the largest response of a body over frequency (as `Peak.magnitude`), and its frequency [Hz].
+    """Compute the largest response of a body at any frequency (as `Peak.magnitude`), and its frequency [Hz].
 
     If the largest point is a periodic orbit, the maximum between its neighbors is computed over orbits with the same
     events, so it does not depend on the grid. If this point and both neighbors are irregular motion, a parabola is

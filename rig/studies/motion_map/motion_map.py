@@ -1,4 +1,4 @@
-"""Map of type of motion and settling time over level or clearance, and frequency."""
+"""Map of type of motion and settling time against level or clearance, and frequency."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ class MotionMap(Result):
         return self.to_dataframe().set_index("frequency_Hz", append=True).to_xarray()
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the type of motion over level or clearance, and frequency."""
+        """Draw the type of motion against level or clearance, and frequency."""
         from matplotlib.colors import ListedColormap
 
         mesh_style: dict[str, Any] = {

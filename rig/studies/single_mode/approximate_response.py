@@ -1,4 +1,4 @@
-"""The approximate method of Inoue, Yokomichi and Hiraki (2011): all periodic motions of one mode, over frequency.
+"""The approximate method of Inoue, Yokomichi and Hiraki (2011): all periodic motions of one mode, at all frequencies.
 
 At selected frequencies all solutions of Types I, II and III are computed (`rig.studies.single_mode.motion_search`).
 Each is continued over frequency, through folds, as a *branch*. Every point of a branch is checked for admissibility

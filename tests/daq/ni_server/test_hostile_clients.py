@@ -187,14 +187,23 @@ def test_random_calls_disturb_only_their_client(capfd):
     [
         (lambda rig: nidaqmx.Task("x" * 1_000_000, grpc_options=rig), "1000000 characters"),
         (lambda rig: nidaqmx.Task("a\0b", grpc_options=rig), "null character"),
+        (lambda rig: Scale.create_polynomial_scale("s", [], [], grpc_options=rig), "empty"),
         (lambda rig: Scale.create_table_scale("s", [], [], grpc_options=rig), "empty"),
         (lambda rig: Scale.create_lin_scale("s", float("nan"), grpc_options=rig), "finite"),
-        (lambda rig: Scale.create_table_scale("s", [1.0] * 10_001, [1.0], grpc_options=rig), "entries"),
+        (lambda rig: Scale.create_polynomial_scale("s", [1.0] * 10_001, [1.0], grpc_options=rig), "entries"),
     ],
 )
 def test_error_names_the_invalid_value(call, hint):
     with daq.connect("bare-structure", clock=ManualClock()) as rig, pytest.raises(DaqError, match=hint):
         call(rig)
+
+
+@pytest.mark.parametrize("points, order, forward", [(10**9, 3, 1.0), (1000, 999, 1.0), (5, 7, 1.0), (100, 3, 1e300)])
+def test_impossible_polynomial_reversal_is_rejected(points, order, forward):
+    from daq.extras.ni_device.settings.scales import reverse_polynomial
+
+    with pytest.raises(daq.extras.ni_device.errors.DaqError, match="polynomial"):
+        reverse_polynomial([0.0, forward], -1e10, 1e10, points, order)
 
 
 def test_invalid_number_is_rejected_without_effect():

@@ -118,7 +118,7 @@ def delayed_channels(curves: Sequence[Response], source: str) -> str:
 
 
 def _are_confirmed(curves: Sequence[Response], delayed: dict[str, _Delay]) -> bool:
-    """Return whether parts of the lines have the same delays, and corrected curves none; else poles are incomplete."""
+    """Return whether parts of the lines give the same delays, and corrected curves none; if not, poles are missing."""
     corrected = [
         curve.scaled(np.exp(2j * np.pi * curve.frequency * delayed[curve.response].time))
         if curve.response in delayed
@@ -289,6 +289,6 @@ def _damping_coupling(poles: ComplexArray) -> Array:
 
 
 def _misfits(columns: Array, targets: Array) -> Array:
-    """Return the least squares of each target; rows of the columns beyond the targets have the target zero."""
+    """Return the smallest sum of squares of each target; the target of additional rows of the columns is zero."""
     basis = np.linalg.qr(columns)[0][: targets.shape[1]]
     return np.asarray(np.sum(targets**2, axis=1) - np.sum((targets @ basis) ** 2, axis=1))

@@ -1,11 +1,13 @@
-"""Decodes transducer electronic data sheets (TEDS, IEEE 1451.4) of sensors."""
+"""Decodes transducer electronic data sheets (TEDS, IEEE 1451.4) from sensors, or from files (virtual TEDS)."""
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from daq.extras.ni_device.devices.names import Port
 from daq.extras.ni_device.errors import Code, DaqError
+from rig.core.base.input_files import read_file
 
 # Fields of the basic TEDS and their numbers of bits, in the order from the lowest bit.
 _BASIC_FIELDS = (
@@ -22,6 +24,8 @@ _TEMPLATE_DATA_BIT = 74
 # By template number: position of the 16-bit sensitivity in the template's data, smallest sensitivity (V per unit), and
 # ratio of neighboring values. 25: accelerometer (m/s^2) or force transducer (N), 27: microphone (Pa).
 _SENSITIVITY = {25: (2, 5e-7, 1.0003), 27: (1, 1e-5, 1.0002)}
+# Size of the header of a virtual TEDS file in which each further byte represents one bit [bytes].
+_FILE_HEADER_BYTES = 40
 
 
 def basic_teds(data: bytes) -> dict[str, Any]:
@@ -75,14 +79,50 @@ def with_sensitivity(basic: bytes, template: int, volts_per_unit: float) -> byte
 
 
 class TedsMemory:
-    """The TEDS of the sensors; `teds_of_sensor` returns that at a terminal, None for a sensor without TEDS."""
+    """The TEDS of the sensors, and the virtual TEDS (files) that replace them.
+
+    `teds_of_sensor` returns the TEDS of the sensor at a terminal; None for a sensor without TEDS.
+    """
 
     def __init__(self, teds_of_sensor: Callable[[Port], bytes | None]) -> None:
         self._teds_of_sensor = teds_of_sensor
+        self._virtual: dict[str, bytes] = {}  # contents of files, by lower-case terminal
+
+    def configure(self, port: Port, path: str) -> None:
+        """Replace the TEDS of a sensor with a file; with an empty path, use the TEDS of the sensor."""
+        if not path:
+            self._virtual.pop(port.name.lower(), None)
+            self.data(port)  # This raises an error for a sensor without TEDS.
+            return
+        try:
+            data = read_file(Path(path))
+        except OSError as error:
+            raise DaqError(
+                f"{path}: {error.strerror}. Give the path of a virtual TEDS file.", Code.VIRTUAL_TEDS_FILE_NOT_FOUND
+            ) from None
+        if not set(data) - {0, 1}:
+            # A header, then one byte per bit.
+            bits = data[_FILE_HEADER_BYTES:]
+            value = sum(bit << position for position, bit in enumerate(bits))
+            data = value.to_bytes(-(-len(bits) // 8), "little")  # rounded up
+        basic_teds(data)
+        self._virtual[port.name.lower()] = data
+
+    def clear(self, port: Port) -> None:
+        """Remove the file that replaces a sensor's TEDS."""
+        self._virtual.pop(port.name.lower(), None)
+
+    def write(self, port: Port, data: bytes) -> None:
+        """Reject a write into a sensor: the emulated sensors have no writable memory."""
+        basic_teds(data)
+        raise DaqError(
+            f"{port.name}: the sensor has no writable memory. Configure a virtual TEDS (configure_teds) instead.",
+            Code.TEDS_SENSOR_NOT_DETECTED,
+        )
 
     def data(self, port: Port) -> bytes:
         """Return the TEDS at a terminal. Raises `DaqError` -200709 for a sensor without TEDS."""
-        data = self._teds_of_sensor(port)
+        data = self._virtual.get(port.name.lower()) or self._teds_of_sensor(port)
         if data is None:
             raise DaqError(
                 f"{port.name}: the sensor has no TEDS. Create the channel without TEDS, and give its sensitivity.",

@@ -1,7 +1,7 @@
 """Handlers of the calls that configure timing, triggers, buffers and logging of tasks, scales, and saved tasks."""
 
 from daq.extras.ni_device.errors import invalid_value, unsupported
-from daq.extras.ni_device.settings.scales import LINEAR, MAP_RANGES, TABLE, Scale
+from daq.extras.ni_device.settings.scales import LINEAR, MAP_RANGES, POLYNOMIAL, TABLE, Scale, reverse_polynomial
 from daq.extras.ni_device.task_properties import get_value, set_value, set_values, time_of
 from daq.extras.ni_device.values import Signal, TimestampEvent, TimingType, TriggerType, enum_member
 from daq.extras.ni_server.calls.call import Call, Handler, ResponseFields, plain_value, task_action
@@ -88,6 +88,13 @@ def _create_scale(scale_type: int, *names: tuple[str, str]) -> Handler:
         storage.store(storage.scales, fields["name"], Scale(scale_type, settings | units))
 
     return create
+
+
+def _reverse_polynomial(call: Call) -> ResponseFields:
+    """Return the coefficients of an inverse polynomial; see `reverse_polynomial`."""
+    fields = call.fields
+    names = ("forward_coeffs", "min_val_x", "max_val_x", "num_points_to_compute", "reverse_poly_order")
+    return {"reverse_coeffs": reverse_polynomial(*(plain_value(fields[name]) for name in names))}
 
 
 def _save_task(call: Call) -> None:
@@ -179,9 +186,13 @@ CALLS: dict[str, Handler] = {
         ("scaled_min", "map_scaled_min"),
         ("scaled_max", "map_scaled_max"),
     ),
+    "CreatePolynomialScale": _create_scale(
+        POLYNOMIAL, ("forward_coeffs", "poly_forward_coeff"), ("reverse_coeffs", "poly_reverse_coeff")
+    ),
     "CreateTableScale": _create_scale(
         TABLE, ("prescaled_vals", "table_pre_scaled_vals"), ("scaled_vals", "table_scaled_vals")
     ),
+    "CalculateReversePolyCoeff": _reverse_polynomial,
     "SaveTask": _save_task,
     "SaveGlobalChan": _save_channel,
     "SaveScale": _save_scale,

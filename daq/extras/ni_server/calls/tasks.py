@@ -1,11 +1,14 @@
 """Handlers of calls about tasks as a whole, devices, and the names that clients reserve."""
 
 from collections.abc import Callable
+from pathlib import Path
 
+from daq.extras.ni_device.devices.names import parse_port
 from daq.extras.ni_device.errors import Code, DaqError, invalid_value
 from daq.extras.ni_device.task import Task
 from daq.extras.ni_server.calls.call import Call, Handler, ResponseFields, task_action
 from daq.extras.ni_server.protocol import DeviceProperties
+from rig.core.base.input_files import read_file
 
 
 def _create_task(call: Call) -> ResponseFields:
@@ -47,6 +50,34 @@ def _check_device(call: Call) -> ResponseFields:
 def _reset_device(call: Call) -> None:
     module = call.instrument.chassis.devices.module(call.fields["device_name"])
     call.instrument.sessions.abort_on_device(module.name, call.peer)
+
+
+def _teds(action: str) -> Handler:
+    """Return the handler of an action on the electronic data sheet (TEDS) of a sensor; see `TedsMemory`.
+
+    `action` is "configure", "clear", "write" (from an array) or "write_file".
+    """
+
+    def handle(call: Call) -> None:
+        teds, port = call.instrument.teds, parse_port(call.fields["physical_channel"])
+        # This raises an error if the channel does not exist.
+        call.instrument.chassis.devices.module(port.device).bench_index(port.direction, port.number)
+        path = call.fields.get("file_path", "")
+        if action == "configure":
+            teds.configure(port, path)
+        elif action == "clear":
+            teds.clear(port)
+        elif action == "write_file":
+            try:
+                teds.write(port, read_file(Path(path)) if path else b"")
+            except OSError as error:
+                raise DaqError(
+                    f"{path}: {error.strerror}. Give the path of a virtual TEDS file.", Code.VIRTUAL_TEDS_FILE_NOT_FOUND
+                ) from None
+        else:
+            teds.write(port, call.fields["bit_stream"])
+
+    return handle
 
 
 def _enumerate_devices(call: Call) -> ResponseFields:
@@ -108,6 +139,10 @@ CALLS: dict[str, Handler] = {
     "UnreserveNetworkDevice": _check_device,
     "ReserveNetworkDevice": _check_device,
     "DeviceSupportsCal": lambda call: _check_device(call) | {"cal_supported": False},
+    "ConfigureTEDS": _teds("configure"),
+    "ClearTEDS": _teds("clear"),
+    "WriteToTEDSFromArray": _teds("write"),
+    "WriteToTEDSFromFile": _teds("write_file"),
     "EnumerateDevices": _enumerate_devices,
     "Reserve": lambda call: {
         "is_reserved": call.instrument.reservations.reserve(*_reservation(call), is_waiting=call.is_active)

@@ -109,9 +109,7 @@ open_bench(clock="real").close()
         "analysis compare recordings/demo-sweep-no-damper.mcap recordings/demo-sweep-three-dampers.mcap -o {folder}",
     ],
 )
-def test_commands_print_on_consoles_with_few_characters(
-    command: str, encoding: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_commands_print_on_consoles_with_few_characters(command, encoding, tmp_path, monkeypatch):
     console = io.TextIOWrapper(io.BytesIO(), encoding=encoding, errors="strict")
     monkeypatch.setattr(sys, "argv", command.format(folder=tmp_path).split())
     monkeypatch.setattr(sys, "stdout", console)

@@ -77,9 +77,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("package", "command"),
     [(package, command) for package, commands in TESTED_COMMANDS.items() for command in commands],
 )
-def test_commands_print_no_control_codes(
-    folder: Path, package: str, command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_commands_print_no_control_codes(folder, package, command, monkeypatch, capsys):
     before = set(folder.iterdir())
     monkeypatch.chdir(folder)
     monkeypatch.setattr(sys, "argv", [package, *command.split()])

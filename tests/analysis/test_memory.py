@@ -55,9 +55,7 @@ def short_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     "command", [check, *map(export, (".csv", ".npz", ".uff", ".wav"))], ids=["check", ".csv", ".npz", ".uff", ".wav"]
 )
-def test_memory_does_not_grow_with_duration(
-    recordings: list[Path], tmp_path: Path, command: Callable[[daq.Recording, Path], Any]
-) -> None:
+def test_memory_does_not_grow_with_duration(recordings, tmp_path, command):
     peaks = []
     # The first file includes imports.
     for path in (recordings[0], *recordings):

@@ -44,9 +44,7 @@ def tone_of(scene: rig.Scene) -> tuple[HybridSystem, ToneDrive]:
     return system, tone
 
 
-def engine_run(
-    scene: rig.Scene, periods: int = PERIODS, repeats: int = 200, level: float = 1.0
-) -> tuple[float, float, float]:
+def engine_run(scene, periods=PERIODS, repeats=200, level=1.0):
     """Propagate with the engine from rest; return CPU time (s), full steps and events, each for a period of the drive.
 
     `level`: factor on the amplitude of the drive.

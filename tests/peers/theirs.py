@@ -121,9 +121,7 @@ def compare_poles(ours: dict[str, np.ndarray], name: str, order: int) -> Iterato
             yield f"{label}, 1 - MAC, sdypy-EMA", value, 0.05, f"shapes of {len(shapes)} points"
 
 
-def poles_of_sdypy(
-    frf: np.ndarray, frequency: np.ndarray, near: np.ndarray, band: tuple[float, float], order: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def poles_of_sdypy(frf, frequency, near, band, order):
     """Return frequencies, damping ratios and shapes by sdypy-EMA: the poles of its highest order nearest to `near`."""
     from sdypy.EMA import Model
 

@@ -51,9 +51,7 @@ def test_load_of_other_programs_takes_cores(load: float, free: float, monkeypatc
     assert free_cores() == free
 
 
-def test_one_worker_reports_that_it_compiles(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_one_worker_reports_that_it_compiles(tmp_path, monkeypatch, capfd):
     monkeypatch.setattr("rig.core.base.workers.cores", lambda: 2)
     with Workers() as workers:
         assert len(list(workers.compute(log_compilation, [tmp_path] * 2))) == 2

@@ -11,7 +11,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -92,9 +92,7 @@ def main() -> int:
     return 1 if any(tally.faults for tally in tallies.values()) else 0
 
 
-def run_cases(
-    workspace: Workspace, kind: str, numbers: Sequence[int], seconds: float, tally: Tally, progress: Progress
-) -> None:
+def run_cases(workspace, kind, numbers, seconds, tally, progress):
     """Run the cases of a kind until their time limit."""
     print(f"{kind}:", flush=True)
     task, deadline = progress.add_task(kind, total=len(numbers)), time.monotonic() + seconds

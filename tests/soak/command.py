@@ -6,7 +6,7 @@ import select
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import import_module
@@ -60,14 +60,7 @@ class CommandResult:
         return names
 
 
-def run(
-    words: Sequence[str],
-    folder: Path,
-    on_poll: Callable[[int, float], None] | None = None,
-    environment: dict[str, str] | None = None,
-    prepare: Callable[[], None] | None = None,
-    time_limit: float = TIME_LIMIT_S,
-) -> CommandResult:
+def run(words, folder, on_poll=None, environment=None, prepare=None, time_limit=TIME_LIMIT_S):
     """Run `rig`, `daq` or `analysis` in a fork of this process, which has already imported the packages.
 
     Parameters
@@ -96,9 +89,7 @@ def run(
     return _watch(words, *_fork(folder, environment or {}, run_command), on_poll, time_limit)
 
 
-def run_new_process(
-    words: Sequence[str], folder: Path, on_poll: Callable[[int, float], None] | None = None, module: bool = False
-) -> CommandResult:
+def run_new_process(words, folder, on_poll=None, module=False):
     """Run a command in a new process, as a shell does: by its installed script, or by ``python -m`` if `module`.
 
     `words`, `folder`, `on_poll`: as of `run`.
@@ -129,13 +120,7 @@ def processes_remain(group: int, seconds: float = 5.0) -> bool:
     return True
 
 
-def _watch(
-    words: Sequence[str],
-    process_id: int,
-    output: int,
-    on_poll: Callable[[int, float], None] | None,
-    time_limit: float,
-) -> CommandResult:
+def _watch(words, process_id, output, on_poll, time_limit):
     """Collect the output of a child process from a pipe until it ends."""
     start = time.monotonic()
     received, is_open = bytearray(), True

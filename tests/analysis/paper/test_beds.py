@@ -98,9 +98,7 @@ def test_table_order_is_independent_of_completion(tmp_path: Path, computed: list
     assert [setting_of(row) for row in TABLE.read(single_run)] == settings()[:5]
 
 
-def test_rows_of_other_code_are_computed_again(
-    tmp_path: Path, computed: list[Setting], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rows_of_other_code_are_computed_again(tmp_path, computed, monkeypatch):
     path = tmp_path / "beds.csv"
 
     follow(path, 2, lambda line: None)

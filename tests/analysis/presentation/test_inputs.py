@@ -165,9 +165,7 @@ def test_recordings_with_a_common_point_are_comparable() -> None:
         ),
     ],
 )
-def test_different_measurement_points_are_explained(
-    force_on: tuple[int, ...], channels: dict[str, str], message: str
-) -> None:
+def test_different_measurement_points_are_explained(force_on, channels, message):
     with pytest.raises(SceneError, match=message):
         MeasurementPoints(Path("b.mcap"), force_on, channels).comparable_with(FIRST)
 

@@ -119,9 +119,7 @@ def test_command_creates_the_output_folder(folder: Path, command: str, output: s
         "rig simulate fig9 -o sweep.mcap/out.csv",
     ],
 )
-def test_unusable_folder_is_rejected_before_computing(
-    folder: Path, command: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_unusable_folder_is_rejected_before_computing(folder, command, monkeypatch):
     def compute(*_: object, **__: object) -> None:
         raise AssertionError
 

@@ -3,8 +3,6 @@
 The amplitude is observed at a constant interval; its steady value is 1.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -14,9 +12,7 @@ TOLERANCE = 1e-3
 INTERVAL_S = 0.1  # Between observations.
 
 
-def observe_until_settled(
-    amplitude: Callable[[int], complex | np.ndarray], max_observations: int = 2000
-) -> tuple[int, Settling]:
+def observe_until_settled(amplitude, max_observations=2000):
     """Return the number of the observation at which the steady state is detected, and the detector."""
     detector = Settling(TOLERANCE)
     for observation in range(max_observations):

@@ -19,9 +19,7 @@ from tests.daq.measurement.bench_run import BenchRun, run, scene_with
 FORCE = 1.5  # level of each tone, N
 
 
-def run_tones(
-    scene: rig.Scene, *groups: Sequence[float], levels: Sequence[float] | None = None, longest: float = 60.0
-) -> BenchRun:
+def run_tones(scene, *groups, levels=None, longest=60.0):
     """Run groups of tones on the bench of a scene; `longest`: maximum wait, s."""
 
     def excite(station: Station) -> Excitation:

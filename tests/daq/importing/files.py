@@ -17,7 +17,6 @@ from mcap.writer import Writer
 from scipy.io import savemat, wavfile
 
 import rig
-from rig.core.scene.scene import Scene
 
 RATE = 2048.0  # Hz
 NAMES = ("body1", "body2", "force")
@@ -25,9 +24,7 @@ UNITS = ("g", "m/s^2", "N")
 SI_PER_UNIT = np.array([[9.80665], [1.0], [1.0]])
 
 
-def make_scene(
-    test: str = "{kind: random, from: 5 Hz, to: 400 Hz, duration: 4 s, force: 1 N}", converter: str = ""
-) -> Scene:
+def make_scene(test="{kind: random, from: 5 Hz, to: 400 Hz, duration: 4 s, force: 1 N}", converter=""):
     """Return the scene of the imported measurement: two bodies and three channels."""
     return rig.loads(f"""
 structure: {{masses: [1 kg, 2 kg], springs: [10 kN/m, 20 kN/m]}}

@@ -1,12 +1,11 @@
 """Run of a test on the virtual bench without a recorder, and an independent estimate of its spring force."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 import rig
-from daq.core.excitation import Excitation, Station, excitation
+from daq.core.excitation import excitation
 from daq.core.measurement.bench_loop import BenchLoop
 from daq.core.virtual_bench.bench import Block
 from rig.core.base.arrays import Array, ComplexArray
@@ -90,9 +89,7 @@ class BenchRun(BenchLoop):
         return np.asarray(cosine - 1j * sine)
 
 
-def run(
-    scene: rig.Scene, max_block: int | None = None, make_excitation: Callable[[Station], Excitation] = excitation
-) -> BenchRun:
+def run(scene, max_block=None, make_excitation=excitation):
     """Run a scene's test, or another excitation, on its bench; acquire at most `max_block` samples at a time."""
     result = BenchRun(scene, max_block)
     test = make_excitation(result.station)

@@ -235,9 +235,7 @@ def test_ctrl_c_leaves_readable_recording(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("moment", "status"), [("__enter__", "interrupted"), ("close", "complete")])
-def test_ctrl_c_at_start_or_end_keeps_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str, status: str
-) -> None:
+def test_ctrl_c_at_start_or_end_keeps_file(tmp_path, monkeypatch, moment, status):
     original = getattr(Recorder, moment)
 
     def interrupt(*arguments: Any) -> Any:
@@ -254,9 +252,7 @@ def test_ctrl_c_at_start_or_end_keeps_file(
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_error_names_write_protected_folder(
-    scene_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_error_names_write_protected_folder(scene_file, monkeypatch, capsys):
     def fail(*_: Any, **__: Any) -> None:
         raise PermissionError(13, "Permission denied")
 
@@ -318,9 +314,7 @@ def scene_file(tmp_path: Path) -> Path:
     return path
 
 
-def test_command_names_file_and_next_step(
-    scene_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_command_names_file_and_next_step(scene_file, monkeypatch, capsys):
     monkeypatch.chdir(scene_file.parent)
     assert run_command(monkeypatch, "record", "hit.yaml") == 0
     out = capsys.readouterr().out
@@ -333,9 +327,7 @@ def test_command_names_file_and_next_step(
     assert run_command(monkeypatch, "record", "hit.yaml", "--overwrite", "--block", "100") == 0
 
 
-def test_each_scene_has_a_separate_file(
-    scene_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_each_scene_has_a_separate_file(scene_file, monkeypatch, capsys):
     folder = scene_file.parent
     (folder / "other.yaml").write_text(steps_scene().to_yaml())
     scenes, output = [str(scene_file), str(folder / "other.yaml")], ["-o", str(folder)]
@@ -352,9 +344,7 @@ def test_each_scene_has_a_separate_file(
     assert run_command(monkeypatch, "record", scenes[0], scenes[0], *output, "--overwrite") == 2
 
 
-def test_too_long_name_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_too_long_name_is_reported(tmp_path, monkeypatch, capsys):
     name = tmp_path / f"{'a' * 300}.mcap"
     assert run_command(monkeypatch, "record", "fig8-no-damper", "-o", str(name)) == 2
     (message,) = capsys.readouterr().err.splitlines()
@@ -362,27 +352,21 @@ def test_too_long_name_is_reported(
 
 
 @pytest.mark.parametrize("scene", ["no-such-scene", "missing.yaml"])
-def test_missing_scene_exits_with_2(
-    scene: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_missing_scene_exits_with_2(scene, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert run_command(monkeypatch, "record", scene) == 2
     assert "error: " in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
-def test_abort_exits_with_1(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_abort_exits_with_1(tmp_path, monkeypatch, capsys):
     (tmp_path / "a.yaml").write_text(limited_scene(abort="20 m/s^2").to_yaml())
     arguments = ["record", "--anyway", str(tmp_path / "a.yaml"), "-o", str(tmp_path / "a.mcap")]
     assert run_command(monkeypatch, *arguments) == 1
     assert "a.mcap contains the" in capsys.readouterr().err
 
 
-def test_ctrl_c_exits_with_130(
-    scene_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_ctrl_c_exits_with_130(scene_file, monkeypatch, capsys):
     from contextlib import contextmanager
 
     import daq.core.measurement.run_report
@@ -406,14 +390,7 @@ def test_ctrl_c_exits_with_130(
         ("60 s", "", "\nsteady state reached: 1 of 1"),
     ],
 )
-def test_dwells_in_steady_state_are_counted(
-    longest: str,
-    warning: str,
-    count: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_dwells_in_steady_state_are_counted(longest, warning, count, tmp_path, monkeypatch, capsys):
     scene = rig.load("bare-structure").replace(
         test={"kind": "stepped_sine", "frequencies": [13.0], "force": "2.6 N", "settle": {"longest": longest}}
     )

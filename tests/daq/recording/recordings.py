@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from mcap.reader import make_reader
 from mcap.records import Message
-from numpy.typing import NDArray
 
 import rig
 from daq.core.recording.markers import EVENT_TYPE
@@ -48,13 +47,7 @@ def random_volts(samples: int, seed: int = 0) -> Array:
     return np.random.default_rng(seed).standard_normal((2, samples))
 
 
-def write_recording(
-    path: Path,
-    samples: NDArray[Any],
-    scene: rig.Scene | None = None,
-    piece_lengths: list[int] | None = None,
-    rate: float = RATE,
-) -> Path:
+def write_recording(path, samples, scene=None, piece_lengths=None, rate=RATE):
     """Record volts or counts (2 channels, samples) in pieces; their lengths repeat, by default there is one piece."""
     counts = np.issubdtype(samples.dtype, np.integer)
     scene = make_scene() if scene is None else scene

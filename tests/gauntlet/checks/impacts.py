@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from analysis.core.damper_motion.impact_detection import Impacts, detect_impacts
 from analysis.core.responses.errors.systematic import tolerance
-from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
 from rig.core.system.assembly import assemble
 from tests.gauntlet.finite_contact import TONE_FINITE_CONTACT
@@ -83,13 +82,7 @@ def _max_distance(detected: Impacts, rate: float) -> float:
     return max(MAX_DISTANCE_SAMPLES / rate, 0.5 * detected.contact_duration)
 
 
-def _agrees_within_errors(
-    detected: Impacts,
-    matched: NDArray[np.bool_],
-    time: NDArray[np.float64],
-    jump: NDArray[np.float64],
-    info: ChannelInfo,
-) -> NDArray[np.bool_]:
+def _agrees_within_errors(detected, matched, time, jump, info):
     """Return whether the walls, times and velocity jumps of matched impacts agree within the stated errors.
 
     A jump is positive at the ceiling and negative at the floor.

@@ -179,9 +179,7 @@ def test_general_solver_locates_events_of_each_law(name: str, frequency: float, 
         ("impact-damper-on-spring", 2.0, 12.6, "II", {}),
     ],
 )
-def test_exact_orbit_confirms_each_law(
-    name: str, force: float, frequency: float, motion: str, contact: dict[str, float]
-) -> None:
+def test_exact_orbit_confirms_each_law(name, force, frequency, motion, contact):
     scene = rig.load(name)
     changed = {"dampers": [each.replace(contact=contact) for each in scene.dampers]} if contact else {}
     scene = with_ideal_force(scene.replace(test=scene.test.replace(force=force), **changed))

@@ -125,9 +125,7 @@ class ShuffledWorkers:
 
 
 @pytest.mark.parametrize(("dampers", "seed", "max_tasks"), [(1, 1, 30), (1, 2, 120), (2, 3, 300)])
-def test_killed_search_continues_with_identical_results(
-    dampers: int, seed: int, max_tasks: int, tmp_path: Path
-) -> None:
+def test_killed_search_continues_with_identical_results(dampers, seed, max_tasks, tmp_path):
     objective = QuadraticOptimum((rig.load("fig9"),), (1.0, 2.0), (40.0, 60.0), (1,))
     space = SearchSpace(SearchSpace.locations_of((1, 2, 3), dampers), 0.1, (1e-4, 1e-2))
 

@@ -50,9 +50,7 @@ def propagator(duration: str = "", bodies: tuple[int, ...] = (1, 2, 3), clearanc
 
 
 @given(start=VALUES, slope=VALUES, end=VALUES, slope_end=VALUES, fourth_derivative=st.floats(0.0, 500.0))
-def test_positive_lower_bound_proves_a_positive_guard(
-    start: float, slope: float, end: float, slope_end: float, fourth_derivative: float
-) -> None:
+def test_positive_lower_bound_proves_a_positive_guard(start, slope, end, slope_end, fourth_derivative):
     cubic = BPoly.from_derivatives([0.0, 1.0], [[start, slope], [end, slope_end]])
     # The Bernstein coefficients bound the cubic from below, and the error bounds its distance from the guard.
     coefficients, error = cubic.c[:, 0], fourth_derivative * HERMITE_ERROR
@@ -283,9 +281,7 @@ def test_proven_guard_is_not_examined(duration: str, contact: int, length: float
     duration=st.sampled_from([0.0, 1e-3]),
     low_guard=st.integers(-1, 2),
 )
-def test_one_guard_below_its_margin_is_detected(
-    contacts: list[int], seed: int, duration: float, low_guard: int
-) -> None:
+def test_one_guard_below_its_margin_is_detected(contacts, seed, duration, low_guard):
     # A margin is the value that a guard must exceed at both ends of a step. `low_guard`: damper whose guard is below
     # its margin, or -1. `duration`: time from the state of the dampers to z, s.
     engine, rng = propagator(), np.random.default_rng(seed)

@@ -13,9 +13,7 @@ from hypothesis import strategies as st
 
 import rig
 from rig.core.laws.events import CEILING, FLIGHT, FLOOR
-from rig.core.simulation.motion import Motion
 from rig.core.system.assembly import assemble
-from rig.core.system.hybrid_system import HybridSystem
 
 
 def log_uniform(low: float, high: float) -> st.SearchStrategy[float]:
@@ -203,9 +201,7 @@ SIMULTANEITY_S = 1e-9
 MIN_SEPARATION_SPEED = 1e-6
 
 
-def contacts_after_breaks(
-    system: HybridSystem, motion: Motion, breaks: list[int], events: list[np.void], contacts: np.ndarray
-) -> np.ndarray | None:
+def contacts_after_breaks(system, motion, breaks, events, contacts):
     """Return the contacts after several breaks, or None if no assignment of the events conserves momentum.
 
     `breaks`: indices of the breaks; `events`: to be assigned to the breaks in order; `contacts`: before the breaks.
@@ -223,9 +219,7 @@ def contacts_after_breaks(
     return None
 
 
-def contacts_after_break(
-    system: HybridSystem, motion: Motion, k: int, events: list[np.void], contacts: np.ndarray
-) -> np.ndarray | None:
+def contacts_after_break(system, motion, k, events, contacts):
     """Return the contacts after break k with these events; None if they do not conserve momentum."""
     before, after = motion.break_velocity[:, :, k]
     impulse = system.mass @ (after - before)

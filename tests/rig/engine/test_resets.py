@@ -118,9 +118,7 @@ def test_finite_contact_forces_equal_the_system_matrices(contacts: list[int], fi
     seed=st.integers(0, 10_000),
 )
 @settings(deadline=None)
-def test_impact_obeys_the_contact_laws(
-    coupled: bool, restitution: float, wall: int, contacts: list[int], impacting: int, seed: int
-) -> None:
+def test_impact_obeys_the_contact_laws(coupled, restitution, wall, contacts, impacting, seed):
     engine = propagator(0.15 if coupled else 0.0, restitution)
     contacts[impacting] = FLIGHT
     state, model = randomize(engine, contacts, seed), engine.tables.model
@@ -332,9 +330,7 @@ def test_slowly_opened_contact_stays_closed(wall: int, ratio: float, closed: boo
         (CLEARANCE, -1.0, 1, CEILING),
     ],
 )
-def test_damper_in_flight_touches_only_an_approaching_wall(
-    gap: float, closing_speed: float, multiplicity: int, wall: int
-) -> None:
+def test_damper_in_flight_touches_only_an_approaching_wall(gap, closing_speed, multiplicity, wall):
     # `gap`, `closing_speed`: to the floor; `wall`: the touched wall, or FLIGHT.
     engine = propagator(0.1)
     state, model = engine.state, engine.tables.model

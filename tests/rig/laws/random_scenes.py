@@ -1,6 +1,5 @@
 """Random structures with dampers and joints of given kinds, also several in one body, to compare with the oracle."""
 
-from collections.abc import Callable
 from math import inf, sqrt
 from typing import Any
 
@@ -12,9 +11,7 @@ import rig
 KINDS = "bed", "tuned", "impact", "sliding"
 
 
-def random_scene(
-    seed: int, *kinds: str, joint: Callable[[np.random.Generator], dict[str, Any]] | None = None
-) -> rig.Scene:
+def random_scene(seed, *kinds, joint=None):
     """Return a chain of 1 to 5 bodies with 1 to 4 dampers of some of `KINDS`, driven at its first body.
 
     `joint`: returns random settings of a joint; with it, the chain has 1 to 3 joints and up to two dampers.

@@ -1,6 +1,5 @@
 """The declarations of contact laws are complete, and the check of a declaration finds each fault."""
 
-from collections.abc import Callable
 from functools import partial
 from math import inf
 
@@ -23,9 +22,7 @@ def test_laws_have_no_faults(clearance: float, restitution: float) -> None:
 
 @pytest.mark.parametrize(("below", "above"), [(None, inf), (None, 1e-3), (0.0, inf), (inf, 1e-3)])
 @pytest.mark.parametrize("walls", [partial(particle_bed, 0.4), partial(wall_contact, (1e4, 2e4), (0.0, 1.0))])
-def test_walls_around_a_spring_have_no_faults(
-    walls: Callable[[float, float], Law], below: float | None, above: float
-) -> None:
+def test_walls_around_a_spring_have_no_faults(walls, below, above):
     assert faults(spring_mass(walls, below, above)) == []
 
 

@@ -238,9 +238,7 @@ CURVES: list[tuple[Scene, Parameter, tuple[float, float], float | None]] = [
 
 
 @pytest.mark.parametrize(("scene", "parameter", "bounds", "frequency"), CURVES, ids=[case[1] for case in CURVES])
-def test_stable_branches_cover_range_and_end_at_borders(
-    scene: Scene, parameter: Parameter, bounds: tuple[float, float], frequency: float | None
-) -> None:
+def test_stable_branches_cover_range_and_end_at_borders(scene, parameter, bounds, frequency):
     curve = follow_orbits(scene, parameter, bounds, frequency=frequency, searches=1)
 
     # The whole range is covered by stable orbits, from border to border.

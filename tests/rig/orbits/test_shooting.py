@@ -13,7 +13,6 @@ from rig.core.orbits.matrix_exponential import exponential
 from rig.core.orbits.orbit import OrbitFamily
 from rig.core.orbits.periodic_orbit import periodic_orbit
 from rig.core.orbits.problem import OperatingPoint, OrbitProblem, vary
-from rig.core.scene.scene import Scene
 from tests.rig.orbits.scenes import driven_table_scene, finite_contact_scene
 
 # Scene, frequency [Hz], tolerance of the derivatives.
@@ -29,9 +28,7 @@ JACOBIANS = [
 
 @pytest.mark.parametrize("parameter", ["frequency", "level", "clearance", "mass_ratio"])
 @pytest.mark.parametrize(("scene", "frequency", "tolerance"), JACOBIANS)
-def test_shooting_jacobian_equals_finite_differences(
-    scene: Scene, frequency: float, tolerance: float, parameter: str
-) -> None:
+def test_shooting_jacobian_equals_finite_differences(scene, frequency, tolerance, parameter):
     problem, orbit = OrbitProblem(scene), periodic_orbit(scene, frequency)
     setting = OperatingPoint(frequency, problem.level, float(problem.system.clearance[0]), 1.0)
     family = OrbitFamily(problem, orbit.plan, setting, parameter, orbit.unknowns)

@@ -213,9 +213,7 @@ def test_bundled_scenes_cover_the_settings_of_the_paper() -> None:
         ("reference-C", 10.0, 312.4, [1, 2, 3], 0.1, 1e-3),
     ],
 )
-def test_reference_case_is_the_published_problem(
-    name: str, force: float, omega: float, bodies: list[int], ratio: float, clearance: float
-) -> None:
+def test_reference_case_is_the_published_problem(name, force, omega, bodies, ratio, clearance):
     scene = rig.load(name)
     # A damping ratio of 0.5 % at the first natural frequency, 81.9 rad/s.
     assert scene.structure.damping == RayleighDamping(rayleigh={"beta": 2 * 0.005 / 81.9})

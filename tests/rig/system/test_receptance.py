@@ -1,7 +1,5 @@
 """Receptances and transmissibilities, compared with independent closed forms."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -19,9 +17,7 @@ FREQUENCIES = np.linspace(1.0, 60.0, 60)  # Hz
 COIL_SPRING, FIRST_SPRING = 6600.0, 24300.0
 
 
-def chain_response(
-    masses: tuple[float, ...], springs: tuple[float, ...], dashpots: tuple[float, ...], frequencies: np.ndarray
-) -> np.ndarray:
+def chain_response(masses, springs, dashpots, frequencies):
     """Return the receptances of a chain for a force on body 1, as a continued fraction (bodies, frequencies).
 
     The dynamic stiffness of all bodies above a body acts on it like a spring.
@@ -69,9 +65,7 @@ def test_modally_damped_response_is_the_modal_sum() -> None:
     # Natural angular frequencies, rad/s, of the structure of Inoue, Yokomichi, Hiraki (2011) without and with spring.
     [(receptance, (81.911, 218.512, 312.041)), (transmissibility, (86.776, 228.231, 318.003))],
 )
-def test_lightly_damped_peaks_are_at_natural_frequencies(
-    response: Callable[[Scene, list[float]], np.ndarray], peaks: tuple[float, ...]
-) -> None:
+def test_lightly_damped_peaks_are_at_natural_frequencies(response, peaks):
     scene = rig.load("bare-structure")
     scene = scene.replace(structure=scene.structure.replace(damping={"modal": 1e-4}))
     for peak in peaks:

@@ -248,7 +248,7 @@ def map_(
     overwrite: Overwrite = False,
     **options: Any,
 ) -> None:
-    """Map types of motion and settling time against level and frequency.
+    """Map types of motion and settling time by level and frequency.
 
     To continue an interrupted run, give the same command again.
     """

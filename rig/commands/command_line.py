@@ -73,13 +73,7 @@ def create_application(help_text: str) -> Application:
 
 
 def run_command(module: str) -> NoReturn:
-    """Run the command line `app` of a module and end the process.
-
-    Parameters
-    ----------
-    module : str
-        Name of the module; it is imported here, so an interrupted import is also reported.
-    """
+    """Run the command line `app` of a module and end the process; an interrupted import of the module is reported."""
     # Imported objects are permanent, so they are not scanned for garbage, which would take a tenth of the start-up
     # time.
     gc.set_threshold(_GC_THRESHOLD)

@@ -37,39 +37,22 @@ class Current(NamedTuple):
 class Equations:
     """The equations of motion of a structure and its shakers, in SI units.
 
-    Parameters
-    ----------
-    mass, damping, stiffness : ndarray, shape (bodies, bodies)
-        Matrices of the structure: kg, N s/m and N/m.
-    weight : ndarray, shape (bodies,)
-        Constant force on each body [N].
-    ground : callable
-        Computes the connection of the bodies with the ground, which only a base excitation needs.
-
-    Attributes
-    ----------
-    points : list of str
-        Names of the coordinates.
-    inputs, units : list of str
-        Names and units of the inputs.
-    input_forces : list of dict
-        Force of each input on coordinates by their row, N per unit of the input.
-    drive_limit : list of float
-        Largest drive of each input, in its unit.
-    currents : list of Current
-        Further states.
+    `mass`, `damping`, `stiffness`: matrices of the structure, shape (bodies, bodies); `weight`: constant force on each
+    body [N]; `ground`: computes the connection of the bodies with the ground, which only a base excitation needs.
     """
 
     def __init__(
         self, mass: Array, damping: Array, stiffness: Array, weight: Array, ground: Callable[[], Ground]
     ) -> None:
+        # names of the coordinates
         self.points = [f"body {j + 1}" for j in range(len(mass))]
         self.mass, self.damping, self.stiffness, self.weight = mass.copy(), damping.copy(), stiffness.copy(), weight
         self.inputs: list[str] = []
-        self.units: list[str] = []
+        self.units: list[str] = []  # of the inputs
+        # force of each input on coordinates by their row, N per unit of the input
         self.input_forces: list[dict[int, float]] = []
-        self.drive_limit: list[float] = []
-        self.currents: list[Current] = []
+        self.drive_limit: list[float] = []  # largest drive of each input, in its unit
+        self.currents: list[Current] = []  # further states
         self._ground = ground
         self._servo_rate: dict[int, float] = {}  # corner of the servo of each prescribed row, rad/s
 

@@ -96,18 +96,12 @@ def describe(dampers: Dampers) -> list[str]:
 def describe_motions(bodies: Sequence[list[DamperMotion]], omitted: Sequence[float] = ()) -> list[str]:
     r"""Return a table of the motions in each body with their frequencies, then restitution and detection limits.
 
-    Parameters
-    ----------
-    bodies : sequence of list of DamperMotion
-        One list for each body, from one channel.
-    omitted : sequence of float
-        Frequencies without a result [Hz]; printed frequency ranges are interrupted there.
+    `bodies`: the motions of each body, from one channel; `omitted`: frequencies without a result [Hz], where printed
+    frequency ranges are interrupted.
 
-    Examples
-    --------
-    >>> hit = DamperMotion(30.0, "body2", 1.0, 0.0, False, 1.6e-3, False)
+    >>> impact = DamperMotion(30.0, "body2", 1.0, 0.0, False, 1.6e-3, False)
     >>> at_rest = DamperMotion(31.0, "body2", 0.0, 0.0, False, 1.6e-3, True)
-    >>> print(*describe_motions([[hit, at_rest]]), sep="\n")
+    >>> print(*describe_motions([[impact, at_rest]]), sep="\n")
     channel  motion                frequency
     body2    Type I                30 Hz
              at rest on the floor  elsewhere

@@ -56,27 +56,14 @@ _TRACKED: dict[ControlledTones, Callable[[Recording], AmplitudeCurve | Backbone]
 
 @dataclass(frozen=True)
 class SweepResults:
-    """Results of one sweep; a test without sweeps counts as one.
+    """Results of one sweep; a test without sweeps counts as one."""
 
-    Attributes
-    ----------
-    frfs : list of Response
-        One frequency response for each pair of response and reference.
-    modes : Modes or None
-        None if the identification failed.
-    found : tuple
-        For each mode: the responses with a peak near it, and their peaks.
-    highest : tuple or None
-        The highest peak in the band, also where no mode was identified.
-    marked : tuple
-        The marked peaks of each response.
-    """
-
-    frfs: list[Response]
-    modes: Modes | None
+    frfs: list[Response]  # one frequency response for each pair of response and reference
+    modes: Modes | None  # None if the identification failed
+    # for each mode: the responses with a peak near it, and their peaks
     found: tuple[tuple[tuple[Response, Peak], ...], ...] = ()
-    highest: tuple[Response, Peak] | None = None
-    marked: tuple[tuple[Response, list[PeakMark]], ...] = ()
+    highest: tuple[Response, Peak] | None = None  # the highest peak in the band, also where no mode was identified
+    marked: tuple[tuple[Response, list[PeakMark]], ...] = ()  # the marked peaks of each response
 
     @property
     def peaks(self) -> tuple[tuple[Response, Peak] | None, ...]:

@@ -110,21 +110,6 @@ class MatchingPursuit:
     averages of samples; `is_valid`: whether each reading is valid; `noise_floor`: minimum standard deviation of a
     reading; `rate`: readings per second; `noise_quantile`: quantile of the filter output from which the noise is
     estimated.
-
-    Attributes
-    ----------
-    model, window_model : ImpactModel
-        Models with the polynomial orders for the jump filters and for the residual of whole windows.
-    residual : ndarray, shape (differences,)
-        Differenced readings minus all jumps.
-    jumps : list of Jump
-        Subtracted jumps.
-    prior : (float, float)
-        Prior standard deviations of steps [m/s²] and kinks, m/s³.
-    valid : ndarray of bool, shape (windows,)
-        Whether the window that begins at a difference contains only valid readings.
-    searchable : ndarray of bool, shape (windows,)
-        Whether a jump in the middle of that window can be detected.
     """
 
     def __init__(
@@ -141,14 +126,17 @@ class MatchingPursuit:
         self.noise_floor, self.rate, self.noise_quantile = noise_floor, rate, noise_quantile
         if not is_valid.all():
             readings = interpolated(readings, is_valid)
-        self.model = model = models[0]
-        self.residual = np.diff(readings, model.difference_order)
+        self.model = model = models[0]  # for the jump filters
+        self.residual = np.diff(readings, model.difference_order)  # differenced readings minus all jumps
+        # Prior standard deviations of steps [m/s²] and kinks [m/s³].
         self.prior = self._prior_deviations(readings)
         # Distance of a window's sample 0 from its first difference.
         self.window_offset = model.difference_order - model.window_start
         invalid_in_window = np.convolve(~is_valid, np.ones(model.min_separation), mode="full")
         has_invalid = invalid_in_window[model.min_separation - 1 :] != 0
+        # Whether the window that begins at a difference contains only valid readings.
         self.valid = ~has_invalid[: self.residual.size - model.window_length + 1]
+        # Whether a jump in the middle of that window can be detected.
         # A jump in the last readings of a segment is outside all windows and appears in the nearest window as a jump at
         # another time.
         self.searchable = minimum_filter1d(self.valid, model.window_length, mode="constant", cval=False)
@@ -161,7 +149,7 @@ class MatchingPursuit:
             if noise < NOISE_REDUCTION * smallest_noise:
                 smallest_noise, self.model = noise, model
                 self._cache["noise", noise_quantile] = level
-        self.window_model = self.model
+        self.window_model = self.model  # for the residual of whole windows
 
     def run(self) -> list[Jump]:
         """Detect the jumps; return them in chronological order, with standard uncertainties."""

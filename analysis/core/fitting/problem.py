@@ -116,21 +116,7 @@ class Problem:
     """Unknowns of a scene, and its residuals relative to the measured curves.
 
     The unknowns `x`, shape (unknowns,), belong to the parameters, then to the sensors, then to the clock.
-
-    Attributes
-    ----------
-    initial_scene : Scene
-        The scene to fit, with one damping ratio for each mode.
-    parameters : list of Parameter
-        Free values of the scene.
-    groups : list of Group
-        Measured curves of each sweep or test.
-    sensors : list of Sensor
-        Sensors with a tolerance of their sensitivity.
-    clock_tolerance : float
-        Largest relative deviation of the sample clock; 0 if it is not an unknown.
-    start, prior_sd : ndarray, shape (unknowns,)
-        Prior mean, which is the initial value, and prior standard deviation.
+    `initial_scene`: the scene to fit, with one damping ratio for each mode; `parameters`: free values of the scene.
     """
 
     def __init__(self, initial_scene: Scene, parameters: Sequence[Parameter], curves: Sequence[Curves]) -> None:
@@ -146,9 +132,11 @@ class Problem:
         ]
         sensors = [sensor for measured in curves for sensor in (*measured.sensors, measured.reference_sensor)]
         self.sensors = [sensor for sensor in dict.fromkeys(sensors) if sensor.tolerance > 0.0]
+        # Largest relative deviation of the sample clock; 0 if it is not an unknown.
         self.clock_tolerance = max(measured.clock_tolerance for measured in curves)
         values = [parameter.unknown(parameter.start) for parameter in self.parameters]
         limits = [sensor.tolerance for sensor in self.sensors] + [self.clock_tolerance] * (self.clock_tolerance > 0.0)
+        # Prior mean, which is the initial value, and prior standard deviation of each unknown.
         self.start = np.array(values + [0.0] * len(limits))
         self.prior_sd = np.array([PRIOR_SD] * len(values) + [float(standard_of_limit(limit)) for limit in limits])
 

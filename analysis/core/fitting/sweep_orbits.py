@@ -67,17 +67,6 @@ class SweepOrbits:
     """Orbits at the points of a stepped-sine sweep; each is refined from the orbit stored at its point.
 
     Where all dampers are *riding* (at rest on their floors), the rig is linear and no orbit is needed.
-
-    Attributes
-    ----------
-    current : list of StoredOrbit or None
-        Orbit at each point; None if all dampers are riding, or if the motion is irregular.
-    earlier : list of StoredOrbit or None
-        The previous orbit at each point, from which a later trial may start again.
-    failed : set of int
-        Points without an orbit; they are not searched again until this set is cleared.
-    uncovered : dict of int to str
-        Reasons why the last search could not compute an orbit at a point.
     """
 
     def __init__(self, curves: Curves) -> None:
@@ -87,10 +76,11 @@ class SweepOrbits:
                 "recordings with a single shaker."
             )
         self.curves = curves
+        # orbit at each point; None if all dampers are riding, or if the motion is irregular
         self.current: list[StoredOrbit | None] = [None] * curves.frequency.size
-        self.earlier = list(self.current)
-        self.failed: set[int] = set()
-        self.uncovered: dict[int, str] = {}
+        self.earlier = list(self.current)  # previous orbits, from which a later trial may start again
+        self.failed: set[int] = set()  # points without an orbit, which are not searched again until this is cleared
+        self.uncovered: dict[int, str] = {}  # reasons why the last search could not compute an orbit
 
     def response(self, test_scene: Scene, level: Array, frequency: Array, search: bool = True) -> ComplexArray:
         """Return displacement of the bodies / reference, shape (bodies, n); NaN where the motion is irregular.

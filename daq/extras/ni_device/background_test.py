@@ -19,21 +19,11 @@ from rig.core.base.errors import ShotrigError
 class BackgroundTest:
     """Runs a test block by block: the drive of a block may depend on the readings of the previous block.
 
-    Parameters
-    ----------
-    station
-        Interface of the test to the bench; `station.now` is the index of the first sample of the current block.
-    ticks_per_sample
-        Ticks of the bench per sample; the drive is interpolated linearly between samples.
-    to_units
-        Converts samples to the channels' units.
-    lead_ticks
-        Ticks without drive before the first sample.
-    make_excitation
-        Creates the generator that yields the drive of each block and receives its readings.
-    on_end
-        Called once when the test ends, with the reason (empty if the test ran to completion). If None, the test is
-        repeated, and an error is only a warning.
+    `station`: interface of the test to the bench, with the first sample of the current block in `station.now`;
+    `ticks_per_sample`: the drive is interpolated linearly at the ticks; `to_units`: converts samples to the channels'
+    units; `lead_ticks`: ticks without drive before the first sample; `make_excitation`: creates the generator of the
+    drive; `on_end`: called when the test ends, with the reason (empty if the test ran to completion). If None, the test
+    is repeated, and an error is only a warning.
     """
 
     def __init__(

@@ -268,25 +268,13 @@ class Task:
     def read(
         self, samples: int, timeout: float, raw: bool = False, check: Callable[[int], None] = lambda samples: None
     ) -> ReadResult:
-        """Read samples; start the task if necessary.
+        """Read samples per channel; start the task if necessary.
 
-        Parameters
-        ----------
-        samples
-            Samples per channel. -1 reads all samples of a finite task, or the available samples of a continuous task.
-        timeout
-            Timeout [s]. 0 checks once; a negative timeout is infinite.
-        raw
-            Whether to return the counts of the converter instead of readings.
-        check
-            Called with the number of samples per channel before the read; it may raise an exception.
-
-        Returns
-        -------
-        ReadResult
-            The samples before an error, and the error. Codes: -200284 after the timeout, -200279 if samples were
-            overwritten (the next read begins with the oldest stored sample), -200278 after the end of a finite
-            acquisition; otherwise the error that ended the acquisition.
+        `samples`: -1 reads all samples of a finite task, or the available samples of a continuous task; `timeout`: s, 0
+        checks once, a negative timeout is infinite; `raw`: return the counts of the converter; `check`: called with the
+        number of samples before the read, may raise an exception. The result has the samples before an error, and the
+        error: -200284 after the timeout, -200279 if samples were overwritten (the next read begins with the oldest
+        stored sample), -200278 after the end of a finite acquisition, else the error that ended the acquisition.
         """
         timeout = normalize_timeout(timeout)
         with self.chassis.changed:

@@ -6,7 +6,6 @@ import atexit
 import os
 import threading
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from nidaqmx import GrpcSessionOptions
@@ -66,9 +65,7 @@ class Connection(GrpcSessionOptions):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

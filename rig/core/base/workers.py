@@ -17,7 +17,6 @@ from functools import partial
 from multiprocessing.synchronize import Semaphore
 from queue import SimpleQueue
 from threading import Thread
-from types import TracebackType
 from typing import Any, TypeVar
 
 from rig.core.base.errors import RunError, SceneError
@@ -62,9 +61,7 @@ class Workers:
     def __enter__(self) -> Workers:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._cleanup.close()
 
     def compute(self, function: Callable[[Piece], Result], pieces: Sequence[Piece]) -> Iterator[tuple[int, Result]]:

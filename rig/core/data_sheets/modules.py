@@ -35,29 +35,15 @@ Conversion = Literal["delta_sigma", "sar", "r_2r"]
 
 @dataclass(frozen=True)
 class Rates:
-    """Sample rates that a module's clock can generate.
+    """Sample rates that a module's clock can generate."""
 
-    Attributes
-    ----------
-    slowest, fastest : float
-        Hz.
-    available : tuple of float
-        All rates in ascending order, if they are the clock divided by whole numbers; empty: any rate from `slowest`
-        to `fastest`.
-    """
-
-    slowest: float
-    fastest: float
+    slowest: float  # Hz
+    fastest: float  # Hz
+    # all rates, ascending, if they are the clock divided by whole numbers; empty: any rate between
     available: tuple[float, ...] = ()
 
     def at_least(self, rate: float) -> float:
-        """Return the rate that the clock generates for a request: the lowest rate not below it.
-
-        Raises
-        ------
-        SceneError
-            If the request is not positive or exceeds the fastest rate.
-        """
+        """Return the lowest available rate that is not below a request; raise `SceneError` if there is none."""
         # Tolerate a request that was rounded to a few digits.
         min_rate = rate * (1.0 - 1e-4)
         if not 0.0 < min_rate <= self.fastest:
@@ -69,39 +55,17 @@ class Rates:
 
 @dataclass(frozen=True)
 class Inputs:
-    """The inputs of a module.
+    """The inputs of a module."""
 
-    Attributes
-    ----------
-    channels : int
-        Number of channels, sampled simultaneously.
-    rates : Rates
-        Rates of the sample clock.
-    ranges : tuple of float
-        Full-scale ranges, ± V, in ascending order.
-    couplings : tuple of {"AC", "DC"}
-        Available couplings; the first is the default for a sensor with supply.
-    terminals : tuple of {"pseudo_differential", "differential", "rse"}
-        Terminal configurations; the first is the default.
-    supply : tuple of float
-        Supply currents for IEPE sensors other than zero [A].
-    supply_coupling : {"AC", "any"}
-        Coupling required by the supply.
-    conversion : {"delta_sigma", "sar"}
-        Kind of converter.
-    teds : bool
-        Whether the module reads the electronic data sheets (TEDS) of sensors.
-    """
-
-    channels: int
-    rates: Rates
-    ranges: tuple[float, ...]
-    couplings: tuple[Literal["AC", "DC"], ...]
-    terminals: tuple[Terminal, ...]
-    supply: tuple[float, ...]
-    supply_coupling: Literal["AC", "any"]
+    channels: int  # number of channels, sampled simultaneously
+    rates: Rates  # rates of the sample clock
+    ranges: tuple[float, ...]  # full-scale ranges, ± V, in ascending order
+    couplings: tuple[Literal["AC", "DC"], ...]  # the first is the default for a sensor with supply
+    terminals: tuple[Terminal, ...]  # terminal configurations; the first is the default
+    supply: tuple[float, ...]  # supply currents for IEPE sensors other than zero [A]
+    supply_coupling: Literal["AC", "any"]  # coupling that the supply requires
     conversion: Conversion
-    teds: bool
+    teds: bool  # whether the module reads the electronic data sheets (TEDS) of sensors
 
     @property
     def on_demand(self) -> bool:
@@ -111,52 +75,26 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Outputs:
-    """The outputs of a module.
+    """The outputs of a module; fields as in `Inputs`."""
 
-    Attributes
-    ----------
-    channels : int
-        Number of channels, updated simultaneously.
-    rates, ranges, terminals
-        As in `Inputs`.
-    conversion : {"delta_sigma", "r_2r"}
-        Kind of converter.
-    on_demand : bool
-        Whether single values can be written without a sample clock.
-    """
-
-    channels: int
+    channels: int  # number of channels, updated simultaneously
     rates: Rates
     ranges: tuple[float, ...]
     terminals: tuple[Terminal, ...]
     conversion: Conversion
-    on_demand: bool
+    on_demand: bool  # whether single values can be written without a sample clock
 
 
 @dataclass(frozen=True)
 class Module:
-    """A module of a chassis, or a stand-alone device.
+    """A module of a chassis, or a stand-alone device."""
 
-    Attributes
-    ----------
-    name : str
-        Name in presets.
-    product_type : str
-        Name in the driver.
-    family : {"c_series", "usb"}
-        Whether it is a module in the slot of a chassis, or a stand-alone device.
-    inputs : Inputs or None
-    outputs : Outputs or None
-    input_bits, output_bits : int or None
-        Resolution of its converters.
-    """
-
-    name: str
-    product_type: str
-    family: Literal["c_series", "usb"]
+    name: str  # name in presets
+    product_type: str  # name in the driver
+    family: Literal["c_series", "usb"]  # module in the slot of a chassis, or stand-alone device
     inputs: Inputs | None
     outputs: Outputs | None
-    input_bits: int | None
+    input_bits: int | None  # resolution of the converters of its inputs
     output_bits: int | None
 
 

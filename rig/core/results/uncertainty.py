@@ -470,17 +470,9 @@ class BudgetTable:
 def expand(standard: ArrayLike, limits: Sequence[ArrayLike] = (), degrees_of_freedom: ArrayLike = 0.0) -> Array:
     """Return the expanded uncertainty U of a real quantity, for a coverage of about 95 %.
 
-    Parameters
-    ----------
-    standard : array_like
-        Standard uncertainty u of all contributions that have no limit.
-    limits : sequence of array_like
-        Limits of error a of independent contributions, in the shape of `standard`.
-    degrees_of_freedom : array_like
-        Degrees of freedom of `standard`; 0 where they are unknown.
+    `standard`: standard uncertainty u of all contributions without a limit; `limits`: limits of error a of independent
+    contributions, in the shape of `standard`; `degrees_of_freedom`: those of `standard`, 0 where they are unknown.
 
-    Examples
-    --------
     The scatter of ten readings; two limits of error; and a single limit, which is never exceeded:
 
     >>> [round(float(expand(*of)), 3) for of in ((1.0, (), 9), (0.0, (1.0, 1.0)), (0.0, (1.0,)))]

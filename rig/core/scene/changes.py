@@ -28,10 +28,7 @@ class Change:
     def apply_to(self, content: Any) -> Any:
         """Return the content with the new value; a list key without a number applies to every item.
 
-        Raises
-        ------
-        SceneError
-            If the item does not exist.
+        Raises `SceneError` if the item does not exist.
         """
         return self._replace(content, self.steps)
 

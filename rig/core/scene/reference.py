@@ -64,20 +64,10 @@ EFFECTS: dict[str, tuple[str, int | None]] = {
 
 @dataclass(frozen=True)
 class Key:
-    """One key of scene files.
+    """One key of scene files, with its meaning, its allowed values, and its default."""
 
-    Attributes
-    ----------
-    name : str
-        Dotted name, with [] after a key whose value is a list of keys: ``dampers[].clearance``.
-    kinds : tuple of str
-        The kinds (of shaker, test, ...) with this key; empty: all kinds.
-    meaning, values, default : str
-        Meaning, allowed values, and the default if it is omitted.
-    """
-
-    name: str
-    kinds: tuple[str, ...]
+    name: str  # dotted, with [] after a key whose value is a list of keys: ``dampers[].clearance``
+    kinds: tuple[str, ...]  # the kinds (of shaker, test, ...) with this key; empty: all kinds
     meaning: str
     values: str
     default: str

@@ -10,18 +10,10 @@ from rig.core.settings.quantities import Kind, alternatives, describe_kinds, exp
 
 
 class Quantity:
-    """Annotation `Annotated[float, Quantity(...)]`: a number with a unit, within bounds.
+    """Annotation `Annotated[float, Quantity(...)]`: a number with a unit, within bounds in SI.
 
-    Parameters
-    ----------
-    kinds : Kind
-        Allowed kinds. With several, another key decides (`Settings.kinds_from_other_keys`).
-    above, at_least, below : float
-        Bounds, in SI.
-    infinite : bool
-        Whether `.inf` is allowed.
-    listed : bool
-        Whether a list of numbers is allowed.
+    Another key decides between several `kinds` (`Settings.kinds_from_other_keys`). `infinite`: whether `.inf` is
+    allowed; `listed`: whether a list of numbers is allowed.
     """
 
     def __init__(
@@ -50,13 +42,7 @@ class Quantity:
         )
 
     def read(self, value: Any) -> float | tuple[float, ...]:
-        """Read and check a value.
-
-        Raises
-        ------
-        PydanticCustomError
-            If the value is invalid; the message gives what was expected.
-        """
+        """Read and check a value; raise `PydanticCustomError` with the expected value if it is invalid."""
         if self.listed and isinstance(value, list | tuple):
             if not value:
                 raise unexpected_value_error(value, f"at least one: {self.description}")

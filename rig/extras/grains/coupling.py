@@ -49,19 +49,9 @@ class CoupledState(NamedTuple):
 class CoupledPropagator:
     """Propagates a system with beds of grains; has the interface of `rig.core.engine.propagator.Propagator`.
 
-    `interval`: sample interval of the drive [s].
-
-    Attributes
-    ----------
-    system : HybridSystem
-        The scene's system, in which each bed is one mass.
-    structure : Propagator
-        Structure and dampers without grains; the beds' forces are additional inputs.
-    beds : list of Bed
-    bodies : ndarray of int, shape (beds,)
-        Coordinate of the body of each bed.
-    step, substeps : float, int
-        Time step of the grains [s] and number of time steps in a sample interval.
+    `interval`: sample interval of the drive [s]. In `system`, each bed is one mass; `structure` propagates structure
+    and dampers without grains, with the beds' forces as inputs. `bodies`: coordinate of the body of each bed; `step`:
+    time step of the grains [s], of which a sample interval has `substeps`.
     """
 
     def __init__(self, scene: Scene, interval: float) -> None:

@@ -25,30 +25,17 @@ if TYPE_CHECKING:
 class ElectronicDataSheet:
     """Electronic data sheet (TEDS) stored in a sensor.
 
-    Attributes
-    ----------
-    manufacturer, model : int
-        Numbers of the manufacturer and the model.
-    version_letter : str
-        Letter of the version, A to Z.
-    version, serial : int
-        Numbers of the version and of the individual sensor.
-    template : int
-        Number of the standard template: 25 for an accelerometer or force transducer with built-in amplifier. The
-        template's own fields are not encoded: `bits` contains the basic data sheet only.
-
-    Examples
-    --------
     >>> basic = ElectronicDataSheet(17, 1, "A", 1, 12345, template=30)
     >>> list(basic.bits)  # as in the virtual data sheet that NI tests its driver with
     [17, 64, 0, 32, 4, 57, 48, 0]
     """
 
-    manufacturer: int
-    model: int
-    version_letter: str
+    manufacturer: int  # number of the manufacturer
+    model: int  # number of the model
+    version_letter: str  # A to Z
     version: int
-    serial: int
+    serial: int  # number of the individual sensor
+    # standard template, 25: accelerometer or force transducer with built-in amplifier; `bits` lacks its own fields
     template: int
 
     @property

@@ -12,10 +12,11 @@ from analysis.core.decays.free_decay import decay
 from analysis.core.modal.identification import identify
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import reference_of
-from analysis.studies.paper.store import Arrays, partial_name
+from analysis.studies.paper.store import Arrays
 from daq.core.measurement.run_report import is_recorded
 from daq.core.recording.recording import Recording
 from rig.core.base.errors import RecordingError
+from rig.core.base.output_files import atomic_write
 from rig.core.scene.scene import Scene
 
 BODIES = ("body1", "body2", "body3")
@@ -28,12 +29,10 @@ def open_or_record(scene: Scene, path: Path) -> Recording:
         if not recording.gaps:
             return recording
         recording.close()
-    partial = partial_name(path)
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), atomic_write(path, overwrite=True) as partial:
         # The recording stores the warnings of the test as markers, and the analysis reports the markers.
         warnings.simplefilter("ignore", daq.RunWarning)
         daq.record(scene, partial, overwrite=True)
-    partial.replace(path)
     return daq.open(path)
 
 

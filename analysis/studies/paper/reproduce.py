@@ -13,7 +13,7 @@ from analysis.studies.paper import figures as paper_figures
 from analysis.studies.paper.claims import claims
 from analysis.studies.paper.page import pages, write_pages
 from analysis.studies.paper.parts import all_parts
-from analysis.studies.paper.store import Arrays, PaperPart, remove_partial
+from analysis.studies.paper.store import Arrays, PaperPart
 from rig.core.base.errors import SceneError
 from rig.core.base.figure_style import save_figure
 from rig.core.base.output_files import prepare_outputs
@@ -62,7 +62,6 @@ def reproduce(
         )
     outputs = [folder / f"{name}.{suffix}" for name in FIGURES for suffix in ("png", "svg")]
     prepare_outputs(*outputs, *pages(folder))
-    remove_partial(folder)
     stored: dict[str, Arrays] = {}
     missing: list[PaperPart] = []
     for part in parts:

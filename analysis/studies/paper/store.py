@@ -5,7 +5,6 @@ instead of computed.
 """
 
 import hashlib
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,23 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from rig.core.base.errors import RunError
-from rig.core.base.output_files import create_folder
+from rig.core.base.output_files import atomic_write
 from rig.core.base.study import code_digest
 
 Arrays = dict[str, np.ndarray]
-
-
-def partial_name(target: Path) -> Path:
-    """Return a temporary file name with the process number, as workers of a killed run may still write."""
-    return target.with_name(f"{target.stem}.{os.getpid()}.partial{target.suffix}")
-
-
-def remove_partial(folder: Path) -> None:
-    """Remove incomplete files of earlier runs."""
-    for subfolder in (folder / "data", folder / "recordings"):
-        for path in subfolder.glob("*.partial.*"):
-            path.unlink(missing_ok=True)
 
 
 @dataclass(frozen=True)
@@ -71,15 +57,6 @@ class PaperPart:
 
     def store(self, folder: Path, arrays: Arrays) -> None:
         """Store results; the file gets its name only when it is complete."""
-        target = self.path(folder)
-        partial = partial_name(target)
-        create_folder(target.parent, RunError)
-        try:
-            contents: dict[str, Any] = {"digest": np.array(self.digest), **arrays}
+        contents: dict[str, Any] = {"digest": np.array(self.digest), **arrays}
+        with atomic_write(self.path(folder), overwrite=True) as partial:
             np.savez_compressed(partial, **contents)
-            partial.replace(target)
-        except OSError as error:
-            raise RunError(
-                f"{target}: cannot write the stored results of this calculation ({error.strerror}). Choose another "
-                "folder (`output`)."
-            ) from None

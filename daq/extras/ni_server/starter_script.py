@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from itertools import groupby
 
-from daq.core.excitation.sensor_settling import longest_wait
+from daq.core.excitation.sensor_settling import longest_duration
 from daq.core.signal_chain.channel import ChannelInfo
 from daq.extras.ni_device.chassis import Chassis
 from daq.extras.ni_device.devices.modules import Module
@@ -46,7 +46,7 @@ def starter_script(chassis: Chassis, channel: str) -> list[str]:
             lines = statement.replace(_PHYSICAL_CHANNEL, f"{module.name}/ai{number_range}").splitlines()
             statements += [f"    {line}" for line in lines]
     infos = [chassis.bench.channels[index] for module in in_task for index in module.inputs]
-    statements += _read_samples(chassis.bench.rate, math.ceil(longest_wait(infos)))
+    statements += _read_samples(chassis.bench.rate, math.ceil(longest_duration(infos)))
     used_constants = [constant for constant in _CONSTANTS if any(f"{constant}." in line for line in statements)]
     return [
         "",

@@ -19,7 +19,7 @@ from analysis.studies.paper.parts import FIGURE_5_SETTING, TYPES, all_parts
 from analysis.studies.paper.reproduce import FIGURES, compute, reproduce
 from analysis.studies.paper.scan import LEVELS, best_damper, least_affected, scan, type_iii_over_damping
 from analysis.studies.paper.simulation import approximate_branches, exact_orbits, linear_properties, waveforms
-from analysis.studies.paper.store import Arrays, PaperPart, partial_name, remove_partial
+from analysis.studies.paper.store import Arrays, PaperPart
 from rig.core.base.errors import SceneError
 from rig.core.system.open_loop_drive import with_ideal_force
 from tests.rig.worker_processes import worker_processes
@@ -259,17 +259,6 @@ def test_failing_part_raises_and_leaves_nothing(tmp_path: Path) -> None:
 
     assert not worker_processes()
     assert not list(tmp_path.rglob("*.npz"))
-
-
-def test_incomplete_files_are_removed(tmp_path: Path) -> None:
-    (tmp_path / "data").mkdir()
-    complete = tmp_path / "data" / "one.npz"
-    for path in (complete, partial_name(complete)):
-        path.write_bytes(b"x")
-
-    remove_partial(tmp_path)
-
-    assert list((tmp_path / "data").iterdir()) == [complete]
 
 
 def test_each_figure_has_a_caption() -> None:

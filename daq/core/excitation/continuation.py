@@ -67,8 +67,8 @@ _STARTS = 0.0, 0.05, 0.1, 0.15, 0.2
 # Without feedback, a response that changes by more than this factor has jumped to another branch: the step along a
 # branch is smaller.
 _JUMP_RATIO = 2.0
-# A motion that has not jumped returns to the last point with a deviation of ln(amplitude) below this value, more than
-# noise and less than a jump.
+# If the motion has not jumped, ln(amplitude) deviates by less than this after the return to the last point: noise is
+# smaller, a jump larger.
 _MAX_RETURN_DEVIATION = 0.05
 # Lengths of the steps over a gap in the curve, in units of the length of a step.
 _LEAPS = 1.0, 2.0, 4.0
@@ -301,8 +301,9 @@ class _Curve:
     def _past_corner(self, length: float) -> Generator[Array, Array, tuple[Point | None, float]]:
         """Settle at the stable motion next to a corner behind the last point, which is unstable.
 
-        Return the point, None if it is not found, and the next frequency [Hz] at which this motion has jumped: the fold
-        lies between. `length`: change of ln(amplitude) in the direction of the curve, from where the motion settles.
+        Return this point (None without such a motion), and the frequency [Hz] at which the motion has jumped; the fold
+        lies between the two frequencies. `length`: change of ln(amplitude) along the curve, from which the motion
+        settles.
         """
         last, tone, up = self.points[-1], self._tone, self._tangent[1]
         target = last.motion * math.exp(math.copysign(length, up))

@@ -32,7 +32,6 @@ from daq.core.prediction.rehearsal_plan import (
     highest_level,
     plan_about_peaks,
     plan_rehearsal,
-    shorten_to_tone,
     with_level,
 )
 from daq.core.signal_chain.channel import ChannelInfo
@@ -51,9 +50,6 @@ _MAX_TIME_RATIO = 1.5
 _LIMITED_DRIVE_RATIO = 0.999
 # If the amplifier clips the drive, the level is reduced by this factor, at most this number of times.
 _LEVEL_REDUCTION, _MAX_LEVEL_REDUCTIONS = 0.1, 3
-# If dampers fly, the largest permissible level is determined by at most this number of rehearsals at other levels: each
-# takes as long as the first rehearsal.
-_MAX_SECANT_STEPS = 3
 # Predicted waits of tones at which dampers ride have a limit of error of this fraction, plus this number of standard
 # deviations of their scatter. Complete rehearsals of 12 scenes differed by 5.5 % on average, at most by 15 %.
 _LINEAR_WAIT_ERROR = 0.15
@@ -63,12 +59,6 @@ _WAIT_SIGMAS = 2.5
 _MIN_FRACTION = 0.1
 # The time of an abort may differ by this ratio from the time that rehearsed parts of the test predict.
 _ABORT_RATIO = 1.5
-# The search for the largest permissible level ends when the largest reading differs from its limit by less than this
-# fraction.
-_LEVEL_TOLERANCE = 0.02
-# If the largest permissible level differs from the test's level by more than this factor, it is extrapolated in
-# proportion.
-_MAX_LEVEL_RATIO = 4.0
 
 
 @dataclass(frozen=True)
@@ -388,38 +378,7 @@ class _Assessment:
         if not np.isfinite(limiting.driven_share):
             return onset, True
         level = self.level / limiting.driven_share
-        flies = dampers_fly or level > onset
-        names = [info.name for info in self.bench.channels]
-        if (
-            not flies
-            or limiting.name not in names
-            or not 1.0 / _MAX_LEVEL_RATIO < limiting.driven_share < _MAX_LEVEL_RATIO
-        ):
-            return level, flies
-        return self._solve_level(limiting, names.index(limiting.name), level), True
-
-    def _solve_level(self, limiting: Expectation, row: int, level: float) -> float:
-        """Return the level at which a channel reaches its limit, by rehearsals and the secant method in logarithms.
-
-        `row`: row of the channel; `level`: first estimate.
-        """
-        part = max(self.unlimited_test.parts, key=lambda rehearsal: float(rehearsal.readings.magnitude[row]))
-        seconds = affordable_seconds(self.scene) / (2 * _MAX_SECANT_STEPS)
-        scene, excluded_dwells = shorten_to_tone(part.scene, limiting.frequency, seconds)
-        if scene is None:
-            return level
-        # Pairs: logarithms of the level, and of the ratio of the largest reading to its limit.
-        unlimited_scene, log_ratios = without_limits(scene), [(np.log(self.level), np.log(limiting.driven_share))]
-        for _ in range(_MAX_SECANT_STEPS):
-            rehearsal = Rehearsal(with_level(unlimited_scene, level), excluded_dwells).run(4.0 * seconds)
-            reading_ratio = max(float(rehearsal.readings.magnitude[row]) / limiting.limit, 1e-12)
-            log_ratios.append((np.log(level), np.log(reading_ratio)))
-            if abs(reading_ratio - 1.0) < _LEVEL_TOLERANCE:
-                break
-            (level_1, ratio_1), (level_2, ratio_2) = log_ratios[-2:]
-            slope = (ratio_2 - ratio_1) / (level_2 - level_1) if level_2 != level_1 else 1.0
-            level = float(np.exp(level_2 - ratio_2 / np.clip(slope, 0.5, 2.0)))
-        return level
+        return level, dampers_fly or level > onset
 
     def _duration(self) -> _Duration:
         """Return the duration of the test."""

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from daq.core.excitation import procedure_of
 from daq.core.excitation.stepped_sine import expected_wait
-from daq.core.measurement.estimate import estimate
 from daq.core.prediction.linear import channel_readings, test_frequencies
 from daq.core.signal_chain.channel import ChannelInfo
 from daq.core.signal_chain.oversampling import choose_oversampling
@@ -196,23 +195,6 @@ def with_level(scene: Scene, level: float) -> Scene:
     """Return the scene with a different level of its test, in the unit of `highest_level`."""
     assert scene.test is not None
     return scene.replace(test=scene.test.at_level(level))
-
-
-def shorten_to_tone(scene: Scene, frequency: float | None, seconds: float) -> tuple[Scene | None, int]:
-    """Return a short scene with only the tones near a frequency in Hz, and the number of dwells not to evaluate.
-
-    Only a series of dwells is shortened; its first dwell is evaluated only if it is also the first dwell of the test.
-    Any other test is returned unchanged if it takes at most `seconds`; otherwise the scene is None.
-    """
-    test = scene.test
-    if test is None or frequency is None or not test.dwells or procedure_of(test).rehearsal != "peaks":
-        return (scene, 0) if estimate(scene).seconds <= seconds else (None, 0)
-    order = list(test.dwells)
-    index = int(np.argmin(np.abs(np.array(order) - frequency)))
-    first = max(index - 2, 0)
-    direction = "up" if len(order) < 2 or order[max(index, 1)] >= order[max(index - 1, 0)] else "down"
-    settings = _stepped_sine_settings(test, direction) | {"frequencies": sorted(set(order[first : index + 2]))}
-    return scene.replace(test=settings), min(index - first, 1)
 
 
 def _stepped_sine_settings(test: Test, direction: str) -> dict[str, Any]:

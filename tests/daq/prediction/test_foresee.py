@@ -121,13 +121,6 @@ def test_peaks_with_dampers_are_ranked_first(monkeypatch: pytest.MonkeyPatch) ->
     assert has_dampers == [True, False] * len(names)
 
 
-@pytest.mark.parametrize(("direction", "frequency"), [("up", 10.0), ("up", 40.0), ("down", 40.0), ("down", 10.0)])
-def test_shortened_test_keeps_its_direction(direction: str, frequency: float) -> None:
-    scene = one_body(STEPS | {"direction": direction})
-    part, _ = rehearsal_plan.shorten_to_tone(scene, frequency, 1.0)
-    assert part is not None and part.test is not None and part.test.direction == direction
-
-
 def test_largest_level_is_the_limit() -> None:
     scene = one_body(STEPS | {"points": 12}, channels=accelerometer(), converter={"rate": 1024, "range": "0.1 V"})
     level = daq.foresee(scene).largest_level
@@ -313,18 +306,6 @@ def test_damper_flies_where_its_body_exceeds_gravity() -> None:
     assert line.startswith("damper 1 (arm) flies at")
     (line,) = daq.foresee(scene.replace(test={**test, "force": "0.2 N"})).flights
     assert "stays on its floor" in line
-
-
-@pytest.mark.thorough
-def test_largest_level_is_correct_with_flying_damper() -> None:
-    damper = {"body": 1, "mass_ratio": "10 %", "clearance": ".inf"}
-    test = {"kind": "stepped_sine", "frequencies": [18.5, 19.0, 19.5, 20.0], "force": "10 N"}
-    scene = one_body(test, dampers=[damper], channels=accelerometer(integrator={"order": 1}))
-    input_range = 0.6 * daq.foresee(scene)["a1"].largest  # m/s^2
-    foresight = daq.foresee(scene.replace(converter={"rate": 1024, "range": input_range * VOLTS_PER_UNIT}))
-    assert foresight.nonlinear
-    at_largest_level = daq.foresee(scene.replace(test={**test, "force": foresight.largest_level}))["a1"]
-    assert at_largest_level.largest == pytest.approx(input_range, rel=0.1)
 
 
 def test_smallest_signal_is_that_of_weakest_tone() -> None:

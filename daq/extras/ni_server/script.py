@@ -28,12 +28,30 @@ def run_script(
     scene: Scene | str | None = None,
     clock: str | None = None,
 ) -> int:
-    """Run a Python script in a separate process, with the rig as its hardware; return its exit code.
+    """Run a Python script in a separate process, with the rig as its hardware.
 
-    `arguments`: those in `sys.argv` after the name of the script; `scene`, `clock`: see `daq.connect`. With the fast
-    clock, `time.sleep` and `input` let bench time pass; `input` then returns an empty line. The exit code is 1 after an
-    exception, whose traceback is then on stderr, and 128 + n if signal n ended the script, even if this process
-    forwarded the signal. Raises `SceneError` if the script does not exist, or the scene cannot be used.
+    Parameters
+    ----------
+    path : str or Path
+        The script.
+    arguments : sequence of str
+        Arguments in `sys.argv` after the name of the script.
+    scene : Scene or str, optional
+        Scene on the bench, see `daq.connect`.
+    clock : str, optional
+        Clock, see `daq.connect`. With the fast clock, `time.sleep` and `input` let bench time pass; `input` then
+        returns an empty line.
+
+    Returns
+    -------
+    int
+        Exit code of the script; 1 if it raised an exception, whose traceback is then on stderr; 128 + n if signal n
+        ended it, even if this process forwarded the signal.
+
+    Raises
+    ------
+    SceneError
+        If the script does not exist, or the scene cannot be used.
     """
     path = Path(path)
     if not path.is_file():

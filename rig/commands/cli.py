@@ -273,7 +273,7 @@ def map_(
 
 @app.command(
     example="rig design fig9 --budget '50 g' --bodies 3 --levels 3N -o design",
-    options="--budget MASS|SHARE --bodies BODY,... --dampers N --clearance LOW,HIGH --levels F,F,... --band LOW,HIGH "
+    options="--budget MASS|PERCENT --bodies BODY,... --dampers N --clearance LOW,HIGH --levels F,F,... --band LOW,HIGH "
     "--watched BODY,...",
 )
 def design(
@@ -282,13 +282,13 @@ def design(
     *,
     damping_off: Annotated[
         str,
-        "SHARE: Relative uncertainty of the structure's damping, such as '30 %'. The dampers are chosen for its worst "
-        "case.",
+        "PERCENT: Largest relative error of the structure's damping, such as '30 %'. The dampers minimize the "
+        "largest peak within this error.",
     ] = "0 %",
     stiffness_off: Annotated[
         str,
-        "SHARE: Relative uncertainty of the structure's stiffness, such as '5 %'. The dampers are chosen for its worst "
-        "case.",
+        "PERCENT: Largest relative error of the structure's stiffness, such as '5 %'. The dampers minimize the "
+        "largest peak within this error.",
     ] = "0 %",
     cluster: Cluster = None,
     output: Annotated[

@@ -121,7 +121,7 @@ def present_modes(
             theory = None if unlike else theory
             lines += [*describe_modes(modes, theory), *(f"  {text}" for text in missing_tolerances(frfs))]
             if unlike:
-                lines.append("  shapes are not compared with the scene: no natural frequency of it is near")
+                lines.append("  shapes are not compared with the scene, which has no natural frequency near a mode")
             notes = [*modes.warnings, *theory_warnings(modes, theory)]
             warnings += with_recording_name(path, with_sweep_name(modes.label, label, notes, frfs[0].warnings))
     files.append(modes_table(table, all_modes))

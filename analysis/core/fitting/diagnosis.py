@@ -36,8 +36,8 @@ _NOISE_PROBABILITY = 1e-4
 _SCALE_MISTAKES = {
     9.80665: "m/s² read as g",
     1.0 / 9.80665: "g read as m/s²",
-    1000.0: "a factor of 1000, such as mV instead of V or mm instead of m",
-    0.001: "a factor of 1/1000, such as V instead of mV or m instead of mm",
+    1000.0: "values in mV declared as V, or in mm declared as m",
+    0.001: "values in V declared as mV, or in m declared as mm",
     39.3701: "values in inches, declared as m",
     0.0254: "values in m, declared as inches",
     25.4: "values in mm, declared as inches",
@@ -54,10 +54,10 @@ _FORCE_MISTAKES = {
 }
 # Number of time derivatives between the stated quantity and the quantity of the reading, and the cause.
 _DERIVATIVE_MISTAKES = {
-    1: "it is the derivative of the stated quantity, such as acceleration instead of velocity",
-    -1: "it is the integral of the stated quantity, such as velocity instead of acceleration",
-    2: "it is the second derivative of the stated quantity, such as acceleration instead of displacement",
-    -2: "it is the second integral of the stated quantity, such as displacement instead of acceleration",
+    1: "it is the derivative of the stated quantity, such as acceleration declared as velocity",
+    -1: "it is the integral of the stated quantity, such as velocity declared as acceleration",
+    2: "it is the second derivative of the stated quantity, such as acceleration declared as displacement",
+    -2: "it is the second integral of the stated quantity, such as displacement declared as acceleration",
 }
 # Of the mistakes of a sensor and of the swapped pairs, only this number are fitted: those with the smallest initial
 # cost.

@@ -250,13 +250,15 @@ def period_spectra(rec: Recording, names: Sequence[str], marker: Marker) -> Peri
     ]
     notes = []
     if marker.fields.get("settled") is False:
-        notes.append(f"Realization {number} was measured before steady state. Choose another level.")
+        notes.append(
+            f"Realization {number} was measured before steady state. Lower the level, or increase test.settle.longest."
+        )
     if len(clean) < periods:
         reasons = describe_flaws(rec, [flaw for period_flaws in all_flaws for flaw in period_flaws])
         reasons = reasons or "the recording ends"
         notes.append(f"{periods - len(clean)} of {periods} periods of realization {number} omitted: {reasons}.")
     if len(clean) < 2:
-        notes.append(f"Realization {number} omitted: fewer than two of its periods are without faults.")
+        notes.append(f"Realization {number} omitted: fewer than two of its periods are usable.")
         no_samples = np.zeros((0, len(names), 0))
         return PeriodSpectra(frequency, no_samples.astype(complex), no_samples, tuple(notes))
     samples = np.stack(list(read_slices(rec, names, clean)))

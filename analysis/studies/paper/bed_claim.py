@@ -169,7 +169,10 @@ def _describe_counts(beds: Columns) -> str:
             for value, group in groups
         )
         texts.append(f"{label}: {', '.join(counts)}")
-    return f"Operating points with a compliance within {100 * MAX_DEVIATION:g} %, {'; '.join(texts)}."
+    return (
+        f"Operating points at which the compliance deviates by at most {100 * MAX_DEVIATION:g} % from that with one "
+        f"mass, {'; '.join(texts)}."
+    )
 
 
 def _describe_mode(beds: Columns, frequency: float) -> str:

@@ -238,7 +238,7 @@ def _c3(parts: Parts) -> Claim:
                 "Recorded peaks of body 3 at modes 1, 2 and 3, interpolated between the points, relative to the peaks "
                 f"without dampers, with expanded uncertainties (95 %): {'; '.join(rows)}. The least affected mode is "
                 f"{least_affected[0]} with one damper, {least_affected[1]} with two, {least_affected[2]} with three "
-                "(undetermined: the 95 % intervals overlap).",
+                "(undetermined if the 95 % intervals overlap).",
                 ("rec-bare", "rec-one", "rec-two", "rec-three"),
             ),
             Evidence(

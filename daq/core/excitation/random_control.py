@@ -98,8 +98,8 @@ class SpectrumControl:
         worst = int(np.argmax(deviation))
         if np.mean(above) > test.abort_lines:
             raise GivenUp(
-                f"aborted at {level:g} dB: {100 * np.mean(above):.0f} % of the lines exceed the profile by more than "
-                f"{test.abort:g} dB, the largest by {deviation[worst]:.1f} dB at {self.frequency[worst]:.4g} Hz. "
+                f"aborted at a level of {level:g} dB: {100 * np.mean(above):.0f} % of the lines exceed the profile by more "
+                f"than {test.abort:g} dB, the largest by {deviation[worst]:.1f} dB at {self.frequency[worst]:.4g} Hz. "
                 "Lower test.speed, or limit the response of a channel."
             )
         is_notched = limits_drive(required[0], required[1:], test.tolerance + margin).any(axis=0)
@@ -158,7 +158,7 @@ class RandomControlProcedure(Procedure["RandomControl"]):
                 if updates >= _MAX_UPDATES and share < _MIN_WITHIN:
                     raise GivenUp(
                         f"at {level:g} dB only {100 * share:.0f} % of the lines are within {test.tolerance:g} dB after "
-                        f"{updates} updates. Give more lines, or widen the tolerance."
+                        f"{updates} updates. Increase test.lines or test.tolerance."
                     )
             station.mark("ramp", first, station.now, level=level, within=round(share, 3))
         first, end, count = station.now, station.now + station.samples(test.duration), averages
@@ -181,7 +181,7 @@ class RandomControlProcedure(Procedure["RandomControl"]):
         if control.outside:
             station.warn(
                 f"{control.outside} of {control.lines.size} lines are outside the tolerance of {test.tolerance:g} dB "
-                f"(worst {control.worst:+.1f} dB). Give more lines, or a longer test."
+                f"(largest deviation {control.worst:+.1f} dB). Increase test.lines or test.duration."
             )
         if control.clipped > 1e-4 * control.total:
             station.warn(f"the output clipped {control.clipped} drive samples. Lower the profile.")

@@ -310,8 +310,8 @@ def _implausible_times(scene: Scene, rate: float, samples: int) -> Iterator[str]
     structure = "" if np.isnan(lowest_hz) else f" for a structure with the lowest natural frequency {lowest_hz:.3g} Hz"
     if rate > _MAX_PLAUSIBLE_RATE or rate < 2.0 * lowest_hz or samples / rate * lowest_hz < 1.0:
         yield (
-            f"{samples / rate:.3g} s at {rate:.6g} Hz is implausible{structure}. Check the unit of the times, such as "
-            "s instead of ms, or give rate: in the channel table."
+            f"a recording of {samples / rate:.3g} s with {rate:.6g} samples/s is implausible{structure}. Check the "
+            "unit of the times, which may be ms although the file states s, or set rate: in the channel table."
         )
 
 

@@ -130,8 +130,8 @@ def _signal(path: Path, number: int, channel: Any, has_several_groups: bool, clo
             return np.asarray(channel.read_data(first, stop - first), dtype=np.float64)
         except Exception as error:
             raise RecordingError(
-                f"{where} cannot be read from sample {first} on: {_error_text(error)}. Import the part before it with "
-                "`to_s`."
+                f"{where} cannot be read from {first / clock.rate:.6g} s on (sample {first}): {_error_text(error)}. "
+                "Import the samples before this time: set `to_s`."
             ) from error
 
     unit = str(properties.get("unit_string") or properties.get("NI_UnitDescription") or "")

@@ -277,8 +277,8 @@ def _named_modules(description: BenchDescription) -> list[Module]:
         match = _NAME_IN_CHASSIS.fullmatch(device.name)
         if match is None:
             raise SceneError(
-                f"modules: {device.name!r} cannot be in a chassis, as {device.product_type} is. Choose a name such as "
-                "cDAQ1Mod1."
+                f"modules: {device.product_type} is in a chassis, which its name {device.name!r} does not state. "
+                "Choose a name of chassis and slot, such as cDAQ1Mod1."
             )
         name, slot = match[1], int(match[2])
         chassis[name] = Module(name, description.chassis, category=CHASSIS_CATEGORY, bus=USB_BUS)

@@ -114,8 +114,8 @@ class Response(ResponseArithmetic, Sequence["Response"]):
         magnitude, expanded = float(abs(self.value[line])), float(self.expanded()[line])
         uncertainty = format_percent(expanded / magnitude) if np.isfinite(expanded) else "unbounded"
         return [
-            f"ignored as too uncertain: {factor * magnitude:.4g} {unit} at {self.frequency[line]:.4g} Hz "
-            f"(uncertainty {uncertainty}, {self.largest_contributions()[line]})"
+            f"not reported as the peak, because too uncertain: {factor * magnitude:.4g} {unit} at "
+            f"{self.frequency[line]:.4g} Hz (expanded uncertainty {uncertainty}, {self.largest_contributions()[line]})"
         ]
 
     def columns(self) -> dict[str, NDArray[Any]]:

@@ -89,9 +89,10 @@ class Matrices(Settings):
             indices = asymmetry(matrix)
             if indices is not None:
                 row, column = indices
-                values = f"{matrix[row, column]:g} and {matrix[column, row]:g}"
-                location = f"rows and columns {row + 1} and {column + 1}"
-                yield Problem((key,), f"not symmetric ({values} in {location}); expected a symmetric matrix")
+                values = ", ".join(
+                    f"element ({i + 1}, {j + 1}) is {matrix[i, j]:g}" for i, j in ((row, column), (column, row))
+                )
+                yield Problem((key,), f"the matrix is not symmetric: {values}; expected a symmetric matrix")
         if not is_positive_definite(mass):
             yield Problem(("mass",), "not positive definite; expected a mass matrix whose eigenvalues are all positive")
 

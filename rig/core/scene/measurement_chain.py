@@ -72,12 +72,12 @@ class Accelerometer(Settings):
     transverse: Tolerance | None = None
     """Transverse sensitivity relative to the nominal sensitivity; its direction is random (`seed`)."""
     lateral: Annotated[float, Quantity(RATIO, at_least=0.0)] | None = None
-    """Lateral acceleration of the mounting point relative to the vertical (10 % if only `transverse` is
-    given); the structure itself moves vertically only."""
+    """Ratio of the lateral to the vertical acceleration of the mounting point (10 % if only `transverse` is given); the
+    model of the structure has only vertical motion."""
     saturation: Annotated[float, Quantity(ACCELERATION, above=0.0)] | None = None
-    """Largest acceleration that the output follows [m/s^2], at any sample rate; samples beyond are marked as
-    overloaded. A velocity jump excites the sensor up to the jump times 2 pi resonance; without a resonance every
-    jump overloads it."""
+    """Largest acceleration that the output of the sensor follows [m/s^2]; samples above it are marked as overloaded. A
+    jump of the velocity by dv (impact of a damper) gives a peak of 2 pi f dv at the resonance f; without `resonance`,
+    every impact overloads the sensor. The limit does not depend on the sample rate."""
     overload_recovery: Annotated[float, Quantity(TIME, above=0.0)] | None = None
     """Time constant of the recovery after saturation [s]; needs `saturation`."""
     temperature_drift: Annotated[float, Quantity(PER_KELVIN)] | None = None

@@ -155,10 +155,10 @@ class Structure(Settings):
                     ("damping",),
                     "dashpots are for a chain of masses. With matrices, give matrices: {damping: ...} instead.",
                 )
-        damping_values = {
-            "modal": self.damping.modal if isinstance(self.damping, ModalDamping) else 0.0,
-            "dashpots": self.damping.dashpots if isinstance(self.damping, Dashpots) else 0.0,
-        }
-        for key, values in damping_values.items():
+        damping_values = (
+            ("modal", "mode", self.damping.modal if isinstance(self.damping, ModalDamping) else 0.0),
+            ("dashpots", "spring", self.damping.dashpots if isinstance(self.damping, Dashpots) else 0.0),
+        )
+        for key, item, values in damping_values:
             if isinstance(values, tuple) and len(values) != n_bodies:
-                yield Problem(("damping", key), f"got {len(values)} values; expected {n_bodies}, one for each body")
+                yield Problem(("damping", key), f"got {len(values)} values; expected {n_bodies}, one for each {item}")

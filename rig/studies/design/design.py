@@ -104,7 +104,7 @@ class Design(Result):
         if not self.serves:
             return (
                 f"{self.scene.name}: no design reduces the peak at every level (best design: {self.best.choice}, "
-                f"{-reduction:+.1f} dB)"
+                f"largest peak {'reduced' if reduction >= 0.0 else 'increased'} by {abs(reduction):.1f} dB)"
             )
         return f"{self.scene.name}: {self.best.choice}, largest peak reduced by {reduction:.1f} dB"
 

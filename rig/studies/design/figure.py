@@ -61,15 +61,14 @@ def summary(design: Design) -> str:
         percentages = ", ".join(f"{share:.0f}" for share in shares)
         lines += [
             "",
-            f"the motion is irregular at {percentages} % of the frequencies at {levels} {objective.level.unit}; the "
-            f"{objective.response_display[0]} there is an "
-            "average, accurate to a few percent",
+            f"at {levels} {objective.level.unit}, the motion is irregular at {percentages} % of the frequencies; the "
+            f"{objective.response_display[0]} at these frequencies is an average, accurate to a few percent",
         ]
     for searched, name in zip(space.clearance, ("smallest", "largest"), strict=True):
         if any(abs(np.log(clearance / searched)) < LIMIT_TOLERANCE for clearance in best.choice.clearances):
             lines += [
                 "",
-                f"the chosen clearance is the {name} that was searched. Search a wider range with `clearance`.",
+                f"the chosen clearance is the {name} of the searched range. Search a wider range with --clearance.",
             ]
     return "\n".join(lines)
 

@@ -66,7 +66,7 @@ def predict_overloads(scene: Scene, expected: Sequence[Expected], bare: Peak, le
             levels = ", ".join(dict.fromkeys(format_number(peaks_and_levels[k][1]) for k in exceeded))
             fastest = max(max(result.closing_speed, default=0.0) for result in expected)
             cause = (
-                f", from landings of up to {fastest:.2g} m/s"
+                f", because of damper impacts with closing speeds of up to {fastest:.2g} m/s"
                 if max(impact_accelerations) > max(steady_accelerations)
                 else ""
             )

@@ -27,30 +27,33 @@ from rig.core.base.arrays import Array
 from rig.core.results import format_number
 from rig.core.results.response import Response
 
-# Length of a block of samples in periods, minimum duration of a block, s, and minimum number of its samples.
+# Length of a block of samples, in periods of the tone.
 _PERIODS = 12.0
+# Shortest block, s, and fewest samples of a block.
 _MIN_SECONDS = 0.3
 _MIN_SAMPLES = 96
-# Number of terms for the drift of a reading, such as after power-on of a sensor, and highest harmonic of the model.
+# Number of terms for the drift of a reading, such as after power-on of a sensor.
 _DRIFT_TERMS = 4
+# Highest harmonic of the tone in the model.
 _HARMONICS = 3
 # This fraction of a block is not searched at either end.
 _MARGIN = 0.15
 # All samples are searched in recordings with at most this number of values; about 0.3 s of CPU time.
 _MAX_VALUES = 2_000_000
-# With a step in the model, the root mean square of the residual must fall to the first fraction, and to the second
-# fraction of the root mean square of the readings.
+# A step in the model must reduce the rms residual at least to this fraction of the residual without a step.
 _MAX_REMAINING_FRACTION = 0.35
+# Largest rms residual relative to the rms reading: with a step in the model for a step of the gain, and without one for
+# a tone that is not hidden by noise.
 _MAX_REMAINING = 0.1
-# Smallest reported change of the logarithm of a gain, and the largest fraction of this change that another channel may
-# show at the same instant.
+# Smallest reported change of the logarithm of a gain.
 _MIN_CHANGE = 0.1
+# Largest fraction of this change that another channel may show at the same instant.
 _MAX_COMMON = 0.25
 # A channel is searched in a block if its readings span more than this number of counts of the converter. A smaller
 # tone, as at an antiresonance, appears suddenly when it exceeds half a count.
 _MIN_COUNTS = 8.0
-# The tone is hidden by noise if the relative residual of a channel remains above this fraction; a step of the tone is
-# then not detectable.
+# A step in the model must reduce the rms residual of another channel below this fraction of its value without a step,
+# if the channel is to show the same step.
 _MAX_FRACTION_OF_STEP = 0.7
 
 

@@ -53,5 +53,6 @@ def line_warnings(prescription: Prescription, scene: Scene, channels: Iterable[C
             if 0 < end < frequency.size - 1 and reduction > _MAX_END_DB:
                 yield (
                     f"the limit of {limit.channel} ends at {frequency[end]:.4g} Hz, where it reduces the drive density "
-                    f"by {reduction:.1f} dB: the channel exceeds it beyond. Extend the limit beyond the resonance."
+                    f"by {reduction:.1f} dB: beyond this frequency, the channel exceeds the limit. Extend the "
+                    "limit beyond the resonance."
                 )

@@ -73,7 +73,8 @@ class Settle(Settings):
     """Criterion for the steady state of a dwell."""
 
     tolerance: Annotated[float, Quantity(RATIO, above=0.0)] = 1e-3
-    """Largest relative change of any channel's first harmonic between successive time windows."""
+    """Steady state is reached if the amplitude at the frequency of the tone will change by less than this fraction in
+    every channel; the remaining change is predicted from successive time windows."""
     longest: Duration = 60.0
     """Longest time to wait for the steady state [s]."""
 

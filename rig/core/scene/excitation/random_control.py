@@ -50,13 +50,13 @@ class RandomControl(ProfileControl, KindOfTest):
     clip: Annotated[float, Quantity(RATIO, above=1.0, infinite=True)] = 4.0
     """Largest drive relative to its root mean square."""
     speed: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] = 0.5
-    """Part of the deviation that an update corrects."""
+    """Fraction of the deviation from the profile that an update corrects."""
     tolerance: Decibels = 3.0
     """Permissible deviation from the profile [dB]."""
     abort: Decibels = 6.0
-    """Deviation above the profile at which a line counts for the abort [dB]."""
+    """Excess over the profile above which a line is out of tolerance for the abort [dB]."""
     abort_lines: Share = 0.1
-    """Fraction of these lines at which the test ends."""
+    """The test is aborted if more than this fraction of all lines exceeds the profile by more than `abort`."""
     shaker: DrivenShaker = None
 
     def check_consistency(self) -> Iterable[Problem]:

@@ -18,8 +18,8 @@ class BaseShaker(KindOfShaker):
 
     kind: Literal["base"] = "base"
     centering: Annotated[float, Quantity(FREQUENCY, above=0.0)] = 0.5
-    """Corner frequency of the servo that centers the table [Hz], a critically damped second-order system. Far above it,
-    the acceleration of the table is the drive."""
+    """Corner frequency of the servo that returns the table to its center [Hz], which acts as a critically damped high
+    pass of second order. Far above this frequency, the acceleration of the table equals the drive."""
     output: Output = Output()
     """The analog output whose voltage is the drive."""
 

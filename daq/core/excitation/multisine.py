@@ -118,7 +118,7 @@ class MultisineProcedure(Procedure["Multisine"]):
                     max_wait_s = _max_wait(station, period) / station.rate
                     station.warn(
                         f"{message}: the response did not become periodic within {max_wait_s:g} s. These periods are "
-                        "marked as not settled. Choose another level."
+                        "marked as not settled. Lower the level, or increase test.settle.longest."
                     )
                 first, n_experiments = station.now, test.realisations * len(shakers)
                 for period_index in range(test.periods):

@@ -97,9 +97,10 @@ class SpectrumControl:
         above = deviation > test.abort + margin
         worst = int(np.argmax(deviation))
         if np.mean(above) > test.abort_lines:
+            peak = f"{deviation[worst]:.1f} dB at {self.frequency[worst]:.4g} Hz"
             raise GivenUp(
-                f"aborted at a level of {level:g} dB: {100 * np.mean(above):.0f} % of the lines exceed the profile by more "
-                f"than {test.abort:g} dB, the largest by {deviation[worst]:.1f} dB at {self.frequency[worst]:.4g} Hz. "
+                f"aborted at a level of {level:g} dB: {100 * np.mean(above):.0f} % of the lines exceed the profile by "
+                f"more than {test.abort:g} dB, the largest by {peak}. "
                 "Lower test.speed, or limit the response of a channel."
             )
         is_notched = limits_drive(required[0], required[1:], test.tolerance + margin).any(axis=0)

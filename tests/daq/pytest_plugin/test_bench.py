@@ -247,7 +247,7 @@ def test_names_are_those_of_description(open_for_test):
         (TWO_MODULES, {"sources": {"ai0": "1 kg"}}, 'sources.ai0.offset: got "1 kg"; expected a voltage'),
         ({"modules": {"Dev1": 7}}, {}, r"modules\[1\].product_type: got 7"),
         ({"modules": {"Dev1": "USB-6001", "dev1": "USB-6002"}}, {}, "'Dev1' is the name of two devices"),
-        ({"modules": {"mine": "NI 9234"}}, {}, "'mine' cannot be in a chassis, as NI 9234 is"),
+        ({"modules": {"mine": "NI 9234"}}, {}, "NI 9234 is in a chassis, which its name 'mine' does not state"),
         ("bare-structure", {"wires": ["ao0 -> ai0"]}, "cannot be combined with a scene"),
         ("missing.yaml", {}, "missing.yaml: the file does not exist"),
         (42, {}, "expected a name, a path, a mapping or a rig.Scene"),

@@ -28,12 +28,12 @@ _MAX_LEAVE_ONE_OUT_ERROR = 0.2
 _GRID_POINTS = 801
 # Frequencies of the interpolated curve that are drawn: enough for a smooth line.
 _DRAWN_POINTS = 41
-# Tolerances at different frequencies are equal if their relative difference is at most this (rounding).
+# Tolerances at different frequencies are equal if their relative difference is at most this value (rounding).
 _SAME_TOLERANCE = 1e-6
 # Acceleration is divided by the square of frequency, so the relative error of the displacement is this multiple of the
 # relative error of the clock.
 _CLOCK_ERRORS_IN_HEIGHT = 2.0
-# The height of a peak is stated if its relative expanded uncertainty is at most this.
+# The height of a peak is stated if its relative expanded uncertainty is at most this value.
 _MAX_PEAK_UNCERTAINTY = 0.5
 # An interval is stated by its ends if its lower part is less than this fraction of its upper part; a symmetric ± would
 # be misleading.

@@ -36,8 +36,8 @@ _MIN_FLIGHT_RATIO = 0.25
 # A flight is consistent if the computed position at its end deviates from the wall by at most this fraction of its
 # height.
 _MAX_HEIGHT_ERROR = 0.05
-# A flight is used if the uncertainty of the restitution from this flight is at most this; other flights would only add
-# noise.
+# A flight is used if the uncertainty of the restitution from this flight is at most this value; other flights would
+# only add noise.
 _MAX_UNCERTAINTY = 0.1
 # Standard uncertainty of a median over the median absolute deviation of the values, for normal errors.
 _MEDIAN_ERROR = 1.4826 * 1.2533

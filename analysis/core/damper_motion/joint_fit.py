@@ -16,7 +16,7 @@ from rig.core.base.arrays import Array
 
 # Gauss-Newton iterations; few suffice, because the initial times are within two samples.
 ITERATIONS = 4
-# The time of a jump changes by at most this in one iteration [samples].
+# The time of a jump changes by at most this value in one iteration [samples].
 _MAX_CHANGE_SAMPLES = 0.5
 # Added to the diagonal of the normalized normal equations, which would otherwise be indefinite due to rounding.
 _DIAGONAL_LOADING = 1e-11

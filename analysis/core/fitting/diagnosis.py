@@ -90,7 +90,7 @@ _MIN_DELAY = 5e-6
 # Relative tolerance of a sensor whose sensitivity is fitted freely: so large that it has no effect.
 _FREE_TOLERANCE = 1e4
 # A unit is probably wrong if fitted and initial masses differ by more than this factor: people estimate masses better
-# than this.
+# than this value.
 _MAX_MASS_RATIO = 2.5
 # Largest number of pairs of channels tested for a swap: all pairs of six channels; each pair takes a fit.
 _MAX_PAIRS = 15

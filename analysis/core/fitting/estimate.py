@@ -31,9 +31,9 @@ _RANDOM_MODEL_ERRORS = (0.3, 0.1, 0.01, 0.0)
 _RANDOM_SD = 0.15
 # Random initial values: a safeguard against local minima; each takes a fit.
 _RANDOM_STARTS = 8
-# The structure is fitted from random initial values if the mean square of the residuals exceeds this.
+# The structure is fitted from random initial values if the mean square of the residuals exceeds this value.
 _MAX_STRUCTURE_VARIANCE = 4.0
-# The residuals enlarge the intervals if the mean square of the residuals exceeds this.
+# The residuals enlarge the intervals if the mean square of the residuals exceeds this value.
 _MIN_INFLATED_VARIANCE = 1.3
 # The first fits of the dampers use these model errors in turn.
 _DAMPER_MODEL_ERRORS = (0.2, 0.05)
@@ -46,8 +46,8 @@ _MASS_FACTORS = (1.0, 0.7, 0.4, 1.5)
 _CLEARANCE_FACTORS = (0.6, 1.7, 0.3)
 # With clearances multiplied by this factor, no damper reaches its ceiling.
 _UNREACHED_CLEARANCE_FACTOR = 30.0
-# The orbits explain the curves if the mean square of the residuals is at most this; with noise alone it is slightly
-# below 1.
+# The orbits explain the curves if the mean square of the residuals is at most this value; with noise alone it is
+# slightly below 1.
 _MAX_EXPLAINED_SQUARE = 1.5
 # In the robust cost, each squared residual is limited to this value.
 _MAX_SQUARE = 9.0

@@ -36,14 +36,15 @@ if TYPE_CHECKING:
 STATUS_TEXTS = {"roughly": "roughly determined"}
 # Usual relative tolerance of the quartz of a sample clock.
 _USUAL_CLOCK_TOLERANCE = 20e-6
-# A value is roughly determined if its relative expanded uncertainty is below this.
+# A value is roughly determined if its relative expanded uncertainty is below this value.
 _MAX_RELATIVE_EXPANDED = 0.5
 # A damper does not reach its ceiling if the clearance is at least this multiple
 # of the largest gap between damper and floor.
 _UNREACHED_RATIO = 1.2
-# The uncertainties of the curves explain the residuals if the mean square of the normalized residuals is at most this.
+# The uncertainties of the curves explain the residuals if the mean square of the normalized residuals is at most this
+# value.
 _MAX_NOISE_VARIANCE = 4.0
-# The scene does not describe the measured structure if the relative residual exceeds this.
+# The scene does not describe the measured structure if the relative residual exceeds this value.
 _MAX_RESIDUAL_RATIO = 0.02
 # A fit may omit at most this fraction of the points at which the model has a steady-state motion.
 _MAX_OMITTED_SHARE = 0.25

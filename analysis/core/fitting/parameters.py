@@ -29,7 +29,7 @@ _UNITS = {
     "masses": "kg", "springs": "N/m", "alpha": "1/s", "beta": "s", "dashpots": "N s/m", "mass": "kg",
     "clearance": "m", "clearance_below": "m", "duration": "s", "spring": "N/m", "stiffness": "N/m", "damping": "N s/m",
 }  # fmt: skip
-# A parameter is determined if its relative expanded uncertainty is at most this, by quantity.
+# A parameter is determined if its relative expanded uncertainty is at most this value, by quantity.
 _MAX_RELATIVE_EXPANDED_OF = dict.fromkeys(("modal", "alpha", "beta", "dashpots"), 0.03)
 _MAX_RELATIVE_EXPANDED_OF |= dict.fromkeys(("restitution", "duration", "stiffness", "damping"), 0.05)
 # The limit of the half-width for all other quantities.

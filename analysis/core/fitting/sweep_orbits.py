@@ -42,7 +42,8 @@ _LEVEL_CORRECTIONS = 2
 # Maximum number of secant steps to the drive that gives the level, and the smallest relative step.
 _MAX_SECANT_STEPS = 8
 _MIN_RELATIVE_STEP = 1e-6
-# The secant steps end if the relative error of the level is at most this; the remaining error is corrected linearly.
+# The secant steps end if the relative error of the level is at most this value; the remaining error is corrected
+# linearly.
 _LEVEL_TOLERANCE = 1e-5
 # Drives at which an orbit is searched. Each gives a level closer to the required level, so few suffice.
 _MAX_SEARCHES = 5

@@ -23,7 +23,7 @@ from rig.core.results.uncertainty import Covariance, standard_of_limit
 _MAX_STEPS = 12
 # Halvings of a step that would increase the misfit: a step of 1/64 that still increases it is an error of rounding.
 _MAX_HALVINGS = 6
-# The iteration has converged if its step is at most this, in standard deviations of the unknowns.
+# The iteration has converged if its step is at most this value, in standard deviations of the unknowns.
 _MAX_FINAL_STEP = 1e-3
 # Array elements in memory for a block of lines: 16 MB of complex values.
 _MAX_ELEMENTS = 1 << 20

@@ -29,14 +29,14 @@ MAX_MODES = 12
 _MIN_DEGREES = 8
 # A pole must reduce the misfit by this multiple of the penalty term of Schwarz's criterion (BIC) [1]_.
 _PENALTY_FACTOR = 2.0
-# With a single reference, two poles are resolved if their distance is at least this, in mean half-power widths.
+# With a single reference, two poles are resolved if their distance is at least this value, in mean half-power widths.
 # With several references, closer poles are distinguished by their shapes.
 _MIN_DISTANCE_WIDTHS = 0.4
 # The same distance if a model error is assumed, or if curves state no uncertainty. Closer poles may represent an error,
 # because two poles fit a peak of any shape. Tuned on a measured milling tool: at 0.4 its modes depended on the band.
 _MIN_ERRONEOUS_DISTANCE_WIDTHS = 0.8
-# Two poles are close if their distance is at most this, in mean half-power widths. Close poles are accepted only if
-# their local misfit is at noise level, because two close poles can fit the skewed peak of a nonlinear structure.
+# Two poles are close if their distance is at most this value, in mean half-power widths. Close poles are accepted only
+# if their local misfit is at noise level, because two close poles can fit the skewed peak of a nonlinear structure.
 _CLOSE_POLE_WIDTHS = 4.0
 # The local misfit of close poles is at noise level if it is at most this multiple of its expected value for noise.
 _MAX_NOISE_RATIO = 4.0

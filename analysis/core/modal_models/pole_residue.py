@@ -25,7 +25,7 @@ UPPER_TERMS = 3
 _MIN_LINES = 20
 # Elements of the weighted terms of the responses in memory at a time: 64 MB of complex values.
 _MAX_ELEMENTS = 1 << 22
-# The remainder of a unit column after orthogonalization is a rounding error if its squared norm is below this.
+# The remainder of a unit column after orthogonalization is a rounding error if its squared norm is below this value.
 _ROUNDING = 1e-20
 
 

@@ -8,7 +8,7 @@ from daq.core.recording.recording import Recording
 from rig.core.base.errors import RecordingError
 from rig.core.results.response import Point
 
-# A shaker counts as driven if the power of its force exceeds this, relative to the largest force [dB].
+# A shaker counts as driven if the power of its force exceeds this value, relative to the largest force [dB].
 _MIN_RELATIVE_FORCE_DB = -40.0
 
 

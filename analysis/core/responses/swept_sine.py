@@ -47,7 +47,7 @@ _POINTS = 400
 _BINS_PER_VALUE = (2 * FIT_HALF_WIDTH + 1) / (3 * ORDER + 2)
 # Dampers are assumed to stay on their floors up to this acceleration of their body, g. They lift off at 1 g.
 _MAX_FLOOR_ACCELERATION = 0.7
-# With dampers in flight, a sweep is slow enough if the relative error due to its sweep rate is at most this.
+# With dampers in flight, a sweep is slow enough if the relative error due to its sweep rate is at most this value.
 _MAX_SWEEP_ERROR_RATIO = 0.3
 # A warning is issued if the sweep is too fast at more than this share of the lines with dampers in flight.
 _MAX_FAST_SHARE = 0.05

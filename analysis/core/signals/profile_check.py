@@ -34,9 +34,10 @@ if TYPE_CHECKING:
     from daq.core.signal_chain.channel import ChannelInfo
     from rig.core.scene.excitation.profile import Prescription
 
-# A channel limits the drive if its distance from its limit is below this, dB, and the control is below the profile.
+# A channel limits the drive if its distance from its limit is below this value, dB, and the control is below the
+# profile.
 _NOTCH_DB = 1.5
-# An excess below this, dB, is noise.
+# An excess below this value, dB, is noise.
 _SMALLEST_EXCESS_DB = 0.05
 # Number of periods of a window in which the amplitude of a sweep is estimated: fewer do not separate harmonics, more
 # blur the sweep.

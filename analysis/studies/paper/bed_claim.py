@@ -33,10 +33,10 @@ from analysis.studies.paper.figures import Columns, Parts
 GOOD_DEVIATION = 0.05
 #: The single-mass model describes grains acceptably up to this relative deviation.
 MAX_DEVIATION = 0.10
-#: A deviation is computed if the value of the single mass (see `summary_row`) is at least this. Smaller energies and
-#: impulses are negligible: the mass rests on the floor, or does not hit the ceiling.
+#: A deviation is computed if the value of the single mass (see `summary_row`) is at least this value. Smaller energies
+#: and impulses are negligible: the mass rests on the floor, or does not hit the ceiling.
 _MIN_MASS_VALUE = 1e-3
-#: Two landings are indistinguishable in a figure if their phases differ by less than this [degrees].
+#: Two landings are indistinguishable in a figure if their phases differ by less than this value [degrees].
 SAME_LANDING_DEG = 20.0
 
 

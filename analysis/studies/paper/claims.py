@@ -17,8 +17,8 @@ from rig.core.scene.scene import STANDARD_GRAVITY
 PAPER_OMEGA = np.array([81.9, 218.8, 312.4])
 # Force of Fig 8.
 FORCE_C3_N = 2.6
-# C1 is true if the relative differences of the natural frequencies from those of the paper are below this. Rounding of
-# the paper's lowest frequency, 81.9 rad/s, alone is up to 0.06 %.
+# C1 is true if the relative differences of the natural frequencies from those of the paper are below this value.
+# Rounding of the paper's lowest frequency, 81.9 rad/s, alone is up to 0.06 %.
 MAX_PAPER_DIFFERENCE = 2e-3
 # C1 also requires this relative agreement of identified with computed natural frequencies.
 MAX_IDENTIFICATION_ERROR = 1e-3

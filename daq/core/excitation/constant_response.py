@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _FIRST_FORCE_RATIO = 0.05
 # The amplitude is controlled for at most this time [s]. After it, the envelope is controlled if the mode is known.
 _AMPLITUDE_WAIT_S = 15.0
-# No further attempt begins if the remaining time is shorter than this [s].
+# No further attempt begins if the remaining time is shorter than this value [s].
 _MIN_WAIT_S = 1.0
 # A drive above this fraction of the amplifier's limit counts as limited: the control needs some reserve.
 AT_LIMIT_RATIO = 0.99

@@ -48,7 +48,7 @@ _TOLERANCE = 0.01
 _MAX_WAIT_S = 60.0
 # The force may deviate from its level by at most this fraction.
 ALLOWED_DEVIATION = 0.1
-# Two intervals of excessive deviation are merged if the gap between them is shorter than this [s].
+# Two intervals of excessive deviation are merged if the gap between them is shorter than this value [s].
 _MIN_GAP_S = 0.5
 # CPU time of each period of a sweep with controlled force, s, measured on one core of 2 GHz.
 _CONTROLLED_PERIOD_CPU_S = 1.2e-3

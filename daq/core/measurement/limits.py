@@ -22,7 +22,7 @@ _MIN_GAP_S = 0.5
 _CHECK_INTERVAL_S = 0.1
 # Check interval if only the channels of a controlled force are monitored [s].
 _CONTROL_CHECK_INTERVAL_S = 0.5
-# A test ends if a control channel is overloaded for longer than this [s].
+# A test ends if a control channel is overloaded for longer than this value [s].
 _MAX_OVERLOAD_S = 1.0
 # An overload can be the cause that a test gives up if it occurred within this time before [s]: the tests wait at most
 # some seconds between their last measurement and this decision.

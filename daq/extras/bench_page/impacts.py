@@ -15,8 +15,8 @@ _REBOUND_RATIO = 0.05
 # The trigger level is this fraction of the smallest accepted peak, so smaller impacts are also detected, and
 # rejected.
 _TRIGGER_RATIO = 0.3
-# Samples above the trigger level belong to one pulse if the gap between them is shorter than this [s]. The force of a
-# ringing hammer crosses zero several times in a pulse.
+# Samples above the trigger level belong to one pulse if the gap between them is shorter than this value [s]. The force
+# of a ringing hammer crosses zero several times in a pulse.
 _PULSE_GAP_S = 1e-3
 # Duration of the displayed force [s].
 _DISPLAYED_S = 0.05

@@ -26,7 +26,7 @@ _END_SIGMAS = 4.0
 _END_MIN_RAD = 0.01
 # A dwell ends where the natural logarithm of the amplitude changes by more than this from one block to the next.
 _MAX_AMPLITUDE_STEP = 0.2
-# In the second half of a dwell, the natural logarithm of the amplitude changes by at most this.
+# In the second half of a dwell, the natural logarithm of the amplitude changes by at most this value.
 _MAX_AMPLITUDE_CHANGE = 0.2
 # The frequency of a dwell drifts by at most this fraction of the distance to the next dwell; the frequency of a sweep
 # drifts more.

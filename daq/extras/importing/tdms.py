@@ -129,9 +129,10 @@ def _signal(path: Path, number: int, channel: Any, has_several_groups: bool, clo
         try:
             return np.asarray(channel.read_data(first, stop - first), dtype=np.float64)
         except Exception as error:
+            time = "" if clock.rate is None else f" ({first / clock.rate:.6g} s)"
             raise RecordingError(
-                f"{where} cannot be read from {first / clock.rate:.6g} s on (sample {first}): {_error_text(error)}. "
-                "Import the samples before this time: set `to_s`."
+                f"{where} cannot be read from sample {first}{time} on: {_error_text(error)}. Import the samples before "
+                "this time: set `to_s`."
             ) from error
 
     unit = str(properties.get("unit_string") or properties.get("NI_UnitDescription") or "")

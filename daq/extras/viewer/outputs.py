@@ -35,7 +35,7 @@ NO_DISPLAY_REMEDY = "Use `web` for a browser, `screenshot` FILE.png for a pictur
 _BYTES_PER_VALUE = 20
 # Name of the entity that is sent last.
 _LAST_ENTITY = "complete"
-# A note is printed if the viewer will need more memory than this, GB.
+# A note is printed if the viewer will need more memory than this value, GB.
 _NOTE_ABOVE_GB = 2.0
 # Height of the menu of the viewer, pixels. Pictures omit it: it shows warnings on a machine without a graphics card.
 _MENU_PIXELS = 38

@@ -32,7 +32,7 @@ _DPI = 150
 _PNG_COMPRESSION = 3
 # Number of title characters that fit into the default width, at the font size below.
 _TITLE_CHARACTERS = 70
-# If the ratio of the limits of a logarithmic axis is smaller than this, powers of ten would give too few labels.
+# If the ratio of the limits of a logarithmic axis is smaller than this value, powers of ten would give too few labels.
 _MIN_DECADE_RATIO = 300.0
 # Smallest and largest value of a logarithmic axis that matplotlib can draw.
 _DRAWABLE_RANGE = 1e-250, 1e250

@@ -37,7 +37,7 @@ _GOOD_ERROR_RATIO = 0.01
 # The recommended spacing is at least this fraction of the present spacing; the estimate for a smaller spacing is too
 # uncertain.
 _MIN_SPACING_RATIO = 0.02
-# A frequency differs from the frequency of a line if their relative difference exceeds this.
+# A frequency differs from the frequency of a line if their relative difference exceeds this value.
 _SAME_FREQUENCY = 1e-9
 
 

@@ -31,7 +31,7 @@ from rig.core.system.open_loop_drive import ToneDrive, sampled_drive, tone_drive
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: With more samples per period of a tone than this, time steps divide a sample interval instead of a period.
+#: With more samples per period of a tone than this value, time steps divide a sample interval instead of a period.
 MIN_DENSE_SAMPLES = 10
 
 

@@ -31,7 +31,7 @@ from rig.core.system.structural_model import StructuralModel, ground_connection,
 
 #: Maximum number of free dampers. A configuration is a 64-bit integer, with one bit for each damper.
 MAX_DAMPERS = 62
-#: A stiffness matrix has an inverse if its condition number is at most this; rounding limits it to about 1e16.
+#: A stiffness matrix has an inverse if its condition number is at most this value; rounding limits it to about 1e16.
 MAX_CONDITION = 1e13
 
 

@@ -21,7 +21,7 @@ from rig.core.system.hybrid_system import HybridSystem, hold_coordinates
 
 # Minimum number of frequencies between which the drive per level of a sweep is interpolated.
 _MIN_GAIN_FREQUENCIES = 400
-# The interpolated drive has a relative error of at most this.
+# The interpolated drive has a relative error of at most this value.
 _MAX_GAIN_ERROR = 1e-3
 # Halvings of an interval of this interpolation: its ends are then a millionth apart.
 _MAX_HALVINGS = 20

@@ -25,8 +25,8 @@ from rig.extras.grains.lammps_library import lammps_version
 
 #: Time step of packing, relative to Rayleigh's time (`rayleigh_time`).
 _STEP_RATIO = 0.1
-#: While grains fall and the bed is flattened, Young's modulus is at most this [Pa]. With this limit the arrangement and
-#: its computing time do not depend on the modulus of stiff grains.
+#: While grains fall and the bed is flattened, Young's modulus is at most this value [Pa]. With this limit the
+#: arrangement and its computing time do not depend on the modulus of stiff grains.
 _MAX_PACKING_MODULUS = 1e7
 #: Time constant of the drag on falling grains [s].
 _DRAG_TIME = 10e-3

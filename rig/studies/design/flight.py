@@ -15,7 +15,7 @@ from rig.studies.design.ranking import EQUAL_DB
 from rig.studies.design.worst_peak import Peak, response_at_level
 from rig.studies.motion_map.grid import damper_accelerations, natural_frequencies, select_frequencies
 
-#: Dampers are effective if they reduce the peak by at least this [dB].
+#: Dampers are effective if they reduce the peak by at least this value [dB].
 EFFECTIVE_DB = 1.0
 #: Frequencies over the band, in addition to natural frequencies and peaks, where the acceleration is largest.
 _BAND_POINTS = 20

@@ -12,7 +12,7 @@ import numpy as np
 from daq.core.signal_chain.driving_power import returns_energy
 from rig.core.results.response import Response
 
-# The power is evaluated at points whose relative expanded uncertainty is at most this.
+# The power is evaluated at points whose relative expanded uncertainty is at most this value.
 _MAX_UNCERTAINTY = 0.3
 # A step between two points is a jump if the magnitude of the change of the complex logarithm (nepers, radians) exceeds
 # this value and the two following limits.

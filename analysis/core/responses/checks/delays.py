@@ -31,7 +31,7 @@ _MAX_LINES = 400
 # Poles are fitted to at most this number of curves, at most this number of candidates.
 _MAX_CURVES = 8
 _MAX_CANDIDATES = 24
-# A point is evaluated if its relative expanded uncertainty is at most this.
+# A point is evaluated if its relative expanded uncertainty is at most this value.
 _MAX_UNCERTAINTY = 0.5
 # Relative model errors with which poles are selected. A larger error is tried if the misfit remains above this multiple
 # of its expected value.
@@ -53,7 +53,7 @@ _MAX_DELAY_S = 5e-3
 _SPACING = 0.1
 # The trial delays are refined around the best by this number of intervals.
 _REFINEMENT = 20
-# A delay is significant if it reduces the sum of squares by at least this, compared with no delay, ...
+# A delay is significant if it reduces the sum of squares by at least this value, compared with no delay, ...
 _MIN_REDUCTION = 20.0
 # ... and with delays that differ from it by more than this fraction of a period of the highest frequency, and by more
 # than twice its expanded uncertainty.

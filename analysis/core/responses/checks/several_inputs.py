@@ -13,7 +13,7 @@ from rig.core.base.errors import RecordingError
 from rig.core.results import format_percent
 from rig.core.results.response import Response
 
-# Inputs can be separated if the condition number of their spectral matrix at unit power is at most this.
+# Inputs can be separated if the condition number of their spectral matrix at unit power is at most this value.
 MAX_CONDITION_NUMBER = 1e3
 # Reciprocal responses must agree within their uncertainties at least at this share of the lines.
 _MIN_RECIPROCAL_LINES = 0.8

@@ -19,8 +19,8 @@ _POINTS_ONE_POLE = 3
 _MIN_RESIDUAL_RATIO = 1e-3
 # Points resolve a pole if their spacing is at most this multiple of the distance of the point from the pole.
 _MAX_SPACING_RATIO = 1.5
-# A resonance is considered if its distance from the tone is at most this, in half-widths of the resonance. Ringing of a
-# more distant resonance beats with the tone, which is visible in the window.
+# A resonance is considered if its distance from the tone is at most this value, in half-widths of the resonance.
+# Ringing of a more distant resonance beats with the tone, which is visible in the window.
 _MAX_HALF_WIDTHS = 4.0
 # A change of a response between points may be noise up to this number of standard uncertainties.
 _NOISE_SIGMAS = 4.0

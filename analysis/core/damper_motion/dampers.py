@@ -148,7 +148,7 @@ def dampers_in(rec: Recording, label: str | None = None, progress: CountProgress
             if info is None:
                 name = rec.scene.structure.label(number)
                 missing.append(
-                    f"{name}: no channel measures its motion, so impacts are not detected. Mount a sensor there."
+                    f"{name}: no channel measures its motion, so impacts are not detected. Mount a sensor on this body."
                 )
                 continue
             try:

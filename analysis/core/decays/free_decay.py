@@ -258,7 +258,9 @@ def _read_samples(rec: Recording, info: ChannelInfo, impact: int, start: int, st
                 "impact, or record again."
             )
         samples = interpolated(samples, ~lost)
-        warnings.append(f"{int(lost.sum())} lost samples of {info.name} were interpolated; the decay is inexact there.")
+        warnings.append(
+            f"{int(lost.sum())} lost samples of {info.name} were interpolated; the decay is inexact at these times."
+        )
     if not np.any(abs(samples - samples[0]) > 0):
         raise RecordingError(
             f"{rec.path}: {info.name} is constant throughout the decay of impact {impact}. Choose another channel, or "

@@ -111,8 +111,8 @@ def find_cause(problem: Problem, x: Array) -> tuple[bool, str]:
     uncorrected = _Refit(problem, x).with_curves(linear_curves).solved((0.0,))
     if uncorrected.fits:
         return False, (
-            "The recordings without moving dampers fit, so the dampers of the scene differ from those of the rig. "
-            "Correct the bodies and initial values of the dampers in the scene."
+            "The scene agrees with the recordings without moving dampers, but not with the others. Correct the dampers "
+            "in the scene (body, mass, clearance, restitution), because the fit begins with them."
         )
     explanations: list[_Explanation] = []
     for trials in (_try_swaps, _try_channels, _try_damping, _try_delays):

@@ -64,7 +64,7 @@ def mode_warnings(
     yield from rejections(fitted_poles)
     if uncertain_poles.size:
         listed = _listed(uncertain_poles)
-        yield f"Rejected the stable poles at {listed} Hz: the uncertainty of the curves is too large there."
+        yield f"Rejected the stable poles at {listed} Hz: the curves are too uncertain at these frequencies."
     if unmeasured.size:
         yield (
             f"Rejected the stable poles at {_listed(unmeasured)} Hz: the lines around them were omitted. There may be "

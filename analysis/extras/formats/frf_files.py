@@ -185,7 +185,7 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
             places = [f"body {int(data_set[f'{end}_node'])}" for end in ("rsp", "ref")]
         curves.append(curve.placed(places[0], places[1]))
     if reference is None and is_roving:
-        note = "One response to forces at several points (roving hammer): output and input are exchanged."
+        note = "Roving hammer: by reciprocity, the points of the forces are listed as points of the responses."
         return [curve.warn(note) for curve in exchange_points(curves).curves()]
     warning = reversed_force(curves)
     return [curve.warn(warning) for curve in curves] if warning else curves

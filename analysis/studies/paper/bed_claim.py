@@ -246,7 +246,7 @@ def _describe_landing(beds: Columns) -> str:
     grains, mass = (beds[f"{bed}_ceiling_impulse"] > 0.01 for bed in ("grains", "mass"))
     phase_lag = (beds["grains_landing"] - beds["mass_landing"])[mass_flies]
     return (
-        f"The single mass flies at {len(phase_lag)} operating points. The phase of the grains' landing there is "
+        f"The single mass flies at {len(phase_lag)} operating points. There, the phase of the grains' landing is "
         f"{np.median(phase_lag):+.0f}° relative to the mass (median; positive: later), and within "
         f"±{SAME_LANDING_DEG:g}° at {_count_within(phase_lag, SAME_LANDING_DEG)} of them. Grains and mass have the "
         f"same state, at rest or in flight, at {int(same_state.sum())} of {len(same_state)} operating points. Both or "

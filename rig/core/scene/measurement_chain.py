@@ -137,7 +137,7 @@ class Hammer(Settings):
     low_cutoff: Corner | None = None
     """Corner frequency of the first-order high pass [Hz]."""
     saturation: Annotated[float, Quantity(FORCE, above=0.0)] | None = None
-    """Largest force that the output follows [N]; samples beyond are marked as overloaded."""
+    """Largest force that the output of the sensor follows [N]; samples above it are marked as overloaded."""
     iepe: bool | None = None
     """Whether the sensor's amplifier needs a supply current from the converter (`excitation`)."""
 

@@ -317,6 +317,8 @@ def _new_drive(tone: Tone, detector: Settling) -> float:
         latest_force = float(abs(detector.latest))
         is_excessive = detector.is_rising and latest_force > _MAX_FORCE_RATIO * control.level
         return (is_excessive and control.reduce_drive(drive, latest_force)) or drive
+    if control.is_at_level(force):
+        return drive
     # The predicted force is usable long before the transient has decayed, as soon as the prediction is constant.
     max_change = _MAX_PREDICTION_CHANGE * abs(force / control.level - 1.0)
     is_predictable = detector.settled or detector.prediction_change() < max_change

@@ -81,9 +81,11 @@ _NO_UNIT_ERROR = (
 # Delays of a channel that are tried for the first estimate [s].
 _TRIAL_DELAYS = np.arange(-5e-3, 5.01e-3, 2e-5)
 # A delay is searched in intervals of this radius [s] around the estimate, which is uncertain where few points are away
-# from resonances, in at most this number of intervals and to this tolerance [s]: 1e-8 s turn a phase at 1 kHz by 6e-5.
+# from resonances.
 _SEARCH_RADIUS = 1e-4
+# Largest number of these intervals.
 _MAX_SEARCHES = 3
+# Tolerance of a delay [s]: it turns a phase at 1 kHz by 6e-5 rad.
 _DELAY_TOLERANCE = 1e-8
 # A shorter delay than this is not reported [s].
 _MIN_DELAY = 5e-6

@@ -23,8 +23,9 @@ from rig.core.results.response import Response
 from rig.core.scene.scene import Scene
 from rig.core.system.structural_model import driven_bodies, ground_connection, structural_model
 
-# Assumed relative standard deviations of identified frequencies and damping ratios.
+# Assumed relative standard deviation of identified frequencies.
 _FREQUENCY_SD = 3e-4
+# Assumed relative standard deviation of identified damping ratios.
 _DAMPING_SD = 0.05
 # Assumed standard deviation of a modal constant, relative to the largest constant of its mode.
 _CONSTANT_SD = 0.05
@@ -41,8 +42,9 @@ _MAX_RESIDUAL = 30.0
 _LOG_FREQUENCY_SCALE = 0.1
 # In the squared distance, 1 - MAC (modal assurance criterion, `mac`) has this weight.
 _MAC_WEIGHT = 4.0
-# Maximum number of evaluations of the model in the fit to the modes, and the relative decrease of the cost at its end.
+# Largest number of evaluations of the model in the fit to the modes.
 _MAX_EVALUATIONS = 60
+# The fit to the modes ends when the relative decrease of the cost is smaller.
 _COST_TOLERANCE = 1e-3
 
 

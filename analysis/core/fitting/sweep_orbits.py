@@ -36,11 +36,13 @@ from rig.core.system.structural_model import driven_bodies, structural_model
 _MAX_CORRECTIONS = 8
 # The motion must become periodic within this number of simulated periods.
 _MAX_PERIODS = 1500
-# Steps of the continuation from a neighboring point, and corrections of the level in each step.
+# Steps of the continuation from a neighboring point.
 _CONTINUATION_STEPS = 8
+# Corrections of the level in each of these steps.
 _LEVEL_CORRECTIONS = 2
-# Maximum number of secant steps to the drive that gives the level, and the smallest relative step.
+# Largest number of secant steps to the drive that gives the level.
 _MAX_SECANT_STEPS = 8
+# Smallest relative secant step.
 _MIN_RELATIVE_STEP = 1e-6
 # The secant steps end if the relative error of the level is at most this value; the remaining error is corrected
 # linearly.

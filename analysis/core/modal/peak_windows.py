@@ -18,8 +18,9 @@ _MIN_SIGNAL_RATIO = 6.0
 # The scatter of a line is the largest value among this number of neighboring lines: the estimate at one line is itself
 # uncertain.
 _NOISE_LINES = 31
-# A window extends to this distance from its peaks, in half-widths and at least this number of lines.
+# Distance of the ends of a window from its peaks, in half-widths of the peaks.
 _WINDOW_HALF_WIDTHS = 6.0
+# Smallest such distance, in lines.
 _MIN_WINDOW_LINES = 20
 # Neighboring peaks belong to the same group if their distance is at most this multiple of the smaller half-width.
 # Residual terms represent the flank of a wide peak in the window of a narrow peak.

@@ -30,8 +30,9 @@ if TYPE_CHECKING:
 
 #: Default number of natural frequencies per octave.
 OCTAVE_STEPS = 12
-# Default limits of the natural frequencies: lowest in Hz, and highest as a fraction of the sample rate.
+# Default lowest natural frequency [Hz].
 _LOWEST_HZ = 5.0
+# Default highest natural frequency, as a fraction of the sample rate.
 _HIGHEST_RATIO = 0.2
 # Highest permitted natural frequency, as a fraction of the sample rate: up to it, the spectrum of a half sine of 15
 # samples agrees with the closed form within 0.3 %; at 0.4, within 0.6 %.

@@ -31,8 +31,9 @@ MASS_RATIOS = (0.03, 0.06, 0.10)
 WIDE_MASS_RATIOS = np.array([0.02, 0.05, 0.1, 0.15, 0.2, 0.3])
 # Damping ratios of each mode for Fig 8; the paper gives none.
 SCANNED_DAMPINGS = np.array([0.002, 0.005, 0.01, 0.02])
-# Forces for Fig 8 (there 2.6 N), N, and mass ratios (there 10 %).
+# Forces for Fig 8 [N]; the paper has 2.6 N.
 SCANNED_FORCES = np.array([0.65, 1.3, 2.6, 5.2])
+# Mass ratios for Fig 8; the paper has 10 %.
 SCANNED_MASS_RATIOS = np.array([0.05, 0.10])
 # Noise densities of the accelerometers in Fig 10a, ug/sqrt(Hz).
 NOISES = (20, 200, 2000)

@@ -32,9 +32,10 @@ if TYPE_CHECKING:
 # The motion is in steady state if successive periods differ by at most this fraction: the remaining transient is of
 # this order.
 _TOLERANCE = 1e-4
-# Longest wait for the steady state, in s and in periods; the longer wait applies. A test must end also if dampers move
-# irregularly.
+# Longest wait for the steady state [s]; `_MAX_WAIT_PERIODS` applies if it is longer. A test must end also if dampers
+# move irregularly.
 _MAX_WAIT_S = 60.0
+# Longest wait for the steady state, in periods.
 _MAX_WAIT_PERIODS = 8
 # Expected duration of the iterations that shape the drive for a controlled force [s].
 _EQUALIZING_S = 8.0

@@ -46,13 +46,15 @@ _TEXT_SIZE = struct.Struct("<I")
 _DATA_END_BYTES = 4
 # Bytes that are read to check the beginning of a record: its header and the first fields.
 _CHECKED_BYTES = 64
-# Fields of an attachment: two times and the size of its name; size of its data.
+# First fields of an attachment: two times, and the size of its name.
 _ATTACHMENT_HEAD = struct.Struct("<QQI")
+# Field before the data of an attachment: their size.
 _DATA_SIZE = struct.Struct("<Q")
 _CHECKSUM_BYTES = 4
-# Largest total size of the records that are verified although no other record follows: a constant [bytes], plus a
-# multiple of the file's size.
+# Records that no other record follows are verified up to this total size [bytes], plus `_MAX_UNCONFIRMED_RATIO` times
+# the size of the file.
 _MAX_UNCONFIRMED_BYTES = 1 << 26
+# See `_MAX_UNCONFIRMED_BYTES`.
 _MAX_UNCONFIRMED_RATIO = 8
 
 

@@ -23,8 +23,9 @@ MIN_COMPRESSION_RATIO = 0.005
 TRUTH_BYTES_PER_SAMPLE = 6.0
 # Measured memory of a recording process without channels (libraries and compiled functions) [bytes].
 PROGRAM_BYTES = 0.33e9
-# Measured memory of a channel's signal path without and with a decimation filter [bytes].
+# Measured memory of the signal path of a channel without decimation filter [bytes].
 CHANNEL_BYTES = 0.15e6
+# Measured memory of the signal path of a channel with decimation filter [bytes].
 FILTERED_CHANNEL_BYTES = 0.4e6
 # Measured memory of the matrices of a structure [bytes]; multiply by the square of the number of bodies.
 STRUCTURE_BYTES = 180.0

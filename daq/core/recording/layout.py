@@ -27,8 +27,9 @@ DISPLAY = "/display/"
 MARKERS = "/markers"
 # True contact events of the dampers.
 EVENTS = "/truth/events"
-# Description of the drawn rig, and positions of its parts, for viewers.
+# Topic of the description of the drawn rig, for viewers.
 ROBOT = "/robot_description"
+# Topic of the positions of its parts.
 TRANSFORMS = "/tf"
 # Name of the attachment with the scene.
 SCENE_FILE = "scene.yaml"

@@ -32,11 +32,13 @@ _MAX_WAITING_BLOCKS = 256
 _HISTORY_S = 10.0
 # The displayed level of a channel is its peak in the last seconds of this duration [s].
 _LEVEL_S = 0.25
-# Rate (1/s) and duration (s) of the stored motion of the rig.
+# Rate of the stored motion of the rig [1/s].
 _MOTION_RATE = 400.0
+# Duration of the stored motion of the rig [s].
 MOTION_S = 0.2
-# Duration of the samples for a spectrum, and of the samples for the peak and frequency of a drive [s].
+# Duration of the samples for a spectrum [s].
 _SPECTRUM_S = 2.0
+# Duration of the samples for the peak and the frequency of a drive [s].
 _DRIVE_S = 0.5
 
 

@@ -25,9 +25,11 @@ if TYPE_CHECKING:
     from daq.extras.bench_page.impacts import Impact
     from daq.extras.bench_page.live_bench import LiveBench
 
-# The page is refreshed at this interval [s]; spectra, responses and the rig only at every n-th refresh.
+# Interval of the refreshes of the page [s].
 REFRESH_S = 0.05
+# Refreshes of the page until the spectra are refreshed.
 _REFRESHES_PER_SPECTRUM = 2
+# Refreshes of the page until the responses and the rig are refreshed.
 _REFRESHES_PER_RESPONSE = 10
 # Duration of the animation [s]. It shows the last `MOTION_S` seconds in slow motion.
 _ANIMATION_S = 2.0
@@ -36,8 +38,9 @@ _REFRESHES_PER_ANIMATION = round(_ANIMATION_S / REFRESH_S)
 _HISTORY_COLUMNS = 300
 # Frequency bands of a drawn spectrum, about one a pixel; each band shows its largest line.
 _SPECTRUM_BANDS = 400
-# Listed impacts, tasks of clients, and peaks of a response; more do not fit beside the charts.
+# Listed impacts, and tasks of clients; more do not fit beside the charts.
 _MAX_LISTED = 6
+# Listed peaks of a response.
 _MAX_PEAKS = 4
 # Points of the theoretical curve, about one a pixel.
 _THEORY_POINTS = 400

@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 
 # SVG units per meter of the drawing.
 _UNITS_PER_M = 1000.0
-# Number of turns of a drawn spring, and half its width in m of the drawing.
+# Number of turns of a drawn spring.
 _COIL_TURNS = 7
+# Half the width of a drawn spring [m of the drawing].
 _COIL_HALF_WIDTH = 0.018
 # Left end of the labels of bodies, m of the drawing.
 _LABEL_X = WIDTH / 2 + 0.015

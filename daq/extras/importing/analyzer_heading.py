@@ -26,8 +26,9 @@ _UNITS = ("yaxisunits", "yaxisunit", "amplitudeunit", "channelunit", "units", "u
 _ABSCISSA_UNITS = ("xaxisunits", "xaxisunit")
 # Keywords of the kind of data. Complex data have two columns for each function.
 _KINDS = ("datatype", "yaxistype", "functionclass", "measurementtype")
-# Texts of the kind by which complex data are stored as pairs: real and imaginary part, or magnitude and phase.
+# Texts of the kind of complex data stored as pairs of real and imaginary part.
 _COMPLEX = re.compile(r"complex|real|frf|frequency response", re.IGNORECASE)
+# Texts of the kind of complex data stored as pairs of magnitude and phase.
 _POLAR = re.compile(r"magnitude|amplitude|phase", re.IGNORECASE)
 # Keyword of a file whose first column is the number of the line, if the unit of the abscissa is stated as well.
 _LINE_NUMBERS = "headersize"

@@ -19,9 +19,11 @@ from daq.extras.importing.signal import Signal
 from rig.core.base.errors import RecordingError, ShotrigError
 from rig.core.numerics.memory import require_memory_with_program
 
-# Names of arrays that state the sample rate, the sample interval, and the times of the samples.
+# Names of arrays that state the sample rate.
 _RATE_NAMES = re.compile(r"(.*[._])?(f_?s|sr|rate|(samp|sample|sampling)_?(rate|freq|frequency))(_?hz)?", re.IGNORECASE)
+# Names of arrays that state the sample interval.
 _INTERVAL_NAMES = re.compile(r"(.*[._])?(dt|ts|increment|delta_?t|sample_?interval|x?delta)(_?s)?", re.IGNORECASE)
+# Names of arrays that contain the times of the samples.
 _TIME_NAMES = re.compile(r"(.*[._])?(t|time|times|zeit)(_s)?", re.IGNORECASE)
 # Shorter arrays are settings, not samples.
 _MIN_SAMPLES = 16

@@ -28,8 +28,9 @@ from rig.core.base.errors import unexpected_text
 
 # Default port of the protocol.
 PORT = 31763
-# Maximum number of connections, and maximum time for the first exchange on a connection, ms.
+# Largest number of connections.
 _MAX_CONNECTIONS = 200
+# Longest time until the first exchange on a connection [ms].
 _MAX_HANDSHAKE_MS = 5000
 # Interval at which Python switches threads. A response waits several times for the simulation to release the
 # interpreter lock: Python's default of 5 ms is too long.

@@ -25,9 +25,10 @@ if TYPE_CHECKING:
 
     from daq.core.recording.recording import Recording
 
-# Largest and smallest number of frames (drawn positions of the rig) per second of the recording. The largest number is
-# sufficient for a tone of 50 Hz in slow motion.
+# Largest number of frames (drawn positions of the rig) per second of the recording: it is sufficient for a tone of 50
+# Hz in slow motion.
 _MAX_FRAMES_PER_S = 1000.0
+# Smallest number of frames per second of the recording.
 _MIN_FRAMES_PER_S = 100.0
 # Modes below this frequency, Hz, such as rigid-body modes, do not determine the time range of the plots.
 _MIN_MODE_HZ = 1.0

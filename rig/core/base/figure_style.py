@@ -37,8 +37,9 @@ _MIN_DECADE_RATIO = 300.0
 # Smallest and largest value of a logarithmic axis that matplotlib can draw.
 _DRAWABLE_RANGE = 1e-250, 1e250
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-# Number of characters per line of a subtitle, and of a note below a figure, whose font is smaller.
+# Number of characters per line of a subtitle.
 _SUBTITLE_CHARACTERS = 100
+# Number of characters per line of a note below a figure, whose font is smaller.
 _NOTE_CHARACTERS = 118
 # Name of the text below all axes.
 _CAPTION = "caption"

@@ -27,8 +27,9 @@ Result = TypeVar("Result")
 #: Whether pieces are computed in this process, because it shares each of them with other MPI ranks
 #: (`rig.extras.grains.ranks.join`).
 SERIAL = False
-# A cluster may take this time to answer, and to start its first worker, even over a slow network.
+# Longest time until a cluster answers, even over a slow network [s].
 _CONNECTION_TIMEOUT_S = 10.0
+# Longest time until a cluster starts its first worker [s].
 _FIRST_WORKER_TIMEOUT_S = 30.0
 
 

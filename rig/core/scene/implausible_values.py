@@ -19,8 +19,9 @@ from rig.core.settings.quantities import (
     parse,
 )
 
-# Limits of the mass ratio (damper to body) of real beds: for masses without and with a unit.
+# Largest plausible mass ratio (damper to body) of a bed whose mass is given without a unit.
 _MAX_MASS_RATIO = 2.0
+# Largest plausible mass ratio of a bed whose mass is given with a unit.
 _MAX_MASS_RATIO_WITH_UNIT = 50.0
 # Below this mass ratio, the unit mg is probably a mistake.
 _MIN_MASS_RATIO = 1e-4

@@ -23,8 +23,9 @@ from rig.extras.grains.rebound import restitution_at_step
 #: Walls of a cavity, in the order of the entries of `Bed.forces`.
 WALLS = ("floor", "ceiling", "side")
 FLOOR, CEILING = 0, 1
-#: Codes of LAMMPS's function `extract_fix`: one row of data per atom, and data as an array.
+#: Code of LAMMPS's function `extract_fix`: one row of data per atom.
 _PER_ATOM = 1
+#: Code of LAMMPS's function `extract_fix`: data as an array.
 _ARRAY = 2
 
 

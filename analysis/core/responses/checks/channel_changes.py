@@ -22,14 +22,15 @@ from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results import format_number
 
-# Fewest parts without flaws, and on either side of a step: a scatter needs several values.
+# Fewest parts without flaws.
 _MIN_PARTS = 4
+# Fewest parts on either side of a step: a scatter needs several values.
 _MIN_SIDE = 2
 # Minimum number of periods of a steady response to one input: without a change, the periods are equal except for noise.
 _MIN_PERIODS = 2
-# Maximum length of a section of a random test: the larger of two limits, in samples and in periods of the lowest
-# frequency.
+# Longest section of a random test, in samples; `_MAX_PERIODS` applies if it is longer.
 _MAX_SAMPLES = 32768
+# Longest section of a random test, in periods of the lowest frequency.
 _MAX_PERIODS = 100.0
 # Sections of a random test: their number limits the resolution of the time of a change, and the averages in each.
 _SECTIONS = 16

@@ -14,12 +14,15 @@ from daq.core.recording.markers import Marker, impacts_of
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array
 
-# Number of blocks of a test, and their minimum length in samples and in periods of the lowest frequency.
+# Number of blocks of a test.
 _BLOCKS = 64
+# Shortest block, in samples.
 _MIN_SAMPLES = 1024
+# Shortest block, in periods of the lowest frequency.
 _MIN_PERIODS = 4.0
-# Minimum number of dead blocks at the end, and maximum number of blocks before them with which they are compared.
+# Fewest dead blocks at the end.
 _MIN_DEAD = 2
+# Largest number of blocks before the dead ones with which they are compared.
 _COMPARED = 8
 # Fewest blocks, or impacts, without which the live part cannot be compared with the dead part.
 _MIN_BLOCKS = 4

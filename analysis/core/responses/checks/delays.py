@@ -24,9 +24,9 @@ from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import Response
 from rig.core.results.text import format_quantity
 
-# A delay is estimated from this number of points or more; of more than the second number, evenly selected points are
-# evaluated.
+# Fewest points from which a delay is estimated.
 _MIN_LINES = 6
+# Of more points, this number of evenly selected points is evaluated.
 _MAX_LINES = 400
 # Poles are fitted to at most this number of curves, at most this number of candidates.
 _MAX_CURVES = 8
@@ -47,9 +47,11 @@ _RESIDUAL_PHASE = 0.1
 _MEAN_COUPLING = 0.3
 # Residuals of neighboring lines are correlated: a curve has the weight of at most this number of independent values.
 _MAX_VALUES = 40.0
-# Trial delays in periods of the highest frequency, and at least in seconds; their spacing in periods.
+# Largest trial delay, in periods of the highest frequency.
 _MAX_PERIODS = 2.0
+# Largest trial delay if it exceeds these periods [s].
 _MAX_DELAY_S = 5e-3
+# Spacing of the trial delays, in periods of the highest frequency.
 _SPACING = 0.1
 # The trial delays are refined around the best by this number of intervals.
 _REFINEMENT = 20

@@ -22,9 +22,9 @@ from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results import format_number
 from rig.core.results.response import Response
 
-# Number of points on either side of a step, and degree of both polynomials: more points would reach into the next
-# resonance.
+# Number of points on either side of a step: more points would reach into the next resonance.
 _SIDE = 8
+# Degree of the polynomials on both sides.
 _DEGREE = 3
 # Iterations of the weighted linear fit.
 _ITERATIONS = 3
@@ -44,15 +44,17 @@ _MIN_RESIDUAL = 0.01
 _MAX_REMAINING_FRACTION = 0.2
 # ... and below this limit.
 _MAX_REMAINING = 0.1
-# Smallest reported magnitude of the logarithm of the ratio, for linear and for nonlinear structures: about 10 % and 30
-# %. Curves with moving dampers are not rational: of 32 intact sweeps, three had ratios up to 0.21.
+# Smallest reported magnitude of the logarithm of the ratio for linear structures: about 10 %.
 _MIN_CHANGE = 0.1
+# The same for nonlinear structures, about 30 %: curves with moving dampers are not rational. Of 32 intact sweeps, three
+# had ratios up to 0.21.
 _MIN_NONLINEAR_CHANGE = 0.3
 # At a step of one channel, the logarithms of the gain ratios of the other channels are below this fraction of the
 # logarithm of the step, or all equal to it.
 _MAX_COMMON = 0.25
-# Logarithms of the trial ratios, and the factors by which their spacing is reduced around the best ratio.
+# Logarithms of the trial ratios.
 _TRIALS = np.linspace(-5.0, 5.0, 101)
+# Factors by which their spacing is reduced around the best ratio.
 _REFINEMENTS = (0.02, 0.004, 0.0008)
 
 

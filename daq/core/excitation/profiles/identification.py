@@ -31,8 +31,9 @@ _MAX_SHAPINGS = 3
 _MIN_SIGNAL_TO_NOISE = 4.0
 # Part of the range of the output that the peak of the drive may use.
 _OUTPUT_RATIO = 0.3
-# Periods in which the transient decays, and measured periods; their spectrum is averaged.
+# Periods in which the transient decays.
 _SETTLING_PERIODS = 2
+# Measured periods, whose spectra are averaged.
 _PERIODS = 4
 #: Expected number of periods of an identification.
 EXPECTED_PERIODS = 16

@@ -20,7 +20,7 @@ class Ground(NamedTuple):
 
     influence: Array  # r, shape (bodies,)
     damping: Array  # C r, N s/m, shape (bodies,)
-    stiffness: Array  # K r, N/m, shape (bodies,)
+    stiffness: Array  # K r [N/m], shape (bodies,)
 
 
 class Current(NamedTuple):
@@ -54,7 +54,7 @@ class Equations:
         self.drive_limit: list[float] = []  # largest drive of each input, in its unit
         self.currents: list[Current] = []  # further states
         self._ground = ground
-        self._servo_rate: dict[int, float] = {}  # corner of the servo of each prescribed row, rad/s
+        self._servo_rate: dict[int, float] = {}  # corner of the servo of each prescribed row [rad/s]
 
     @property
     def prescribed(self) -> list[int]:

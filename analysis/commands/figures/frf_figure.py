@@ -38,7 +38,7 @@ _MAX_ROUGHNESS = 0.35
 # The phase is not drawn where a quarter of the steps between neighboring points exceed this angle [rad]: the line would
 # show noise.
 _MAX_PHASE_STEP = 0.3
-# Upper ends of the phase axis, degrees, the preferred first: compliances of a driven body are from 0° to -180°, also
+# Upper ends of the phase axis [degrees], the preferred first: compliances of a driven body are from 0° to -180°, also
 # with scatter. A phase that passes through all angles wraps on the flank of a resonance, not at its center.
 _PHASE_TOPS = (30.0, 120.0, 210.0)
 # A line is undetermined if less than this fraction of the lines around it is determined.

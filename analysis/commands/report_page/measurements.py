@@ -93,7 +93,7 @@ class SweepChange(NamedTuple):
     compared: str  # label of the compared sweep
     recording: str  # label of its recording
     change: PeakChange
-    modes: tuple[float, ...] = ()  # natural frequencies of all modes of the baseline, Hz
+    modes: tuple[float, ...] = ()  # natural frequencies of all modes of the baseline [Hz]
     shown_in: tuple[str, float] = ("µm/N", 1e6)  # unit of the peaks, and the factor from SI to this unit
 
     @property

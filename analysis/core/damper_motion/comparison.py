@@ -53,23 +53,23 @@ _MAX_INTERPOLATION_ERROR = 0.01
 class Peak:
     """A resonance peak of a measured compliance."""
 
-    value: float  # height, m/N; a lower bound of the height if `expanded` is infinite
+    value: float  # height [m/N]; a lower bound of the height if `expanded` is infinite
     # expanded uncertainty of the height (95 %) without errors that are common to all frequencies [m/N]; infinite if the
     # curve has a jump or few points, or if a point next to the highest was omitted
     own_expanded: float
     frequency: float  # Hz
-    lowest_frequency: float  # lower end of the 95 % interval of the frequency, Hz
-    highest_frequency: float  # upper end of the 95 % interval of the frequency, Hz
-    lower_limit: float = 0.0  # lower end of the 95 % interval of the highest measured point, m/N
-    interpolation_expanded: float = 0.0  # part of `own_expanded` due to interpolation between the points, m/N
-    step: float = 0.0  # largest frequency step next to the highest point, Hz; 0 if there is no interpolation
+    lowest_frequency: float  # lower end of the 95 % interval of the frequency [Hz]
+    highest_frequency: float  # upper end of the 95 % interval of the frequency [Hz]
+    lower_limit: float = 0.0  # lower end of the 95 % interval of the highest measured point [m/N]
+    interpolation_expanded: float = 0.0  # part of `own_expanded` due to interpolation between the points [m/N]
+    step: float = 0.0  # largest frequency step next to the highest point [Hz]; 0 if there is no interpolation
     at_end: bool = False  # whether the highest point is at an end of the band, on the flank of another peak
     # tolerances of the sensors, relative to the height; they are common to all frequencies and included in `expanded`
     tolerances: tuple[float, ...] = ()
     clock: float = (
         0.0  # largest relative error of the sample clock, included in `expanded` and in the limits of frequency
     )
-    highest_point: float = inf  # magnitude of the highest measured point, m/N; infinite if there is no interpolation
+    highest_point: float = inf  # magnitude of the highest measured point [m/N]; infinite if there is no interpolation
 
     bound = renamed("bound", "expanded")
 
@@ -390,7 +390,7 @@ class PeakChange:
     """Change of one resonance peak of one response."""
 
     response: str
-    mode: float  # natural frequency of the mode of the bare structure, Hz
+    mode: float  # natural frequency of the mode of the bare structure [Hz]
     damping: float  # damping ratio of this mode
     baseline: Peak  # without dampers
     damped: Peak  # with dampers

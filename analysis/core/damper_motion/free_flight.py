@@ -110,9 +110,9 @@ class _WallContact(NamedTuple):
     """Contact of a damper with a wall: an impact, or the start of a flight."""
 
     time: float  # s
-    wall: float  # height of the wall above the floor, m
-    position: float  # position of the wall, m
-    speed: float  # speed of the wall, m/s
+    wall: float  # height of the wall above the floor [m]
+    position: float  # position of the wall [m]
+    speed: float  # speed of the wall [m/s]
 
     @property
     def inward(self) -> float:

@@ -37,7 +37,7 @@ _MIN_INSTANTS_PER_SAMPLE = 8
 _RESONANCE_STRIDE = 8
 # The search uses every fourth sub-sample time with a decimation filter.
 _FILTER_STRIDE = 4
-# Poles above this angular frequency, rad per sample, affect the response to a jump. Slower poles cause only a slow
+# Poles above this angular frequency [rad per sample] affect the response to a jump. Slower poles cause only a slow
 # curvature after the jump, which the polynomial represents.
 _FAST_POLE = 0.3
 # Decay times after which the response of a resonance has decayed to 1e-6: exp(-14).

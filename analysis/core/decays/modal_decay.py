@@ -53,17 +53,17 @@ class ModalDecay(Result):
     # natural frequency at the amplitude with the smallest uncertainty [Hz]; `center` if no amplitude determines it
     frequency: float
     frequency_std: float  # Hz; NaN if no amplitude determines the frequency
-    center: float  # center frequency of the band-pass, Hz: the peak of the spectrum
-    time: Array  # time after the impact, s
-    envelope: Array  # amplitude of the acceleration, m/s²
-    noise: float  # noise of the band-passed acceleration, rms, m/s²
+    center: float  # center frequency of the band-pass [Hz]: the peak of the spectrum
+    time: Array  # time after the impact [s]
+    envelope: Array  # amplitude of the acceleration [m/s²]
+    noise: float  # noise of the band-passed acceleration, rms [m/s²]
     # acceleration amplitudes in descending order [m/s²]; noise causes a relative uncertainty below
     # `MAX_RELATIVE_UNCERTAINTY`
     amplitude: Array
     damping: Array  # damping ratio at these amplitudes
     damping_std: Array
     damping_bias_limit: Array  # limit of the bias of `damping` due to averaging over neighboring amplitudes
-    natural_frequency: Array  # natural frequency at these amplitudes, Hz
+    natural_frequency: Array  # natural frequency at these amplitudes [Hz]
     natural_frequency_std: Array  # Hz
 
     frequency_error = renamed("frequency_error", "frequency_std")
@@ -167,8 +167,8 @@ def band_width(frequencies: Array, index: int) -> float:
 def modal_decay(
     acceleration: Array,  # m/s², from before the impact
     rate: float,
-    frequency: float,  # center of the band-pass, Hz
-    width: float,  # standard deviation of the band-pass, Hz
+    frequency: float,  # center of the band-pass [Hz]
+    width: float,  # standard deviation of the band-pass [Hz]
     begin: int,  # sample at which the free decay begins
     amplitudes: Array | None = None,  # m/s²; omitted: every 1.5 dB down to the noise
     clock: float = 0.0,  # limit of the relative error of the sample rate

@@ -79,7 +79,7 @@ class Fitted:
 class Mode:
     """A natural mode of the fitted structure without dampers and coil spring, with expanded uncertainties."""
 
-    frequency: float  # undamped natural frequency, Hz
+    frequency: float  # undamped natural frequency [Hz]
     frequency_expanded: float  # Hz
     damping: float  # ratio
     damping_expanded: float

@@ -28,7 +28,7 @@ class LevelDamping:
 
     label: str  # recording and level
     dampers_move: bool  # whether dampers could move in the sweep
-    acceleration: float  # largest acceleration of a measured body, m/s²
+    acceleration: float  # largest acceleration of a measured body [m/s²]
     keys: tuple[str, ...]  # keys of the damping in the scene
     value: Array  # in SI; NaN where the sweep does not determine it, shape (keys,)
     expanded: Array  # expanded uncertainty, shape (keys,)

@@ -42,7 +42,7 @@ class BandChoice(NamedTuple):
     """Variation of poles between parts of the lines."""
 
     missing: tuple[tuple[str, ...], ...]  # names of the parts that lack each pole
-    frequency_std: Array  # standard uncertainty, Hz, shape (poles,)
+    frequency_std: Array  # standard uncertainty [Hz], shape (poles,)
     damping_std: Array  # standard uncertainty, shape (poles,)
 
 

@@ -59,7 +59,7 @@ class FittedModes(NamedTuple):
     # Root mean square of the residual over the highest neighboring magnitude; 0 if noise explains it.
     model_error: float
     assumed_error: float  # model error in the weights
-    rejected: list[float]  # frequencies of poles that are not modes, Hz
+    rejected: list[float]  # frequencies of poles that are not modes [Hz]
 
 
 def fit_modes(

@@ -53,7 +53,7 @@ class BodyShapes(NamedTuple):
 class UncertainMode(NamedTuple):
     """A pole that may be a mode or may represent an error of the curves, with standard uncertainties."""
 
-    frequency: float  # undamped natural frequency, Hz
+    frequency: float  # undamped natural frequency [Hz]
     frequency_std: float  # Hz
     damping: float  # damping ratio
     damping_std: float

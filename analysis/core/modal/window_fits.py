@@ -50,12 +50,12 @@ class IdentifiedPoles(NamedTuple):
 
     poles: ComplexArray  # rad/s, shape (modes,)
     residue: ComplexArray  # shape (responses, modes)
-    frequency_std: Array  # standard uncertainties, Hz
+    frequency_std: Array  # standard uncertainties [Hz]
     damping_std: Array  # standard uncertainties
     model_error: float  # largest model error of the windows; 0 if noise explains the residuals
-    rejected: list[float]  # frequencies of poles whose damping or height is not determined, Hz
+    rejected: list[float]  # frequencies of poles whose damping or height is not determined [Hz]
     uncertain: list[UncertainMode]  # poles that parts of the lines do not confirm
-    value: ComplexArray  # fitted or measured curves, m/N, shape (responses, lines)
+    value: ComplexArray  # fitted or measured curves [m/N], shape (responses, lines)
 
 
 class _WindowFit(NamedTuple):
@@ -64,7 +64,7 @@ class _WindowFit(NamedTuple):
     curves: list[Response]  # all lines of the window
     fitted: FittedModes
     accepted: NDArray[np.bool_]  # whether each pole of the model may be a mode of the window
-    rejected: list[float]  # frequencies of poles whose damping or height is not determined, Hz
+    rejected: list[float]  # frequencies of poles whose damping or height is not determined [Hz]
 
     @property
     def poles(self) -> ComplexArray:

@@ -34,10 +34,10 @@ class Curves:
     """Curves to which a modal model is fitted."""
 
     frequency: Array  # Hz, ascending, shape (n,)
-    value: ComplexArray  # compliances, m/N, shape (responses, n)
+    value: ComplexArray  # compliances [m/N], shape (responses, n)
     weight: Array  # inverse standard deviations of real and imaginary part, shape (responses, n)
     shared: float = 1.0  # number of neighboring lines with a common error
-    resolution: float = 0.0  # noise bandwidth of each line, Hz; 0 without leakage
+    resolution: float = 0.0  # noise bandwidth of each line [Hz]; 0 without leakage
     references: int = 1  # number of inputs of the responses
     has_model_error: bool = False  # whether the weights contain an assumed error of the model
     are_errors_stated: bool = True  # False: the weights are estimated from the scatter of the lines

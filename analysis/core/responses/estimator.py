@@ -48,7 +48,7 @@ class Blocks:
     """User options for block averaging; None selects the default of the kind of test."""
 
     estimator: str | None = None  # H1, H2 or Hv
-    block: float | None = None  # length of a block, s
+    block: float | None = None  # length of a block [s]
     overlap: float | None = None  # share of a block
     window: str | None = None  # name in `scipy.signal.get_window`
 
@@ -136,7 +136,7 @@ class Estimator:
     # Returns the intervals in which a single tone drives the structure; changes of the gain are searched in their
     # samples.
     tones: Callable[[Request], list[ToneInterval]] = lambda request: []
-    # Returns the remedy for too few lines to interpolate a peak; argument: required spacing, Hz, infinite if unknown.
+    # Returns the remedy for too few lines to interpolate a peak; argument: required spacing [Hz], infinite if unknown.
     peak_remedy: Callable[[float], str] = lambda needed: "Measure for longer"
     # Remedy for too few lines in a resonance; `step` is the required spacing of the lines [Hz].
     line_remedy: Callable[[float], str] = lambda step: f"Measure every {step:.2g} Hz there."

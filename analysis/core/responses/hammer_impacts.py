@@ -19,7 +19,7 @@ from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 
-# Interval before an impact, s, in which residual motion is detected and the zero offset of each channel is measured.
+# Interval before an impact [s], in which residual motion is detected and the zero offset of each channel is measured.
 PRE_IMPACT_S = 0.2
 # Motion before an impact is estimated from at least this number of samples; fewer do not separate it from noise.
 _MIN_PRE_IMPACT_SAMPLES = 4

@@ -61,8 +61,8 @@ class SegmentFits:
     channels: tuple[str, ...]
     first: int  # first sample of the test
     stop: int  # one past the last sample of the test
-    low: float  # lower edge of the band in which responses are estimated, Hz
-    high: float  # upper edge of the band, Hz
+    low: float  # lower edge of the band in which responses are estimated [Hz]
+    high: float  # upper edge of the band [Hz]
     other_flaws: Sequence[Flaw] = ()  # flaws other than overloads and lost samples
     impacts: HammerImpacts | None = None  # impacts of a hammer; None for other tests
     # period of bursts and duration of each burst in samples; None for tests without bursts

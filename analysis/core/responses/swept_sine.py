@@ -45,7 +45,7 @@ _RATIO_INCREASE = 1.1
 _POINTS = 400
 # Ratio of the number of bins of a fit to its number of parameters.
 _BINS_PER_VALUE = (2 * FIT_HALF_WIDTH + 1) / (3 * ORDER + 2)
-# Dampers are assumed to stay on their floors up to this acceleration of their body, g. They lift off at 1 g.
+# Dampers are assumed to stay on their floors up to this acceleration of their body [g]. They lift off at 1 g.
 _MAX_FLOOR_ACCELERATION = 0.7
 # With dampers in flight, a sweep is slow enough if the relative error due to its sweep rate is at most this value.
 _MAX_SWEEP_ERROR_RATIO = 0.3
@@ -67,7 +67,7 @@ class SweptTone:
     warnings: tuple[str, ...]
     # lines at which all dampers stay on their floors and the structure is linear; shape (lines,)
     on_floor: NDArray[np.bool_]
-    omitted: Array  # frequencies without a line, Hz
+    omitted: Array  # frequencies without a line [Hz]
     shared: float = 1.0  # number of neighboring lines with a common error
 
     def frf(

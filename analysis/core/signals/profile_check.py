@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     from daq.core.signal_chain.channel import ChannelInfo
     from rig.core.scene.excitation.profile import Prescription
 
-# A channel limits the drive if its distance from its limit is below this value, dB, and the control is below the
+# A channel limits the drive if its distance from its limit is below this value [dB], and the control is below the
 # profile.
 _NOTCH_DB = 1.5
-# An excess below this value, dB, is noise.
+# An excess below this value [dB] is noise.
 _SMALLEST_EXCESS_DB = 0.05
 # Number of periods of a window in which the amplitude of a sweep is estimated: fewer do not separate harmonics, more
 # blur the sweep.
@@ -57,7 +57,7 @@ class Level:
     low: Array
     high: Array
     limit: Array  # profile or limit; NaN where there is none
-    rms: float  # root mean square in the band of the profile, m/s²; of a sine, that of the readings
+    rms: float  # root mean square in the band of the profile [m/s²]; of a sine, that of the readings
     kurtosis: float
 
     bound = renamed("bound", "limit")

@@ -15,8 +15,8 @@ class BodyMotion(NamedTuple):
     """Motion of a body at the lines of a response, each of shape (lines,)."""
 
     output: int  # index of the body's channel in the response
-    force: Array  # amplitude, N; NaN if it is not known
-    amplitude: Array  # displacement, m
+    force: Array  # amplitude [N]; NaN if it is not known
+    amplitude: Array  # displacement [m]
     relative: Array  # half of the 95 % interval of the response, relative to the response
     settled: NDArray[np.bool_]
 
@@ -25,7 +25,7 @@ class LevelPoint(NamedTuple):
     """The highest measured point at one level of a test."""
 
     level: str
-    frequency: float  # excitation frequency, Hz
+    frequency: float  # excitation frequency [Hz]
     # Value and text with its 95 % interval of each quantity; its name ends with its unit: "damping ratio / %".
     quantities: Mapping[str, tuple[float, str]]
     note: str = ""

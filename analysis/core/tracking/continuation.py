@@ -44,7 +44,7 @@ class Fold(NamedTuple):
 
     level: float  # level, in the unit of the test
     frequency: float  # Hz
-    expanded: float  # expanded uncertainty of the frequency, Hz
+    expanded: float  # expanded uncertainty of the frequency [Hz]
     amplitude: float  # m
     position: float  # position along the curve, in numbers of points
 

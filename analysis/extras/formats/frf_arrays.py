@@ -18,7 +18,7 @@ from rig.core.base.errors import RecordingError
 _RATE = re.compile(r"(.*[._])?(fs|rate|sample_?rate|sampling_?(rate|frequency)|freq|frequency)", re.IGNORECASE)
 _BLOCK = re.compile(r"(.*[._])?(npts|n_?fft|n_?samples|block(_?(size|length))?)", re.IGNORECASE)
 _SPACING = re.compile(r"(.*[._])?(df|delta_?f|resolution|x_values\.increment)", re.IGNORECASE)
-# Name of the frequency of the first line, Hz, in files of Testlab.
+# Name of the frequency of the first line [Hz], in files of Testlab.
 _START = re.compile(r"(.*\.)?x_values\.start_value")
 # Name of the unit of the values.
 _UNIT = re.compile(r"(.*[._@])?(units?|y_values\.quantity\.label)")

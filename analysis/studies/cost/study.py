@@ -60,8 +60,8 @@ class Measurement:
 
     group: str  # changed part of the chain; "" for the scene itself
     setting: str  # setting of the changed part
-    cpu: float  # CPU time of recording and analysis, s; NaN after a failure
-    duration: float  # length of the test, s
+    cpu: float  # CPU time of recording and analysis [s]; NaN after a failure
+    duration: float  # length of the test [s]
     error: float
     """Largest error of the compliance over measured bodies and frequencies, relative to the largest compliance.
     Channels are corrected for the frequency response of sensor, amplifier and converter from the data sheets.

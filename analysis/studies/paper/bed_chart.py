@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
-# The color scale ends at this deviation, %.
+# The color scale ends at this deviation [%].
 _COLOR_LIMIT = 40.0
 
 

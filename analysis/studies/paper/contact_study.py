@@ -54,7 +54,7 @@ TABLE = Table(
 class ContactPoint(NamedTuple):
     """Motion and contact at which the beds are compared with a single mass."""
 
-    level: float  # acceleration of the body, g
+    level: float  # acceleration of the body [g]
     clearance: float  # m
     restitution: float
     duration: float  # s

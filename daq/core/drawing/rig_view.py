@@ -60,9 +60,9 @@ _MAX_EXAGGERATION = 1e4
 class RigMotion:
     """The motion of the rig at some instants."""
 
-    displacement: Array  # displacement of each body, m, positive up; shape (bodies, instants)
-    tables: Array  # displacement of the table of each shaker, m; shape (tables, instants)
-    gap: Array | None = None  # height of each damper above its floor, m; shape (dampers, instants); None if unknown
+    displacement: Array  # displacement of each body [m], positive up; shape (bodies, instants)
+    tables: Array  # displacement of the table of each shaker [m]; shape (tables, instants)
+    gap: Array | None = None  # height of each damper above its floor [m]; shape (dampers, instants); None if unknown
 
 
 @dataclass(frozen=True)

@@ -55,7 +55,7 @@ _MIN_SLOPE = 0.05
 # correction converges from a closer start.
 _SHORTER = 0.5
 _SHORTEST = 1.0 / 16.0
-# A step with feedback whose direction differs by more than this angle, rad, from that of the last step is repeated with
+# A step with feedback whose direction differs by more than this angle [rad] from that of the last step is repeated with
 # a shorter length, down to this fraction: the direction of shorter steps is determined by noise.
 _MAX_TURN = 0.25
 _SHORTEST_TURN = 0.125
@@ -101,11 +101,11 @@ class _Curve:
         self._tangent = self._forward, 0.0
         self._holding = False
         self._length = test.step  # length of the last step
-        self._chord, self._bend = test.step, 0.0  # distance of the last two points, and change of direction, rad
+        self._chord, self._bend = test.step, 0.0  # distance of the last two points, and change of direction [rad]
         self._drive = 0.0  # amplitude of the drive at the level, next to the last point
         self.folds = 0  # number of points at which the curve turned back
-        self.gaps: list[tuple[float, float]] = []  # frequencies of the points at their ends, Hz
-        self.irregular: list[float] = []  # frequencies at which the motion does not repeat, Hz
+        self.gaps: list[tuple[float, float]] = []  # frequencies of the points at their ends [Hz]
+        self.irregular: list[float] = []  # frequencies at which the motion does not repeat [Hz]
 
     @property
     def unstable(self) -> bool:
@@ -132,12 +132,13 @@ class _Curve:
         if len(self.points) == test.points:
             self._station.warn(
                 f"{self._at_level}: the curve ends at {self.points[-1].frequency:.4g} Hz after {test.points} "
-                "points. Give more test.points, or a larger test.step."
+                "points. Increase test.points or test.step."
             )
         elif self._share < 0.0:
             self._station.warn(
                 f"{self._at_level}: the curve turns back and leaves the band at {self.points[-1].frequency:.4g} "
-                "Hz, where the test began. Folds beyond are missed. Give a test.from farther from the resonance."
+                "Hz, where the test began. Folds outside the band are not measured. Set test.from farther from the "
+                "resonance."
             )
 
     def _begin(self, drive: float) -> Generator[Array, Array, None]:
@@ -391,11 +392,12 @@ class _Curve:
                     f"{name} of {rate:.2g} 1/s at {last.frequency:.4g} Hz requires a dead time below "
                     f"{largest / rate:.2g} s; it is {tone.dead_time:.2g} s. Use a converter filter with a shorter delay"
                 )
-        cause = "does not settle" if tone.scatter >= _MAX_INVASIVE else "has no continuous force"
+        cause = "did not reach steady state" if tone.scatter >= _MAX_INVASIVE else "does not require a continuous force"
         return (
-            f"{self._test.at} with {1e3 * last.motion:.3g} mm at {last.frequency:.4g} Hz is the last point: the motion "
-            f"next to it {cause} (scatter {tone.scatter:.1%}). Its period may have doubled, or its impacts "
-            "change; raise test.settle.longest, or give a smaller test.step"
+            f"the curve ends with {1e3 * last.motion:.3g} mm of {self._test.at} at {last.frequency:.4g} Hz: the motion "
+            f"at the next point {cause} (relative standard deviation of force {tone.scatter:.1%}). The period "
+            "of the motion may have doubled, or the impacts in a period may have changed; increase "
+            "test.settle.longest, or reduce test.step"
         )
 
 
@@ -441,14 +443,15 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
             if curve.irregular:
                 irregular = ", ".join(dict.fromkeys(f"{frequency:.5g}" for frequency in curve.irregular))
                 station.warn(
-                    f"{at_level}: the motion does not repeat at {irregular} Hz. These points are omitted. "
-                    "Give another level."
+                    f"{at_level}: the motion is irregular at {irregular} Hz. These points are omitted. Choose a level "
+                    "with a periodic motion, often a higher one."
                 )
             if curve.gaps:
                 ends = ", ".join(f"{start:.5g} to {end:.5g}" for start, end in curve.gaps)
                 station.warn(
                     f"{at_level}: no points from {ends} Hz, where no steady motion was found: "
-                    "its period has doubled, or its impacts change. Folds there are missed. Give a smaller test.step."
+                    "the period has doubled, or the impacts in a period change. Folds in this range are not measured. "
+                    "Reduce test.step."
                 )
             yield tone.end()
         if useless == len(test.levels):

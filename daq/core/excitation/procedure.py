@@ -32,12 +32,12 @@ class FormValues:
     """Values of the controls on the bench page."""
 
     kind: str  # kind of test: the title of its form
-    level: float  # amplitude of a sine or sweep, rms of a random test, or peak of an impact, N
-    frequency: float  # frequency of a sine, Hz
-    low: float  # lower limit of a sweep or random test, Hz
-    high: float  # upper limit of a sweep or random test, Hz
-    duration: float  # duration of a sweep or random test, s
-    interval: float  # time between impacts, s
+    level: float  # amplitude of a sine or sweep, rms of a random test, or peak of an impact [N]
+    frequency: float  # frequency of a sine [Hz]
+    low: float  # lower limit of a sweep or random test [Hz]
+    high: float  # upper limit of a sweep or random test [Hz]
+    duration: float  # duration of a sweep or random test [s]
+    interval: float  # time between impacts [s]
     hits: int  # number of impacts
 
 

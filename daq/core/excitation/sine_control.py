@@ -50,7 +50,7 @@ _IDENTIFICATION_S, _IDENTIFICATION_PERIODS = 2.0, 8.0
 # Above the band, the identification ends at this fraction of the sample rate: the converter's filter attenuates higher
 # frequencies.
 _HIGHEST_RATIO = 0.45
-# The sweep begins when the amplitudes have been within this tolerance, dB, for this number of windows, and at the
+# The sweep begins when the amplitudes have been within this tolerance [dB] for this number of windows, and at the
 # latest after this time [s].
 _START_DB, _START_WINDOWS, _MAX_START_S = 0.5, 6, 30.0
 # Time in which the drive rises at the start and falls at the end [s].
@@ -62,7 +62,7 @@ _OSCILLATION, _REDUCTION, _RECOVERY = 0.05, 0.7, 0.95
 _SMALLEST = 0.02
 # An error above this fraction of the last swing counts as the next swing.
 _MIN_SWING = 0.25
-# CPU time of each period, s, measured on one core of 2 GHz.
+# CPU time of each period [s], measured on one core of 2 GHz.
 _PERIOD_CPU_S = 0.3e-3
 
 
@@ -72,7 +72,7 @@ class Observation(NamedTuple):
     first: int
     stop: int
     frequency: float  # Hz
-    deviation: float  # deviation of the control channels from the profile, dB
+    deviation: float  # deviation of the control channels from the profile [dB]
     limiting: int  # index of the limit that determines the drive; -1: the profile
 
 
@@ -116,7 +116,7 @@ class SineSweep:
         self._recent, self._phases = np.zeros((len(self.rows), 0)), np.zeros(0)
         self.limited = False  # whether the output limited the drive
         self._caution = Caution()
-        # Frequencies of the identification, Hz, and the drives that the profile and each limit require there, a row
+        # Frequencies of the identification [Hz], and the drives that the profile and each limit require there, a row
         # each.
         self._frequencies, self._required = np.ones(1), np.ones((1 + len(test.limits), 1))
 

@@ -31,7 +31,7 @@ StepsT = TypeVar("StepsT", bound="SteppedTest")
 # An extrapolated drive is used only if it is closer to the last drive than this value (natural logarithm of their
 # ratio); otherwise the last drive is kept.
 _MAX_LOG_CHANGE = 0.2
-# The wait of a dwell has this fixed part, s, measured with the bundled scenes.
+# The wait of a dwell has this fixed part [s], measured with the bundled scenes.
 _FIXED_WAIT_S = 1.4
 # In the remaining part of the wait, transients decay for this number of time constants of the slowest mode, that is to
 # exp(-2) = 14 %.

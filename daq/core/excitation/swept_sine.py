@@ -50,7 +50,7 @@ _MAX_WAIT_S = 60.0
 ALLOWED_DEVIATION = 0.1
 # Two intervals of excessive deviation are merged if the gap between them is shorter than this value [s].
 _MIN_GAP_S = 0.5
-# CPU time of each period of a sweep with controlled force, s, measured on one core of 2 GHz.
+# CPU time of each period of a sweep with controlled force [s], measured on one core of 2 GHz.
 _CONTROLLED_PERIOD_CPU_S = 1.2e-3
 # Remedy if the channels do not measure the force.
 _SENSITIVITY_HINT = "Choose more sensitive sensors, a smaller converter.range, or more force."
@@ -110,7 +110,7 @@ class LevelMonitor:
         # Present interval: first sample, sample after the last, largest deviation as force / level, and its frequency,
         # Hz.
         self._interval: tuple[int, int, float, float] | None = None
-        self._worst = (1.0, 0.0)  # largest deviation of all intervals as force / level, and its frequency, Hz
+        self._worst = (1.0, 0.0)  # largest deviation of all intervals as force / level, and its frequency [Hz]
         self._samples = self._intervals = 0  # total length and number of the marked intervals
 
     def add(self, first: int, stop: int, frequency: float, force: float) -> None:

@@ -90,11 +90,11 @@ class Summary:
     schemas: dict[int, Schema]
     channels: dict[int, Channel]
     # Each of the following arrays has an element for each chunk, sorted by latest time.
-    starts: NDArray[np.uint64]  # earliest time, ns
-    ends: NDArray[np.uint64]  # latest time, ns
-    offsets: NDArray[np.int64]  # position in the file, bytes
-    lengths: NDArray[np.int64]  # length in the file, bytes
-    unpacked: NDArray[np.int64]  # size of the records, bytes
+    starts: NDArray[np.uint64]  # earliest time [ns]
+    ends: NDArray[np.uint64]  # latest time [ns]
+    offsets: NDArray[np.int64]  # position in the file [bytes]
+    lengths: NDArray[np.int64]  # length in the file [bytes]
+    unpacked: NDArray[np.int64]  # size of the records [bytes]
     chunks_of_channel: Mapping[int, NDArray[np.int64]]  # for each channel: indexes of the chunks with its messages
     metadata: list[MetadataIndex]
     attachments: list[AttachmentIndex]

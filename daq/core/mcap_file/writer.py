@@ -73,7 +73,7 @@ class ChunkedFile:
         self._attachments: list[records.AttachmentIndex] = []
         self._metadata: list[records.MetadataIndex] = []
         self._counts: dict[int, int] = {}  # number of messages of each channel
-        self._times: tuple[int, int] | None = None  # earliest and latest log time, ns
+        self._times: tuple[int, int] | None = None  # earliest and latest log time [ns]
         stream.write(MAGIC)
         self._write_records(records.Header("", library))
 

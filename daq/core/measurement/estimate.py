@@ -42,10 +42,10 @@ _MEMORY_PURPOSE = "the test, with the matrices of its structure and half a secon
 class Estimate:
     """Lower bounds of the resources of a test, without the waits for steady states."""
 
-    seconds: float  # duration of the test, s
+    seconds: float  # duration of the test [s]
     samples: float  # number of samples per channel
-    disk: float  # size of the recording, bytes
-    memory: float  # memory during the test, bytes
+    disk: float  # size of the recording [bytes]
+    memory: float  # memory during the test [bytes]
 
 
 def estimate(scene: Scene) -> Estimate:

@@ -18,7 +18,7 @@ from rig.core.scene.scene import Scene
 
 # Intervals with a shorter gap are merged [s]: an oscillation exceeds its limit twice per period.
 _MIN_GAP_S = 0.5
-# Interval at which the limits of channels are checked, s, independent of the block size.
+# Interval at which the limits of channels are checked [s], independent of the block size.
 _CHECK_INTERVAL_S = 0.1
 # Check interval if only the channels of a controlled force are monitored [s].
 _CONTROL_CHECK_INTERVAL_S = 0.5

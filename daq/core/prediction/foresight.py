@@ -31,8 +31,8 @@ class Expectation:
     name: str
     unit: str
     largest: float  # largest value without any limits
-    frequency: float | None = None  # frequency of the maximum, Hz
-    time: float | None = None  # time of the maximum from the start of the test, s
+    frequency: float | None = None  # frequency of the maximum [Hz]
+    time: float | None = None  # time of the maximum from the start of the test [s]
     limit: float = np.inf  # limit in the same unit; infinite without a limit
     limited_by: str = ""  # part that has this limit, such as "sensor"
     overloaded: bool = False  # whether the limit is exceeded in the test
@@ -101,9 +101,9 @@ class Foresight(Result):
     signals: dict[str, LowestSignalToNoise] = field(default_factory=dict)  # by channel name
     hidden: tuple[str, ...] = ()  # warnings about signals below the resolution or noise, and about an unresolved force
     flights: tuple[str, ...] = ()  # lines about dampers in flight
-    seconds: float = 0.0  # duration of the test, s
-    seconds_range: tuple[float, float] = (0.0, 0.0)  # shortest and longest probable duration, s
-    disk: float = 0.0  # size of its recording, bytes
+    seconds: float = 0.0  # duration of the test [s]
+    seconds_range: tuple[float, float] = (0.0, 0.0)  # shortest and longest probable duration [s]
+    disk: float = 0.0  # size of its recording [bytes]
     rehearsed: str = ""  # description of the part that was simulated (rehearsed); "" for the whole test
     outside: tuple[str, ...] = ()  # line about modes outside the band of the test
     checks: tuple[str, ...] = ()  # lines of the check of the test's controller

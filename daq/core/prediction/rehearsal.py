@@ -115,7 +115,7 @@ class Rehearsal(BenchLoop):
         self.steps: list[Step] = []
         # Last measured interval without a constant tone: its first sample, and the sample after its last.
         self.measured: tuple[int, int] | None = None
-        # Simulated duration, s, whether the test ran to its end, and the completed fraction that it reported.
+        # Simulated duration [s], whether the test ran to its end, and the completed fraction that it reported.
         self.seconds, self.complete, self.fraction = 0.0, False, 0.0
         # Reason why the test was aborted; None if it ran to its end.
         self.aborted: str | None = None

@@ -86,7 +86,7 @@ CLOCK_CHECKS = {
 class Timebase:
     """The sample clock: sample k is taken at start_ns + k / rate, rounded to nanoseconds."""
 
-    rate: float  # Samples per second, Hz
+    rate: float  # Samples per second [Hz]
     start_ns: int = 0  # time of sample 0 in nanoseconds since the epoch of the recording
 
     def __post_init__(self) -> None:

@@ -56,7 +56,7 @@ class Recovery:
 
     source: Path  # the damaged file
     fixed: Path  # the complete file
-    rate: float  # samples per second, Hz
+    rate: float  # samples per second [Hz]
     kept: dict[str, int]  # number of samples kept, by topic
     lost: dict[str, list[SampleRange]]  # ranges of lost samples [first, stop), by topic; only topics with losses
     missing: dict[str, int]  # number of lost messages on topics without samples: markers, display, ...

@@ -43,7 +43,7 @@ class SampleBlock(NamedTuple):
 
     t0_ns: int  # time of the first sample, nanoseconds since the epoch of the recording
     first_sample: int  # index of the first sample
-    rate: float  # samples per second, Hz
+    rate: float  # samples per second [Hz]
     samples: NDArray[Any]  # the stored numbers, (samples,); a view of the message if `encode` wrote it
 
     @property

@@ -28,9 +28,9 @@ class Impact:
 
     number: int  # Number of the impact, from 1
     first: int  # First sample of the window
-    peak: float  # Peak force, N
+    peak: float  # Peak force [N]
     faults: list[str]  # Reasons to reject the impact
-    force: Array  # Force around the pulse, N
+    force: Array  # Force around the pulse [N]
     readings: Array  # Readings of all channels in the window, shape (channels, samples)
     overloaded: list[int]  # Rows of the readings with an overload in the window
     is_complete: bool = True  # Whether the window is complete

@@ -32,7 +32,7 @@ _NO_INPUT = "the scene has neither a shaker nor a hammer"
 _NO_FORCE = "the page controls forces, but the shaker exerts none; record the test with `daq record`"
 # The test that is selected first, if the scene has a shaker.
 _DEFAULT_FORM = "sweep"
-# Band of the tests, Hz, if the scene's test has none.
+# Band of the tests [Hz], if the scene's test has none.
 _DEFAULT_BAND = 5.0, 100.0
 # Fewest samples per period of a sine: the shape of a faster sine is not displayed. It limits the frequency.
 _MIN_SAMPLES_PER_PERIOD = 10.0

@@ -43,10 +43,10 @@ class LiveCurves:
 
     names: list[str]  # names of the channels
     frequency: Array  # Hz; (frequencies,)
-    value: ComplexArray  # compliance (displacement over force), m/N; (channels, frequencies)
+    value: ComplexArray  # compliance (displacement over force) [m/N]; (channels, frequencies)
     coherence: Array  # (channels, frequencies)
     relation: NDArray[np.intp]  # Index in `RELATIONS`; (channels, frequencies)
-    force: Array  # rms of the force in the blocks that excited a line, N; NaN for impacts; (frequencies,)
+    force: Array  # rms of the force in the blocks that excited a line [N]; NaN for impacts; (frequencies,)
     averages: int  # largest number of averaged blocks or impacts of a line
 
 

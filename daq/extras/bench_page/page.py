@@ -96,7 +96,7 @@ class Page:
         self._rig, self._shown_svg = RigDrawing(self._scene), ""
         self._refreshes = 0
         self._shown_version: Any = None
-        self.span = 1.0  # duration of the shown time histories, s
+        self.span = 1.0  # duration of the shown time histories [s]
         self.obeyed = 0  # number of commands of the browser that were carried out
 
     def description(self) -> bytes:

@@ -33,8 +33,8 @@ class Column:
     sensitivity: str | None = None
     sign: int = 1  # -1 reverses a sensor that was mounted upside down
     offset: float = 0.0  # reading at rest, in the file's unit
-    delay: float | None = None  # delay of the signal, s; None: as the file's start times state
-    rate: float | None = None  # sample rate, Hz, if the file states no rate or a wrong rate
+    delay: float | None = None  # delay of the signal [s]; None: as the file's start times state
+    rate: float | None = None  # sample rate [Hz], if the file states no rate or a wrong rate
 
 
 _KEYS = [field.name for field in fields(Column)]

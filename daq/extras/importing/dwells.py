@@ -55,7 +55,7 @@ class Dwell:
 
     first: int
     stop: int
-    frequency: float  # frequency, periods per sample
+    frequency: float  # frequency [periods per sample]
     amplitude: float  # amplitude of the reference, in its unit
     steady: bool  # whether all channels are in steady state
 

@@ -60,7 +60,7 @@ class _TopicField:
 
     values: array[float] = field(default_factory=lambda: array("d"))  # numbers of all messages
     counts: array[int] = field(default_factory=lambda: array("q"))  # count of numbers in each message
-    times: array[int] = field(default_factory=lambda: array("Q"))  # time of each message, ns
+    times: array[int] = field(default_factory=lambda: array("Q"))  # time of each message [ns]
     rate: float | None = None  # Hz; None if not stated
 
 

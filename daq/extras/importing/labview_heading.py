@@ -32,7 +32,7 @@ class LabviewChannel(NamedTuple):
     cell: int  # position of its cell in a line
     samples: int  # -1: not stated
     rate: float | None  # Hz
-    rate_error: float  # largest error of the rate from the rounding of the sample interval, Hz
+    rate_error: float  # largest error of the rate from the rounding of the sample interval [Hz]
     start_s: float
     start_ns: int
 

@@ -24,11 +24,11 @@ class Signal:
     name: str
     unit: str  # Unit; empty if the file states none
     samples: int
-    rate: float | None  # Sample rate, Hz; None if the file states none
+    rate: float | None  # Sample rate [Hz]; None if the file states none
     # (start, stop) -> samples [start, stop) in the unit of the file. Calls must be sequential: each
     # starts at the previous stop, or at 0.
     read: Callable[[int, int], Array]
-    start_s: float = 0.0  # Time of the first sample relative to the time zero of the file, s
+    start_s: float = 0.0  # Time of the first sample relative to the time zero of the file [s]
     start_ns: int = 0  # Time zero of the file, ns since 1970; 0 if the file has no date
     full_scale: float | None = None  # Largest value that the file can represent, in its unit; None if not known
     separators: tuple[tuple[int, int], ...] = ()  # Ranges [start, stop) without samples, between joined files

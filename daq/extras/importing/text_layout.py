@@ -89,7 +89,7 @@ class Layout(NamedTuple):
     cells: tuple[int, ...] | None = None  # positions of the cells of a line that are read; None: all
     stop: int | None = None  # number of lines in the file before the end of the table; None: all
     has_complex: bool = False  # whether cells contain complex numbers, which are read as two columns each
-    rate: float | None = None  # sample rate that the heading states, Hz
+    rate: float | None = None  # sample rate that the heading states [Hz]
 
 
 def read_beginning(path: Path) -> tuple[list[str], str]:

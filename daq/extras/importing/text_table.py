@@ -209,7 +209,7 @@ class _Table:
     def __init__(self, path: Path, layout: Layout, stack: ExitStack) -> None:
         self._path, self._layout = path, layout
         self._file: IO[str] = stack.enter_context(path.open(encoding=layout.encoding, errors="replace", newline=""))
-        self._time_column: tuple[Clock, float, float] | None = None  # clock, resolution and unit of the times, s
+        self._time_column: tuple[Clock, float, float] | None = None  # clock, resolution and unit of the times [s]
         self._examined_lines: list[str] = []  # the first lines, and the last line
         self._repeated_times: list[int] = []  # further columns with the times of the first column
         self.rows = 0

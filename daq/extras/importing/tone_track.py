@@ -30,7 +30,7 @@ class Track:
     hop: int  # samples from one block to the next; a block consists of `HOPS_PER_BLOCK` hops
     number: NDArray[np.int64]  # Numbers of the blocks, from 0
     frequency: Array  # Approximate frequency of the tone in each block, periods per hop
-    phase: Array  # Phase at the middle of each block, rad
+    phase: Array  # Phase at the middle of each block [rad]
     amplitude: Array  # Amplitude in each block, in the unit of the reference
     ratio: ComplexArray  # Complex ratio of every channel to the reference, shape (channels, blocks)
     levels: NDArray[np.float32]  # Standard deviation of the reference in each block, even without a tone

@@ -225,7 +225,7 @@ class RealClock(Clock):
         return ready()
 
 
-# A step of the bench that takes longer than this wall-clock time, s, is attributed to the compilation of kernels.
+# A step of the bench that takes longer than this wall-clock time [s] is attributed to the compilation of kernels.
 _COMPILATION_S = 1.0
 # Slow steps that are attributed to compilation; further slow steps have a different cause.
 _MAX_COMPILATIONS = 20

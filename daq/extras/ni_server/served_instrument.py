@@ -21,13 +21,13 @@ _MAX_STORED_MESSAGES = 1000
 class Limits:
     """Limits of the resources of clients."""
 
-    max_request_bytes: int = 32 << 20  # size of a request, bytes: 4 million samples of outputs
-    max_message_bytes: int = 256 << 20  # size of a response, bytes
+    max_request_bytes: int = 32 << 20  # size of a request [bytes]: 4 million samples of outputs
+    max_message_bytes: int = 256 << 20  # size of a response [bytes]
     max_tasks_per_client: int = 64  # number of open tasks
-    max_buffer_bytes: int = 2 << 30  # total size of the buffers of a client's tasks, bytes
+    max_buffer_bytes: int = 2 << 30  # total size of the buffers of a client's tasks [bytes]
     max_calls_per_client: int = 256  # number of simultaneous calls, including event streams
     max_calls: int = 1024  # number of simultaneous calls of all clients; further calls are rejected
-    disconnect_timeout: float = 30.0  # time after which the sessions of a disconnected client are ended, s
+    disconnect_timeout: float = 30.0  # time after which the sessions of a disconnected client are ended [s]
 
 
 class ServedInstrument:

@@ -33,7 +33,7 @@ class Session:
     task: Task
     owner: str  # peer that created it
     users: set[str] = field(default_factory=set)  # peers that have used it
-    disconnected_at: float | None = None  # monotonic time of the last disconnection, s; None while a user is connected
+    disconnected_at: float | None = None  # monotonic time of the last disconnection [s]; None while a user is connected
 
 
 class SessionExists(ShotrigError):

@@ -36,7 +36,7 @@ from rig.core.settings.settings import Settings
 Voltage = Annotated[float, Quantity(VOLTAGE)]
 Range = Annotated[float, Quantity(VOLTAGE, above=0.0)]
 SampleRate = Annotated[float, Quantity(SAMPLE_RATE, above=0.0)]
-#: Voltage of a source, V, as a function of bench time [s]; argument and result are arrays of the same shape.
+#: Voltage of a source [V], as a function of bench time [s]; argument and result are arrays of the same shape.
 VoltageFunction = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 _WIRE = re.compile(r"\s*(\S+)\s*->\s*(\S+)\s*")
 _NAME_IN_CHASSIS = re.compile(r"(.+)Mod(\d+)")

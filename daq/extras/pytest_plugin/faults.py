@@ -121,7 +121,7 @@ class _OverloadedTerminals:
 
     def __init__(self, terminals: Any) -> None:
         self._terminals = terminals
-        self.overloads: list[tuple[int, float, float]] = []  # index of input; start and end in bench time, s
+        self.overloads: list[tuple[int, float, float]] = []  # index of input; start and end in bench time [s]
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._terminals, name)

@@ -47,8 +47,8 @@ class Interpolation:
 
     value: ComplexArray  # NaN outside the range of the lines
     uncertainty: UncertaintyBudget
-    spacing: Array  # spacing of the lines around each frequency, Hz
-    needed_spacing: Array  # spacing that resolves the curve, Hz; infinite where the lines resolve it
+    spacing: Array  # spacing of the lines around each frequency [Hz]
+    needed_spacing: Array  # spacing that resolves the curve [Hz]; infinite where the lines resolve it
 
 
 def interpolate_curve(

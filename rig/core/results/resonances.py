@@ -30,12 +30,12 @@ class Resonance:
     """A resonance peak of a curve, by local rational interpolation."""
 
     line: int  # index of the highest line, in the order of the curve
-    frequency: float  # frequency of the peak, Hz
+    frequency: float  # frequency of the peak [Hz]
     value: float  # magnitude at the peak, in the unit of the curve
     expanded: float  # expanded uncertainty of the value
     lines: int  # number of lines within the half-power width, at most `MIN_LINES` counted
     is_interpolated: bool  # whether the lines resolve the peak well enough for its interpolation
-    needed_spacing: float  # spacing of lines that would resolve the peak, Hz; infinite if the lines resolve it
+    needed_spacing: float  # spacing of lines that would resolve the peak [Hz]; infinite if the lines resolve it
 
 
 def find_resonances(frf: Response) -> list[Resonance]:

@@ -67,10 +67,10 @@ def total_energy(balances: Sequence[Energy]) -> Energy:
 class QuadraticForms:
     """Quadratic forms of the augmented state z (states, then drive), as symmetric matrices (size, size)."""
 
-    stored: Array  # z' stored z: energy, J
-    dissipated: Array  # dissipated power, W
-    power: Array  # power of the drive, W
-    to_grains: Array  # power into beds of grains, W
+    stored: Array  # z' stored z: energy [J]
+    dissipated: Array  # dissipated power [W]
+    power: Array  # power of the drive [W]
+    to_grains: Array  # power into beds of grains [W]
 
 
 def quadratic_forms(system: HybridSystem, output: Array) -> QuadraticForms:

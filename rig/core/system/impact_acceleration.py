@@ -26,7 +26,7 @@ def impact_acceleration(
 
     >>> import rig
     >>> from rig.core.system.assembly import assemble
-    >>> jump = 0.1 * 0.71 / 0.781  # plastic impact of a tenth of the body's mass at 1 m/s: velocity jump, m/s
+    >>> jump = 0.1 * 0.71 / 0.781  # plastic impact of a tenth of the body's mass at 1 m/s: velocity jump [m/s]
     >>> system = assemble(rig.load("fig9", {"dampers": [{"body": 2, "mass_ratio": 0.1, "clearance": 1e-3}]}))
     >>> round(impact_acceleration(system, 1, [1.0], 1000.0) / (2 * np.pi * 1000.0 * jump), 9)
     1.0

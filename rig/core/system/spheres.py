@@ -27,8 +27,8 @@ class Spheres:
     """The grains of one bed."""
 
     settings: Grains
-    mass: float  # mass of the bed, kg
-    clearance: float  # from the settled bed to the upper wall, m
+    mass: float  # mass of the bed [kg]
+    clearance: float  # from the settled bed to the upper wall [m]
     count: int  # number of grains
     seed: int  # seed of the random diameters and positions
 

@@ -37,7 +37,7 @@ class NaturalModes:
     `mass`, `damping`, shape (modes,): modal mass [kg] and the diagonal of the modal damping matrix [N s/m].
     """
 
-    omega: Array  # natural frequencies, increasing, rad/s; 0 for a rigid-body motion, shape (modes,)
+    omega: Array  # natural frequencies, increasing [rad/s]; 0 for a rigid-body motion, shape (modes,)
     shapes: Array  # column i is the shape of mode i, its largest element +1, shape (bodies, modes)
     mass: Array
     damping: Array

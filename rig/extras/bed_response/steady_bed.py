@@ -44,11 +44,11 @@ class SteadyBed:
     zero of the driving force.
     """
 
-    # First harmonic of each displacement, divided by the first harmonic of the force, m/N, shape (bodies,).
+    # First harmonic of each displacement, divided by the first harmonic of the force [m/N], shape (bodies,).
     compliance: ComplexArray
-    floor_impulse: Array  # impulse of the floor on each bed in a period of the drive, N s, shape (beds,)
-    ceiling_impulse: Array  # impulse of the ceiling on each bed in a period, N s, shape (beds,)
-    energy: Array  # energy that each bed dissipates in a period, J, shape (beds,)
+    floor_impulse: Array  # impulse of the floor on each bed in a period of the drive [N s], shape (beds,)
+    ceiling_impulse: Array  # impulse of the ceiling on each bed in a period [N s], shape (beds,)
+    energy: Array  # energy that each bed dissipates in a period [J], shape (beds,)
     landing: Array
     flight: Array  # fraction of the time in which the bed touches no wall, shape (beds,)
     motion_type: NDArray[np.str_]  # shape (beds,)

@@ -35,8 +35,8 @@ from rig.extras.grains.shared_bed import new_bed
 class BedStates(NamedTuple):
     """Motion of the beds at the start and after each of a number of steps."""
 
-    force: Array  # upward force of floor, ceiling and side on the grains, N; shape (beds, walls, steps + 1)
-    gap: Array  # rise of the center of mass above its height in the settled bed, m; shape (beds, steps + 1)
+    force: Array  # upward force of floor, ceiling and side on the grains [N]; shape (beds, walls, steps + 1)
+    gap: Array  # rise of the center of mass above its height in the settled bed [m]; shape (beds, steps + 1)
 
 
 class CoupledState(NamedTuple):

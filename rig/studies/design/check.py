@@ -42,7 +42,7 @@ class Expected:
 
     peak: Peak  # peak as computed by the design
     magnitudes: tuple[float, float, float] | None
-    closing_speed: tuple[float, ...]  # largest closing speed of each damper to a wall at the peak, m/s
+    closing_speed: tuple[float, ...]  # largest closing speed of each damper to a wall at the peak [m/s]
 
 
 def scene_with_check(scene: Scene, trial: Trial, objective: Objective) -> Scene:

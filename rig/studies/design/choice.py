@@ -184,8 +184,8 @@ class SearchSpace:
     """The space of candidate designs."""
 
     locations: tuple[tuple[int, ...], ...]  # bodies of the dampers in each allowed arrangement, fewest dampers first
-    max_mass: float  # largest added mass, kg
-    clearance: tuple[float, float]  # smallest and largest, m
+    max_mass: float  # largest added mass [kg]
+    clearance: tuple[float, float]  # smallest and largest [m]
     allows_no_ceiling: bool = True  # whether designs without ceilings belong to the space
 
     @property
@@ -210,8 +210,8 @@ class Objective:
     """The objective of a design: its worst peak over structures, levels, frequencies and bodies."""
 
     scenes: tuple[Scene, ...]  # nominal structure without dampers first, then its variants
-    levels: tuple[float, ...]  # force amplitudes, N, or drives
-    band: tuple[float, float]  # lowest and highest frequency, Hz
+    levels: tuple[float, ...]  # force amplitudes [N], or drives
+    band: tuple[float, float]  # lowest and highest frequency [Hz]
     bodies: tuple[int, ...]  # bodies whose peaks are evaluated, from 1
     impact_law: ImpactLaw = INSTANTANEOUS  # restitution and contact of the dampers
     density: int = COARSE_DENSITY  # number of frequencies per natural frequency in the band

@@ -25,7 +25,7 @@ _MAX_COMPARED = 5
 class ModePeaks:
     """Largest peaks near a natural frequency."""
 
-    frequency: float  # natural frequency of the structure without dampers, Hz
+    frequency: float  # natural frequency of the structure without dampers [Hz]
     in_band: bool  # whether this frequency lies in the band of the objective
     undamped: Peak  # without dampers
     damped: tuple[Peak, ...]  # with dampers, at each level

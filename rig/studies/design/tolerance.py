@@ -33,7 +33,7 @@ class Tolerance:
     low: float
     high: float
     at_limit: tuple[bool, bool]  # whether each end is a limit of the search; the interval may then be wider
-    chosen: float  # clearance of the chosen design, m
+    chosen: float  # clearance of the chosen design [m]
 
     def __str__(self) -> str:
         """Report the interval, and the recommended clearance if the chosen clearance is near an end.

@@ -24,11 +24,11 @@ MIN_REFINED_RATIO = 0.7
 class Peak:
     """A peak of displacement over the reference; peaks are ordered by their magnitude."""
 
-    magnitude: float  # largest |X| / F, m/N; if the table carries the structure, largest |X| / |X_table|
-    frequency: float  # frequency of the peak, Hz
-    level: float  # force amplitude, N, or drive
+    magnitude: float  # largest |X| / F [m/N]; if the table carries the structure, largest |X| / |X_table|
+    frequency: float  # frequency of the peak [Hz]
+    level: float  # force amplitude [N], or drive
     body: int  # number of the body, from 1
-    acceleration: float  # amplitude of the body's acceleration at the peak, m/s²
+    acceleration: float  # amplitude of the body's acceleration at the peak [m/s²]
     irregular_share: float  # share of the band's frequencies with irregular motion, which is simulated and averaged
 
     def reduction_from(self, bare: Peak) -> float:

@@ -60,7 +60,7 @@ class Parts:
 
     starts: NDArray[np.int64]  # first sample of each part
     samples: int  # length of each part
-    low: float  # lower end of the band, Hz
+    low: float  # lower end of the band [Hz]
     high: float
     is_periodic: bool = True  # whether a part is a period or a decaying transient, and so needs no window
     is_steady: bool = False  # whether all parts are periods of steady responses

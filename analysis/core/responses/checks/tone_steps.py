@@ -29,7 +29,7 @@ from rig.core.results.response import Response
 
 # Length of a block of samples, in periods of the tone.
 _PERIODS = 12.0
-# Shortest block, s, and fewest samples of a block.
+# Shortest block [s], and fewest samples of a block.
 _MIN_SECONDS = 0.3
 _MIN_SAMPLES = 96
 # Number of terms for the drift of a reading, such as after power-on of a sensor.
@@ -63,7 +63,7 @@ class ToneInterval:
 
     first: int  # sample
     stop: int  # sample after the last
-    start: float  # frequency at the first sample, periods per sample
+    start: float  # frequency at the first sample [periods per sample]
     slope: float = 0.0  # increase of the frequency of a linear sweep, periods per sample²
     growth: float = 0.0  # increase of the logarithm of the frequency in a logarithmic sweep, per sample
 

@@ -49,8 +49,8 @@ class ShakerLaw:
 
     motion: Array  # coefficients of P, drive/m, ascending powers of s
     force: Array  # coefficients of Q, drive/N, ascending powers of s
-    spring: float  # stiffness of the coil spring, N/m
-    delay: float  # delay of the channels relative to the drive, s
+    spring: float  # stiffness of the coil spring [N/m]
+    delay: float  # delay of the channels relative to the drive [s]
     misfit: float  # relative RMS residual of the drive in the pretest
 
     def at(self, s: complex) -> tuple[complex, complex]:

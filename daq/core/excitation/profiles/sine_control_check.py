@@ -119,10 +119,10 @@ class SweepCheck(NamedTuple):
     """Expected deviation of a sweep from its profile, and the bands in which a limit determines the drive."""
 
     test: SineControl
-    frequency: float  # frequency of the largest deviation, Hz
+    frequency: float  # frequency of the largest deviation [Hz]
     deviation: float  # dB
     damping: float  # damping ratio of a resonance with this slope of the drive
-    notches: tuple[tuple[str, float, float], ...]  # channel, lowest and highest frequency, Hz
+    notches: tuple[tuple[str, float, float], ...]  # channel, lowest and highest frequency [Hz]
 
     @property
     def warning(self) -> str:

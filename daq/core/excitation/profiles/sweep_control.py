@@ -44,12 +44,12 @@ _HANN = (1 + np.cos(2 * pi * _INSTANTS)) / 64
 class Observation:
     """Estimates of amplitudes from the readings of the last periods."""
 
-    end: float  # time of the end, s
-    frequency: float  # frequency of the tone in the middle, Hz
+    end: float  # time of the end [s]
+    frequency: float  # frequency of the tone in the middle [Hz]
     sweep_rate: float  # Hz/s
-    length: float  # duration, s
-    motion: complex  # amplitude of the driven body's displacement, m
-    force: complex  # amplitude of the spring force, N
+    length: float  # duration [s]
+    motion: complex  # amplitude of the driven body's displacement [m]
+    force: complex  # amplitude of the spring force [N]
 
     @property
     def middle(self) -> float:

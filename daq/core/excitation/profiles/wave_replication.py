@@ -61,8 +61,8 @@ class Replication:
 class Pulse(Protocol):
     """A pulse to replicate."""
 
-    target: Array  # acceleration of one period, m/s^2, shape (period,)
-    band: tuple[float, float]  # lowest and highest frequency of the drive, Hz
+    target: Array  # acceleration of one period [m/s^2], shape (period,)
+    band: tuple[float, float]  # lowest and highest frequency of the drive [Hz]
     tolerance: float  # largest permitted deviation
     unit: str  # unit of the deviation
 

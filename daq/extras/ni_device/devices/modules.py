@@ -58,7 +58,7 @@ class Module:
     output_bits: int | None = None  # resolution of the outputs; None if they are ideal
     rates: Rates = DEFAULT_RATES  # sample rates of the inputs
     output_rates: Rates = DEFAULT_RATES  # sample rates of the outputs
-    timebase: float = 13.1072e6  # frequency of the clock that the sample clocks divide, Hz
+    timebase: float = 13.1072e6  # frequency of the clock that the sample clocks divide [Hz]
     scene_rate: float | None = None  # rate of a converter without a preset, S/s, accepted in addition to `rates`
     couplings: tuple[Coupling, ...] = (Coupling.AC, Coupling.DC)
     terminal_configurations: tuple[TerminalConfiguration, ...] = (TerminalConfiguration.PSEUDO_DIFFERENTIAL,)

@@ -17,7 +17,7 @@ _BASIC_FIELDS = (
     ("teds_version_num", 6),
     ("teds_serial_num", 24),
 )
-# Size of the basic TEDS, bytes (IEEE 1451.4).
+# Size of the basic TEDS [bytes] (IEEE 1451.4).
 _MIN_BYTES = 8
 # The basic TEDS (64 bits), a selector (2 bits) and the template number (8 bits) precede the template's data.
 _TEMPLATE_DATA_BIT = 74

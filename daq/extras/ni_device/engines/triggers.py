@@ -113,7 +113,7 @@ class SyncPulse:
 class AtTime:
     """A start trigger at a given time of the bench."""
 
-    seconds: float  # time on the bench since power-on, s
+    seconds: float  # time on the bench since power-on [s]
 
     def next_instant(self, earliest: int, rate: float) -> int:
         """Return the index of the first sample at or after the time, at least `earliest`; see `SyncPulse`."""

@@ -46,7 +46,8 @@ class HeldMotion(EnvelopeTone):
         assert quantity is not None
         super().__init__(station, test.order[0], quantity)
         self._settle, self._order, self._level, self.target = test.settle, test.held_motion[1], 0.0, 0.0
-        # Frequencies at which the amplifier is at its limit [Hz], and the largest amplitude there relative to the level.
+        # Frequencies at which the amplifier is at its limit [Hz], and the largest amplitude there relative to the
+        # level.
         self.limited: dict[float, float] = {}
         # Open-loop growth rate (1/s) and dead time (s) of the orbits that the control lost.
         self.lost: list[tuple[float, float]] = []

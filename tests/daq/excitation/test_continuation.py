@@ -237,7 +237,7 @@ def test_chaotic_motion_next_to_corner_is_omitted() -> None:
     bench_run = run(scene)
     settled = [fields["frequency"] for *_, fields in bench_run.marks_of("measure") if fields["settled"]]
     assert min(settled) > 39.415
-    assert "the motion does not repeat at 39.4" in " ".join(bench_run.warnings)
+    assert "the motion is irregular at 39.4" in " ".join(bench_run.warnings)
 
 
 def test_noise_is_measured_with_settled_sensors() -> None:

@@ -51,7 +51,8 @@ def check(case: Case, kind: str) -> list[CheckResult]:
     tolerances = [getattr(channel.accelerometer, "sensitivity_tolerance", None) for channel in case.scene.channels]
     name = "modes" if kind == LINEAR_BACKBONE else "orbits" if any(tolerances) else EXACT_SENSORS
     if not points:
-        return [CheckResult(name, kind, "refused", note="; ".join(case.warnings) or "no point settled"), *turns]
+        reason = f"{len(found)} points without orbit or interval" if found else "no point settled"
+        return [CheckResult(name, kind, "refused", note="; ".join([reason, *case.warnings])), *turns]
     measured, bound, exact, scale = np.array(points).T
     error = abs(measured - exact)
     inside = error <= bound

@@ -30,7 +30,7 @@ Table = Annotated[Path, "FILE: CSV table of results. Points in this table are no
 
 @app.command(
     example="analysis frf sweep.mcap --response body3",
-    options="--response CHANNEL --reference --motion QUANTITY --estimator --block S --overlap SHARE --window NAME "
+    options="--response CHANNEL --reference --motion QUANTITY --estimator --block S --overlap FRACTION --window NAME "
     "--unit UNIT",
 )
 def frf(

@@ -83,7 +83,7 @@ def _detection_lines(recording: Recording, scene: Scene) -> Iterator[str]:
         settled_s = sum((dwell.stop - dwell.first_sample) / recording.rate for dwell in dwells)
         yield (
             f"{len(dwells)} dwell{'s' if len(dwells) > 1 else ''} detected, {min(frequencies):.6g} to "
-            f"{max(frequencies):.6g} Hz; settled, and measured, for {settled_s:.4g} of {total_s:.4g} s"
+            f"{max(frequencies):.6g} Hz; in steady state, and measured, for {settled_s:.4g} of {total_s:.4g} s"
         )
         unsettled_count = sum(not dwell.fields["settled"] for dwell in dwells)
         if unsettled_count:

@@ -87,7 +87,7 @@ def present_continuation(
     def evaluate(rec: Recording) -> AmplitudeCurve:
         result = continuation(rec)
         exact[:] = exact_branches(rec, result) if theory else []
-        remedy = "Raise test.settle.longest, or give a smaller test.step."
+        remedy = "Increase test.settle.longest, or reduce test.step."
         warnings.extend(with_recording_name(rec.path, [f"{text}. {remedy}" for text in result.omissions()]))
         return result
 

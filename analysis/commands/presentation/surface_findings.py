@@ -38,8 +38,8 @@ def present_surface(
         else:
             result.draw(axes)
             sensors = "The tolerances of the sensors are common to all points of a level."
-            slope = "Bars: 95 % intervals of the force at the stated amplitude, whose uncertainty counts by the slope"
-            add_legend_below(figure, f"{slope} of the force over the amplitude. {sensors}")
+            bars = "Bars: 95 % intervals of the force, which include the uncertainty of the amplitude"
+            add_legend_below(figure, f"{bars} times the slope of the curve. {sensors}")
 
     title = "Response at constant force" if forces else "Force at constant amplitude"
     return present_each(

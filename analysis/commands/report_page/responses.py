@@ -479,8 +479,8 @@ def damper_charts(measurement: Measurement) -> list[Chart]:
     return [
         Chart(
             f"“{measurement.label}” ({excitation_text(measurement.rec)}): impacts per period on floor and ceiling "
-            "(gaps: no regular pattern; 0: none above the detection limit), and share of the supplied energy that the "
-            "dampers dissipate (95 %).",
+            "(gaps: no regular pattern; 0: none above the detection limit), and percentage of the supplied energy that "
+            "the dampers dissipate (95 %).",
             f"Damper impacts per period against frequency, {band.min():.4g} to {band.max():.4g} Hz.",
             panels,
             logarithmic=needs_logarithmic_axis(band),

@@ -89,9 +89,7 @@ def best_linear_approximation(
         progress(len(markers), len(markers))
     complete = [spectra for realization in realizations for spectra in realization]
     if not complete:
-        raise RecordingError(
-            f"{rec.path}: no realization has two periods without faults. {' '.join(notes)} Record again."
-        )
+        raise RecordingError(f"{rec.path}: no realization has two usable periods. {' '.join(notes)} Record again.")
     count, frequency = len(realizations), complete[0].frequency
     input_weights = np.stack([each.row(rec, names, frequency) for each in inputs])
     means, noises, transients, gains = [], [], [], []

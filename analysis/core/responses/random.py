@@ -112,7 +112,7 @@ def averaged_spectra(
     elif has_leakage:
         notes.append(
             f"{format_percent(averaged.end_ratio)} of the response to a burst remains when the next begins, so the "
-            "curve has leakage. Use longer blocks, a smaller share of force in each block (test.burst), multisine or "
+            "curve has leakage. Use longer blocks, a shorter burst in each block (test.burst), multisine or "
             "stepped sine."
         )
     rounding_gain_error = noise_gain_error(power_in_counts(rec, channels, averaged.mean_squares))

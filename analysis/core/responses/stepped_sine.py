@@ -232,7 +232,7 @@ def _notes(sweep_name: str, points: list[_Point], omissions: list[_Omission]) ->
         frequencies = format_frequencies([point.tone.frequency for point in points], unsteady)
         notes.append(
             f"{prefix}No steady state at {frequencies}: these points are marked. Increase test.settle.longest of a "
-            "stepped sine, or choose another level."
+            "stepped sine, or lower the level."
         )
     return notes
 

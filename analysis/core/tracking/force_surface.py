@@ -201,7 +201,9 @@ def force_surface(rec: Recording) -> ForceSurface:
         parts.append([column[motion.settled] for column in columns])
     frequency, amplitude, stiffness, force, relative = map(np.concatenate, zip(*parts, strict=True))
     if not frequency.size:
-        raise RecordingError(f"{rec.path}: no point reached steady state. Raise test.settle.longest, and record again.")
+        raise RecordingError(
+            f"{rec.path}: no point reached steady state. Increase test.settle.longest, and record again."
+        )
     slope = largest_slopes(frequency, amplitude, force)
     shaker = rec.scene.driven_shaker
     if shaker is None or not shaker.drive_is_force:

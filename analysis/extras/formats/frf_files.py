@@ -60,7 +60,7 @@ _MIN_SPACING_RATIO = 1e-9
 _IMPORT = "If the file contains time histories, make a recording of it with `daq import`."
 # Beginning of the names of columns without a heading.
 _NO_NAME = UNNAMED.format("")
-_NO_SYSTEMATIC_ERRORS = "The file states no systematic errors: the uncertainties include only the scatter."
+_NO_SYSTEMATIC_ERRORS = "The file states no systematic errors: the uncertainties include only random errors (type A)."
 # Components of a response by the first letter of their names.
 _COMPONENTS = {
     "r": "real", "i": "imag", "m": "magnitude", "a": "magnitude", "b": "magnitude", "p": "phase",

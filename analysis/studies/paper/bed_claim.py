@@ -224,7 +224,7 @@ def _describe_contact(beds: Columns, contacts: Columns) -> str:
     return (
         "Single-mass model with contacts of finite duration, fitted to the beds below a ceiling at "
         f"{len(deviations)} operating points: contact duration {1e3 * contact.duration:g} ms, restitution "
-        f"{contact.restitution:g}, moving share of the bed {100 * contact.share:g} %. The compliance agrees with "
+        f"{contact.restitution:g}, moving fraction of the bed {100 * contact.share:g} %. The compliance agrees with "
         f"grains within {100 * GOOD_DEVIATION:g} % at {_count_within(deviations, GOOD_DEVIATION)} of these points, "
         f"and within {100 * MAX_DEVIATION:g} % at {_count_within(deviations, MAX_DEVIATION)}. With instantaneous "
         f"contact, it agrees at {_count_within(instantaneous[has_ceiling], GOOD_DEVIATION)} and "

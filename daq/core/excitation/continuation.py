@@ -153,8 +153,8 @@ class _Curve:
             if limitation := self._limitation():
                 raise Lost(limitation)
         raise Lost(
-            f"no motion that repeats within {test.settle.longest:g} s from {test.from_:.5g} to {frequency:.5g} Hz. "
-            "Start farther from the resonance, or raise test.settle.longest"
+            f"no periodic motion within {test.settle.longest:g} s from {test.from_:.5g} to {frequency:.5g} Hz. "
+            "Start farther from the resonance, or increase test.settle.longest"
         )
 
     @property

@@ -118,8 +118,8 @@ class MultisineProcedure(Procedure["Multisine"]):
                 if not settled:
                     max_wait_s = _max_wait(station, period) / station.rate
                     station.warn(
-                        f"{message}: the response did not become periodic within {max_wait_s:g} s. These periods are "
-                        "marked as not settled. Lower the level, or increase test.settle.longest."
+                        f"{message}: the response did not become periodic within {max_wait_s:g} s. The periods of this "
+                        "realization are marked as not settled. Lower the level, or increase test.settle.longest."
                     )
                 first, n_experiments = station.now, test.realisations * len(shakers)
                 for period_index in range(test.periods):

@@ -80,8 +80,8 @@ def excite(station: Station, test: SteppedTest, tone: SteadyTone) -> Generator[A
     if unsettled:
         station.warn(
             f"{len(unsettled)} of {total} dwells did not reach steady state at the required level within "
-            f"{test.settle.longest:g} s ({listed(unsettled)}). Their points are marked; raise test.settle.longest to "
-            "wait longer."
+            f"{test.settle.longest:g} s ({listed(unsettled)}). Their points are marked; increase "
+            "test.settle.longest to wait longer."
         )
     station.report(1.0, "done")
     return total - len(unsettled) - len(limited)

@@ -163,7 +163,7 @@ class Foresight(Result):
         limited = [entry for entry in self.expectations if np.isfinite(entry.limit)]
         ax.barh([entry.name for entry in limited], [100.0 * entry.share for entry in limited], **style)
         ax.axvline(100.0, color="black", lw=0.8)
-        ax.set(xlabel="share of the limit / %")
+        ax.set(xlabel="largest value relative to its limit / %")
 
     def __str__(self) -> str:
         header = ("", "largest", "at", "limit", "of limit", "lowest signal-to-noise ratio")

@@ -57,7 +57,7 @@ def mass_limit(budget: float | str | None, scene: Scene) -> float:
         return parse(budget, RATIO) * total_mass(scene)
     except ValueError:
         raise SceneError(
-            f"budget: got {budget[:60]}; expected a mass such as '50 g', or a share such as '5 %'"
+            f"budget: got {budget[:60]}; expected a mass such as '50 g', or a percentage such as '5 %'"
         ) from None
 
 

@@ -33,8 +33,7 @@ _BENCH_SCENE = "Scene of the rig. Default: environment variable SHOTRIG_SCENE, o
 
 BenchScene = Annotated[str | None, f"[SCENE]: {_BENCH_SCENE}"]
 Clock = Annotated[
-    str | None,
-    "real|fast: Run in real time or as fast as possible. Default: SHOTRIG_CLOCK (environment), or real.",
+    str | None, "real|fast: Run in real time or as fast as possible. Default: SHOTRIG_CLOCK (environment), or real."
 ]
 Replace = Annotated[bool, "Replace the file if it exists."]
 
@@ -260,8 +259,7 @@ def bench_in_the_browser(
     scene: BenchScene = None,
     changes: Changes = None,
     output: Annotated[
-        Path | None,
-        "FILE: First recording; further recordings are numbered. Default: recordings/SCENE-bench.mcap.",
+        Path | None, "FILE: First recording; further recordings are numbered. Default: recordings/SCENE-bench.mcap."
     ] = None,
     overwrite: Replace = False,
     *,

@@ -23,8 +23,7 @@ Folder = Annotated[Path, "DIR: Folder for the figure and the table."]
 @app.command(example="rig scenes --copy fig9 mine.yaml")
 def scenes(
     show: Annotated[
-        str | None,
-        typer.Argument(metavar="[NAME]", help="Scene whose file to print.", autocompletion=completions),
+        str | None, typer.Argument(metavar="[NAME]", help="Scene whose file to print.", autocompletion=completions)
     ] = None,
     copy: Annotated[
         tuple[str, Path] | None,

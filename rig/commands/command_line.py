@@ -49,12 +49,7 @@ def create_application(help_text: str) -> Application:
 
     from rig.commands.command_help import Application
 
-    app = Application(
-        help=help_text,
-        no_args_is_help=True,
-        pretty_exceptions_enable=False,
-        rich_markup_mode=None,
-    )
+    app = Application(help=help_text, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
 
     def print_version(requested: bool) -> None:
         if requested:

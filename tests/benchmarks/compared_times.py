@@ -144,12 +144,7 @@ def main(arguments: list[str]) -> None:
     """Print the times, and write them into a JSON file."""
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(Path.cwd()), os.environ.get("PYTHONPATH")]))
     seconds = {}
-    for measure in (
-        command_startups,
-        engine_periods,
-        complete_tests,
-        *(() if "--quick" in arguments else (analyses,)),
-    ):
+    for measure in (command_startups, engine_periods, complete_tests, *(() if "--quick" in arguments else (analyses,))):
         for compared in measure():
             print(compared, flush=True)
             seconds[compared.name] = compared.seconds

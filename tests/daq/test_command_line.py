@@ -31,8 +31,7 @@ def test_error_of_ineffective_or_invalid_option_names_option(command, message):
 
 
 @pytest.mark.parametrize(
-    "command",
-    ["record fig9 -o a.csv", "import x.csv --scene fig9 -o a.UFF", "recover a.mcap -o a.npz"],
+    "command", ["record fig9 -o a.csv", "import x.csv --scene fig9 -o a.UFF", "recover a.mcap -o a.npz"]
 )
 def test_recording_with_other_extension_is_rejected(command):
     result = CliRunner().invoke(app, command.split())

@@ -51,10 +51,7 @@ def draw_close_modes(seed: int, number: int, kind: str) -> rig.Scene:
             "also": [2],
         },
     }  # fmt: skip
-    excitation: Settings = {
-        "shaker": {"kind": "force", "body": 1},
-        "forces": [{"name": "force", "at": "shaker"}],
-    }
+    excitation: Settings = {"shaker": {"kind": "force", "body": 1}, "forces": [{"name": "force", "at": "shaker"}]}
     if kind == TWO_SHAKERS:
         excitation = {
             "shaker": [{"kind": "force", "body": 1}, {"kind": "force", "body": 2}],
@@ -72,10 +69,7 @@ def draw_close_modes(seed: int, number: int, kind: str) -> rig.Scene:
         },
         "shaker": excitation["shaker"],
         "test": {**tests.get(kind, tests[STEPPED]), **band, "force": random.log_uniform(0.5, 3.0)},
-        "channels": [
-            *({"name": f"a{body}", "at": f"body {body}", **sensor} for body in (1, 2)),
-            *excitation["forces"],
-        ],
+        "channels": [*({"name": f"a{body}", "at": f"body {body}", **sensor} for body in (1, 2)), *excitation["forces"]],
         "converter": {"rate": instrument_random.choice([1024.0, 2048.0]), "bits": 24, "range": 10.0},
         "recording": {"display": False},
         "seed": random.integer(1, 10**6),

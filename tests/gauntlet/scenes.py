@@ -192,11 +192,7 @@ def _shaker(random: Draw, chain: Settings, bodies: int, kind: str) -> Settings:
     shaker_kind = random.choice(["force", "table", "electrodynamic"])
     if shaker_kind == "force" or kind == "swept_sine_dampers":
         return {"kind": "force", "body": body}
-    return {
-        "kind": shaker_kind,
-        "body": body,
-        "spring": round(chain["springs"][0] * random.uniform(0.1, 0.6), 1),
-    }
+    return {"kind": shaker_kind, "body": body, "spring": round(chain["springs"][0] * random.uniform(0.1, 0.6), 1)}
 
 
 def _test(random: Draw, test: str, natural_frequencies: list[float], bodies: int, settings: Settings) -> Settings:

@@ -7,14 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.core.base.escaping import (
-    code_fence,
-    escape_cell,
-    escape_html,
-    escape_markdown,
-    escape_terminal,
-    unescape_cell,
-)
+from rig.core.base.escaping import code_fence, escape_cell, escape_html, escape_markdown, escape_terminal, unescape_cell
 
 
 @given(st.text())

@@ -14,13 +14,7 @@ from distributed import LocalCluster
 
 from rig.core.base.errors import RunError, SceneError
 from rig.core.base.workers import Workers, free_cores
-from tests.rig.worker_pieces import (
-    exit_process,
-    log_compilation,
-    sigint_is_ignored,
-    square,
-    wait_forever_unless_zero,
-)
+from tests.rig.worker_pieces import exit_process, log_compilation, sigint_is_ignored, square, wait_forever_unless_zero
 from tests.rig.worker_processes import worker_processes
 
 

@@ -293,8 +293,7 @@ def damage_recording(workspace: Workspace, rng: random.Random) -> tuple[CommandR
     (folder / "r.mcap").write_bytes(recordings.damage(workspace.undamaged(number).read_bytes(), rng))
     shutil.copy(workspace.undamaged(number), folder / "f.mcap")
     words = _reading_command(
-        rng,
-        (READING_COMMANDS[0], READING_COMMANDS[2], READING_COMMANDS[2], READING_COMMANDS[2], *READING_COMMANDS[1:]),
+        rng, (READING_COMMANDS[0], READING_COMMANDS[2], READING_COMMANDS[2], READING_COMMANDS[2], *READING_COMMANDS[1:])
     )
     result = run(words, folder)
     faults = workspace.recording_faults(folder / "f.mcap", number) if (folder / "f.mcap").exists() else ["file lost"]

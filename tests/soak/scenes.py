@@ -206,10 +206,7 @@ VALID_SCENES: tuple[dict[str, Any], ...] = (
             "force": ["1 N"],
         },
     },
-    {
-        **_FORCED,
-        "test": {"kind": "continuation", "from": "51 Hz", "to": "49.5 Hz", "at": "body 1", "force": ["1 N"]},
-    },
+    {**_FORCED, "test": {"kind": "continuation", "from": "51 Hz", "to": "49.5 Hz", "at": "body 1", "force": ["1 N"]}},
 )
 # Scenes with recordings that are damaged, or whose recording is interrupted: all kinds of procedures.
 RECORDED_SCENES = (0, 1, 3, *range(6, len(VALID_SCENES)))

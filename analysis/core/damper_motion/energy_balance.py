@@ -99,11 +99,7 @@ def energy_per_period(rec: Recording, sweep: Sweep) -> EnergyBalance:
 
 
 def _expanded(
-    rec: Recording,
-    sweep: Sweep,
-    gradients: list[ComplexArray],
-    compliance: ComplexArray,
-    force_shares: ComplexArray,
+    rec: Recording, sweep: Sweep, gradients: list[ComplexArray], compliance: ComplexArray, force_shares: ComplexArray
 ) -> Array:
     """Return the expanded uncertainty of the energy from the scatter and all limits of error.
 

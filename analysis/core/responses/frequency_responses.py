@@ -9,11 +9,7 @@ from analysis.core.responses.checks.dead_channels import dead_channel_warnings
 from analysis.core.responses.checks.tone_steps import sweep_warnings
 from analysis.core.responses.driven_forces import relative_forces, strong_forces, weak_force_warnings
 from analysis.core.responses.estimator import Blocks, Request, estimator_of
-from analysis.core.responses.measurands import (
-    default_reference,
-    required_channels,
-    select_channels,
-)
+from analysis.core.responses.measurands import default_reference, required_channels, select_channels
 from daq.core.recording.markers import describe_faulty_impacts
 from daq.core.recording.recorded_test import TestKind
 from daq.core.recording.recording import Recording

@@ -117,10 +117,7 @@ class Backbone(Result):
             "natural frequency / Hz": (self.natural_frequency, self.natural_frequency_expanded),
             "damping ratio / %": (100.0 * self.damping, 100.0 * self.damping_expanded),
             "excitation frequency / Hz": (self.frequency, self.frequency_expanded),
-            "phase deviation / °": (
-                np.degrees(abs(self.phase_deviation)),
-                np.degrees(self.phase_deviation_expanded),
-            ),
+            "phase deviation / °": (np.degrees(abs(self.phase_deviation)), np.degrees(self.phase_deviation_expanded)),
             f"amplitude of {self.body} / mm": (1e3 * self.amplitude, 1e3 * self.amplitude_expanded),
         }
         points = []

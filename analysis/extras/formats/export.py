@@ -186,11 +186,7 @@ def kind_of(path: Path) -> str:
 
 
 def export(
-    segment: Slice,
-    path: Path,
-    speed: float = 1.0,
-    overwrite: bool = False,
-    progress: CountProgress | None = None,
+    segment: Slice, path: Path, speed: float = 1.0, overwrite: bool = False, progress: CountProgress | None = None
 ) -> list[str]:
     """Write a segment of a recording in the format of the file name extension; return messages for the user.
 

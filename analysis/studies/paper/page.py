@@ -60,10 +60,7 @@ def write_pages(folder: Path, assessed: Sequence[Claim], parts: Parts) -> list[P
     beyond = beyond_the_paper(parts)
     page = Template((files("analysis.studies.paper") / "page.html").read_text(encoding="utf-8"))
     written = []
-    texts = (
-        _markdown(assessed, beyond),
-        page.substitute(title=escape_html(TITLE), body=_html(assessed, beyond)),
-    )
+    texts = (_markdown(assessed, beyond), page.substitute(title=escape_html(TITLE), body=_html(assessed, beyond)))
     for target, text in zip(pages(folder), texts, strict=True):
         with atomic_write(target) as temporary:
             temporary.write_text(text, encoding="utf-8")

@@ -155,12 +155,7 @@ class ChunkedFile:
         return len(channels)
 
     def _write_chunk(
-        self,
-        content: bytes,
-        compressor: Compressor,
-        entries: Mapping[int, Sequence[bytes]],
-        earliest: int,
-        latest: int,
+        self, content: bytes, compressor: Compressor, entries: Mapping[int, Sequence[bytes]], earliest: int, latest: int
     ) -> None:
         """Compress and write the records of a chunk, and the message index of each of its channels.
 

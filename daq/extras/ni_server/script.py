@@ -23,10 +23,7 @@ CTRL_C_EXIT = 0xC000013A
 
 
 def run_script(
-    path: str | Path,
-    arguments: Sequence[str] = (),
-    scene: Scene | str | None = None,
-    clock: str | None = None,
+    path: str | Path, arguments: Sequence[str] = (), scene: Scene | str | None = None, clock: str | None = None
 ) -> int:
     """Run a Python script in a separate process, with the rig as its hardware.
 

@@ -13,24 +13,14 @@ from functools import cache, cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    GetJsonSchemaHandler,
-    ValidationError,
-    model_validator,
-)
+from pydantic import BaseModel, ConfigDict, GetJsonSchemaHandler, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema
 
 from rig.core.base.errors import SceneError, suggestion
 from rig.core.settings.problems import KeyPath, Problem, combined_error, describe, message_of, problems_of
 from rig.core.settings.quantities import Kind, expected_quantity, parse
-from rig.core.settings.quantity_field import (
-    Quantity,
-    quantity_of,
-    unexpected_value_message,
-)
+from rig.core.settings.quantity_field import Quantity, quantity_of, unexpected_value_message
 
 if TYPE_CHECKING:
     _Model = BaseModel

@@ -120,12 +120,7 @@ def _quadratic(form: Array, states: Array) -> Array:
 
 
 def energy_balance(
-    tables: FlowTables,
-    start: State,
-    end: State,
-    trajectory: Trajectory,
-    segment_states: Array,
-    durations: Array,
+    tables: FlowTables, start: State, end: State, trajectory: Trajectory, segment_states: Array, durations: Array
 ) -> Energy:
     """Compute the energy balance of a simulated motion.
 

@@ -26,12 +26,7 @@ def propagator(scene: Scene, interval: float) -> tuple[CoupledPropagator, int]:
 
 
 def simulate(
-    scene: Scene,
-    drive: ToneDrive | Array,
-    samples: int,
-    rate: float,
-    keep: Path | None,
-    progress: CountProgress | None,
+    scene: Scene, drive: ToneDrive | Array, samples: int, rate: float, keep: Path | None, progress: CountProgress | None
 ) -> Run:
     """Simulate beds of grains, starting from the checkpoint if it exists."""
     tone = (drive.frequency, drive.amplitudes.tolist()) if isinstance(drive, ToneDrive) else None

@@ -29,12 +29,7 @@ from analysis.commands.report_page.drawing import mode_drawing, rig_drawing
 from analysis.commands.report_page.histories import time_histories
 from analysis.commands.report_page.measurements import Measurements, SweepChange, highest_peak
 from analysis.commands.report_page.report import page_title, write_report
-from analysis.commands.report_page.responses import (
-    force_charts,
-    response_chart,
-    response_charts,
-    stabilization_charts,
-)
+from analysis.commands.report_page.responses import force_charts, response_chart, response_charts, stabilization_charts
 from analysis.commands.report_page.summary import limitations, summarize
 from analysis.commands.report_page.tables import changes_table, resonances
 from analysis.commands.report_page.tables import test_sentence as sentence_of
@@ -542,11 +537,7 @@ def test_names_in_tables_are_no_formulas(tmp_path: Path) -> None:
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     ("values", "expected"),
-    [
-        ([11.5, 14.0], ["10", "12", "14", "16"]),
-        ([22.0, 22.0], ["20", "22", "24"]),
-        ([1.0, 500.0], ["1", "10", "100"]),
-    ],
+    [([11.5, 14.0], ["10", "12", "14", "16"]), ([22.0, 22.0], ["20", "22", "24"]), ([1.0, 500.0], ["1", "10", "100"])],
 )
 def test_logarithmic_axis_has_labels(values: list[float], expected: list[str], tmp_path: Path) -> None:
     panel = Panel("bound", "%", [Curve("curve", [1.0, 2.0], values)], logarithmic=True)

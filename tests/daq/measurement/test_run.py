@@ -43,9 +43,7 @@ def limited_scene(**limits: str) -> rig.Scene:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
-    "scene",
-    [hit_scene(), steps_scene(), hit_scene(recording={"truth": True})],
-    ids=["hit", "steps", "truth"],
+    "scene", [hit_scene(), steps_scene(), hit_scene(recording={"truth": True})], ids=["hit", "steps", "truth"]
 )
 def test_block_size_does_not_change_file(scene: rig.Scene, tmp_path: Path) -> None:
     files = [

@@ -20,14 +20,7 @@ from rig.studies.cost.cost import Cost
 from rig.studies.cost.first_order_form import SAMPLES_PER_PERIOD, FirstOrderForm
 from rig.studies.cost.high_precision import ExactOrbit, exact_motion, exact_orbit
 from rig.studies.cost.moreau_jean import moreau_jean
-from rig.studies.cost.motion_study import (
-    MotionStudy,
-    Point,
-    _compiled,
-    default_frequency,
-    failure_reason,
-    motion_study,
-)
+from rig.studies.cost.motion_study import MotionStudy, Point, _compiled, default_frequency, failure_reason, motion_study
 from rig.studies.cost.steady_study import SteadyStudy, _approximate, steady_study
 from tests.rig.engine.exact import Segment
 

@@ -138,9 +138,7 @@ class SharedErrors:
     def select(self, elements: Sequence[int]) -> SharedErrors:
         """Return a copy with only the selected elements of the response matrix."""
         return replace(
-            self,
-            elements=tuple(self.elements[k] for k in elements),
-            factors=tuple(self.factors[k] for k in elements),
+            self, elements=tuple(self.elements[k] for k in elements), factors=tuple(self.factors[k] for k in elements)
         )
 
     def scaled(self, factor: ComplexArray) -> SharedErrors:

@@ -109,12 +109,9 @@ class Measurement:
     def settings_of_sensitivity(self, volts_per_unit: float) -> dict[str, Any]:
         """Return the settings for a sensitivity in V per SI unit, in the units of data sheets: V/g, mV/N, mV/Pa."""
         # Factor from V per SI unit, and NI's number of the unit; the unit of a microphone's sensitivity is fixed.
-        factor, units = {
-            ACCELERATION: (_G, 12510),
-            FORCE: (1e3, 15891),
-            VELOCITY: (1.0, 15963),
-            MICROPHONE: (1e3, 0),
-        }[self.type]
+        factor, units = {ACCELERATION: (_G, 12510), FORCE: (1e3, 15891), VELOCITY: (1.0, 15963), MICROPHONE: (1e3, 0)}[
+            self.type
+        ]
         settings = {self.sensitivity_setting: volts_per_unit * factor}
         return settings | ({f"{self.sensitivity_setting}_units": units} if units else {})
 

@@ -101,8 +101,7 @@ class TaskSettings:
         ports = [parse_port(terminal) for terminal in unflatten(physical_channels)]
         if not ports:
             raise DaqError(
-                "no physical channel was given. Give a name such as cDAQ1Mod1/ai0:3.",
-                Code.PHYSICAL_CHAN_DOES_NOT_EXIST,
+                "no physical channel was given. Give a name such as cDAQ1Mod1/ai0:3.", Code.PHYSICAL_CHAN_DOES_NOT_EXIST
             )
         if self.direction not in ("", direction):
             raise DaqError(

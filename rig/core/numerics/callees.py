@@ -18,45 +18,12 @@ import numba
 from numba.core import types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
-from numba.core.datamodel.manager import DataModelManager
-from numba.core.datamodel.models import DataModel, TupleModel, UniTupleModel
-from numba.core.datamodel.registry import default_manager
 
 from rig.core.base.ending_signals import delayed_interrupt
 from rig.core.numerics.code_cache import CodeCache
 
 # If numba lacks these internals, the import fails with AttributeError, and `rig.core.numerics.jit` uses public options.
 getattr(JITCodeLibrary, "_optimize_final_module")  # noqa: B009
-
-
-class _OneArgument(DataModel):
-    """Model of a value that is passed to a function as one value of LLVM.
-
-    numba passes each pointer and length of all arrays of a named tuple separately: in the calls of the engine, half of
-    all instructions only took named tuples apart and put them together again.
-    """
-
-    def get_argument_type(self) -> Any:
-        return self.get_value_type()
-
-    def as_argument(self, builder: Any, value: Any) -> Any:
-        return value
-
-    def from_argument(self, builder: Any, value: Any) -> Any:
-        return value
-
-
-class _NamedTupleModel(_OneArgument, TupleModel):
-    """Model of a named tuple."""
-
-
-class _NamedUniTupleModel(_OneArgument, UniTupleModel):
-    """Model of a named tuple whose elements have the same type."""
-
-
-_MODELS = DataModelManager().chain(default_manager)
-_MODELS.register(types.NamedTuple, _NamedTupleModel)
-_MODELS.register(types.NamedUniTuple, _NamedUniTupleModel)
 
 
 class _EntryLibrary(JITCodeLibrary):
@@ -77,7 +44,6 @@ class _EntryCompiler(Compiler):
     """Compiler of entries."""
 
     def define_pipelines(self) -> Any:
-        self.state.targetctx.data_model_manager = _MODELS
         self.state.library = _EntryLibrary(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
         self.state.library.enable_object_caching()
         return super().define_pipelines()
@@ -97,7 +63,6 @@ class _CalleeCompiler(Compiler):
 
     def define_pipelines(self) -> Any:
         state, flags = self.state, self.state.flags
-        state.targetctx.data_model_manager = _MODELS
         flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
         state.library = _CalleeLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
         return super().define_pipelines()

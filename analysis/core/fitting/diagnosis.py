@@ -128,7 +128,7 @@ def find_cause(problem: Problem, x: Array) -> tuple[bool, str]:
         sensor.name
         for sensor in _sensors(linear_curves)
         if _has_enough_responses(remaining := _omit_sensor(linear_curves, sensor))
-        and _start(uncorrected, remaining).solved().fits
+        and _solve_from_both(uncorrected, remaining).fits
     ]
     if len(contradicting) == 1:
         return True, (
@@ -237,7 +237,7 @@ def _try_channels(uncorrected: _Refit, linear_curves: list[Curves]) -> _Explanat
     force_sensors = {curves.reference_sensor for curves in linear_curves if curves.reference == "force"}
     for sensor in (*references, *_sensors(linear_curves)):
         remaining = [] if sensor in references else _omit_sensor(linear_curves, sensor)
-        others = _start(uncorrected, remaining).solved() if _has_enough_responses(remaining) else None
+        others = _solve_from_both(uncorrected, remaining) if _has_enough_responses(remaining) else None
         starts = []
         for mistake in _mistakes(sensor in force_sensors):
             corrected = _corrected(linear_curves, sensor, mistake)
@@ -494,6 +494,16 @@ def _start(uncorrected: _Refit, curves: list[Curves]) -> _Refit:
     """Return initial values of the structure from the modes of curves, or from the uncorrected fit if better."""
     restarted = uncorrected.with_curves(curves)
     return min(_start_from_modes(restarted.problem), restarted, key=lambda start: start.cost)
+
+
+def _solve_from_both(uncorrected: _Refit, curves: list[Curves]) -> _Refit:
+    """Return the better fit of those from the modes of curves and from the uncorrected fit.
+
+    The uncorrected fit may have the smaller initial cost and yet lead to a local minimum.
+    """
+    restarted = uncorrected.with_curves(curves)
+    fits = (start.solved() for start in (_start_from_modes(restarted.problem), restarted))
+    return min(fits, key=attrgetter("square"))
 
 
 def _start_from_modes(problem: Problem) -> _Refit:

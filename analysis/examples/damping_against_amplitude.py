@@ -33,7 +33,8 @@ for decay, color in zip(decays, colors, strict=True):
     for number, mode in enumerate(sorted(decay.modes, key=lambda mode: mode.frequency)):
         axes = panels[number]
         axes.semilogx(mode.amplitude, 100.0 * mode.damping, "o-", color=color, label=decay.label)
-        axes.set(ylabel=f"ζ of mode {number + 1} / %", ylim=(0.0, 5.0))
+        axes.set(ylabel="ζ / %", ylim=(0.0, 5.0))
+        axes.text(0.98, 0.75, f"mode {number + 1}", ha="right", transform=axes.transAxes)
 panels[-1].set(xlabel="amplitude / (m/s²)")
 panels[0].legend(loc="upper left")
 print(

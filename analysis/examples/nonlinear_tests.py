@@ -34,7 +34,7 @@ axes = plt.subplots(layout="constrained")[1]
 for number, branch in enumerate(orbits.branches):
     amplitude = abs(branch.frf[0]) * [orbit.reference_amplitude for orbit in branch.orbits]
     axes.plot(branch.value, 1e3 * amplitude, "#777777", lw=0.9, zorder=1, label=None if number else "exact orbits")
-curve.draw(axes)
+axes.plot(curve.frequency, 1e3 * curve.amplitude, "s", color="#AA4499", ms=3.5, label="measured at 1 N")
 backbone.draw(axes, label="backbone (numbers: force in N)", color="black")
 axes.legend()
 exact = np.concatenate([abs(b.frf[0]) * [orbit.reference_amplitude for orbit in b.orbits] for b in orbits.branches])
@@ -47,7 +47,6 @@ print(f"largest deviation of the {inside.sum()} measured points from exact orbit
 # %%
 # Random vibration of a shaker table with a profile. Where a limited channel would exceed its limit, the drive has a
 # notch.
-# sphinx_gallery_thumbnail_number = 2
 table = rig.load("shaker-table-random", {"test.duration": "30 s"})
 profile = analysis.profile(daq.record(table, "random.mcap", overwrite=True))
 axes = plt.subplots(layout="constrained")[1]

@@ -46,7 +46,7 @@ _MIN_DETERMINED = 0.75
 # A gap of fewer undetermined lines does not end a determined range; it is an antiresonance.
 _ANTIRESONANCE_LINES = 5
 # Height of the strip that marks undetermined points, relative to the axes.
-_STRIP_HEIGHT = 0.015
+_STRIP_HEIGHT = 0.012
 # Curves with more lines than this are drawn without points, which would hide each other.
 MAX_POINTS = 600
 #: Curves with more lines than this are drawn as lines with some of their points: adjacent symbols would touch.
@@ -80,16 +80,16 @@ _LABEL_WIDTH = 0.06
 _MARK_SPACE = 0.13
 _MARKERS = {"circles": "o", "diamonds": "D"}
 _LABEL_COLOR = "#555555"
-# Height of the label of a peak [points].
+# Height of the label of a peak, and its distance from a label beside it [points].
 _LABEL_POINTS = 9.0
+_LABEL_SHIFT = 22.0
 _THEORY_COLOR = "#222222"
-_NOISE_COLOR = "#c4c4c4"
 
 
 class PeakMark(NamedTuple):
     """A marked peak of a curve."""
 
-    symbol: str  # key of `PEAK_SYMBOLS`, or "points" at a point that needs no symbol
+    symbol: str  # key of `PEAK_SYMBOLS`, "points" at a point that needs no symbol, or "undetermined"
     frequency: float  # Hz
     height: float  # in the SI unit of the curve
     peak: Peak
@@ -130,8 +130,8 @@ def frf_figure(
         if not several:
             marked_peaks = _without_hidden_arrows(marked_peaks)
         heights = []
-        for measured, curve_style, marked in zip(frfs, styles, marked_peaks, strict=True):
-            _draw_curve(measured, curve_style, top, marked, magnitude_axes, phase_axes, coherence_axes)
+        for row, (measured, curve_style, marked) in enumerate(zip(frfs, styles, marked_peaks, strict=True)):
+            _draw_curve(measured, curve_style, row, top, marked, magnitude_axes, phase_axes, coherence_axes)
             heights += _draw_marks(marked, measured.shown_in[1], curve_style.color, magnitude_axes)
         for frequency, text in marks:
             magnitude_axes.axvline(frequency, color="#777777", lw=0.8, ls=":")
@@ -156,7 +156,7 @@ def frf_figure(
         magnitude_axes.set_ylim(low_value, max([top_value, *(space * height for height in heights)]))
         colors = [style.color if several else _LABEL_COLOR for style in styles]
         labels = [(mark, color) for marked, color in zip(marked_peaks, colors, strict=True) for mark in marked]
-        _label_peaks(labels, frfs[0].shown_in[1], magnitude_axes)
+        has_rings = _label_peaks(labels, frfs[0].shown_in[1], magnitude_axes)
         name = escape_figure(frfs[0].name)
         magnitude_axes.set_ylabel(f"|{name}| / ({unit})" if "/" in unit else name)
         add_title(magnitude_axes, title)
@@ -178,7 +178,8 @@ def frf_figure(
             )
         figure.align_ylabels([magnitude_axes, phase_axes, coherence_axes])
         symbols = {mark.symbol for marked in marked_peaks for mark in marked}
-        add_legend_below(figure, *remarks, *_caption(frfs, symbols))
+        rings = ["Rings: highest points."] * has_rings
+        add_legend_below(figure, *remarks, *_caption(frfs, symbols), *rings)
         return figure
 
 
@@ -199,12 +200,13 @@ def _caption(frfs: Sequence[Response], symbols: set[str]) -> list[str]:
     """Explain bands and markers in sentences."""
     sentences = []
     causes = visible_systematic_errors(frfs)
-    if any(_is_visible(frf, frf.expanded_random()) for frf in frfs):
+    if has_scatter := any(_is_visible(frf, frf.expanded_random()) for frf in frfs):
         sentences.append("Dark band: scatter (type A, 95 %).")
     elif not causes and any(_has_scatter(frf) for frf in frfs):
         sentences.append("95 % intervals: narrower than the points.")
     if causes:
-        sentences.append(f"Light band: also limits of error (type B): {', '.join(causes)}.")
+        band = "Light band: also limits" if has_scatter else "Band: limits"
+        sentences.append(f"{band} of error (type B): {', '.join(causes)}.")
     if not all(is_determined(frf).all() for frf in frfs):
         text = undetermined_text(frfs)
         sentences.append(f"Pale, with a strip at the axis: undetermined ({text}); phase not shown.")
@@ -213,7 +215,7 @@ def _caption(frfs: Sequence[Response], symbols: set[str]) -> list[str]:
     if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
         sentences.append("Crosses: steady state not reached.")
     if any(frf.frequency.size <= MAX_MARKED and not folds_back(frf.frequency) for frf in frfs):
-        sentences.append("Thin curve: local model through the points, with gaps where they do not determine it.")
+        sentences.append("Thin curve: local model through the points, where they determine it.")
     sentences += [text for symbol, text in PEAK_SYMBOLS.items() if symbol in symbols]
     if any(frf.omitted.size for frf in frfs):
         sentences.append("Gaps with a mark at the axis: omitted frequencies.")
@@ -223,6 +225,7 @@ def _caption(frfs: Sequence[Response], symbols: set[str]) -> list[str]:
 def _draw_curve(
     frf: Response,
     style: CurveStyle,
+    row: int,
     top: float,
     marks: Sequence[PeakMark],
     magnitude_axes: Axes,
@@ -231,7 +234,8 @@ def _draw_curve(
 ) -> None:
     """Draw one measured curve into the three panels: tones as points, with a thin curve where the points resolve it.
 
-    `top`: upper end of the phase axis [degrees]; `marks`: marked peaks, which the thin curve reaches.
+    `row`: position of the curve in the legend; `top`: upper end of the phase axis [degrees]; `marks`: marked peaks,
+    which the thin curve reaches.
     """
     # A downward sweep has larger, open markers, so an upward sweep remains visible where both coincide.
     is_folded = folds_back(frf.frequency)
@@ -276,13 +280,14 @@ def _draw_curve(
     is_unknown = ~is_known & ~np.isnan(magnitude)
     if is_unknown.any():
         magnitude_axes.fill_between(
-            frf.frequency, 0.0, _STRIP_HEIGHT, where=is_unknown, step="mid", color=_NOISE_COLOR, lw=0,
+            frf.frequency, row * _STRIP_HEIGHT, (row + 1) * _STRIP_HEIGHT, where=is_unknown, step="mid",
+            color=faded(color), lw=0,
             transform=magnitude_axes.get_xaxis_transform(),
         )  # fmt: skip
         # One more point at either end makes the line continuous where its color changes to gray.
         noisy = ~is_known | ~np.roll(is_known, 1) | ~np.roll(is_known, -1)
         magnitude_axes.plot(frf.frequency, np.where(noisy, magnitude, np.nan), color=faded(color), lw=0.7, zorder=2)
-    if not points["marker"]:
+    if frf.frequency.size > MAX_MARKED:
         # Lines close together are also joined where noise prevents interpolation.
         is_joined = np.isfinite(center) | np.isin(drawn, frf.frequency)
         drawn, center = drawn[is_joined], center[is_joined]
@@ -323,8 +328,7 @@ def folds_back(frequency: Array) -> bool:
 def peak_marks(frf: Response, resonances: Iterable[tuple[Resonance, Peak]]) -> list[PeakMark]:
     """Return the peaks of a curve with their symbols: between its points, and those that may be higher than its points.
 
-    Peaks in an undetermined or rough range, and at an end of the band, are not marked. `resonances`: from
-    `resonance_peaks`.
+    Peaks in a rough range, and at an end of the band, are not marked. `resonances`: from `resonance_peaks`.
     """
     if frf.resolution > 0.0 or frf.reference != "force" or folds_back(frf.frequency):
         return []
@@ -332,9 +336,12 @@ def peak_marks(frf: Response, resonances: Iterable[tuple[Resonance, Peak]]) -> l
     marks: list[PeakMark] = []
     for resonance, peak in resonances:
         line = resonance.line
-        if peak.at_end or frf.frequency[line] not in smooth or not is_known[line]:
+        if peak.at_end or frf.frequency[line] not in smooth:
             continue
         point, line_frequency = float(abs(frf.value[line])), float(frf.frequency[line])
+        if not is_known[line]:
+            marks.append(PeakMark("undetermined", line_frequency, point, peak))
+            continue
         if not peak.is_determined:
             marks.append(PeakMark("arrows", line_frequency, point, peak))
             continue
@@ -376,59 +383,79 @@ def _draw_marks(marks: Iterable[PeakMark], factor: float, color: str, axes: Axes
             axes.plot(frequency, factor * height, _MARKERS[symbol], **style)
         elif symbol == "arrows":
             axes.annotate(
-                "", (frequency, factor * height), xytext=(0, 17), textcoords="offset points",
-                arrowprops={"arrowstyle": "<-", "color": color, "lw": 1.0, "shrinkB": 1}, zorder=5,
+                "", (frequency, factor * height), xytext=(0, 20), textcoords="offset points",
+                arrowprops={"arrowstyle": "<-", "color": color, "lw": 1.0, "shrinkB": 4}, zorder=5,
             )  # fmt: skip
     return heights
 
 
-def _label_peaks(marks: Sequence[tuple[PeakMark, str]], factor: float, axes: Axes) -> None:
-    """Write the frequency above each peak, or above the highest of the peaks around it if it would hide curves.
+def _label_peaks(marks: Sequence[tuple[PeakMark, str]], factor: float, axes: Axes) -> bool:
+    """Write the frequency of each peak where it hides no curve, or beside the label of a higher peak with a line to it.
 
     `marks`: peaks with the colors of their labels; of several curves with the same color, the highest is labeled.
+    Returns whether points have rings.
     """
     from matplotlib.patheffects import withStroke
+    from matplotlib.transforms import ScaledTranslation
 
     to_axes = axes.transData + axes.transAxes.inverted()
-    groups: list[tuple[float, PeakMark, list[str]]] = []
+    # Position, peak, colors of the labels, and sides of the labels beside that of the peak.
+    groups: list[tuple[float, PeakMark, list[str], list[float]]] = []
     taken: list[tuple[float, float]] = []
-    for mark, color in sorted(marks, key=lambda pair: (pair[0].symbol not in PEAK_SYMBOLS, -pair[0].height)):
-        position = to_axes.transform((mark.frequency, factor * mark.height))[0]
-        near = [group for group in groups if abs(position - group[0]) <= _LABEL_WIDTH]
-        if mark.symbol not in PEAK_SYMBOLS:
+    has_rings = False
+    for mark, color in sorted(marks, key=lambda pair: (pair[0].symbol == "points", -pair[0].height)):
+        point = mark.frequency, factor * mark.height
+        near = [group for group in groups if abs(to_axes.transform(point)[0] - group[0]) <= _LABEL_WIDTH]
+        is_close = bool(near)
+        if mark.symbol == "points":
             # A peak at a point may be noise; it is labeled near a marked peak, for comparison.
             near += [group for group in groups if abs(mark.frequency / group[1].frequency - 1.0) < MODE_SHIFT]
-            if not near:
-                continue
-        if not near:
-            groups.append((position, mark, []))
+        elif not near:
+            groups.append((to_axes.transform(point)[0], mark, [], []))
             near = groups[-1:]
-        _, highest, labeled = near[0]
-        is_same = abs(mark.frequency / highest.frequency - 1.0) < MODE_SHIFT
-        is_free = _is_free(axes, (mark.frequency, factor * mark.height), taken)
-        if color in labeled or not is_same or not (is_free or abs(position - near[0][0]) <= _LABEL_WIDTH):
+        if not near:
             continue
-        place = mark if is_free else highest
-        position = tuple(axes.transData.transform((place.frequency, factor * place.height)))
-        row = taken.count(position)
-        if mark.symbol not in PEAK_SYMBOLS:
-            axes.plot(mark.frequency, factor * mark.height, "o", mfc="none", mec=color, ms=6.5, mew=0.8, zorder=5)
-        digits = 4 if mark.symbol in _MARKERS else 3
+        _, highest, labeled, beside = near[0]
+        sides = [side for side in ((1.0, -1.0) if labeled else (1.0,)) if _is_free(axes, point, side, taken)]
+        is_same = abs(mark.frequency / highest.frequency - 1.0) < MODE_SHIFT
+        if color in labeled or not is_same or not (sides or is_close or mark is highest):
+            continue
+        base = 22 if mark.symbol == "arrows" else 5
+        vertical: dict[str, Any] = {"va": "bottom"} if not sides or sides[0] > 0.0 else {"va": "top"}
+        offset = (0.0, base if vertical["va"] == "bottom" else -base)
+        style: dict[str, Any] = {"xytext": offset, "textcoords": "offset points", "ha": "center", **vertical}
+        if not sides and mark is not highest:
+            direction = 1.0 if mark.frequency >= highest.frequency else -1.0
+            up = (22 if highest.symbol == "arrows" else 5) + _LABEL_POINTS * beside.count(direction)
+            shift = ScaledTranslation(direction * _LABEL_SHIFT / 72.0, up / 72.0, axes.figure.dpi_scale_trans)
+            style = {"xytext": (highest.frequency, factor * highest.height), "textcoords": axes.transData + shift}
+            style |= {"ha": "left" if direction > 0.0 else "right", "va": "bottom"}
+            style["arrowprops"] = {"arrowstyle": "-", "color": color, "lw": 0.6, "shrinkA": 0, "shrinkB": 3}
+            beside.append(direction)
+        text = "undetermined" if mark.symbol == "undetermined" else f"{mark.frequency:#.{_digits(mark)}g} Hz"
         axes.annotate(
-            f"{mark.frequency:#.{digits}g} Hz", (place.frequency, factor * place.height),
-            xytext=(0, (17 if place.symbol == "arrows" else 5) + _LABEL_POINTS * row),
-            textcoords="offset points", ha="center", fontsize=7.5, color=color, zorder=5,
-            path_effects=[withStroke(linewidth=2.0, foreground="white")],
+            text, point, fontsize=7.5, color=color, zorder=5,
+            path_effects=[withStroke(linewidth=2.0, foreground="white")], **style,
         )  # fmt: skip
-        taken.append(position)
+        if mark.symbol == "points":
+            axes.plot(*point, "o", mfc="none", mec=color, ms=6.5, mew=0.8, zorder=5)
+            has_rings = True
+        x, y = axes.transData.transform(point)
+        taken.append((x, y + (1.0 if vertical["va"] == "bottom" else -1.0) * _LABEL_POINTS * axes.figure.dpi / 72.0))
         labeled.append(color)
+    return has_rings
 
 
-def _is_free(axes: Axes, point: tuple[float, float], taken: Iterable[tuple[float, float]]) -> bool:
-    """Return whether a label above a point would hide no curve, and no label above the points `taken` [pixels]."""
+def _digits(mark: PeakMark) -> int:
+    """Return the significant digits of the frequency of a peak: more if it is interpolated."""
+    return 4 if mark.symbol in _MARKERS else 3
+
+
+def _is_free(axes: Axes, point: tuple[float, float], side: float, taken: Iterable[tuple[float, float]]) -> bool:
+    """Return whether a label above (`side` 1) or below (-1) a point hides no curve and no label at `taken` [pixels]."""
     x, y = axes.transData.transform(point)
     width, height = _LABEL_WIDTH * axes.bbox.width, 2.0 * _LABEL_POINTS * axes.figure.dpi / 72.0
-    if any(abs(x - other) < width and abs(y - level) < height for other, level in taken):
+    if any(abs(x - at) < width and abs(y + 0.5 * side * height - level) < 0.6 * height for at, level in taken):
         return False
     inside = x + np.linspace(-0.5, 0.5, 101) * width
     for line in axes.get_lines():
@@ -436,8 +463,8 @@ def _is_free(axes: Axes, point: tuple[float, float], taken: Iterable[tuple[float
         drawn = drawn[np.isfinite(drawn).all(axis=1)]
         if drawn.shape[0] > 1 and line.get_transform() == axes.transData:
             horizontal, vertical = drawn[np.argsort(drawn[:, 0])].T
-            level = np.interp(inside, horizontal, vertical, left=-np.inf, right=-np.inf)
-            if ((level > y + 0.1 * height) & (level < y + height)).any():
+            level = side * (np.interp(inside, horizontal, vertical, left=np.nan, right=np.nan) - y)
+            if ((level > 0.25 * height) & (level < height)).any():
                 return False
     return True
 

@@ -14,7 +14,6 @@ from analysis.commands.presentation.outputs import CommandOutput, with_recording
 from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.tracking.continuation import AmplitudeCurve, continuation
 from rig.core.base.figure_style import add_legend_below
-from rig.core.base.palette import level_styles
 from rig.core.orbits.branches import follow_orbits
 from rig.core.orbits.orbit_curve import OrbitBranch
 from rig.core.results import format_number
@@ -28,8 +27,6 @@ if TYPE_CHECKING:
     from rig.core.base.arrays import Array
 
 _EXACT_COLOR = "#777777"
-# A highest orbit is measured if a point is within this relative distance in frequency.
-_LABEL_RANGE = 0.003
 
 
 class ExactBranch(NamedTuple):
@@ -53,27 +50,6 @@ def exact_branches(rec: Recording, result: AmplitudeCurve) -> list[ExactBranch]:
             reference = np.array([orbit.reference_amplitude for orbit in branch.orbits])
             branches.append(ExactBranch(level, branch, abs(branch.frf[body]) * reference))
     return branches
-
-
-def _label_levels(exact: Sequence[ExactBranch], result: AmplitudeCurve, axes: Axes) -> None:
-    """Write each level, in the color of its points, above its highest exact orbit if that was not measured."""
-    from matplotlib.patheffects import withStroke
-
-    for level, style in level_styles(result.level).items():
-        orbits = [
-            (height, frequency)
-            for each in exact
-            if each.level == level
-            for height, frequency in zip(each.amplitude.tolist(), each.branch.value.tolist(), strict=True)
-        ]
-        height, frequency = max(orbits, default=(0.0, np.inf))
-        measured = result.frequency[result.level == level]
-        if orbits and not (abs(measured / frequency - 1.0) < _LABEL_RANGE).any():
-            axes.annotate(
-                f"{format_number(level)} {result.unit}", (frequency, 1e3 * height), (0, 5), textcoords="offset points",
-                ha="center", fontsize=8, color=style.color, zorder=5,
-                path_effects=[withStroke(linewidth=2.0, foreground="white")],
-            )  # fmt: skip
 
 
 @with_recordings
@@ -102,7 +78,6 @@ def present_continuation(
                 axes.plot(branch.value, np.where(joined, 1e3 * amplitude, np.nan), ls=dashes, zorder=1, **line)
         for dashes, name in (("-", "exact, stable"), ((0, (3, 2)), "exact, unstable")) if exact else ():
             axes.plot([], [], ls=dashes, label=name, **line)
-        _label_levels(exact, result, axes)
         omissions = [f"{text}." for text in result.omissions()]
         computed = ["Exact: computed from the scene."] * bool(exact)
         add_legend_below(figure, "Points: measured, with 95 % intervals.", *computed, *omissions)

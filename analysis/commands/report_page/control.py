@@ -17,7 +17,7 @@ from analysis.commands.report_page.measurements import Measurement
 from analysis.commands.report_page.responses import value_strips
 from analysis.core.decays.sensor_correction import correct_motion
 from analysis.core.signals.profile_check import ProfileCheck
-from analysis.core.signals.shock_spectrum import OCTAVE_STEPS, prescribed_spectrum
+from analysis.core.signals.shock_spectrum import OCTAVE_STEPS, prescribed_spectrum, scatter_text
 from analysis.core.tracking.backbone import Backbone
 from analysis.core.tracking.body_motion import CurvePart
 from analysis.core.tracking.continuation import AmplitudeCurve
@@ -161,12 +161,9 @@ def control_charts(measurement: Measurement) -> list[Chart]:
         x_view=view,
     )
     curves = []
-    for shocks in measurement.spectra:
-        spread = np.array([each.maximax for each in shocks])
-        first, style = shocks[0], location_style(rec.channels[shocks[0].channel].at)
-        curves.append(
-            Curve(first.channel, first.frequency, first.maximax, spread.min(axis=0), spread.max(axis=0), style)
-        )
+    for first, *_ in measurement.spectra:
+        style = location_style(rec.channels[first.channel].at)
+        curves.append(Curve(first.channel, first.frequency, first.maximax, style=style))
     prescribed, of_pulse = test.shock_spectrum(), prescribed_spectrum(rec, first.q, first.frequency)
     if of_pulse is not None:
         curves.insert(0, Curve("prescribed pulse", *of_pulse, style=CurveStyle(BASELINE)))
@@ -176,8 +173,7 @@ def control_charts(measurement: Measurement) -> list[Chart]:
         curves.append(Curve("prescribed", frequency, values, values / ratio, values * ratio, CurveStyle(BASELINE)))
     response = Chart(
         f"Shock response spectra (maximax, {OCTAVE_STEPS} per octave) of the first shock, Q = {first.q:g}"
-        + f"; bands: all {len(shocks)} shocks" * (len(shocks) > 1)
-        + ".",
+        + f"; {scatter_text(measurement.spectra)}.",
         "Shock response spectra of the control channel and the bodies.",
         [Panel("shock response", "m/s²", curves, height=260, logarithmic=True)],
         x_name="natural frequency",

@@ -17,6 +17,8 @@ from analysis.core.tracking.body_motion import LevelPoint, level_rows, quantity_
 from rig.core.results import format_decimals, format_limited, format_number
 from rig.core.results.uncertainty import expand
 
+# Smallest stated uncertainty of an amplitude and of a share of energy, relative: no sensor is more accurate.
+_LEAST_RATIO = 1e-3
 # Quantities that the headline does not repeat.
 _ONLY_IN_TABLE = ("excitation frequency", "phase deviation")
 _MODE_CAPTION = (
@@ -139,7 +141,10 @@ def _mode_point(
         force = 1e3 * float(motion.amplitude[line])
         amplitude, bound = (force * float(values[line]) for values in (abs(motion.value), motion.expanded()))
         place = measurement.rec.scene.structure.label(shown.outputs[0].at) or shown.response
-        quantities[f"amplitude of {place} / mm"] = amplitude, format_limited(amplitude, bound)
+        quantities[f"amplitude of {place} / mm"] = (
+            amplitude,
+            format_limited(amplitude, max(bound, _LEAST_RATIO * amplitude)),
+        )
     unit, factor = curve.shown_in
     # Without an estimate of the peak, the highest point is its lower bound.
     point = factor * float(abs(curve.value[line]) - curve.expanded()[line])
@@ -161,6 +166,6 @@ def _with_energy(point: LevelPoint, results: Iterable[Dampers]) -> LevelPoint:
         percent, bound = (
             100.0 * float(part[line] / energy.supplied[line]) for part in (energy.dampers, energy.expanded)
         )
-        share = {"energy in dampers / %": (percent, format_limited(percent, bound, 100.0))}
+        share = {"energy in dampers / %": (percent, format_limited(percent, max(bound, 100.0 * _LEAST_RATIO), 100.0))}
         return point._replace(quantities={**point.quantities, **share})
     return point

@@ -214,7 +214,7 @@ def response_chart(
             joined = unknown | np.roll(unknown, 1) | np.roll(unknown, -1)
             stored = joined | np.roll(joined, 1)
             gray = np.where(joined, modulus, np.nan)[stored]
-            magnitude.append(Curve(name, f[stored], gray, style=_UNDETERMINED, draw="through"))
+            magnitude.append(Curve(name, f[stored], gray, style=style, draw="pale"))
         # The phase has the same gaps as the magnitude.
         line = np.where(
             has_phase[np.searchsorted(full.frequency, curve_f).clip(0, has_phase.size - 1)], curve_value, np.nan
@@ -245,7 +245,7 @@ def response_chart(
         *(text for symbol, text in PEAK_SYMBOLS.items() if symbol in symbols),
         "Labels: natural frequencies of the modes; other peaks." * bool(marks),
         "Crosses: steady state not reached." * ("crosses" in symbols),
-        f"Gray, with a strip at the axis: undetermined ({undetermined_text(ordered)})." * bool(strips),
+        f"Pale, with a strip at the axis: undetermined ({undetermined_text(ordered)})." * bool(strips),
     ]
     return Chart(
         f"{quantity.capitalize()} of {outputs} / {ordered[0].input}. {' '.join(filter(None, notes))}",

@@ -95,7 +95,7 @@ def _control_texts(measurement: Measurement) -> list[str]:
         f"largest deviation {max(deviations):.3g} {unit}."
     )
     if measurement.spectra:
-        several = f", {scatter_text(measurement.spectra)}" * (len(shocks) > 1)
+        several = f", {scatter_text(measurement.spectra)}"
         text += (
             f" Largest values of the shock response spectra, first shock, Q = {measurement.spectra[0][0].q:g}{several}:"
         )

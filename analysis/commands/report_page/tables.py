@@ -121,11 +121,12 @@ def changes_table(changes: Sequence[SweepChange]) -> str:
     for (baseline, compared), group in groupby(changes, lambda change: (change.baseline, change.compared)):
         cells = change_rows([each.change for each in group], changes[0].shown_in)
         rows.append((f"{baseline} → {compared}",))
-        rows += [tuple(cell.replace(" (extrapolated)", "*") for cell in row) for row in cells]
+        rows += [tuple(cell.replace(" (extrapolated)", "*") or "–" for cell in row) for row in cells]
     if not rows:
         return ""
     unit = changes[0].shown_in[0]
     heading = [text.replace(f" {unit}", f" / ({unit})") for text in change_heading(changes[0].shown_in)]
+    heading[5], heading[7] = f"{heading[5]} / dB", f"{heading[7]} / Hz"
     caption = "Changes of the resonance peaks. Equivalent ζ: damping ratio of a linear mode with the changed peak"
     marked = ". *: extrapolated, more than 3 dB above the points on either side" * ("*" in str(rows))
     return table(caption + marked, heading, rows, numbers=len(heading) - 1)

@@ -202,6 +202,8 @@ def spectra_of_shocks(rec: Recording, channel: str, q: float = 10.0) -> list[Sho
 
 def scatter_text(spectra: Sequence[Sequence[ShockSpectrum]]) -> str:
     """Write by how much the spectra of several shocks differ at most; `spectra`: those of each channel."""
+    if len(spectra[0]) < 2:
+        return "a single shock"
     ratios = [np.ptp([each.maximax for each in shocks], axis=0) / shocks[0].maximax for shocks in spectra]
     return f"the {len(spectra[0])} shocks differ by at most {format_percent(float(np.max(ratios)))}"
 

@@ -34,7 +34,7 @@ STYLE_OF_METHOD = {
     "Moreau-Jean": ("#1f4e79", "s"),
     "compiled DP5": ("#1d4d1c", "X"),
     "scipy DOP853": ("#3b7d3a", "D"),
-    "scipy LSODA": ("#8bbf6a", "d"),
+    "scipy LSODA": ("#c9a227", "d"),
     "CVODE": ("#6b4fa0", "P"),
     "shooting": ("#c1272d", "*"),
     "time integration": ("#e8853d", "o"),  # to steady state

@@ -173,6 +173,7 @@
     context.textAlign = "center";
     const marks = labelsOf(plot, panel, left / ratio, width / ratio).map((mark) => ({ ...mark, base: top - (6 + LABEL_ROW * mark.row) * ratio }));
     context.setLineDash([2 * ratio, 3 * ratio]);
+    context.globalAlpha = 0.6;
     for (const { x, y, color, base } of marks) {
       const [px, py] = position(x, y);
       context.strokeStyle = color ? shade(color) : theme("text");
@@ -181,6 +182,7 @@
       context.lineTo(px, Math.max(py - 8 * ratio, top));
       context.stroke();
     }
+    context.globalAlpha = 1;
     // Labels interrupt the lines of the labels above them.
     for (const { label, color, center, base } of marks) {
       const half = context.measureText(label).width / 2;
@@ -247,7 +249,8 @@
   // An axis with a title, or without title and labels if `size` is small.
   function axis(label, log, size, space, ticks) {
     return {
-      ...(log ? { filter: logarithmicLabels, splits: logarithmicTicks } : {}), ...(ticks ? { splits: () => ticks } : {}),
+      ...(log ? { filter: logarithmicLabels, splits: logarithmicTicks } : {}), // Printed panels are too low for all ticks.
+      ...(ticks ? { splits: () => ticks.filter((_, k) => !printing || (ticks.length - 1 - k) % 2 === 0) } : {}),
       ...(label ? { label, labelSize: 18, labelFont: FONT } : {}), size, font: FONT, gap: 3,
       stroke: () => theme("text"), grid: { stroke: () => theme("grid"), width: 1 },
       ticks: { stroke: () => theme("grid"), width: 1, size: label ? 6 : 0 },
@@ -273,7 +276,7 @@
     for (const curve of inSeries(panel)) {
       const main = shown.length + 1;
       shown.push({
-        label: curve.label, stroke: () => shade(curve.color), spanGaps: false,
+        label: curve.label, stroke: () => shade(curve.color) + (curve.draw === "pale" ? "80" : ""), spanGaps: false,
         ...(curve.draw === "line" ? { dash: curve.dash.map((length) => 1.5 * length), width: 1.5 } : { width: 1 }),
         ...(curve.draw === "points" ? { paths: () => null } : {}),
         points: { show: curve.draw === "points", size: 4, fill: () => shade(curve.color) },
@@ -317,7 +320,7 @@
         rows.get(curve.label).draws.add(curve.draw);
         if (SYMBOLS.includes(curve.draw)) continue;
         if (curve.draw === "line") rows.get(curve.label).dash = curve.dash;
-        rows.get(curve.label).places.push({ k, series, bounded: Boolean(curve.low), shown: curve.draw !== "through" });
+        rows.get(curve.label).places.push({ k, series, bounded: Boolean(curve.low), shown: !["through", "pale"].includes(curve.draw) });
         series += curve.low ? 3 : 1;
       }
     });

@@ -432,9 +432,8 @@ def _label_peaks(marks: Sequence[tuple[PeakMark, str]], factor: float, axes: Axe
             style |= {"ha": "left" if direction > 0.0 else "right", "va": "bottom"}
             style["arrowprops"] = {"arrowstyle": "-", "color": color, "lw": 0.6, "shrinkA": 0, "shrinkB": 3}
             beside.append(direction)
-        text = "undetermined" if mark.symbol == "undetermined" else f"{mark.frequency:#.{_digits(mark)}g} Hz"
         axes.annotate(
-            text, point, fontsize=7.5, color=color, zorder=5,
+            peak_label(mark), point, fontsize=7.5, color=color, zorder=5,
             path_effects=[withStroke(linewidth=2.0, foreground="white")], **style,
         )  # fmt: skip
         if mark.symbol == "points":
@@ -446,9 +445,10 @@ def _label_peaks(marks: Sequence[tuple[PeakMark, str]], factor: float, axes: Axe
     return has_rings
 
 
-def _digits(mark: PeakMark) -> int:
-    """Return the significant digits of the frequency of a peak: more if it is interpolated."""
-    return 4 if mark.symbol in _MARKERS else 3
+def peak_label(mark: PeakMark) -> str:
+    """Write the frequency of a marked peak, with more digits if it is interpolated."""
+    digits = 4 if mark.symbol in _MARKERS else 3
+    return "undetermined" if mark.symbol == "undetermined" else f"{mark.frequency:#.{digits}g} Hz"
 
 
 def _is_free(axes: Axes, point: tuple[float, float], side: float, taken: Iterable[tuple[float, float]]) -> bool:

@@ -80,7 +80,9 @@ def present_continuation(
             axes.plot([], [], ls=dashes, label=name, **line)
         omissions = [f"{text}." for text in result.omissions()]
         computed = ["Exact: computed from the scene."] * bool(exact)
-        add_legend_below(figure, "Points: measured, with 95 % intervals.", *computed, *omissions)
+        add_legend_below(
+            figure, "Bars: 95 % intervals, which contain the sensor's limit of error.", *computed, *omissions
+        )
 
     title = "Response at constant level"
     written = present_each(

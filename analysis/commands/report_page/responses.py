@@ -20,6 +20,7 @@ from analysis.commands.figures.frf_figure import (
     folds_back,
     is_determined,
     is_smooth,
+    peak_label,
     phase_degrees,
     phase_ticks,
     phase_top,
@@ -137,10 +138,10 @@ def _mode_marks(
     for sweep in sweeps if styles else [baseline]:
         natural = np.empty(0) if sweep.modes is None else sweep.modes.frequency
         labeled = [
-            (float(frequency), format_decimals(frequency, 2), [(frf, peak.value) for frf, peak in peaks])
+            (float(frequency), f"{format_decimals(frequency, 2)} Hz", [(frf, peak.value) for frf, peak in peaks])
             for frequency, peaks in zip(natural, sweep.found, strict=True)
         ] + [
-            (mark.frequency, f"{mark.frequency:.3g}", [(frf, mark.height)])
+            (mark.frequency, f"peak {peak_label(mark)}", [(frf, mark.height)])
             for frf, marked in sweep.marked
             for mark in marked
             if mark.symbol in PEAK_SYMBOLS and not (abs(natural / mark.frequency - 1.0) < MODE_SHIFT).any()
@@ -152,7 +153,7 @@ def _mode_marks(
             if drawn:
                 height, curve = max(drawn)
                 color = styles[curve].color if styles else ""
-                label = ": ".join(filter(None, [levels[curve], f"{text} Hz"]))
+                label = ": ".join(filter(None, [levels[curve], text]))
                 marks.append((curve * bool(styles), Mark(frequency, height, label, color)))
     return [mark for _, mark in sorted(marks)]
 
@@ -243,7 +244,7 @@ def response_chart(
         "Bands and U: 95 % intervals; γ²: coherence.",
         "Thin: local model through the points, with gaps where they do not determine it." * ("points" in symbols),
         *(text for symbol, text in PEAK_SYMBOLS.items() if symbol in symbols),
-        "Labels: natural frequencies of the modes; other peaks." * bool(marks),
+        "Labels: natural frequencies of the modes; “peak”: of other peaks." * bool(marks),
         "Crosses: steady state not reached." * ("crosses" in symbols),
         f"Pale, with a strip at the axis: undetermined ({undetermined_text(ordered)})." * bool(strips),
     ]

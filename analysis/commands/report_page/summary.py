@@ -73,7 +73,7 @@ def limitations(measurements: Sequence[Measurement]) -> list[str]:
                 faults.append(f"force up to {format_percent(float(deviation.max()))} from its level at {where}")
         if any(faults):
             texts.append(f"“{measurement.label}”: {'; '.join(dict.fromkeys(filter(None, faults)))}.")
-    if missing := missing_tolerances(measurements):
+    if missing := missing_tolerances([each for each in measurements if not each.spectra]):
         texts.append(f"The intervals do not include errors of {' and '.join(missing)}: no tolerance is stated.")
     return texts
 

@@ -26,7 +26,7 @@ _MIN_WIDTH_LINES = 3.0
 # A peak with a smaller coherence has no damping: the sweep is too fast for it, or it is noise.
 _MIN_COHERENCE = 0.7
 # Peaks belong to one resonance if their frequencies differ by less than this fraction; dampers split its peak.
-_SAME_PEAK = 0.05
+_SAME_PEAK = 0.08
 
 
 def largest_peaks(curves: LiveCurves, count: int) -> list[tuple[str, float, float, float | None, str]]:

@@ -245,8 +245,8 @@ def _draw(design: Design) -> Figure:
         levels = ", ".join(map(format_number, design.question.levels))
         add_page_title(
             figure,
-            f"Design for {design.scene.name} (computed)",
-            f"{headline(design)}, largest peak at {levels} {design.question.level.unit}",
+            f"Design (computed): {headline(design)}",
+            f"{design.scene.name}; largest peak at {levels} {design.question.level.unit} without and with dampers",
         )
         return figure
 

@@ -74,6 +74,8 @@ function steady(key, [low, high]) {
   return [shownScales.get(key).low, shownScales.get(key).high];
 }
 
+const QUANTITIES = { "µm": "displacement / ", mm: "displacement / ", g: "acceleration / " };
+
 // A panel has the unit mm if its axis would end above 1000 µm.
 function inMillimeters(panel) {
   if (panel.name !== "µm" || panel.range[1] <= 1000) return panel;
@@ -97,7 +99,8 @@ function panels(kind, x, values, log) {
     const [low, high] = limits(panel);
     // A spectrum shows three decades below its highest line, or below the smallest full scale.
     panel.range = steady(`${kind} ${key}`, log ? [Math.max(high, idle) * 1e-3, Math.max(high, idle)] : [low, high]);
-    return inMillimeters(panel);
+    const shown = inMillimeters(panel);
+    return { ...shown, name: `${QUANTITIES[shown.name] ?? ""}${shown.name}` };
   });
 }
 

@@ -157,5 +157,5 @@ function line(context, x0, y0, x1, y1, color, dash = []) {
 
 function text(context, string, x, y) {
   context.fillStyle = COLORS.text;
-  context.fillText(string, x, y);
+  context.fillText(string.replace(/^-/, "−"), x, y);
 }

@@ -13,6 +13,8 @@ import pytest
         (["--version"], 0, "shotrig 0."),
         ([], 0, "shotrig PROGRAM COMMAND"),
         (["rig", "presets"], 0, "NI 9234"),
+        (["rig", "scenes", "fig9"], 0, "# Fig 9"),
+        (["rig", "scenes", "--show", "fig9"], 0, "# Fig 9"),
         (["daq", "record", "missing.yaml"], 2, "missing.yaml: the file does not exist"),
         (["analysis", "--help"], 0, "frf"),
         (["rigg"], 2, "there is no program 'rigg'. Choose rig, daq, analysis."),

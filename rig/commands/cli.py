@@ -22,9 +22,10 @@ Folder = Annotated[Path, "DIR: Folder for the figure and the table."]
 
 @app.command(example="rig scenes --copy fig9 mine.yaml")
 def scenes(
-    show: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help="Scene whose file to print.", autocompletion=completions)
+    name: Annotated[
+        str | None, typer.Argument(metavar="NAME", help="Scene whose file to print.", autocompletion=completions)
     ] = None,
+    show: Annotated[str | None, typer.Option(metavar="NAME", help="Same as NAME.", hidden=True)] = None,
     copy: Annotated[
         tuple[str, Path] | None,
         typer.Option(metavar="NAME FILE", help="Copy the file of the scene NAME to FILE, to change it there."),
@@ -35,14 +36,15 @@ def scenes(
     from rig.core.base.output_files import atomic_write
     from rig.core.scene.scene_files import bundled_scenes, scene_text, summary
 
-    if show is not None:
-        print(scene_text(show), end="")
+    printed = name or show
+    if printed is not None:
+        print(scene_text(printed), end="")
     if copy is not None:
         text = scene_text(copy[0])
         with atomic_write(copy[1], overwrite=overwrite) as temporary:
             temporary.write_text(text, encoding="utf-8")
         print(f"wrote {copy[1]}. Change it, then run: daq record {quote(str(copy[1]))}")
-    if show is None and copy is None:
+    if printed is None and copy is None:
         _print_descriptions([(name, summary(name)) for name in bundled_scenes()])
 
 

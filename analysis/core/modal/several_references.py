@@ -2,8 +2,8 @@
 
 All elements of the matrix have the same poles. The residue of a pole is the outer product of a shape and its modal
 participation factors, one for each input. The residue of a repeated pole is a sum of such products; the number of
-products is the rank of the residue matrix [1]_. Identification adds a second pole wherever it improves the fit
-significantly. Only a pole without such a neighbor is reported as repeated.
+products is the rank of the residue matrix [1]_. Identification adds a second pole next to a pole if this improves the
+fit significantly. A pole is reported as repeated only if no second pole was added next to it.
 
 References
 ----------
@@ -21,8 +21,7 @@ from rig.core.results.points import Point
 # A second or further singular value of a residue indicates another mode if it exceeds this number of standard
 # uncertainties.
 _DETECTION_SIGMAS = 5.0
-# This singular value must also be at least this fraction of the largest, because smaller values may be errors of the
-# model.
+# Smallest ratio of the further singular value to the largest: smaller values may be errors of the model.
 _MIN_RATIO = 0.02
 
 
@@ -33,7 +32,7 @@ def separate(modes: Modes, inputs: tuple[str, ...], outputs: tuple[Point, ...]) 
     Returns modes with the residues of one input, for which the smallest participation factor is the largest.
     """
     n_outputs, n_inputs = len(outputs), len(inputs)
-    # A model error limits the ratio, because it may resemble a second shape.
+    # A large model error raises the smallest ratio, because it may resemble a second shape.
     min_ratio = max(_MIN_RATIO, _DETECTION_SIGMAS * modes.model_error)
     pole_of_mode: list[int] = []
     vectors: list[tuple[ComplexArray, ComplexArray]] = []  # shape and participation factors of each mode

@@ -63,9 +63,10 @@ class Evaluator:
     def run_searches(self, objective: Objective, searches: Sequence[Search]) -> dict[Choice, Trial]:
         """Compute the trials that several searches need, until all searches are finished.
 
-        A search returns every choice that the search has used, and every choice whose trial is not complete. When such
-        a trial becomes complete, the search is called again. Workers therefore compute the next trials of one search
-        while another search waits. Returns the trials, sorted by choice.
+        A search is called with a function that returns the trials computed so far. It returns the choices that it used,
+        and the choices whose trials it still needs. When the trial of such a choice is complete, the search is called
+        again. Workers therefore compute the next trials of one search while another search waits. Returns the trials,
+        sorted by choice.
         """
         requested: set[Choice] = set()
         jobs: list[Job] = []

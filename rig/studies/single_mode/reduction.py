@@ -6,10 +6,10 @@ the scene's clearance. M_i depends on the normalization of the mode shape: the p
 the single mass represents the body with the largest displacement.
 
 mu_i is computed with one of two weightings of the masses md_j of the dampers in bodies j. As printed (Eq. 13), mu_i is
-the signed sum of phi_ji md_j / M_i. The kinetic energy of riding dampers gives phi_ji^2 instead. Both
-agree for a damper in a body with phi_ji = 1. If the damper's body moves less, both overestimate the acceleration of the
-equivalent damper. Normalizing the shape at the damper's own body (`at`) avoids this; it is the exact one-mode reduction
-for a single damper.
+the signed sum of phi_ji md_j / M_i. The kinetic energy of riding dampers gives phi_ji^2 instead. The two weightings
+agree for a damper in a body with phi_ji = 1. If the body of the damper moves less, both weightings overestimate the
+acceleration of the equivalent damper. Normalizing the shape at the damper's own body (`at`) avoids this; it is the
+exact one-mode reduction for a single damper.
 """
 
 from dataclasses import dataclass

@@ -35,7 +35,7 @@ Lines = NDArray[np.int64]
 # Order of the polynomials of the numerator, the denominator and the transients. A fit of the next higher order gives
 # the model error.
 ORDER = 2
-# Weight of the regularization towards small coefficients, and smallest magnitude of a denominator.
+# Weight of the regularization towards small coefficients; also the smallest magnitude of a denominator.
 _REGULARIZATION = 1e-10
 # Value that replaces zero power in a denominator.
 _ZERO_POWER = 1e-300

@@ -1,4 +1,4 @@
-"""Check of a random test with profile control before the test: lines that are too coarse, and limits that end early."""
+"""Check before a random test with profile control: spacing of the lines, and limits that end next to a resonance."""
 
 from __future__ import annotations
 

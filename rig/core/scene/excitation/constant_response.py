@@ -17,7 +17,7 @@ _UNITS = ("m", "m/s", "m/s^2")
 
 
 class ConstantResponse(SteppedTest):
-    """A series of tones; at each, a controller brings a motion to the level, even where a stepped sine would jump."""
+    """A series of tones at which the motion of a body is controlled to the level, also where a stepped sine jumps."""
 
     level_keys: ClassVar = ("displacement", "velocity", "acceleration")
     one_of: ClassVar = (level_keys, ("frequencies", "points"))
@@ -25,11 +25,11 @@ class ConstantResponse(SteppedTest):
     at: BodyLocation
     """The body whose motion has the constant amplitude: body 3, or its name."""
     displacement: Annotated[float | tuple[float, ...] | None, Quantity(LENGTH, above=0.0, listed=True)] = None
-    """Amplitude of its displacement [m]. Several levels are run one after another."""
+    """Amplitude of the displacement of the body [m]. Several levels are run one after another."""
     velocity: Annotated[float | tuple[float, ...] | None, Quantity(VELOCITY, above=0.0, listed=True)] = None
-    """Instead of `displacement`: amplitude of its velocity [m/s]."""
+    """Instead of `displacement`: amplitude of the velocity of the body [m/s]."""
     acceleration: Annotated[float | tuple[float, ...] | None, Quantity(ACCELERATION, above=0.0, listed=True)] = None
-    """Instead of `displacement`: amplitude of its acceleration [m/s^2]."""
+    """Instead of `displacement`: amplitude of the acceleration of the body [m/s^2]."""
     shaker: DrivenShaker = None
     settle: Settle = Settle()
     """Criterion for the steady state of a dwell."""
@@ -47,4 +47,4 @@ class ConstantResponse(SteppedTest):
 
     @property
     def tone(self) -> None:
-        """None, because the drive depends on measured values."""
+        """No tone is known before the test, because the drive depends on measured values."""

@@ -19,7 +19,7 @@ class ProfileControl:
     def check_abort(self) -> Iterable[Problem]:
         """Check that the abort line lies above the tolerance."""
         if self.abort <= self.tolerance:
-            message = f"got {self.abort:g} dB, which is not above the tolerance, {self.tolerance:g} dB. Give a larger value."
+            message = f"got {self.abort:g} dB, which is not above the tolerance, {self.tolerance:g} dB. Increase it."
             yield Problem(("abort",), message)
 
     @property

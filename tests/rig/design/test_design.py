@@ -187,7 +187,7 @@ def test_peak_of_two_dampers_equals_simulation() -> None:
     ("requested", "message"),
     [
         ({"budget": 5.0}, "less than the structure.s mass, 2.09 kg"),
-        ({"budget": "0.12"}, "expected a mass such as .50 g., or a share"),
+        ({"budget": "0.12"}, "expected a mass such as .50 g., or a percentage"),
         ({"bodies": ["1", "7"]}, "bodies: body 7 does not exist; expected 1 to 3"),
         ({"dampers": 4}, "expected 1 to 3, at most one for each body listed in bodies"),
         ({"band": (2.0, 3.0)}, "expected a band that contains a natural frequency"),

@@ -74,7 +74,7 @@ function steady(key, [low, high]) {
   return [shownScales.get(key).low, shownScales.get(key).high];
 }
 
-const QUANTITIES = { "µm": "displacement / ", mm: "displacement / ", g: "acceleration / " };
+const AXIS_QUANTITIES = { "µm": "displacement / ", mm: "displacement / ", g: "acceleration / " };
 
 // A panel has the unit mm if its axis would end above 1000 µm.
 function inMillimeters(panel) {
@@ -100,7 +100,7 @@ function panels(kind, x, values, log) {
     // A spectrum shows three decades below its highest line, or below the smallest full scale.
     panel.range = steady(`${kind} ${key}`, log ? [Math.max(high, idle) * 1e-3, Math.max(high, idle)] : [low, high]);
     const shown = inMillimeters(panel);
-    return { ...shown, name: `${QUANTITIES[shown.name] ?? ""}${shown.name}` };
+    return { ...shown, name: `${AXIS_QUANTITIES[shown.name] ?? ""}${shown.name}` };
   });
 }
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
+import scipy.signal
 
 from analysis.commands.figures.frf_figure import MODE_SHIFT, intervals_text
 from analysis.commands.report_page.measurements import Measurement, SweepResults, missing_tolerances
@@ -15,6 +16,7 @@ from analysis.core.modal.mode_warnings import extrapolates_damping
 from analysis.core.recordings.names import sweep_name, without_common_direction
 from analysis.core.tracking.body_motion import LevelPoint, level_rows, quantity_ranges
 from rig.core.results import format_decimals, format_limited, format_number
+from rig.core.results.response import Response
 from rig.core.results.uncertainty import expand
 
 # Smallest stated uncertainty of an amplitude and of a share of energy, relative: no sensor is more accurate.
@@ -112,13 +114,16 @@ def _mode_point(
     inside = np.flatnonzero((band[0] < modes.frequency) & (modes.frequency < band[1])).tolist()
     if not inside:
         return LevelPoint(level, np.nan, {}, "not identified")
+    curve = next((frf for frf in sweep.frfs if frf.ratio == ratio), None)
     peaks = {mode: peak for mode in inside for frf, peak in sweep.found[mode] if frf.ratio == ratio}
     if peaks:
         mode = max(peaks, key=lambda each: peaks[each].value)
         center = peaks[mode].frequency
     else:
-        mode = min(inside, key=lambda each: abs(modes.frequency[each] - sum(band) / 2.0))
-        center = float(modes.frequency[mode])
+        # Two modes may describe the peak of a nonlinear response that lies between them.
+        top = None if curve is None else _highest_maximum(curve, band)
+        mode = min(inside, key=lambda each: abs(modes.frequency[each] - (sum(band) / 2.0 if top is None else top)))
+        center = float(modes.frequency[mode]) if top is None else top
     frequency, damping = float(modes.frequency[mode]), 100.0 * float(modes.damping[mode])
     bounds = (float(expand(error[mode])) for error in (modes.frequency_std, 100.0 * modes.damping_std))
     quantities = {
@@ -126,7 +131,6 @@ def _mode_point(
         "damping ratio / %": (damping, format_limited(damping, next(bounds), 100.0)),
     }
     note = "damping extrapolated" * bool(extrapolates_damping(modes, sweep.frfs)[mode])
-    curve = next((frf for frf in sweep.frfs if frf.ratio == ratio), None)
     if curve is None or not np.isfinite(curve.value).any():
         return LevelPoint(level, np.nan, quantities, note)
     # The highest point of a peak is one of the two next to its estimated maximum.
@@ -154,6 +158,13 @@ def _mode_point(
     )
     quantities[f"peak of {curve.name} at {curve.response} / ({unit})"] = height
     return LevelPoint(level, excited_at, quantities, note)
+
+
+def _highest_maximum(curve: Response, band: tuple[float, float]) -> float | None:
+    """Return the frequency [Hz] in a band with the highest maximum of a response's magnitude, None without maximum."""
+    maxima, _ = scipy.signal.find_peaks(np.nan_to_num(abs(curve.value)))
+    inside = [line for line in maxima.tolist() if band[0] < curve.frequency[line] < band[1]]
+    return float(curve.frequency[max(inside, key=lambda line: abs(curve.value[line]))]) if inside else None
 
 
 def _with_energy(point: LevelPoint, results: Iterable[Dampers]) -> LevelPoint:

@@ -27,6 +27,7 @@ from analysis.commands.presentation.tables import modes_table
 from analysis.commands.report_page.charts import Chart, ChartWriter, Curve, EvenlySpaced, Panel
 from analysis.commands.report_page.drawing import mode_drawing, rig_drawing
 from analysis.commands.report_page.histories import time_histories
+from analysis.commands.report_page.levels import _highest_maximum
 from analysis.commands.report_page.measurements import Measurements, SweepChange, highest_peak
 from analysis.commands.report_page.report import page_title, write_report
 from analysis.commands.report_page.responses import force_charts, response_chart, response_charts, stabilization_charts
@@ -230,6 +231,15 @@ def test_flank_of_strong_mode_is_not_weak_peak(tmp_path: Path) -> None:
     path = daq.record(rig.loads(yaml.safe_dump({"name": "weak mode", **scene}), where="weak"), tmp_path / "a.mcap")
     page = text_of(write_report([path], tmp_path / "a.html").files[0])
     assert re.findall(r'data-label="excitation frequency.*?">(.*?)</td>', page) == ["15.8", "15.8", "17.2", "17.2"]
+
+
+def test_highest_maximum_is_no_flank() -> None:
+    """The peak of a nonlinear response lies between two modes that describe it, and is the peak of neither mode."""
+    frequency = np.linspace(44.0, 52.0, 41)
+    peak, flank = 1.0 / (0.1 + abs(frequency - 47.6)), 100.0 / (frequency - 42.0) ** 2
+    curve = SimpleNamespace(frequency=frequency, value=peak + flank)
+    assert _highest_maximum(curve, (43.0, 51.0)) == pytest.approx(47.6)
+    assert _highest_maximum(curve, (48.0, 51.0)) is None
 
 
 def test_levels_of_one_recording_have_own_colors(level_recordings) -> None:

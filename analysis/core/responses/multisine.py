@@ -249,7 +249,8 @@ def period_spectra(rec: Recording, names: Sequence[str], marker: Marker) -> Peri
     notes = []
     if marker.fields.get("settled") is False:
         notes.append(
-            f"Realization {number} was measured before steady state. Lower the level, or increase test.settle.longest."
+            f"Realization {number} was measured before steady state. Choose a level at which the motion is periodic, "
+            "such as a lower one."
         )
     if len(clean) < periods:
         reasons = describe_flaws(rec, [flaw for period_flaws in all_flaws for flaw in period_flaws])

@@ -119,7 +119,8 @@ class MultisineProcedure(Procedure["Multisine"]):
                     max_wait_s = _max_wait(station, period) / station.rate
                     station.warn(
                         f"{message}: the response did not become periodic within {max_wait_s:g} s. The periods of this "
-                        "realization are marked as not settled. Lower the level, or increase test.settle.longest."
+                        "realization are marked as not settled. Choose a level at which the motion is periodic, such "
+                        "as a lower one."
                     )
                 first, n_experiments = station.now, test.realisations * len(shakers)
                 for period_index in range(test.periods):

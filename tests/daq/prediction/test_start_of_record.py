@@ -40,7 +40,7 @@ def test_remedy_within_limits_is_no_limit() -> None:
     scene = rig.load("continuation")
     assert scene.test is not None
     foresight = daq.foresee(scene.replace(test=scene.test.replace(settle={"longest": 0.2})))
-    with pytest.raises(SceneError, match=r"or raise test\.settle\.longest\. Change the test, or record"):
+    with pytest.raises(SceneError, match=r"or increase test\.settle\.longest\. Change the test, or record"):
         reject_certain_abort("curve", foresight)
 
 

@@ -72,6 +72,7 @@ class Peak:
     highest_point: float = inf  # magnitude of the highest measured point [m/N]; infinite if there is no interpolation
 
     bound = renamed("bound", "expanded")
+    interpolation_bound = renamed("interpolation_bound", "interpolation_expanded")
 
     @property
     def is_extrapolated(self) -> bool:

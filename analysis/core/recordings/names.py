@@ -178,8 +178,8 @@ def validity_texts(rec: Recording) -> list[str]:
     """Describe what limits the validity of responses: nonlinear parts, and impacts or samples with faults."""
     texts = ["nonlinear, valid only for this kind and level of excitation"] * (not rec.scene.is_linear)
     if faulty := faults_of_impacts(rec.markers):
-        evaluated = ", used up to the overload" * bool(rec.overloads)
-        return [*texts, f"of {len(impacts_of(rec.markers))} impacts, {faulty}{evaluated}"]
+        omitted = ", clipped samples omitted" * bool(rec.overloads)
+        return [*texts, f"of {len(impacts_of(rec.markers))} impacts, {faulty}{omitted}"]
     count = len(rec.overloads)
     return [*texts, *[f"{count} overload{'s' * (count > 1)}"] * (count > 0)]
 

@@ -204,7 +204,12 @@ def scatter_text(spectra: Sequence[Sequence[ShockSpectrum]]) -> str:
     """Write by how much the spectra of several shocks differ at most; `spectra`: those of each channel."""
     if len(spectra[0]) < 2:
         return "a single shock"
-    ratios = [np.ptp([each.maximax for each in shocks], axis=0) / shocks[0].maximax for shocks in spectra]
+    # A dead channel has a spectrum of zeros, which does not differ.
+    smallest = np.finfo(float).tiny
+    ratios = [
+        np.ptp([each.maximax for each in shocks], axis=0) / np.maximum(shocks[0].maximax, smallest)
+        for shocks in spectra
+    ]
     return f"the {len(spectra[0])} shocks differ by at most {format_percent(float(np.max(ratios)))}"
 
 

@@ -21,7 +21,7 @@ _SPACING = re.compile(r"(.*[._])?(df|delta_?f|resolution|x_values\.increment)", 
 # Name of the frequency of the first line [Hz], in files of Testlab.
 _START = re.compile(r"(.*\.)?x_values\.start_value")
 # Name of the unit of the values.
-_UNIT = re.compile(r"(.*[._@])?(units?|y_values\.quantity\.label)")
+_UNIT = re.compile(r"(?!(frequency|freq|x|time)[._@]?units?)(.*[._@])?(units?|y_values\.quantity\.label)")
 # Fewest complex values of a response; a shorter array is more likely a setting than a response.
 _MIN_LINES = 4
 

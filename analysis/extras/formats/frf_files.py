@@ -39,7 +39,7 @@ _COLUMN_NAME = re.compile(
     re.IGNORECASE,
 )
 # The component before the name, as circuit simulators write it: ``Re(tip)``.
-_COMPONENT_OF_NAME = re.compile(r"(re|im|abs|mag|phi|phase)\((.*)\)", re.IGNORECASE)
+_COMPONENT_OF_NAME = re.compile(r"^(re|im|abs|mag|phi|phase)\((.*)\)$", re.IGNORECASE)
 # Unit of a phase; the column before it contains the magnitude.
 _ANGLE = re.compile(r"deg(rees?)?|°|rad(ians?)?|grad", re.IGNORECASE)
 # Unit of a magnitude in decibels: a reference value, and its unit.

@@ -38,8 +38,10 @@ def shock_response(acceleration: Array, rate: float, frequency: Array, q: float)
     highest = float(np.max(frequency))
     if (factor := ceil(_SAMPLES_PER_PERIOD * highest / rate)) > 1:
         taps = signal.firwin(2 * _FILTER_SAMPLES * factor + 1, 1.0 / factor, window=("kaiser", _FILTER_SHAPE))
-        extended = _reflected(acceleration, _FILTER_SAMPLES)
-        acceleration = signal.resample_poly(extended, factor, 1, window=taps)[_FILTER_SAMPLES * factor :]
+        # A shorter motion is reflected as a whole; zeros before its reflection are outside the range of the filter.
+        count = min(_FILTER_SAMPLES, acceleration.size - 1)
+        extended = _reflected(acceleration, count)
+        acceleration = signal.resample_poly(extended, factor, 1, window=taps)[count * factor :]
         rate *= factor
     acceleration = np.convolve(_reflected(acceleration, _COMPENSATION.size // 2), _COMPENSATION, "valid")
     damping = 0.5 / q

@@ -175,11 +175,12 @@ class ControlLoss:
             return reason
         names = ", ".join(self._channels[row].name for row in rows)
         verb = "input {} was" if len(rows) == 1 else "inputs {} were"
-        return f"{verb.format(names)} overloaded. {self._remedy(rows[0], now)} With these readings, {reason}"
+        overload = f"{verb.format(names)} overloaded, which may be the cause. {self._remedy(rows[0], now)}"
+        return f"{overload} The test ended: {reason}"
 
     def _remedy(self, row: int, now: int) -> str:
         """Return the cause of the overload of a channel if it is a bias, and what to change."""
-        level = self._scene.level_key or "level"
+        level = self._scene.level_key or "excitation"
         return bias_overload(self._scene, row, now / self._channels[row].rate) or (
             f"Choose a lower {level}, a larger converter range or a lower sensitivity."
         )

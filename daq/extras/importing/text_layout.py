@@ -267,17 +267,19 @@ def _stated_rate(heading: Sequence[str], decimal_comma: bool) -> float | None:
     (50000.0, 1000000.0)
     >>> _stated_rate(["Sample rate: 10,000 Hz"], False), _stated_rate(["Abtastrate: 10.000 Hz"], True)
     (10000.0, 10000.0)
+    >>> _stated_rate(["Abtastrate: 51.200 kHz"], True)
+    51200.0
     """
     for pattern in (_STATED_RATE, _STATED_INTERVAL):
         for match in filter(None, map(pattern.fullmatch, heading)):
             grouped = _GROUPED_RATE.fullmatch(match[2])
-            # The decimal mark of the table does not separate thousands.
-            if grouped and grouped[1] == (",." if decimal_comma else ".,")[0]:
+            unit = match[1] or match[3] or ""
+            prefix = "M" if unit[:1] == "M" and pattern is _STATED_RATE else unit[:1].lower()
+            # The decimal mark of the table does not separate thousands, and kilohertz have no thousands.
+            if grouped and (grouped[1] == (",." if decimal_comma else ".,")[0] or prefix in ("k", "M")):
                 grouped = None
             text = match[2] if grouped is None else match[2].replace(grouped[1], "")
             if number := parse_number(text, decimal_comma):
-                unit = match[1] or match[3] or ""
-                prefix = "M" if unit[:1] == "M" and pattern is _STATED_RATE else unit[:1].lower()
                 number *= {"M": 1e6, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9}.get(prefix, 1.0)
                 return number if pattern is _STATED_RATE else rate_of_interval(number)
     return None

@@ -118,6 +118,11 @@ def _labview_segments(path: Path, lines: list[str], encoding: str, stack: ExitSt
                     )
                     headings.append(heading._replace(lines=number + 1))
                     open_heading = []
+    if open_heading:
+        raise RecordingError(
+            f"{path}, line {stops[-1] + 1}: the heading of segment {len(headings) + 1} has no end; expected a line "
+            f"{LABVIEW_END}. Remove the lines of this segment, or export the file again."
+        )
     if len(headings) > _MAX_SEGMENTS:
         raise RecordingError(f"{path} has {len(headings)} segments; expected at most {_MAX_SEGMENTS}. Log to TDMS.")
     segments = [

@@ -7,6 +7,7 @@ functions are therefore replaced during a test.
 """
 
 import functools
+import inspect
 import queue
 import threading
 import time
@@ -17,6 +18,7 @@ from typing import Any
 from daq.extras.ni_device.chassis import Chassis
 
 _wait_for_event, _get_from_queue = threading.Event.wait, queue.Queue.get
+_start_thread = threading.Thread.start
 # Interval at which a waiting thread checks whether callbacks have finished (wall-clock time) [s].
 _CHECK_INTERVAL_S = 0.001
 # Longest wait for a callback (wall-clock time) [s]. A longer callback probably waits for the main thread.
@@ -39,6 +41,8 @@ class CallbackWaits:
         self._finished = Counter[str]()
         # Tasks whose callback did not finish in time: it may wait for the main thread.
         self._late: set[str] = set()
+        # Whether the main thread starts a thread, which uses an event.
+        self._is_starting_thread = False
 
     def replacements(self) -> Iterator[tuple[Any, str, Any]]:
         """Yield the functions to replace, each as its owner, its name and its new value."""
@@ -59,6 +63,17 @@ class CallbackWaits:
                 block = self._pass_time(lambda: waiting.qsize() > 0, timeout)
             return _get_from_queue(waiting, block, timeout)
 
+        def start(thread: threading.Thread) -> None:
+            if threading.current_thread() is not threading.main_thread():
+                _start_thread(thread)
+                return
+            self._is_starting_thread = True
+            try:
+                _start_thread(thread)
+            finally:
+                self._is_starting_thread = False
+
+        yield threading.Thread, "start", start
         yield threading.Event, "wait", wait
         yield queue.Queue, "get", get
 
@@ -71,12 +86,15 @@ class CallbackWaits:
 
     def _counting(self, register: Callable[..., Any]) -> Callable[..., Any]:
         """Return a method of a task that registers its last argument, a callback, and counts the finished calls."""
+        signature = inspect.signature(register)
+        *_, callback_name = signature.parameters
 
         @functools.wraps(register)
-        def call(task: Any, *arguments: Any, **keywords: Any) -> Any:
-            *settings, callback = (*arguments, *keywords.values())
+        def call(*arguments: Any, **keywords: Any) -> Any:
+            bound = signature.bind(*arguments, **keywords)
+            task, callback = bound.args[0], bound.arguments[callback_name]
             if callback is None:
-                return register(task, *settings, None)
+                return register(*bound.args, **bound.kwargs)
             name = task.name
             with self._chassis.changed:
                 self._finished[name] = self._chassis.tasks[name].events.n_sent if name in self._chassis.tasks else 0
@@ -90,14 +108,16 @@ class CallbackWaits:
                         self._finished[name] += 1
                         self._late.discard(name)
 
-            return register(task, *settings, counted)
+            bound.arguments[callback_name] = counted
+            return register(*bound.args, **bound.kwargs)
 
         return call
 
     def _is_waiting_for_callback(self) -> bool:
         """Return whether the calling thread is the main thread, and a callback of a task can come."""
         is_main = threading.current_thread() is threading.main_thread()
-        return is_main and self._chassis.is_in_use and bool(self._registered())
+        may_wait = is_main and not self._is_starting_thread
+        return may_wait and self._chassis.is_in_use and bool(self._registered())
 
     def _registered(self) -> dict[str, Any]:
         """Return the events of the tasks that have callbacks in this process, by the name of the task."""

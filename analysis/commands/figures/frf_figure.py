@@ -390,11 +390,8 @@ def _draw_marks(marks: Iterable[PeakMark], factor: float, color: str, axes: Axes
 
 
 def _label_peaks(marks: Sequence[tuple[PeakMark, str]], factor: float, axes: Axes) -> bool:
-    """Write the frequency of each peak where it hides no curve, or beside the label of a higher peak with a line to it.
-
-    `marks`: peaks with the colors of their labels; of several curves with the same color, the highest is labeled.
-    Returns whether points have rings.
-    """
+    """Write the frequencies of peaks beside their marks, or beside a higher label; return whether points have rings."""
+    # Of several curves with the same color, the highest is labeled.
     from matplotlib.patheffects import withStroke
     from matplotlib.transforms import ScaledTranslation
 

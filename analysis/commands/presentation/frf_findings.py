@@ -293,11 +293,8 @@ def _by_ratio(curves: Sequence[Response]) -> list[list[Response]]:
 
 
 def _jump_marks(curves: Sequence[Response]) -> list[tuple[float, str]]:
-    """List the jumps of curves, without duplicates, for stepped and swept tests and for files, whose test is unknown.
-
-    In other tests, the level does not depend on the frequency, so dampers do not change to another branch at one
-    frequency.
-    """
+    """List the jumps of curves, without duplicates, for stepped and swept tests and for files (test unknown)."""
+    # In other tests the level does not depend on the frequency, so dampers do not jump at one frequency.
     jumping = [curve for curve in curves if estimator_of(curve.test).jumps]
     return sorted({(round(frequency, 6), text) for curve in jumping for frequency, text in find_jumps(curve)})
 

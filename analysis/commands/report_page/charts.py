@@ -206,11 +206,8 @@ def _curve(curve: Curve, positive_only: bool) -> dict[str, Any]:
 
 
 def _column(values: ArrayLike, positive_only: bool = False, digits: int = _DIGITS) -> Any:
-    """Convert numbers to JSON, with null for undefined values; long columns become 32-bit binary.
-
-    `positive_only`: replace values of zero and below with null, because a logarithmic axis cannot show them; `digits`:
-    significant digits.
-    """
+    """Convert numbers to JSON; undefined values and, if `positive_only`, those that a log axis cannot show are null."""
+    # Long columns become 32-bit binary.
     column = np.asarray(values, dtype=float)
     is_drawn = np.isfinite(column) & (column > 0 if positive_only else True)
     if column.size > _MAX_TEXT_VALUES:

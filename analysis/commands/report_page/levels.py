@@ -104,11 +104,8 @@ def _bands(frequencies: Sequence[float]) -> list[tuple[float, float]]:
 def _mode_point(
     measurement: Measurement, sweep: SweepResults, level: str, band: tuple[float, float], ratio: str
 ) -> LevelPoint:
-    """Return natural frequency and damping of the mode in a band, and the highest measured point of its peak.
-
-    `band`: that of the mode [Hz]; `ratio`: response whose peak is stated. The flank of the peak of another mode may be
-    higher in the band than the peak of this mode; `sweep.found` contains no flanks.
-    """
+    """Return natural frequency and damping of the mode in a `band` [Hz], and the highest measured point of its peak."""
+    # The flank of the peak of another mode may be higher in the band; `sweep.found` contains no flanks.
     modes, test = sweep.modes, measurement.rec.scene.test
     assert modes is not None
     inside = np.flatnonzero((band[0] < modes.frequency) & (modes.frequency < band[1])).tolist()
@@ -168,10 +165,7 @@ def _highest_maximum(curve: Response, band: tuple[float, float]) -> float | None
 
 
 def _with_energy(point: LevelPoint, results: Iterable[Dampers]) -> LevelPoint:
-    """Add the share of the supplied energy that the dampers dissipate at the excitation frequency of a point.
-
-    `results`: results of the dampers in the sweeps at the level of the point.
-    """
+    """Add the dissipated share of the supplied energy at a point's frequency from the results at its level."""
     for energy in (result.energy for result in results if result.energy is not None and np.isfinite(point.frequency)):
         line = int(np.argmin(abs(energy.frequency - point.frequency)))
         percent, bound = (

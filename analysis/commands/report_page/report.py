@@ -213,10 +213,7 @@ def _test_description(measurement: Measurement) -> str:
 
 
 def _modes(results: Sequence[Measurement], baseline: Measurement) -> list[str]:
-    """Draw the mode shapes of the first sweep of each recording that has two bodies or more, as HTML.
-
-    The signs are those of the most similar shapes of the baseline.
-    """
+    """Draw the modes of each first sweep with two bodies or more, as HTML, with the signs of the baseline's shapes."""
     sections = []
     baseline_shapes = next((sweep.modes.of_bodies() for sweep in baseline.sweeps[:1] if sweep.modes is not None), None)
     for measurement in results:

@@ -129,11 +129,8 @@ def _mode_marks(
     styles: Sequence[CurveStyle] | None,
     levels: Sequence[str],
 ) -> list[Mark]:
-    """Label modes and other marked peaks of the sweeps in a chart, in the colors of their curves if there are several.
-
-    The height is that of the mode's highest peak in the chart. The labels of the first curve are first. `levels`: names
-    of the curves in the labels, or empty texts.
-    """
+    """Label modes and other peaks of sweeps at the mode's highest peak; several curves have labels in their colors."""
+    # The labels of the first curve are first. `levels`: names of the curves in the labels, or empty texts.
     marks = list[tuple[int, Mark]]()
     for sweep in sweeps if styles else [baseline]:
         natural = np.empty(0) if sweep.modes is None else sweep.modes.frequency

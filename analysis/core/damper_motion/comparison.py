@@ -300,10 +300,7 @@ def _better(frf: Response, resonance: Resonance, estimate: Peak) -> Peak:
 
 
 def _common_tolerances(frf: Response) -> tuple[float, ...]:
-    """Return the tolerances of the sensors of output and reference, relative to the response, if equal at all lines.
-
-    They are empty if the effect of the tolerances depends on frequency, as with a reference of several channels.
-    """
+    """Return the relative tolerances of the sensors of output and reference; empty if they depend on frequency."""
     bound = frf.limits.get(SENSITIVITY)
     if bound is None or not bound.size:
         return ()
@@ -315,11 +312,8 @@ def _common_tolerances(frf: Response) -> tuple[float, ...]:
 
 
 def _peak_sensitivity(f: np.ndarray, inverse_frf: np.ndarray, frequency: float) -> np.ndarray:
-    """Return the sensitivity of height and frequency of the peak to the FRF at three points, complex, shape (2, 3).
-
-    A change e of the FRF changes height and frequency by ``Re(sensitivity @ e)``. At the peak, ``Re(conj(g) g')`` of
-    the interpolated g = 1/H is zero.
-    """
+    """Return the derivatives of height and frequency of the peak by the FRF at three points, shape (2, 3)."""
+    # A change e of the FRF changes them by Re(sensitivity @ e). Re(conj(g) g') of g = 1/H is zero at the peak.
     step = 1e-3 * np.ptp(f)
     at = frequency + step * np.arange(-1.0, 2.0)
     # Weights of the three points in g and its derivatives; a quadratic function has exact central differences.
@@ -344,11 +338,8 @@ def _propagated_bounds(points: Response, sensitivity: np.ndarray) -> np.ndarray:
 
 
 def _highest_local_maximum(magnitude: np.ndarray, random_bound: np.ndarray) -> int:
-    """Return the index of the highest point, or of the highest significant local maximum if that point is at an end.
-
-    Without such a maximum, return the highest point. A maximum is significant if it exceeds the minima on both sides by
-    more than the random uncertainty of both.
-    """
+    """Return the index of the highest point or, if that is at an end, of the highest significant maximum, if any."""
+    # A maximum is significant if it exceeds the minima on both sides by more than the random uncertainty of both.
     highest, best_maximum = int(np.argmax(magnitude)), -1
     if 0 < highest < magnitude.size - 1:
         return highest
@@ -363,10 +354,7 @@ def _highest_local_maximum(magnitude: np.ndarray, random_bound: np.ndarray) -> i
 
 
 def _leave_one_out_error(f: np.ndarray, inverse_frf: np.ndarray, random_bound: np.ndarray, highest: int) -> float:
-    """Estimate the relative error, beyond random errors, with which neighbors predict the three points at the peak.
-
-    `inverse_frf`, `random_bound`: 1/H and its random expanded uncertainty at f; `highest`: index of the highest point.
-    """
+    """Estimate the relative error, beyond `random_bound` of 1/H, of predictions of the three points at the peak."""
     errors = [0.0]
     for k in (highest - 1, highest, highest + 1):
         others = np.array([i for i in range(max(k - 2, 0), min(k + 3, f.size)) if i != k])

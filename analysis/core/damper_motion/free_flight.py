@@ -234,11 +234,7 @@ def _restitution_after_rest(
 def _restitution_after_rebound(
     motion: BodyMotion, departure: _WallContact, arrival: _WallContact, inelastic_speed: Array
 ) -> tuple[float, float] | None:
-    """Estimate the restitution from the speed of the rebound that begins a flight, and from the next closing speed.
-
-    `inelastic_speed`: closing speeds, for zero restitution, of the impacts at the start and the end of the flight.
-    Returns as `_restitution_after_rest`.
-    """
+    """Estimate the restitution from rebound and next closing speed; `inelastic_speed`: both without restitution."""
     gravity = motion.rec.scene.gravity
     time, height_error, closing_speed = _flight(gravity, departure, arrival)
     # The rebound speed with which the flight ends exactly at the wall.

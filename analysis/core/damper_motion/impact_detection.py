@@ -231,10 +231,7 @@ def detect_impacts(
 
 
 def _impact_channel(rec: Recording, channel: str) -> tuple[ChannelInfo, Pulse | None, int]:
-    """Return a channel that responds to impacts, the force pulse of a finite-duration contact, and the decimation.
-
-    The decimation is the number of samples in each average.
-    """
+    """Return a channel that responds to impacts, the force pulse of a contact, and the samples in each average."""
     info = find_channel(rec, channel)
     if info.quantity not in MOTIONS:
         raise RecordingError(
@@ -285,10 +282,7 @@ def _valid_samples(rec: Recording, name: str, samples: Array, start: int, settli
 
 
 def _acceleration(samples: Array, impact_samples: Array, info: ChannelInfo, duration: float) -> Array:
-    """Estimate the acceleration at jumps [m/s²] by a polynomial through the samples on both sides.
-
-    `impact_samples`: times of the jumps [samples]; `duration`: duration of contact [s]. NaN too close to the ends.
-    """
+    """Estimate the acceleration at jumps [m/s²] by a polynomial through both sides; NaN too close to the ends."""
     integrations = 2 - MOTIONS.index(info.quantity)
     # The high-pass filters of integrators distort slow motion, so their slow poles and zeros are corrected.
     zeros, poles = (tuple(root for root in roots if abs(root) < info.rate) for roots in (info.zeros, info.poles))

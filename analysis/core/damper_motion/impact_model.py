@@ -310,11 +310,8 @@ def _impact_models(
 def _acceleration_responses(
     info: ChannelInfo, integrations: int, instants: int, before: int, after: int, pulse: Pulse | None, decimation: int
 ) -> Array:
-    """Compute the responses to unit jump, step and kink, differentiated to acceleration.
-
-    `instants`: sub-sample times in a sample interval. Returns samples 1 - `before` to `after` for each time of a
-    jump; shape (rows, 3, before + after).
-    """
+    """Return responses to unit jump, step and kink as accelerations, shape (instants, 3, before + after)."""
+    # A row contains samples 1 - `before` to `after` for a jump at one of the sub-sample `instants`.
     from scipy import fft
 
     rate = info.rate / decimation

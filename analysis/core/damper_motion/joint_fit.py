@@ -190,10 +190,8 @@ def _least_squares(rows: Array, readings: Array, ridge: Array) -> _Fit:
 
 
 def _regressors(model: ImpactModel, times: Array, amplitudes: Array | None, first: int, last: int) -> Array:
-    """Return the differences `first` to `last` of unit jump, step and kink at each time.
-
-    With `amplitudes`, the time derivative of each jump follows. The shape is (unknowns, last - first).
-    """
+    """Return differences `first` to `last` of unit jump, step and kink at each time, (unknowns, last - first)."""
+    # With `amplitudes`, the time derivative of each jump follows.
     per_jump = 3 if amplitudes is None else 4
     regressors = np.zeros((per_jump * times.size, last - first))
     for k, time in enumerate(times):

@@ -226,11 +226,7 @@ class MatchingPursuit:
         return min(max(int(np.floor(jump.time)) - self.window_offset, 0), self.residual.size - self.model.window_length)
 
     def _refine(self, jump: Jump, noise: Array, starts: tuple[float, ...] = (0.0,)) -> None:
-        """Fit a jump jointly with overlapping jumps; remove it if the others alone fit equally well.
-
-        `noise`: standard deviation of a reading in each window; `starts`: offsets of the initial time of the jump,
-        samples. The best fit is used.
-        """
+        """Fit a jump jointly with overlapping jumps, best of the times `starts`; remove it if it is not needed."""
         model = self.model
         group = [other for other in self.jumps if abs(other.time - jump.time) < model.min_separation]
         if len(group) == 1 and not self._step_exceeds_weight(jump):
@@ -335,10 +331,8 @@ class MatchingPursuit:
         return np.array(limits).reshape(-1, 2)
 
     def _step_exceeds_weight(self, jump: Jump) -> bool:
-        """Return whether the acceleration changes by more in a finite-duration impact than the weight of a bed causes.
-
-        The contact may then have ended early, and the sign of the velocity jump is undetermined.
-        """
+        """Return whether a finite-duration impact changes the acceleration by more than the weight of a bed does."""
+        # The contact may then have ended early, and the sign of the velocity jump is undetermined.
         return self.model.contact_samples > 0 and abs(jump.step) > _MAX_STEP_SIGMAS * self.prior[0]
 
     def _search_jointly(self, first: int, last: int, limit: float) -> None:
@@ -410,11 +404,9 @@ class MatchingPursuit:
         return np.maximum(np.repeat(local_level, lengths) / ndtri(0.5 + 0.5 * noise_quantile), self.noise_floor)
 
     def _likelihood_ratio(self) -> tuple[Array, Array]:
-        """Compute the generalized likelihood ratio of a jump at every sample, in noise variances, and the noise.
-
-        The filters of all sub-sample times span a space of few dimensions. The projections of a window on this space
-        bound the outputs of all filters, which are therefore computed only where a jump may be detected.
-        """
+        """Return the generalized likelihood ratio of a jump at every sample, in noise variances, and the noise."""
+        # The filters of all sub-sample times span a space of few dimensions. The projections of a window on this space
+        # bound the outputs of all filters, which are therefore computed only where a jump may be detected.
         noise = self.noise(self.noise_quantile)
         basis, weights = self.model.search_basis
         windows = np.lib.stride_tricks.sliding_window_view(self.residual, self.model.window_length)

@@ -206,11 +206,9 @@ def _stays_at_ceiling(apparent_gravity: Array, error: float, rebound_speed: floa
 
 
 def _fastest_rebound(motion: BodyMotion, dampers: list[Damper], estimate: Restitution | None) -> float:
-    """Return an upper bound of the rebound speed at the ceiling, summed over all bounces [m/s].
-
-    It uses the restitution estimated from flights if this differs significantly from zero, otherwise the scene's
-    restitution. For finite-duration contact the release is unknown and the bound is infinite.
-    """
+    """Return an upper bound of the rebound speed at the ceiling, summed over all bounces [m/s]."""
+    # The restitution estimated from flights is used if it differs significantly from zero, otherwise the scene's. For
+    # finite-duration contact the release is unknown.
     detected = motion.impacts
     if detected.contact_duration:
         return np.inf
@@ -228,11 +226,7 @@ def _fastest_rebound(motion: BodyMotion, dampers: list[Damper], estimate: Restit
 
 
 def _push_time(acceleration: Array, amplitude: float, gravity: float, frequency: float) -> float:
-    """Return a lower bound of the time for which the ceiling pushes after impacts [s] for a sinusoidal acceleration.
-
-    `acceleration`: acceleration of the body at the impacts [m/s²]. The ceiling pushes until this acceleration rises to
-    -g.
-    """
+    """Return a lower bound of the time [s] until the `acceleration` at the impacts, if sinusoidal, rises to -g."""
     finite = acceleration[np.isfinite(acceleration)]
     at_impact = float(np.median(finite)) if finite.size else 0.0
     begin_phase, end_phase = np.arcsin(np.clip([at_impact / amplitude, -gravity / amplitude], -1.0, 1.0))

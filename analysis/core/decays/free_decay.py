@@ -301,11 +301,8 @@ def _energy_decay(acceleration: Array) -> Array:
 
 
 def _energy_after_end(acceleration: Array) -> float:
-    """Extrapolate the energy after the end of the record exponentially from its last two tenths, in (m/s²)².
-
-    If the energy does not fall there, the result is 0 if the last tenth contains at most `_MAX_FINAL_ENERGY_FRACTION`
-    of the energy (noise), otherwise infinite (not a free decay).
-    """
+    """Extrapolate the energy after the end of the record exponentially from its last two tenths, in (m/s²)²."""
+    # Energy that does not fall is noise if the last tenth contains a small fraction of it; otherwise nothing decays.
     tenth = max(1, acceleration.size // 10)
     previous_energy = float(np.sum(acceleration[-2 * tenth : -tenth] ** 2))
     last_energy = float(np.sum(acceleration[-tenth:] ** 2))

@@ -237,10 +237,7 @@ def _band_pass(acceleration: Array, rate: float, frequency: float, width: float)
 
 
 def _noise(analytic: ComplexArray, rate: float, frequency: float, width: float) -> float:
-    """Estimate the noise, rms: residual of an exponential fit to the last quarter of the decay.
-
-    The dampers are usually at rest there, and the structure responds linearly; any damper motion counts as noise.
-    """
+    """Estimate the noise, rms, from an exponential fit to the last quarter, where dampers are usually at rest."""
     step = max(1, int(rate / (8.0 * width)))
     last_quarter = analytic[-(analytic.size // 4) :][::step]
     if last_quarter.size < 8:
@@ -272,11 +269,8 @@ def _log_amplitudes(envelope: Array) -> Array:
 
 
 def _damping(analytic: ComplexArray, log_amplitudes: Array, half_fall: float) -> tuple[Array, Array, Array]:
-    """Return damping ratio, natural frequency [rad/sample] and limit of the relative error due to a kink.
-
-    They are estimated from the fall of the envelope by `half_fall` nepers on either side of that amplitude. Damping
-    ratio and natural frequency are NaN outside the decay.
-    """
+    """Return damping ratio, natural frequency [rad/sample] (NaN outside the decay), and error due to a kink."""
+    # They are estimated from the fall of the envelope by `half_fall` nepers on either side of that amplitude.
     envelope = np.abs(analytic)
     if envelope.size < 8 or envelope.max() <= 0:
         undetermined = np.full(log_amplitudes.size, np.nan)
@@ -297,11 +291,8 @@ def _damping(analytic: ComplexArray, log_amplitudes: Array, half_fall: float) ->
 
 
 def _decay_rate(logarithm: Array, first: float, last: float, log_amplitude: float) -> tuple[float, float]:
-    """Return the decay rate of a logarithmic envelope [nepers per sample] and the rms residual of the fit.
-
-    A parabola is fitted between the samples `first` and `last`, because a straight line would yield the mean of a
-    varying slope. Beats average out.
-    """
+    """Fit a logarithmic envelope; return the decay rate in its middle [nepers per sample] and the rms residual."""
+    # A straight line would yield the mean of a varying slope. Beats average out.
     if not (np.isfinite(first) and np.isfinite(last)) or last - first < 4.0:
         return float("nan"), 0.0
     samples = np.arange(round(first), round(last) + 1, max(1, int((last - first) / _MAX_POINTS)))

@@ -229,10 +229,8 @@ def _try_swaps(uncorrected: _Refit, linear_curves: list[Curves]) -> _Explanation
 
 
 def _try_channels(uncorrected: _Refit, linear_curves: list[Curves]) -> _Explanations:
-    """Yield the common mistakes in each sensor, and its best-fitting factor.
-
-    The structure starts from its fit to the other responses if there are enough, otherwise from its modes.
-    """
+    """Yield the common mistakes in each sensor, and its best-fitting factor."""
+    # The structure starts from its fit to the other responses if there are enough, otherwise from its modes.
     references = dict.fromkeys(curves.reference_sensor for curves in linear_curves)
     force_sensors = {curves.reference_sensor for curves in linear_curves if curves.reference == "force"}
     for sensor in (*references, *_sensors(linear_curves)):
@@ -352,10 +350,8 @@ def _sensors(linear_curves: list[Curves]) -> list[Sensor]:
 
 
 def _multiply(curves: Curves, factor: float | ComplexArray | Array) -> Curves:
-    """Multiply responses and their errors by factors, shape (responses, n) or broadcastable to it.
-
-    The covariance `errors` is unchanged, because it affects intervals but not the fit.
-    """
+    """Multiply responses and their errors by factors, shape (responses, n) or broadcastable to it."""
+    # The covariance `errors` is unchanged, because it affects intervals but not the fit.
     factors = np.broadcast_to(np.asarray(factor, dtype=complex), curves.value.shape)
     return replace(
         curves,
@@ -368,10 +364,8 @@ def _multiply(curves: Curves, factor: float | ComplexArray | Array) -> Curves:
 
 
 def _estimate_delay(linear_curves: list[Curves], sensor: Sensor) -> float:
-    """Return the delay of a sensor [s] that brings the phases closest to 0 or 180 degrees; 0 without responses.
-
-    Away from resonances the phase of a response is near these values; a delay adds a phase proportional to frequency.
-    """
+    """Return the delay of a sensor [s] that brings the phases closest to 0 or 180 degrees; 0 without responses."""
+    # Away from resonances the phase is near these values; a delay adds a phase proportional to frequency.
     alignment = np.zeros(_TRIAL_DELAYS.size)
     sign = -1.0 if any(curves.reference_sensor == sensor for curves in linear_curves) else 1.0
     for curves in linear_curves:
@@ -497,10 +491,8 @@ def _start(uncorrected: _Refit, curves: list[Curves]) -> _Refit:
 
 
 def _solve_from_both(uncorrected: _Refit, curves: list[Curves]) -> _Refit:
-    """Return the better fit of those from the modes of curves and from the uncorrected fit.
-
-    The uncorrected fit may have the smaller initial cost and yet lead to a local minimum.
-    """
+    """Return the better fit of those from the modes of curves and from the uncorrected fit."""
+    # The uncorrected fit may have the smaller initial cost and yet lead to a local minimum.
     restarted = uncorrected.with_curves(curves)
     fits = (start.solved() for start in (_start_from_modes(restarted.problem), restarted))
     return min(fits, key=attrgetter("square"))

@@ -108,11 +108,8 @@ def estimate(problem: Problem, report: Report) -> Estimate:
 def _estimate_dampers(
     problem: Problem, x_structure: Array, damper_groups: Sequence[Group], structure_known: bool, report: Report
 ) -> Array:
-    """Estimate all unknowns from several initial values of the dampers, the scene's first; return the best.
-
-    The fit has separate optima with and without ceiling impacts, so initial clearances of both kinds are tried.
-    `x_structure`: unknowns with the fitted structure, if it is known from linear recordings, and the initial dampers.
-    """
+    """Estimate all unknowns from several initial dampers, the scene's first, and `x_structure`; return the best."""
+    # The fit has separate optima with and without ceiling impacts, so initial clearances of both kinds are tried.
     best, lowest_cost, orbit_states = x_structure, np.inf, [group.orbit_state() for group in damper_groups]
     # Names of the quantities of dampers; "" for other unknowns.
     quantities = ["" if parameter.damper is None else parameter.quantity for parameter in problem.parameters]

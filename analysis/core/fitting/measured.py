@@ -191,10 +191,7 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
 
 
 def _limits(frfs: Sequence[Response], names: Collection[str] | None = None, without: Collection[str] = ()) -> Array:
-    """Return the root sum of squares of the limits of systematic errors; shape (responses, n).
-
-    `names`: included errors, by default all; `without`: excluded errors.
-    """
+    """Return the root sum of squares of the limits `names` (all if omitted) except `without`; shape (responses, n)."""
     totals = []
     for frf in frfs:
         selected = names or frf.limits
@@ -204,10 +201,7 @@ def _limits(frfs: Sequence[Response], names: Collection[str] | None = None, with
 
 
 def _reference_noise(frfs: Sequence[Response], errors: Covariance) -> tuple[Array, Array]:
-    """Return the relative bias of all responses due to reference noise, and the bound of the error of this bias.
-
-    Both have the shape (lines,).
-    """
+    """Return the relative bias due to reference noise and the bound of its error, each of shape (lines,)."""
     magnitude = np.stack([np.maximum(abs(frf.value), 1e-300) for frf in frfs])
     # The coherence of a response is lowered by noise of the response, too, and gives only an upper bound of the
     # reference noise. The smallest bound is therefore the best estimate.

@@ -268,11 +268,9 @@ class Problem:
     def _finite_differences(
         self, x: Array, groups: Sequence[Group], scene: Scene, model_error: float, indices: Sequence[int]
     ) -> list[ComplexArray]:
-        """Differentiate the residuals of each group by central differences; shape (fitted, responses, indices).
-
-        A forward difference is too inaccurate near a resonance: its error would appear as information on values that
-        the recordings do not determine, such as a common factor of masses, stiffnesses and force.
-        """
+        """Differentiate the residuals of each group by central differences; shape (fitted, responses, indices)."""
+        # The error of a forward difference near a resonance would appear as information on undetermined values, such as
+        # a common factor of masses, stiffnesses and force.
         if not groups:
             return []
         for group in groups:
@@ -334,10 +332,7 @@ class Problem:
         return whitened / np.sqrt(1.0 + (model_error * group.local_peak[is_fitted]) ** 2)[..., None]
 
     def _changed_scene(self, k: int, value: float, scene: Scene, curves: Curves) -> tuple[Scene, float]:
-        """Return the scene of a test with a slightly larger value of parameter k, and the change of the value.
-
-        `scene`: the scene in which the parameter has this `value`.
-        """
+        """Return the `scene` with a slightly larger value of parameter k, which has this `value`, and the change."""
         changed = value * (1.0 + _PARAMETER_STEP)
         return scene_of_test(with_values(scene, {self.parameters[k].key_path: changed}), curves), changed - value
 

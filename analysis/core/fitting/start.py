@@ -96,10 +96,7 @@ def _fit_modes(
     modal_groups: Sequence[tuple[Group, Modes]],
     assignments: Sequence[tuple[int, ...]],
 ) -> Array:
-    """Fit the active unknowns to the identified modes.
-
-    `x`: initial values; `assignments`: the model mode of each identified mode, for each group.
-    """
+    """Fit the active unknowns, initially `x`, to the modes; `assignments`: model mode of each mode, for each group."""
 
     def residual(values: Array) -> Array:
         unknowns = x.copy()
@@ -125,10 +122,7 @@ def _fit_modes(
 
 
 def _model_modes(scene: Scene, group: Group) -> tuple[Array, Array, Array]:
-    """Return frequencies in Hz, damping ratios, and modal constants (Ewins), shape (responses, modes).
-
-    A modal constant is -2 omega times the imaginary part of the residue.
-    """
+    """Return frequencies [Hz], damping ratios, and modal constants (-2 omega Im(residue)), (responses, modes)."""
     test_scene = scene_of_test(scene, group.curves)
     spring = None if test_scene.driven_shaker is None else test_scene.driven_shaker.coil_spring
     model = structural_model(test_scene).with_bed_masses()

@@ -333,10 +333,8 @@ class _OrbitSolver:
     def _newton(
         self, start: StoredOrbit, point: OperatingPoint, max_corrections: int = _MAX_CORRECTIONS
     ) -> tuple[OrbitFamily, Array, Any, Any] | None:
-        """Return family, unknowns, equations and shooting result of the refined orbit; None without convergence.
-
-        With one correction at most, the convergence is not checked.
-        """
+        """Return family, unknowns, equations and shooting result of the refined orbit; None without convergence."""
+        # With one correction at most, the convergence is not checked.
         plan, problem = start.plan, self.problem
         family = OrbitFamily(problem, plan, point, "frequency", start.unknowns)
         equations, derivatives = problem.equations(point, plan, parameter=None)

@@ -180,11 +180,8 @@ def _modes_of_band(curves: Sequence[Response], fitted: FittedModes) -> Identifie
 
 
 def _shape_errors(curves: Sequence[Response], poles: ComplexArray, residue: ComplexArray) -> Array:
-    """Return standard uncertainties of shapes with largest element 1, from the curves at resonance.
-
-    Errors of the reference, of the clock and of common readings change all elements by the same factor, and cancel in
-    the ratio of two curves. The result has the shape (responses, modes).
-    """
+    """Return standard uncertainties of shapes with largest element 1, from curves at resonance; (responses, modes)."""
+    # Errors of the reference, of the clock and of common readings cancel in the ratio of two curves.
     frequency: Array = np.asarray(abs(poles) / (2 * np.pi), dtype=float)
     largest = np.argmax(abs(residue), axis=0)
     error: Array = np.zeros(residue.shape)
@@ -217,10 +214,7 @@ def _refine(weighted: Curves, model: ModalModel, frfs: Sequence[Response]) -> Re
 
 
 def _residual_terms(frequency: Array, value: ComplexArray, poles: ComplexArray, residue: ComplexArray) -> Array:
-    """Return `Modes.lower` and `Modes.upper`, shape (responses, 4): the part of curves that the modes do not represent.
-
-    `value`: curves at given frequencies [Hz], shape (responses, n).
-    """
+    """Return `Modes.lower` and `Modes.upper`, (responses, 4): the part of curves that the modes do not represent."""
     remainder = value - modal_receptance(frequency, poles, residue, np.zeros((len(value), 1 + UPPER_TERMS)))
     terms = np.stack(residual_terms(2j * np.pi * frequency), axis=1)
     scale = abs(terms).max(axis=0)

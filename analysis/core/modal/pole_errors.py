@@ -182,10 +182,7 @@ def _covariance_factors(curves: Curves, model: ModalModel) -> tuple[Array, Array
 
 
 def _sums_over_responses(curves: Curves, model: ModalModel) -> tuple[Array, Array, ComplexArray]:
-    """Return the information matrix, (parameters, parameters), and two sums over responses, (parameters, n).
-
-    The sums are those of the derivatives times the residual (real part), and times the weighted responses.
-    """
+    """Return the information matrix, and sums of derivatives times residual (real) and times weighted responses."""
     count = 2 * model.poles.size
     information = np.zeros((count, count))
     score, gradient = np.zeros((count, curves.frequency.size)), np.zeros((count, curves.frequency.size), dtype=complex)

@@ -115,9 +115,6 @@ def merge_charts(frequency: Array, charts: Sequence[list[ChartPole]]) -> tuple[C
 
 
 def _are_same_poles(first: ComplexArray, second: ComplexArray, spacing: float) -> NDArray[np.bool_]:
-    """Return whether two poles are closer than a quarter of the half-power width, or of the line spacing in Hz.
-
-    The result has the shape (first, second).
-    """
+    """Return whether two poles are closer than a quarter of the half-power width, or of the line spacing in Hz."""
     width = np.maximum(-first.real[:, None], -second.real)
     return np.asarray(abs(first[:, None] - second) < np.maximum(0.5 * width, 0.5 * np.pi * spacing))

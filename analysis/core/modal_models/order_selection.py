@@ -113,10 +113,8 @@ def select_model(
 
 
 def _fit_without_computational_poles(curves: Curves, poles: ComplexArray, max_evaluations: int) -> ModalModel:
-    """Fit a model, and remove its computational poles in steps: the least significant pole of each group of neighbors.
-
-    Without this pole, the other poles of the group may be modes.
-    """
+    """Fit a model, and remove computational poles in steps: the least significant pole of each group of neighbors."""
+    # Without this pole, the other poles of the group may be modes.
     model = fit(curves, poles, max_evaluations)
     while (rejected := computational_poles(curves, model)).size:
         misfits = misfits_without(curves, model.poles)
@@ -151,10 +149,8 @@ def _with_best_added_pole(curves: Curves, current: ModalModel, candidates: Compl
 
 
 def _best_pair(curves: Curves, empty: ModalModel, candidates: ComplexArray) -> ModalModel | None:
-    """Return a model with two poles that are significant together; None if there is none or if noise explains all.
-
-    Next to the flank of another mode, a single pole reduces the misfit too little to be significant.
-    """
+    """Return a model with two poles that are significant together; None if there is none or if noise explains all."""
+    # Next to the flank of another mode, a single pole reduces the misfit too little to be significant.
     if empty.misfit <= _MAX_NOISE_RATIO * curves.degrees_of_freedom(0):
         return None
     single = fit(curves, candidates[[np.argmin(misfits_with(curves, empty.poles, candidates))]])
@@ -253,11 +249,9 @@ def _prune(curves: Curves, model: ModalModel) -> ModalModel:
 
 
 def _significant_poles(curves: Curves, model: ModalModel) -> tuple[ComplexArray, int]:
-    """Return the significant poles of a model, and the index of the least significant of them.
-
-    The increase of the misfit without a pole is overestimated, because the other poles are not fitted again. A pole
-    that is not significant here is therefore not significant after a new fit either.
-    """
+    """Return the significant poles of a model, and the index of the least significant of them."""
+    # The increase of the misfit without a pole is overestimated, because the other poles are not fitted again. A pole
+    # that is not significant here is therefore not significant after a new fit either.
     poles, least_significant = model.poles, 0
     while poles.size:
         misfits = misfits_without(curves, poles)

@@ -274,10 +274,7 @@ class LockIn:
 
 
 def _drift(parts: _Parts, sums: Array) -> tuple[Array, Array]:
-    """Estimate the drift in each part, from the sums of the residual of each part.
-
-    Returns coefficients of constant and slope, shape (parts, 2, channels), and of the square of the slope.
-    """
+    """Estimate constant and slope of the drift in each part, (parts, 2, channels), and of the square of the slope."""
     if len(sums) < 3:
         return np.zeros((len(sums), 2, sums.shape[1])), np.zeros(sums.shape)
     mean, half_lengths = sums / parts.lengths[:, None], (parts.lengths - 1)[:, None] / 2

@@ -179,10 +179,7 @@ def _separation(forces: ComplexArray) -> ComplexArray:
 
 
 def _by_input(values: NDArray[Any], factors: NDArray[Any]) -> NDArray[Any]:
-    """Multiply values, shape (rows, channels, lines), by factors, shape (lines, rows or 1, inputs).
-
-    Shape of the result: (rows, inputs channels, lines).
-    """
+    """Multiply (rows, channels, lines) by factors, (lines, rows or 1, inputs); shape (rows, inputs channels, lines)."""
     products = values[:, None] * np.moveaxis(factors, 0, 2)[:, :, None]
     return products.reshape(len(values), -1, values.shape[2])
 

@@ -165,10 +165,8 @@ class SegmentFits:
     def _split_at_impacts(
         self, segments: list[tuple[int, int]], rate: float
     ) -> tuple[list[tuple[int, int]], list[str]]:
-        """Split segments before impacts so that no segment has more impacts or samples than one fit can include.
-
-        The vibration that remains from earlier impacts is a transient of the fit.
-        """
+        """Split segments before impacts so that no segment has more impacts or samples than one fit can include."""
+        # The vibration that remains from earlier impacts is a transient of the fit.
         assert self.impacts is not None
         impacts = self.impacts
         count = sum(len(impacts.inside(*segment)) for segment in segments)

@@ -169,11 +169,8 @@ class Lines:
 
 
 def _noise_of_changes(changes: ComplexArray) -> Array:
-    """Estimate the noise power in the changes between parts of a test, summed over the changes; (channels, lines).
-
-    `changes`, shape (changes, channels, lines). Noise differs from line to line, while transients are smooth. The
-    median over lines excludes transients of single modes.
-    """
+    """Estimate the noise power in the `changes` between parts of a test, summed over the changes; (channels, lines)."""
+    # Noise differs from line to line, while transients are smooth; the median excludes transients of single modes.
     count, _, lines = changes.shape
     if lines < _MIN_LINES:
         return np.zeros(changes.shape[1:])

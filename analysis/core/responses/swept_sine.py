@@ -286,10 +286,8 @@ def _interpolate_noise(levels: Sequence[tuple[float, ...]], frequency: Array, ch
 
 
 def _samples_between(block: Array, ends: Sequence[float], period: float) -> Array:
-    """Return the samples between two positions of a segment, but at least `_MIN_PERIODS` around their middle.
-
-    The readings in other parts of the segment may be far larger.
-    """
+    """Return the samples between two positions of a segment, but at least `_MIN_PERIODS` around their middle."""
+    # The readings in other parts of the segment may be far larger.
     middle, half = sum(ends) / 2.0, max(abs(ends[1] - ends[0]) / 2.0, _MIN_PERIODS / 2.0 * period)
     return block[:, max(int(middle - half), 0) : max(int(middle + half), int(period)) + 1]
 

@@ -322,10 +322,8 @@ def _densities(
 def _amplitudes(
     rec: Recording, prescription: Prescription, start: int, stop: int
 ) -> tuple[Array, dict[str, tuple[Array, Array, Array]], float]:
-    """Return frequencies, the amplitude of each channel in windows of some periods without an interval, and 0.
-
-    The phase of the tone is computed from the sweep except for a constant, which does not change the amplitude.
-    """
+    """Return frequencies, the amplitude of each channel in windows of some periods without an interval, and 0."""
+    # The phase of the tone is computed from the sweep except for a constant, which does not change the amplitude.
     sweep = rec.scene.test
     assert sweep is not None
     total, samples = round(sweep.shortest * rec.rate), stop - start

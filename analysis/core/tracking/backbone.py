@@ -271,10 +271,7 @@ def _mode(
     relative: float,
     rotation: float,
 ) -> _Mode:
-    """Return natural frequency and damping ratio from the motion [m] of all bodies per force [N].
-
-    `relative`, `rotation`: relative uncertainty of the motion, and uncertainty of its phase (rad).
-    """
+    """Return the mode of a motion [m] per force [N]; `relative`, `rotation`: uncertainties of motion and phase."""
     shape = -motion.imag / np.sqrt(motion.imag @ mass @ motion.imag)
     coordinate = complex(shape @ mass @ motion)
     others = motion.real - shape * coordinate.real

@@ -412,10 +412,7 @@ def _curve(
     resolution: float | None = None,
     bound: Array | None = None,
 ) -> Response:
-    """Build a curve from its valid lines in order of frequency.
-
-    `error`: standard uncertainty; `resolution`: Hz; `bound`: limit of the systematic errors, infinite if unknown.
-    """
+    """Build a curve from its valid lines in order of frequency; `bound`: systematic limit, infinite if unknown."""
     lines = _valid_lines(f"{path}: {name}", frequency, value)
     if resolution is None:
         steps = np.diff(frequency[lines])

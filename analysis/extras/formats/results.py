@@ -68,10 +68,7 @@ def _sweeps(file: Path, progress: CountProgress | None) -> list[tuple[Response, 
 
 
 def _force_node(rec: Recording, name: str) -> int:
-    """Return the node of a force: the body on which it acts, or 0 for several bodies.
-
-    `name`: channel of the force if several shakers are driven.
-    """
+    """Return the node of the body on which a force (`name`, if several) acts, or 0 for several bodies."""
     place = rec.channels[name].at if name in rec.channels else ""
     bodies = rec.scene.shakers[int(place.split()[1]) - 1].bodies if place.startswith("shaker ") else rec.scene.force_on
     return bodies[0] if len(bodies) == 1 else 0

@@ -66,11 +66,8 @@ def _pieces(segment: Slice, name: str) -> Iterator[Array]:
 
 
 def _write_pieces(file: BinaryIO, fields: dict[str, Any], count: int, pieces: Iterator[Array]) -> None:
-    """Write a data set 58 in pieces.
-
-    pyuff writes only the first piece, because it writes a data set as one text and reads the whole file after each data
-    set.
-    """
+    """Write a data set 58 in pieces."""
+    # pyuff would write the whole data set as one text, and reads the whole file after each data set.
     import pyuff
 
     with temporary_folder() as folder:

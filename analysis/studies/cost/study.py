@@ -194,10 +194,7 @@ def _test(scene: Scene, frequencies: tuple[float, ...]) -> SteppedSine:
 
 
 class _Bench:
-    """Records and analyzes variants of a scene; recordings are made in `folder`.
-
-    `linear`: whether the scene has no moving dampers; its exact compliance is then the reference.
-    """
+    """Records variants of a scene in `folder`; the exact compliance of a `linear` scene is the reference."""
 
     def __init__(self, folder: Path, linear: bool) -> None:
         self._folder, self._linear = folder, linear

@@ -143,10 +143,7 @@ def _frequency_range(data: Columns, selected: np.ndarray, kind: str) -> str:
 
 
 def _nearest_orbit(exact: Columns, frequency: float, value: complex) -> tuple[int, float]:
-    """Return the index of the stable orbit nearest to a measured compliance of body 2, and the relative deviation.
-
-    The index is -1 if there is no stable orbit near the frequency.
-    """
+    """Return the index of the stable orbit (-1: none) nearest to a compliance of body 2, and the relative deviation."""
     candidates = exact["stable"] & (np.abs(exact["frequency"] - frequency) < 0.06)
     if not candidates.any():
         return -1, np.nan

@@ -92,10 +92,7 @@ def exact_orbits(scene: Scene, band: tuple[float, float], searches: int = 5) -> 
 
 
 def _contact_instants(orbit: Orbit) -> list[float]:
-    """Return the instants of floor impact, take-off, ceiling impact and take-off from the ceiling [s].
-
-    An instant is NaN if its event does not occur.
-    """
+    """Return the instants of floor and ceiling impacts and take-offs [s]; NaN for events that do not occur."""
     if orbit.motion_type not in ("I", "II", "III"):
         return [np.nan] * 4
     floor, ceiling, separations = (

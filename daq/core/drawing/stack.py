@@ -148,10 +148,8 @@ class Stack:
         self.blocks = [self._block(number, joint, exaggeration) for number, joint in enumerate(scene.joints, 1)]
 
     def _block(self, number: int, joint: Joint, exaggeration: float) -> Block:
-        """Return the block of a joint: between the bodies if they are neighbors, otherwise at the right of both.
-
-        A gap that exceeds the space below a body is drawn smaller.
-        """
+        """Return the block of a joint: between the bodies if they are neighbors, otherwise at the right of both."""
+        # A gap that exceeds the space below a body is drawn smaller.
         lower, upper = joint.ends
         top = self.ground if lower is None else self.bottoms[lower] + self.heights[lower]
         bottom = 0.0 if upper is None else self.bottoms[upper]

@@ -24,10 +24,8 @@ _WINDOW_S = 0.1
 
 
 def _with_impacts(test: Impulse, repeats: int, interval: float) -> Impulse:
-    """Return the test with a different number of impacts and interval [s]; later double impacts are dropped.
-
-    If impacts are missing, all remaining impacts have the highest peak.
-    """
+    """Return the test with another number of impacts and interval [s], without later double impacts."""
+    # If impacts are missing, all remaining impacts have the highest peak.
     peak = test.peak if repeats == test.repeats else max(test.levels)
     double_hit = test.double_hit
     if double_hit is not None and double_hit.hits is not None:

@@ -131,10 +131,7 @@ def _model(frequencies: Sequence[float], rate: float, samples: int, first: int, 
 
 
 def _amplitude_parts(samples: Array, frequencies: Sequence[float], rate: float) -> Array:
-    """Return real and imaginary part of each amplitude in a long window, shape (channels, 2 tones).
-
-    The normal equations are summed over pieces of the window.
-    """
+    """Return real and imaginary part of each amplitude in a long window, read in pieces; (channels, 2 tones)."""
     n_samples = samples.shape[1]
     normal, projection = 0.0, 0.0
     for first in range(0, n_samples, _PIECE_SAMPLES):

@@ -42,11 +42,7 @@ def shaping_filter(lines: Lines, amplitudes: Array, gains: Array, level: float, 
 
 
 def _burst_envelope(block: int, burst: float | None, edge: int) -> Array:
-    """Return the envelope, 0 to 1, of a block with one burst; shape (block,).
-
-    `burst`: fraction of the block with the burst, None without bursts; `edge`: length of its linear rise and fall,
-    samples.
-    """
+    """Return the envelope, 0 to 1, of a block with one burst (fraction of it) and linear edges [samples]; (block,)."""
     if burst is None:
         return np.ones(block)
     n_samples = max(2, round(burst * block))

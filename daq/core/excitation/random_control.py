@@ -114,10 +114,8 @@ class SpectrumControl:
         self.drive = updated(self.drive, self._correction(density), self.test.speed, self.spectra.count)
 
     def _correction(self, density: Array) -> Array:
-        """Return the required change of the drive density.
-
-        Limits are reduced by the standard deviation of densities averaged over the test: few lines then exceed them.
-        """
+        """Return the required change of the drive density."""
+        # Limits are reduced by the standard deviation of densities averaged over the test: few lines then exceed them.
         spectra = max(2.0 * self.test.duration * self.station.rate / self.period, 1.0)
         required = self.test.prescription.required(density, self.frequency)
         required[1:] *= 10.0 ** (-SCATTER_DB / np.sqrt(spectra) / 10.0)

@@ -64,10 +64,7 @@ def _sweep_controlled(
     control: SweepControl,
     monitor: LevelMonitor,
 ) -> Generator[Array, Array, complex]:
-    """Sweep with a constant force amplitude; return the final complex amplitude of the drive.
-
-    `start_phase`: phase of the tone at the start [rad]; `amplitude`: initial complex amplitude of the drive.
-    """
+    """Sweep from a phase and complex amplitude of the drive with constant force; return the final amplitude."""
     station, rows, stiffness = force.station, list(force.rows), force.factors[0]
     total, completed, rate = station.samples(test.duration), 0, station.rate
     # Readings at both ends of the coil spring, and phases of the tone, in the latest samples.
@@ -169,10 +166,7 @@ def _displacements(
 
 
 def _phase(test: SweptSine, start_phase: float, completed: int, window: int, total: int) -> Array:
-    """Return the phase of the tone [rad] at the next `window` samples of a sweep of `total` samples.
-
-    `start_phase`: phase at the start of the sweep [rad]; `completed`: number of samples before this window.
-    """
+    """Return the phase [rad] at the next `window` samples after `completed` of `total` samples of a sweep."""
     return start_phase + 2 * np.pi * test.periods_at(np.arange(completed, completed + window) / total)
 
 

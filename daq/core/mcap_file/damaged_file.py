@@ -120,10 +120,7 @@ class DamagedFile:
             position = end
 
     def _part(self, position: int) -> tuple[Intact | Unreadable | None, int | None]:
-        """Return the part at a position and its end.
-
-        The part is None for a header or message index. The end is None if no record is identified.
-        """
+        """Return the part at a position (None: header or message index) and its end (None: no record identified)."""
         head = self._read(position, RECORD_HEAD.size)
         if len(head) < RECORD_HEAD.size:
             return Unreadable(position, self.size, "the file ends within a record"), self.size
@@ -158,10 +155,8 @@ class DamagedFile:
         return self._unconfirmed_bytes_left >= 0
 
     def _chunk(self, position: int, length: int) -> tuple[Intact | Unreadable, int] | None:
-        """Return the chunk at a position and its end; None if there is no chunk.
-
-        The chunk states its length twice, in the record's head and as packed size; both values are tried.
-        """
+        """Return the chunk at a position and its end; None if there is no chunk."""
+        # The chunk states its length twice, in the record's head and as packed size; both values are tried.
         begin = position + RECORD_HEAD.size
         head = self._read(begin, CHUNK_HEAD.size + _MAX_NAME_BYTES + _PACKED_SIZE.size)
         if len(head) < CHUNK_HEAD.size + _PACKED_SIZE.size:

@@ -142,11 +142,8 @@ def read_summary(data: memoryview, file_size: int) -> Summary:
 def _chunk_table(
     data: memoryview, positions: Mapping[int, list[int]], file_size: int
 ) -> tuple[dict[str, NDArray[Any]], dict[int, NDArray[np.int64]]]:
-    """Return the fields of the chunk indexes as arrays, and the chunks of each channel.
-
-    `positions` lists the positions of the indexes by their length: indexes of equal length are parsed in one operation,
-    because a recording of an hour has tens of thousands.
-    """
+    """Return the fields of chunk indexes as arrays, and the chunks of each channel; `positions`: by their length."""
+    # Indexes of equal length are parsed in one operation, because a recording of an hour has tens of thousands.
     columns: dict[str, list[NDArray[Any]]] = {column: [] for column in _COLUMNS}
     channels_and_chunks: list[tuple[NDArray[Any], NDArray[np.int64]]] = []
     count = 0

@@ -157,10 +157,7 @@ class ChunkedFile:
     def _write_chunk(
         self, content: bytes, compressor: Compressor, entries: Mapping[int, Sequence[bytes]], earliest: int, latest: int
     ) -> None:
-        """Compress and write the records of a chunk, and the message index of each of its channels.
-
-        `entries` are the entries of the indexes by channel, `earliest` and `latest` the log times of the chunk [ns].
-        """
+        """Write compressed records and index `entries` by channel; `earliest`, `latest`: log times of the chunk."""
         name, packed, size = compressor.name, compressor.compress(content), len(content)
         begin = self._stream.tell()
         length = _CHUNK.size + len(name) + _SIZE.size + len(packed)

@@ -38,10 +38,7 @@ def onset_level(scene: Scene, system: HybridSystem) -> float:
 
 
 def _acceleration_per_level(scene: Scene, system: HybridSystem, frequencies: Array) -> Array:
-    """Return the acceleration amplitude under each damper per unit of level, m/s^2; (dampers, frequencies).
-
-    All dampers are on their floors. The array is empty without dampers, and for tests without tone or sweep.
-    """
+    """Return the acceleration amplitude under resting dampers per level, m/s^2; (dampers, frequencies) or empty."""
     if not system.dampers or scene.test is None or not scene.test.single_tone:
         return np.zeros((0, 0))
     try:

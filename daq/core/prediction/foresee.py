@@ -347,11 +347,7 @@ class _Assessment:
                 )
 
     def _unclipped_drive(self, row: int, limit: float) -> float:
-        """Return the largest drive that a test without tones requires, from a rehearsal at a level without clipping.
-
-        The drive of such a test is proportional to the level. `row`: row of the input; `limit`: largest drive of its
-        amplifier.
-        """
+        """Return the largest drive of a test without tones from a level without clipping; it is proportional to it."""
         scene, level = self.unlimited_test.parts[0].scene, self.level
         for _ in range(_MAX_LEVEL_REDUCTIONS):
             level *= _LEVEL_REDUCTION
@@ -370,10 +366,7 @@ class _Assessment:
                 yield Expectation(name, unit, magnitude, frequency, time, limit, "shaker", magnitude > limit)
 
     def _largest_level(self, limiting: Expectation, dampers_fly: bool) -> tuple[float, bool]:
-        """Return the largest level without overload, and whether dampers fly at this level or at the test's level.
-
-        `limiting`: the maximum nearest to its limit; `dampers_fly`: whether dampers fly at the test's level.
-        """
+        """Return the largest level without overload, and whether dampers fly at this level or at the test's level."""
         onset = onset_level(self.scene, self.system)
         if not np.isfinite(limiting.driven_share):
             return onset, True

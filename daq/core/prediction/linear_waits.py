@@ -321,10 +321,7 @@ class _PredictedTone(SteadyTone):
         )
 
     def _noise(self) -> ComplexArray:
-        """Return complex random numbers for the next windows, shape (windows, used channels).
-
-        Real and imaginary part have a variance of 1.
-        """
+        """Return complex noise for windows, (windows, used channels); variance 1 of real and of imaginary part."""
         if len(self._drawn) < _WINDOWS_AT_ONCE:
             drawn = self._random.standard_normal((_DRAWN_AT_ONCE, 2 * self._sums.shape[1])).view(complex)
             self._drawn = np.concatenate([self._drawn, drawn[::-1]])

@@ -156,10 +156,7 @@ def _with_settled_bias(scene: Scene) -> Scene:
 def _peak_indices(
     scene: Scene, channels: tuple[ChannelInfo, ...], frequencies: Array, max_count: int
 ) -> NDArray[np.intp]:
-    """Return the sorted indices of at most `max_count` frequencies: peaks of the linear response, and neighbors.
-
-    The highest peaks are chosen first, then the frequencies nearest to them.
-    """
+    """Return sorted indices of at most `max_count` frequencies: the highest linear peaks, then their neighbors."""
     peak_heights: dict[int, float] = {}
     for dampers in dict.fromkeys((scene.dampers, ())):
         for readings in channel_readings(scene.replace(dampers=dampers), channels, frequencies):

@@ -161,12 +161,9 @@ class DisplayDecimator:
 
 
 def _filter_and_decimate(samples: Array, taps: Array, step: int) -> Array:
-    """Return the filtered signals at every `step`-th sample, shape (signals, outputs), by polyphase decimation.
-
-    The length of the filter is a multiple of `step`, plus one sample. Signals and filter are divided into segments of
-    `step` samples. A matrix product multiplies each segment of the signals by each segment of the filter; the sums
-    along its diagonals are the outputs.
-    """
+    """Return the filtered signals at every `step`-th sample, shape (signals, outputs), by polyphase decimation."""
+    # The length of the filter is a multiple of `step`, plus one sample. A matrix product multiplies each segment of
+    # `step` samples of the signals by each segment of the filter; the sums along its diagonals are the outputs.
     filter_steps = taps.size // step
     n_outputs = samples.shape[1] // step - filter_steps + 1
     result = taps[-1] * samples[:, filter_steps * step :: step][:, :n_outputs]

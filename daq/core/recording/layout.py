@@ -116,10 +116,8 @@ class Timebase:
 
     @cached_property
     def _ratio(self) -> tuple[int, int, int]:
-        """Twice the sample interval in ns as a fraction: numerator, half the denominator, denominator.
-
-        Half the denominator is added before the integer division, which thereby rounds to the nearest nanosecond.
-        """
+        """Twice the sample interval in ns as a fraction: numerator, half the denominator, denominator."""
+        # With half the denominator added, the integer division rounds to the nearest nanosecond.
         numerator, denominator = float(self.rate).as_integer_ratio()
         return 2 * 10**9 * denominator, numerator, 2 * numerator
 

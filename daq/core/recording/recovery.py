@@ -140,10 +140,7 @@ def recover(path: str | Path, fixed: str | Path, overwrite: bool = False) -> Rec
 def _read_descriptions(
     source: Path, damaged: DamagedFile
 ) -> tuple[dict[int, Schema], dict[int, Channel], dict[int, int] | None]:
-    """Return schemas and channels by number, and the number of messages of each channel, from the file's summary.
-
-    If the summary is damaged, schemas and channels are read from the chunks, and the counts are None.
-    """
+    """Return schemas and channels by number, and message counts from the summary; None without an intact summary."""
     try:
         with Container(source) as container:
             summary = container.summary

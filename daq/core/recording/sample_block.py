@@ -161,10 +161,8 @@ def decode_contiguous(records: memoryview, channel: int, schema: str, clock: Tim
 
 @lru_cache(maxsize=64)
 def _contiguous_layout(length: int, count: int, schema: str) -> tuple[struct.Struct, np.dtype[Any], int] | None:
-    """Return the layout of `count` records of `length` bytes, each with one block; None if this length is impossible.
-
-    The layout consists of the numbers before the samples, the samples, and the number of samples of a block.
-    """
+    """Return the layout of `count` records of `length` bytes, each with one block; None for an impossible length."""
+    # It consists of the numbers before the samples, the samples, and the number of samples of a block.
     kind, message_bytes = SAMPLE_TYPE[schema], length - MESSAGE_HEAD.size
     size_bytes = _size_prefix(message_bytes) if message_bytes > _HEADER.size else b""
     sample_bytes = message_bytes - _HEADER.size - len(size_bytes)
@@ -179,10 +177,8 @@ def _contiguous_layout(length: int, count: int, schema: str) -> tuple[struct.Str
 
 @lru_cache(maxsize=64)
 def _size_prefix(message_bytes: int) -> bytes:
-    """Return the encoded size (varint) of the samples in a message of this length.
-
-    The length of the prefix depends on the size of the payload, which excludes the prefix; two lengths are tried.
-    """
+    """Return the encoded size (varint) of the samples in a message of this length."""
+    # The length of the prefix depends on the size of the payload, which excludes the prefix; two lengths are tried.
     bytes_after_header = message_bytes - _HEADER.size
     max_prefix = len(varint(bytes_after_header))
     lengths = (max_prefix, max_prefix - 1)

@@ -104,10 +104,7 @@ def _motion_rows(motion: Motion) -> tuple[Array, Array, Array]:
 def _between_ticks(
     motion: Motion, forces: Array, last: list[Array], tick: float, instants: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Interpolate displacement, velocity, acceleration and drive at instants, in ticks after the block's first tick.
-
-    `last` has the values at the last tick of the previous block, `tick` is the duration of a tick [s].
-    """
+    """Interpolate motion and drive at instants in `tick`s [s] after a block's first tick; `last`: tick before."""
     n_last = 1 if last else 0
     at_ticks = np.arange(-n_last, forces.shape[1])
     breaks = (motion.break_sample - 1 - motion.first) + motion.break_offset / tick

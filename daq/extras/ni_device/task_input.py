@@ -185,10 +185,7 @@ class TaskInput:
         return self._collect(self.run, indices, out, timeout, raw)
 
     def _seek(self, run: Acquisition) -> None:
-        """Set the read position by `in_stream.relative_to` and `in_stream.offset`.
-
-        Raises `DaqError` -200277 for a position before the first sample, -200282 for a missing reference trigger.
-        """
+        """Set the read position; `DaqError` -200277: before the first sample, -200282: no reference trigger."""
         settings = self._settings.groups["read"]
         origin, offset = RelativeTo(settings["relative_to"]), settings["offset"]
         position = run.position

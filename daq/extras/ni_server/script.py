@@ -74,10 +74,7 @@ run = run_script
 
 
 def _run(command: list[str], port: int, follows_wall_clock: bool) -> int:
-    """Run a Python command as a client of the server at a port; return the exit code of `run_script`.
-
-    `follows_wall_clock`: whether bench time does.
-    """
+    """Run a Python command as a client of the server at a port; return the exit code of `run_script`."""
     variables = os.environ | environment(f"127.0.0.1:{port}", follows_wall_clock)
     process = subprocess.Popen([sys.executable, *command], env=variables)
     with forward_signals(process):

@@ -19,10 +19,7 @@ _DELIVERY_S = 1.0
 
 
 class _GroupProbe:
-    """A process that shows whether Ctrl-C has reached the script.
-
-    It is in the process group of the script, and ends when the group receives Ctrl-C.
-    """
+    """A process in the script's process group that ends when the group receives Ctrl-C, which shows this."""
 
     _COMMAND = (sys.executable, "-I", "-S", "-c", "import sys; sys.stdin.read()")
 

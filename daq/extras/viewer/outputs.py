@@ -61,10 +61,8 @@ def save(replay: Replay, file: Path, progress: FractionProgress | None = None) -
 
 @contextmanager
 def _stream_into(file: Path) -> Iterator[tuple[rr.RecordingStream, Callable[[], None]]]:
-    """Yield a stream into a file, and a function that raises `OSError` if writing has failed.
-
-    Rerun writes into a pipe, which a thread copies to the file, because on a full disk rerun's writer waits for ever.
-    """
+    """Yield a stream into a file, and a function that raises `OSError` if writing has failed."""
+    # Rerun writes into a pipe, which a thread copies to the file: on a full disk rerun's writer would wait for ever.
     if sys.platform == "win32":
         # On Windows a pipe has no path.
         with recording_stream() as stream:

@@ -270,10 +270,8 @@ def _has_duration(state: ViewerState, duration_s: float) -> bool:
 
 
 def _await_unchanged_picture(client: ViewerClient) -> None:
-    """Wait until the picture no longer changes: fonts, plots and images appear over several frames.
-
-    On a busy machine a long trace arrives in pieces, and a picture between two pieces looks complete.
-    """
+    """Wait until the picture no longer changes: fonts, plots and images appear over several frames."""
+    # On a busy machine a long trace arrives in pieces, and a picture between two pieces looks complete.
     previous, unchanged_since = b"", time.monotonic()
     deadline = time.monotonic() + _MAX_LOAD_S
     while time.monotonic() < deadline:

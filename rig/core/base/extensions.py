@@ -15,10 +15,7 @@ def registered_functions(group: str) -> list[Any]:
 
 @cache
 def _entry_points() -> Any:
-    """Return the entry points of all installed packages, whose metadata are read only once.
-
-    The type depends on the version of Python; each type has the method `select`.
-    """
+    """Return the entry points of all installed packages, whose metadata are read only once."""
     return entry_points()
 
 

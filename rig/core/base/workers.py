@@ -133,11 +133,8 @@ def _start_processes(cleanup: ExitStack) -> Executor:
 
 
 def _initialize_worker(parent: int, first: Semaphore) -> None:
-    """Initialize a worker: a single thread for linear algebra; signals are handled by the parent.
-
-    `parent`: id of the parent process. `first`: acquired by the first worker. Only this worker reports that it
-    compiles, because all workers compile the same functions.
-    """
+    """Initialize a worker: a single thread for linear algebra; signals are handled by the `parent` (process id)."""
+    # Only the worker that acquires `first` reports that it compiles: all workers compile the same functions.
     # A terminal sends Ctrl-C to all processes.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if not first.acquire(block=False):

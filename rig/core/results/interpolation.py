@@ -103,10 +103,7 @@ def nearest_lines(frequency: Array, at: Array) -> tuple[NDArray[np.intp], NDArra
 
 
 def _rational(f: Array, values: ComplexArray, at: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Interpolate by rational functions, through the lines of each row; return values and weights of errors.
-
-    `f`, `values`, shape (n, 2 k + 1); `at`, shape (n,).
-    """
+    """Interpolate rows `f`, `values` (n, 2 k + 1) by rational functions at (n,); return values and error weights."""
     # Every other line is a support point; the others determine the weights of the barycentric form.
     support, others = np.arange(0, f.shape[1], 2), np.arange(1, f.shape[1], 2)
     scale = abs(values).max(axis=1, keepdims=True)

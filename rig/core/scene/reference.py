@@ -101,10 +101,7 @@ def keys() -> tuple[Key, ...]:
 
 
 def _keys_below(schema: Any, node: Any, path: str, kinds: tuple[str, ...]) -> Iterator[Key]:
-    """Yield the keys below a node of the schema: keys of an object, of each alternative, or of the items of a list.
-
-    `path`: dotted name of the node. `kinds`: kinds of shaker, test, ... that the node belongs to.
-    """
+    """Yield the keys below a node at a dotted `path`: of an object, an alternative, or the items of a list."""
     node = _resolve(schema, node)
     for choice in node.get("anyOf", ()):
         is_list = choice.get("type") == "array"

@@ -294,10 +294,7 @@ def _is_text(value: Any) -> bool:
 
 
 def _is_misspelled(detail: Any, intended: set[str | None]) -> bool:
-    """Return whether a key is missing only because it is misspelled; the misspelled key is reported.
-
-    `intended` are the keys that are nearest to unknown keys.
-    """
+    """Return whether a missing key is among the `intended` keys: those nearest to unknown keys, which are reported."""
     if detail["type"] == "missing" and len(detail["loc"]) == 1:
         return detail["loc"][0] in intended
     return detail.get("ctx", {}).get("absent", "") in intended

@@ -166,10 +166,7 @@ def fourier_integral(
 def _intervals(
     tables: FlowTables, trajectory: Trajectory, segment_states: Array, durations: Array
 ) -> tuple[Array, NDArray[np.int64], Array, Array]:
-    """Divide the motion into intervals at segment ends and breaks.
-
-    Returns for each interval its initial state, table index, duration [s] and start time [s].
-    """
+    """Divide the motion at segment ends and breaks: initial state, table index, duration [s] and start time [s]."""
     size = tables.size
     segments = len(durations)
     # An interval begins with each segment, at offset 0, and at each break in a segment.
@@ -246,10 +243,7 @@ def _integrate(
 
 
 def _dashpots(system: HybridSystem, forces: NDArray[np.int64]) -> list[tuple[Element, float]]:
-    """Return the elements whose dashpots act, with their damping [N s/m].
-
-    `forces`: number of the force of each element in its law.
-    """
+    """Return the elements whose dashpots act, with their damping [N s/m]; `forces`: number of each element's force."""
     present = [element.law.forces[index] for element, index in zip(system.elements, forces.tolist(), strict=True)]
     return [
         (element, -force.speed)
@@ -352,11 +346,8 @@ def _stored_energy(tables: FlowTables, forms: QuadraticForms, state: State) -> f
 
 
 def _impact_losses(system: HybridSystem, trajectory: Trajectory) -> float:
-    """Return the kinetic energy lost at the breaks [J].
-
-    The loss is summed over the jumps of velocity. The difference of the total energies before and after each break
-    would add a rounding error for every break, even without a jump.
-    """
+    """Return the kinetic energy lost at the breaks [J], summed over the jumps of velocity."""
+    # The difference of the total energies before and after each break would add a rounding error for every break.
     n = system.coordinates
     before, after = trajectory.state_before[:, n : 2 * n], trajectory.state_after[:, n : 2 * n]
     damper_before, damper_after = trajectory.damper_velocity_before, trajectory.damper_velocity_after

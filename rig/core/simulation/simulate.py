@@ -230,10 +230,7 @@ def _simulate_tone(
 def _segment_times(
     duration: float, samples: int, rate: float, frequency: float
 ) -> tuple[NDArray[np.longdouble], NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return the end of each segment, s, ascending, and whether it is a sample, and whether a period starts there.
-
-    Segments end at samples, at period starts, and at the end of the run.
-    """
+    """Return the end of each segment, s, and whether it is a sample, and whether a period starts there."""
     sample_times = np.arange(samples, dtype=np.longdouble) / np.longdouble(rate)
     end = max(np.longdouble(duration), sample_times[-1])
     # Period starts are computed from the frequency in Hz. The rounding of omega would cause a phase error over a

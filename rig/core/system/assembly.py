@@ -92,10 +92,7 @@ def matrices_without_free_beds(scene: Scene) -> tuple[Array, Array, Array]:
 
 
 def _without_free_beds(scene: Scene, model: StructuralModel, weight: Array) -> Equations:
-    """Return the equations of bodies and tables with their inputs.
-
-    `weight`: constant force of the locked beds on each body [N], shape (bodies,), upwards and therefore negative.
-    """
+    """Return equations of bodies and tables with inputs, and the (negative) weight of locked beds [N], (bodies,)."""
     structure = model.with_bed_masses()
     ground = partial(ground_connection, scene.structure, structure)
     equations = Equations(structure.mass, structure.damping, structure.stiffness, weight, ground)
@@ -151,11 +148,8 @@ def _joint(equations: Equations, joint: Stop | FrictionJoint, number: int) -> El
 
 
 def _with_joints_at_rest(scene: Scene, system: HybridSystem) -> HybridSystem:
-    """Return the system with its joints at the start in the modes of the static equilibrium.
-
-    The static equilibrium with an assumed set of closed stops determines which stops are closed. This is repeated until
-    the set no longer changes.
-    """
+    """Return the system with its joints at the start in the modes of the static equilibrium."""
+    # The equilibrium with assumed closed stops determines which stops are closed, until the set no longer changes.
     for _ in range(2 + 2 * len(scene.joints)):
         state = np.zeros(system.states)
         if scene.test is None or scene.test.start == "settled":
@@ -281,11 +275,8 @@ def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
 
 
 def _is_singular(stiffness: Array) -> bool:
-    """Return whether a stiffness matrix is singular within rounding error.
-
-    The diagonal of the matrix is first scaled to 1. Otherwise very different springs would give a regular matrix a
-    large condition number.
-    """
+    """Return whether a stiffness matrix is singular within rounding error."""
+    # Without the scaling of its diagonal to 1, different springs would give a regular matrix a large condition number.
     scale = np.sqrt(np.abs(np.diag(stiffness)))
     scale[scale == 0.0] = 1.0
     return bool(np.linalg.cond(stiffness / scale / scale[:, None]) > MAX_CONDITION)

@@ -110,10 +110,7 @@ class GrainsRun:
         return self.coupled.motion_parts(buffer._replace(rows=state.rows, contact=state.contact))
 
     def _tone(self, tone: ToneDrive) -> Callable[[int, int], Array]:
-        """Return a function of two sample indices that evaluates the tone between them at the grains' time steps.
-
-        Its result has the shape (inputs, steps + 1).
-        """
+        """Return a function of two samples that evaluates the tone between them, (inputs, steps of grains + 1)."""
         substeps, periods_per_step = self.coupled.substeps, self.coupled.step * tone.frequency
 
         def tone_between(first: int, last: int) -> Array:

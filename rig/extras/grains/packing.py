@@ -119,11 +119,8 @@ def _flatten(spheres: Spheres, fallen: Array) -> Array:
 
 
 def _settle(spheres: Spheres, flat: Array) -> Array:
-    """Bring the grains to rest by kinetic damping: all grains are stopped at each peak of their kinetic energy.
-
-    Viscous drag, as during the fall, would overdamp the slow motions of a bed without friction, so the grains would
-    creep.
-    """
+    """Bring the grains to rest by kinetic damping: all grains are stopped at each peak of their kinetic energy."""
+    # Viscous drag, as during the fall, would overdamp slow motions of a bed without friction, so grains would creep.
     bed = _new_bed(spheres, flat, np.inf)
     weight = spheres.mass * STANDARD_GRAVITY
     max_energy = _REST_ENERGY_RATIO * weight * spheres.settings.diameter

@@ -142,10 +142,7 @@ def _grid_row(space: SearchSpace, location: tuple[int, ...], share: float) -> li
 
 
 def _best_of_locations(row: Sequence[Trial], max_ratio: float) -> list[Choice]:
-    """Return the best choice with ceilings of each location, if its peak is at most `max_ratio` times the best peak.
-
-    `row`: ranked trials of one mass.
-    """
+    """Return the best choice with ceilings of each location with at most `max_ratio` times the best peak."""
     best: dict[tuple[int, ...], Choice] = {}
     for trial in row:
         if trial.choice.has_ceiling and trial.peak.magnitude <= max_ratio * row[0].peak.magnitude:
@@ -203,10 +200,7 @@ def _requested_choices(search: Callable[..., object], start: Choice, known_trial
 def _optimize_common_factor(
     start: Choice, cost: Callable[[Choice], float], step: float, bounds: tuple[float, float]
 ) -> None:
-    """Optimize a common factor of all clearances within one step of the grid, by Brent's method.
-
-    `cost`: objective of a choice; `step`: logarithmic; `bounds`: smallest and largest clearance [m].
-    """
+    """Optimize a common factor of all clearances in `bounds` [m] within one step of the grid, by Brent's method."""
     middle = np.log(start.clearances[0])
 
     def cost_at(log_clearance: float) -> float:

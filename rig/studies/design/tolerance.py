@@ -112,10 +112,8 @@ def clearance_tolerance(
 def _interval_end(
     is_acceptable: Callable[[float], bool], computed: Iterable[float], limit: float
 ) -> tuple[float, bool]:
-    """Return the last acceptable factor of the clearances from 1 towards a limit, and whether it is the limit.
-
-    `computed`: factors whose result is already known, and which are tried as steps, too.
-    """
+    """Return the last acceptable factor of the clearances towards a limit, and whether it is the limit."""
+    # Factors that are already `computed` are tried as steps, too.
     outwards = limit > 1.0
     between = {factor for factor in computed if (1.0 < factor < limit if outwards else limit < factor < 1.0)}
     points = sorted({*between, limit}, reverse=not outwards)

@@ -185,10 +185,7 @@ def multipliers(batch: Batch) -> NDArray[np.complex128]:
 
 
 def _saltation(motion: PeriodicMotion, before: MotionPhase, end: ModeState, after: MotionPhase) -> Array:
-    """Return the saltation matrix of the impact between two phases, shape (solutions, rows, 4).
-
-    It has 2 rows if a riding phase follows, otherwise 4.
-    """
+    """Return the saltation matrix of an impact between phases, (solutions, 2 before a riding phase, else 4, 4)."""
     mu = motion.parameters.mass_ratio
     mass_fraction, ones, zeros = mu / (1 + mu), np.ones_like(end.q), np.zeros_like(end.q)
     # Rows of the reset map on (q, u, y, v): positions are continuous, and both velocities become the common velocity.

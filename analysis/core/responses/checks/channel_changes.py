@@ -180,10 +180,7 @@ def _changed(gains: Array, part: int) -> _Step:
 
 
 def _largest_step(gains: Array, limits: Array, is_steady: bool) -> _Step | None:
-    """Return the step that explains most of the scatter of the gains; None if it is small or may be scatter itself.
-
-    `limits`: smallest step of each part that is visible in all lines of steady responses.
-    """
+    """Return the step that explains most of the scatter of the gains; None if small (`limits`) or scatter itself."""
     size = gains.size
     min_side = _MIN_SIDE if size >= _MIN_PARTS else 1
 

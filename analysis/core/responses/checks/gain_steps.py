@@ -145,10 +145,8 @@ def _points(position: NDArray[np.int64], excluded: int) -> NDArray[np.int64]:
 def _residuals(
     frequency: Array, curve: ComplexArray, positions: NDArray[np.int64], excluded: int, log_ratio: float | Array
 ) -> Array:
-    """Return the relative residual of a rational function around each position, for a ratio of the gains.
-
-    The points at a position, and `excluded` points on either side of it, are omitted: they may contain the step.
-    """
+    """Return the relative residual of a rational function around each position, for a ratio of the gains."""
+    # The points at a position, and `excluded` points on either side of it, are omitted: they may contain the step.
     points = np.clip(_points(positions[:, None], excluded), 0, frequency.size - 1)
     gains = np.exp(np.where(np.arange(2 * _SIDE) < _SIDE, 0.0, np.reshape(log_ratio, (-1, 1))))
     values = curve[points] / gains

@@ -73,10 +73,7 @@ def ringing(value: ComplexArray, frequency: Array, wait_s: Array, window_s: Arra
 def _local_poles(
     value: ComplexArray, omega: Array, center: float, max_residual: float
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Estimate poles s [rad/s] and residues of the terms ``residue / (i w - s)`` of a response near a point.
-
-    The number of poles is the smallest for which the residual does not exceed `max_residual`.
-    """
+    """Estimate the fewest poles s [rad/s] and residues of ``residue / (i w - s)`` that leave at most `max_residual`."""
     # Frequency offset and response, normalized to 1.
     half_range, scale = 0.5 * np.ptp(omega), float(abs(value).max())
     offset, normalized = (omega - center) / half_range, value / scale

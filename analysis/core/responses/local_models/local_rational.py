@@ -246,10 +246,7 @@ class _Estimate(NamedTuple):
 
 
 def _fit(data: _LocalData, measured_share: float) -> tuple[LocalFit, Array, Array]:
-    """Fit polynomials of all orders at given lines, and select the order at each line.
-
-    Also return the squared change of the value if the order is increased, and the variance of this change.
-    """
+    """Fit all orders, and select one at each line; return the squared change by a higher order, and its variance."""
     polynomial, rational, higher_order = (
         _estimate(data, measured_share, order, poles)
         for order, poles in ((ORDER, 0), (ORDER, ORDER), (ORDER + 1, ORDER + 1))
@@ -391,10 +388,7 @@ class _Terms(NamedTuple):
 def _improve(
     terms: _Terms, unknown: _Unknown, output: ComplexArray, lines: NDArray[np.intp]
 ) -> tuple[_Unknown, Array, NDArray[np.intp]]:
-    """Improve the fits at given lines by a Gauss-Newton step.
-
-    Also return the variance of the constant at these lines, and the lines that need another step.
-    """
+    """Improve fits by a Gauss-Newton step; return the constant's variance, and the lines that need another step."""
     # Only lines that are improved are copied, because copies of all lines would take longer than the model.
     part, current, local_output = (
         (terms, unknown, output) if lines.size == len(output) else (terms.at(lines), unknown.at(lines), output[lines])

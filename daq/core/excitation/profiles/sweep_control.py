@@ -106,10 +106,8 @@ class SweepControl:
         return self._limit_drive(self._target_drive(observation, window, envelope, force), abs(observation.force))
 
     def _present_envelopes(self, observation: Observation) -> tuple[complex, complex]:
-        """Return the envelopes of the mode (m) and of the force (N) at the end of the observation.
-
-        The envelopes are simulated from the middle of the observation on, with the drive that was output since then.
-        """
+        """Return the envelopes of the mode (m) and of the force (N) at the end of the observation."""
+        # The envelopes are simulated from the middle of the observation on, with the drive that was output since then.
         mode, law, force = self._mode, self._law, observation.force
         center = 1j * observation.angular_frequency(observation.middle)
         (per_force, per_motion), (force_slope, motion_slope) = law.at(center), law.slope(center)

@@ -196,12 +196,7 @@ class Acquisition:
             offset += self._store(instant + offset, selected[:, offset:], flags[:, offset:], event_tick)
 
     def _find_start(self, first: int, samples: NDArray[Any], offset: int, event_tick: EventTick) -> int | None:
-        """Return the index of the start trigger in a block whose first sample is at instant `first`.
-
-        The result is None without a trigger.
-
-        Samples before the index `offset` are ignored.
-        """
+        """Return the index, from `offset` on, of the start trigger in a block that begins at `first`; None without."""
         source = self.plan.start
         if isinstance(source, AnalogSource):
             crossing = self._find_crossing(self._start_finders, samples[:, offset:])
@@ -214,10 +209,8 @@ class Acquisition:
     def _find_crossing(
         self, finders: list[tuple[int, CrossingFinder]], samples: NDArray[Any], skip: int = 0
     ) -> int | None:
-        """Return the index of the first sample, after `skip`, that fires a trigger in any channel; None without it.
-
-        Every finder processes all samples, so its state remains correct.
-        """
+        """Return the index of the first sample, after `skip`, that fires a trigger in any channel; None without it."""
+        # Every finder processes all samples, so its state remains correct.
         indices = [finder.find(self.plan.to_units(channel, samples[channel]), skip) for channel, finder in finders]
         return min((index for index in indices if index is not None), default=None)
 

@@ -32,10 +32,7 @@ def create_input(measurement: Measurement, has_teds: bool) -> Handler:
 
 
 def _settings_of_sensor(call: Call, terminal: str, measurement: Measurement) -> dict[str, Any]:
-    """Return the settings of a channel from the TEDS of its sensor.
-
-    Raises `DaqError` -200709 for a sensor without TEDS, -200826 if the TEDS has no sensitivity for this measurement.
-    """
+    """Return settings from a sensor's TEDS; `DaqError` -200709 without TEDS, -200826 without a suitable sensitivity."""
     port = parse_port(terminal)
     volts_per_unit = sensitivity(call.instrument.teds.data(port))
     if volts_per_unit is None or not measurement.sensitivity_setting:

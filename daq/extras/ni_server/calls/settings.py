@@ -16,10 +16,7 @@ _TRIGGER_TYPES = {
 
 
 def _trigger(role: str, prefix: str, **names: str) -> Handler:
-    """Return the handler that configures a start trigger (`role` "start") or a reference trigger ("ref").
-
-    `prefix` is a key of `_TRIGGER_TYPES`. `names` maps the fields of the call to the suffixes of the setting names.
-    """
+    """Return the handler that configures a start or reference trigger (`role`); `names`: setting suffixes by field."""
 
     def configure(call: Call) -> None:
         settings = {
@@ -62,10 +59,7 @@ def _export_signal(call: Call) -> None:
 
 
 def _timestamp(event: TimestampEvent | None) -> Handler:
-    """Return the handler that waits for an event and returns its time.
-
-    With `event` None, the call specifies the event.
-    """
+    """Return the handler that waits for an event (None: the event in the call) and returns its time."""
 
     def get_time(call: Call) -> ResponseFields:
         requested_event = event

@@ -53,10 +53,7 @@ def _reset_device(call: Call) -> None:
 
 
 def _teds(action: str) -> Handler:
-    """Return the handler of an action on the electronic data sheet (TEDS) of a sensor; see `TedsMemory`.
-
-    `action` is "configure", "clear", "write" (from an array) or "write_file".
-    """
+    """Return the handler of an action on a TEDS: "configure", "clear", "write" (from an array), "write_file"."""
 
     def handle(call: Call) -> None:
         teds, port = call.instrument.teds, parse_port(call.fields["physical_channel"])

@@ -41,10 +41,7 @@ Overwrite = Annotated[bool, "Replace existing output files, even if they have be
 
 
 def load_scene(scene: str, changes: Sequence[str] | None) -> Scene:
-    """Load the scene of a command and apply its changes.
-
-    Raises the errors of `rig.load`.
-    """
+    """Load the scene of a command and apply its changes; raise the errors of `rig.load`."""
     from rig.core.scene.loading import load_with_options
 
     return load_with_options(scene, changes or ())

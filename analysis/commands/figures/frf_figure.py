@@ -184,10 +184,7 @@ def frf_figure(
 
 
 def determined_band(frfs: Sequence[Response]) -> tuple[float, float]:
-    """Return the lowest and highest frequency of curves.
-
-    For spectra with many lines, only of their determined ranges.
-    """
+    """Return the band of curves [Hz]; for spectra with many lines, only of their determined ranges."""
     columns = [column for frf in frfs for column in (frf.frequency, frf.omitted)]
     lines = [frf.frequency[is_determined(frf)] for frf in frfs if frf.frequency.size > MAX_POINTS]
     if len(lines) == len(frfs) and any(line.size for line in lines):
@@ -625,10 +622,7 @@ def phase_ticks(top: float) -> list[float]:
 
 
 def phase_top(frfs: Sequence[Response]) -> float:
-    """Return the upper end of the phase axis, in degrees: that at which the curves wrap least.
-
-    Curves that fold back are not counted, because their points are not joined.
-    """
+    """Return the upper end of the phase axis [degrees] at which the curves, except those that fold back, wrap least."""
     ordered = [frf.sorted() for frf in frfs if not folds_back(frf.frequency)]
     values = [frf.value[is_determined(frf) & is_smooth(frf)] for frf in ordered]
 

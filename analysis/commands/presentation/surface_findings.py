@@ -24,10 +24,7 @@ if TYPE_CHECKING:
 def present_surface(
     recordings: OpenRecordings, paths: Sequence[Path], output: Path | None = None, forces: Sequence[float] = ()
 ) -> CommandOutput:
-    """Draw and tabulate each recording.
-
-    `forces`: force amplitudes in N; if given, responses at these forces are drawn.
-    """
+    """Draw and tabulate each recording, with the responses at the amplitudes `forces` [N] if they are given."""
 
     def draw(result: ForceSurface, figure: Figure, axes: Axes) -> None:
         if forces:

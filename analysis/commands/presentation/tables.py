@@ -45,10 +45,7 @@ def _cell(value: str | float | int) -> str:
 
 
 def frf_table(path: Path, frfs: Sequence[Response]) -> Path:
-    """Write a table of frequency responses, one row for each curve and frequency.
-
-    Omitted frequencies have no values.
-    """
+    """Write a table with a row for each curve and frequency; omitted frequencies have no values."""
     unit = frfs[0].unit.replace("²", "^2")
     heading = [
         "scene", "response", "reference", "frequency_Hz", f"real {unit}", f"imag {unit}", f"magnitude {unit}",

@@ -196,10 +196,7 @@ def _channels(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
 
 
 def mode_drawing(shapes: BodyShapes, locations: Sequence[str], mode: int, title: str) -> str:
-    """Draw one mode shape: each body moves by its element of the shape; dashed outlines show the bodies at rest.
-
-    `locations`: locations of the elements, which determine their colors.
-    """
+    """Draw a mode shape; outlines show the bodies at rest, and `locations` of the elements determine their colors."""
     count, bounds = len(shapes.names), expand(shapes.errors[:, mode])
     opacity = 1.0 if is_known_shape(bounds) else 0.4
     height = count * (_SHAPE_HEIGHT + _SHAPE_SPACING)

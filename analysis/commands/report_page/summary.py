@@ -32,10 +32,7 @@ _MAX_TEXTS = 3
 
 
 def summarize(measurements: Sequence[Measurement], changes: Sequence[SweepChange]) -> list[str]:
-    """Return texts about control, decays, peak changes (or resonances) and damper impacts, with a line for each fact.
-
-    `measurements`: all recordings of the report; `changes`: from `Measurements.changes`.
-    """
+    """Return texts about control, decays, peak `changes` (or resonances) and impacts, with a line for each fact."""
     texts = [text for each in measurements for text in _control_texts(each)]
     texts += _change_texts(changes) + _decay_texts(measurements)
     for measurement in measurements:

@@ -514,10 +514,7 @@ def covers(curve: Response, frequency: float) -> bool:
 
 
 def is_next_to_omitted(curve: Response, frequency: float) -> bool:
-    """Return whether the test omitted frequencies next to a line; `frequency`: frequency of the line [Hz].
-
-    If the curve is highest at this line, its peak may be among the omitted frequencies.
-    """
+    """Return whether frequencies next to a line at `frequency` [Hz] were omitted, which may contain a higher peak."""
     below, above = curve.frequency[curve.frequency < frequency], curve.frequency[curve.frequency > frequency]
     neighbors = below.max(initial=-inf), above.min(initial=inf)
     return bool(np.any((curve.omitted > neighbors[0]) & (curve.omitted < neighbors[1])))

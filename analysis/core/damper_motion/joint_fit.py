@@ -74,10 +74,7 @@ def add_jump(residual: Array, model: ImpactModel, jump: Jump, factor: float) -> 
 def fit_group(
     residual: Array, model: ImpactModel, group: Sequence[Jump], noise: Deviations
 ) -> tuple[list[Jump], float]:
-    """Fit jumps jointly to the differenced readings around the jumps; return jumps and residual sum of squares.
-
-    `residual`: differenced readings, from which all other jumps are subtracted.
-    """
+    """Fit jumps jointly to the readings without all others (`residual`); return jumps and residual sum of squares."""
     return fit_within(residual, model, group, range_of(group, model, residual.size), noise)
 
 

@@ -35,10 +35,7 @@ class CorrectedMotion:
         self._spectra: dict[bool, ComplexArray] = {}
 
     def __call__(self, motion: str) -> Array:
-        """Return ``"displacement"``, ``"velocity"`` or ``"acceleration"``, shape (n,), in m, m/s or m/s².
-
-        For a force channel the result is the force in N.
-        """
+        """Return displacement, velocity or acceleration, shape (n,), in SI; for a force channel the force in N."""
         quantity, count = self.info.quantity, self.samples.size
         # Number of differentiations; negative for integrations.
         order = MOTIONS.index(motion) - MOTIONS.index(quantity) if quantity in MOTIONS else 0

@@ -412,10 +412,7 @@ def _has_enough_responses(linear_curves: list[Curves]) -> bool:
 
 
 def list_omitted_points(curves: Curves, is_fitted: NDArray[np.bool_], uncovered: Mapping[int, str]) -> list[str]:
-    """List the points that a fit omits, with the reasons.
-
-    `is_fitted` has the shape (n,); `uncovered`: reason why no orbit can be computed for the motion at a point.
-    """
+    """List the points that are not fitted, with reasons, such as why a motion has no computed orbit (`uncovered`)."""
     reasons: dict[str, list[str]] = {}
     for k in np.flatnonzero(~is_fitted).tolist():
         if k in uncovered:

@@ -235,10 +235,7 @@ class Problem:
         return np.where(np.isfinite(whitened), whitened, _FAILED_RESIDUAL * (1 + 1j))
 
     def residual(self, x: Array, groups: Sequence[Group], model_error: float = 0.0, search: bool = True) -> Array:
-        """Return the residuals of groups, then of the priors, in standard deviations, shape (residuals,).
-
-        The order is: real parts, imaginary parts, deviations of the unknowns from their priors.
-        """
+        """Return residuals in standard deviations: real parts, imaginary parts, deviations of unknowns from priors."""
         scene = self.scene(x)
         residuals = [self.normalized_residuals(x, group, scene, model_error, search).ravel() for group in groups]
         flat = np.concatenate([np.zeros(0, dtype=complex), *residuals])

@@ -28,10 +28,7 @@ _SCATTER_LINES = 31
 
 
 def reduce_lines(curves: Sequence[Response]) -> list[Response]:
-    """Remove lines that a fit does not need: most lines far from peaks, and most lines within wide peaks.
-
-    `curves`: curves at equal frequencies, in ascending order.
-    """
+    """Remove most lines of `curves` (common, ascending frequencies) far from peaks, and within wide peaks."""
     count = curves[0].frequency.size
     if count <= MAX_LINES or any(curve.frequency.size != count for curve in curves):
         return list(curves)

@@ -196,10 +196,7 @@ def correlation_length(residual: ComplexArray) -> float:
 
 
 def computational_poles(curves: Curves, model: ModalModel) -> NDArray[np.intp]:
-    """Return the indices of computational poles.
-
-    The damping ratio of a computational pole exceeds `MAX_DAMPING`, or two of them are fitted to one peak.
-    """
+    """Return the indices of poles with a damping ratio above `MAX_DAMPING`, and of two poles fitted to one peak."""
     poles, width = model.poles, half_width(model.poles)
     is_inside = are_in_band(curves, poles)
     rejected = {int(i) for i in np.flatnonzero(is_inside & (-poles.real > MAX_DAMPING * abs(poles)))}

@@ -129,10 +129,7 @@ def residual_terms(s: NDArray[np.complexfloating]) -> list[NDArray[np.complexflo
 
 
 def modal_receptance(frequency: Array, poles: ComplexArray, residue: ComplexArray, terms: Array) -> ComplexArray:
-    """Compute compliances of modes [m/N], shape (responses, frequencies); frequencies in Hz.
-
-    `terms`: factors of the residual terms, shape (responses, 1 + `UPPER_TERMS`).
-    """
+    """Compute compliances of modes with residual `terms` [m/N], shape (responses, frequencies); frequencies in Hz."""
     s = 2j * np.pi * frequency
     receptance = terms @ np.stack(residual_terms(s))
     for pole, factors in zip(poles, residue.T, strict=True):
@@ -236,10 +233,7 @@ class Projection:
         )
 
     def basis(self, x: Array) -> Array:
-        """Return the weighted factors of Re R and Im R of each mode, then of the residual terms.
-
-        The shape is (responses, 2 n, unknowns): real and imaginary parts of each response.
-        """
+        """Return weighted factors of Re R and Im R of each mode, then of residual terms; (responses, 2 n, unknowns)."""
         return self._basis(x, slice(None), self.curves)
 
     def _basis(self, x: Array, rows: slice, part: Curves) -> Array:

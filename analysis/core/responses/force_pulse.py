@@ -56,10 +56,7 @@ def high_pass_response(info: ChannelInfo, frequency: Array) -> ComplexArray:
 
 
 def slow_and_fast(info: ChannelInfo) -> tuple[list[complex], list[complex]]:
-    """Return the poles of the high-pass filters, which are the poles closest to 0 Hz, and all other poles [rad/s].
-
-    A channel has as many high-pass filters as zeros at 0 Hz.
-    """
+    """Return the slowest poles, as many as zeros at 0 Hz (high-pass filters), and all other poles [rad/s]."""
     poles = sorted((pole for pole in info.poles if pole), key=abs)
     count = sum(1 for zero in info.zeros if zero == 0)
     return poles[:count], poles[count:]

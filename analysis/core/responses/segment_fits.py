@@ -97,10 +97,7 @@ class SegmentFits:
         return _average(curves)
 
     def usable_segments(self, rec: Recording, references: Sequence[str]) -> tuple[list[tuple[int, int]], list[str]]:
-        """Return the segments that are fitted, and notes on omitted segments.
-
-        `references`: channels of the reference, without which no response can be estimated.
-        """
+        """Return the segments in which all `references` are usable, and notes on omitted segments."""
         all_flaws = find_flaws(rec, self.channels, self.first, self.stop)
         all_flaws = sorted([*all_flaws, *self.other_flaws], key=lambda flaw: flaw.first)
         segments, notes = self._sufficient_segments(rec, clean_segments(all_flaws, self.first, self.stop))

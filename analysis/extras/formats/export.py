@@ -173,10 +173,7 @@ def expected_bytes(segment: Slice, ending: str) -> float:
 
 
 def kind_of(path: Path) -> str:
-    """Return the file name extension, which determines the format.
-
-    Raises `SceneError` if the format is not supported.
-    """
+    """Return the extension, which determines the format; raise `SceneError` if it is not supported."""
     kind = path.suffix.lower()
     if kind not in _BYTES_PER_SAMPLE:
         raise SceneError(

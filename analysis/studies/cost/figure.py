@@ -67,10 +67,7 @@ def _row(point: Measurement) -> tuple[str, ...]:
 
 
 def write(study: ChainStudy, folder: Path) -> list[Path]:
-    """Write chain-cost-<scene>.png, .svg and .csv into a folder.
-
-    `folder`: created if it does not exist. Raises `SceneError`, `RunError` if a file cannot be written.
-    """
+    """Write chain-cost-<scene>.png, .svg and .csv into a folder, which is created if it does not exist."""
     name = folder / file_stem("chain-cost", study.scene.name)
     rows = [["changed", "to", "cpu_s", "test_s", "error", "corrected_for", "note"]]
     for point in (study.unchanged, study.without_noise, *study.points):

@@ -69,10 +69,7 @@ class _PhaseTone(SteadyTone):
         return _Window(motion, force, float(np.angle(motion / force)) if force else 0.0)
 
     def lock(self) -> Generator[Array, Array, tuple[bool, complex]]:
-        """Control the frequency until the phase is locked and the motion is steady.
-
-        Returns whether both hold, and the amplitude of the force. At the end the frequency is constant.
-        """
+        """Lock the phase by the frequency; return whether it is locked and steady, and the amplitude of the force."""
         detector, test = Settling(self._test.settle.tolerance), self._test
         windows, frequencies = deque[_Window](maxlen=_LOCKED_WINDOWS), deque[float](maxlen=_LOCKED_WINDOWS)
         loop = self.loop = PhaseLoop(self.frequency, test.from_, test.to, test.phase, test.tolerance, self._settings)

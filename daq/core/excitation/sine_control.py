@@ -147,10 +147,7 @@ class SineSweep:
         self._phases = np.concatenate([self._phases, phase[:-1]])[-length:]
 
     def observe(self, frequency: float) -> Array | None:
-        """Return the amplitudes of the accelerations in the last periods, m/s^2.
-
-        The result is None until enough periods are available.
-        """
+        """Return the accelerations' amplitudes in the last periods, m/s^2; None before enough periods."""
         length, latency = _observation_samples(frequency, self.station.rate), self.station.latency
         if self._phases.size < length + latency:
             return None

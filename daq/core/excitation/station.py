@@ -149,10 +149,7 @@ class Station:
         return min(self.drive_limit, volts * DRIVE_PER_VOLT[shaker.drive_unit])
 
     def check_output(self, drive: float, requiring: str, remedy: str) -> None:
-        """Raise `GivenUp` if a drive exceeds `output_limit`.
-
-        `requiring`: subject of the message, such as the test or its profile.
-        """
+        """Raise `GivenUp` if a drive exceeds `output_limit`; `requiring`: subject of the message."""
         shaker = self.scene.driven_shaker
         assert shaker is not None
         if drive > self.output_limit:

@@ -113,11 +113,7 @@ def _decompressor() -> Any:
 
 
 def record_at(read: Callable[[int, int], bytes], position: int, end: int, largest: int) -> tuple[int, memoryview]:
-    """Return opcode and content of the record at a byte position; raise `Damage` if it is malformed.
-
-    ``read(position, length)`` returns bytes of the file, which has `end` bytes. Content of more than `largest` bytes is
-    rejected.
-    """
+    """Return opcode and content, at most `largest` bytes, of the record at a position; `Damage` if malformed."""
     head = read(position, RECORD_HEAD.size)
     if len(head) < RECORD_HEAD.size:
         raise Damage("the file ends within a record")
@@ -129,10 +125,7 @@ def record_at(read: Callable[[int, int], bytes], position: int, end: int, larges
 
 
 def records_in(records: memoryview, stored_bytes: int) -> Iterator[tuple[int, memoryview]]:
-    """Yield opcode and content of the records of an unpacked chunk; raise `Damage` if a record is malformed.
-
-    `stored_bytes` is the size of the chunk in the file.
-    """
+    """Yield opcode and content of an unpacked chunk of `stored_bytes` in the file; `Damage` if malformed."""
     position, end, records_left = 0, len(records), _MAX_EXCESS_RECORDS + stored_bytes
     while position < end:
         records_left -= 1

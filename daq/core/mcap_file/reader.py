@@ -122,10 +122,7 @@ class Container:
             raise self._chunk_error(number, damage) from damage
 
     def messages(self, number: int, records: memoryview | None = None) -> list[StoredMessage]:
-        """Return the messages of a chunk, given its number in the summary; raise `RecordingError` if it is damaged.
-
-        `records`: the records of the chunk, if already read.
-        """
+        """Return the messages of a chunk by its number (`records`: if read already); `RecordingError` if damaged."""
         try:
             return messages_in(self.records(number) if records is None else records, int(self.summary.lengths[number]))
         except Damage as damage:
@@ -136,10 +133,7 @@ class Container:
         return self.error(f"is damaged at byte {offset}: {damage}")
 
     def metadata(self) -> dict[str, dict[str, str]]:
-        """Return the fields of each metadata record by the record's name.
-
-        Of records with equal names, the last is returned.
-        """
+        """Return the fields of metadata records by name; of records with equal names, the last."""
         try:
             metadata = {}
             for index in self.summary.metadata:

@@ -102,10 +102,7 @@ class Summary:
 
 
 def read_summary(data: memoryview, file_size: int) -> Summary:
-    """Parse the summary section, whose checksum the caller has verified; raise `Damage` if it is malformed.
-
-    No index may point beyond `file_size` bytes.
-    """
+    """Parse the summary of a file of `file_size` bytes with verified checksum; raise `Damage` if it is malformed."""
     chunk_positions: defaultdict[int, list[int]] = defaultdict(list)
     kinds = (
         Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX

@@ -187,10 +187,7 @@ class ControlLoss:
 
 
 def bias_overload(scene: Scene, row: int, seconds: float) -> str | None:
-    """Simulate the bench at rest; return a message if the bias of a sensor still overloads the input after `seconds`.
-
-    `row`: row of the channel in the scene. Returns None if the input is not overloaded.
-    """
+    """Return a message if the bias of the sensor in a `row` overloads its resting input after `seconds`; else None."""
     channel = None if scene.channels is None else scene.channels[row]
     if channel is None or channel.accelerometer is None:
         return None

@@ -37,10 +37,7 @@ def reading_limit(channel: Channel | None, info: ChannelInfo) -> tuple[float, st
 
 
 def without_limits(scene: Scene) -> Scene:
-    """Return the scene without limits that clip a reading, mark an alarm or end a test.
-
-    Noise and resolution are unchanged.
-    """
+    """Return the scene with noise and resolution, without limits that clip a reading, mark an alarm or end a test."""
     converter, converter_settings = scene.converter, complete_from_preset(scene.converter)
     if converter_settings.range is not None and converter_settings.bits is None:
         converter = converter.replace(range=_NO_LIMIT)

@@ -56,10 +56,7 @@ def flying_tones(scene: Scene, system: HybridSystem, level: float, tones: Array)
 
 
 def flight_lines(scene: Scene, system: HybridSystem, level: float, rehearsals: Sequence[Rehearsal]) -> tuple[str, ...]:
-    """Return lines of text that state for each damper whether it flies, and at which frequencies or at what time.
-
-    `rehearsals`: simulations of parts of the test.
-    """
+    """Return lines that state for each damper whether, where and when it flies in `rehearsals` of the test."""
     frequencies = test_frequencies(scene.test, _N_FREQUENCIES)
     accelerations = level * _acceleration_per_level(scene, system, frequencies)
     exceeds_gravity = accelerations > (system.take_off_acceleration[:, None] if accelerations.size else np.inf)

@@ -63,10 +63,7 @@ class RehearsalPlan:
 
 
 def affordable_seconds(scene: Scene, cpu_seconds: float = 0.0) -> float:
-    """Return the duration of a test that can be rehearsed [s].
-
-    The CPU time of the rehearsal is limited to `cpu_seconds` or `_CPU_BUDGET_S`, whichever is longer.
-    """
+    """Return the duration of a test [s] whose rehearsal takes `cpu_seconds` or `_CPU_BUDGET_S`, if longer."""
     system, has_filter = assemble(scene), complete_from_preset(scene.converter).filter is not None
     channels = system.coordinates if scene.channels is None else len(scene.channels)
     states = system.states + system.dampers
@@ -178,10 +175,7 @@ def _peak_indices(
 
 
 def highest_level(scene: Scene) -> tuple[str, float, str]:
-    """Return the key of the test's level (such as ``test.force``), the highest level, and its unit.
-
-    Without a level, the result is ("", nan, "").
-    """
+    """Return key (such as ``test.force``), highest level and unit; ("", nan, "") without a level."""
     test = scene.test
     if test is None or not test.levels:
         return "", np.nan, ""

@@ -173,10 +173,7 @@ class CommittedFile:
 
     @contextmanager
     def removed_on_failure(self) -> Iterator[None]:
-        """Remove the new file if the body of the `with` statement fails.
-
-        A complete file that could not be renamed is kept.
-        """
+        """Remove the new file if the body fails, but not a complete file that could not be renamed."""
         try:
             yield
         except BaseException:

@@ -135,10 +135,7 @@ def require_ordered_times(from_s: float | None, to_s: float | None) -> None:
 
 
 def stated_clock(metadata: Mapping[str, str]) -> Timebase | None:
-    """Return the sample clock in the metadata of a topic; None if the metadata contain none.
-
-    Raises `RecordingError` if the clock is invalid.
-    """
+    """Return the sample clock in metadata of a topic (None: not stated); raise `RecordingError` if it is invalid."""
     if "rate" not in metadata or "start_ns" not in metadata:
         return None
     try:

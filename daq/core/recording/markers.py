@@ -286,10 +286,7 @@ def event_to_json(time: float, damper: int, kind: str, speed: float, joint: int 
 
 
 def event_from_json(data: memoryview) -> tuple[float, int, str, float, int]:
-    """Return time, damper, kind, speed and joint of a contact event, as in `event_to_json`.
-
-    Raises `RecordingError` if the message is malformed.
-    """
+    """Return the arguments of `event_to_json` from its message; raise `RecordingError` if it is malformed."""
     given = _object(data, EVENTS)
     absent = "damper" if "joint" in given else "joint"
     content: dict[str, Any] = dict.fromkeys(_EVENT_CHECKS) | given

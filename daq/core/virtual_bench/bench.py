@@ -95,10 +95,7 @@ class Bench:
                 stream.set_conditioning(channel_settings)
 
     def acquire(self, drive: Array) -> Block:
-        """Drive the rig and return the samples at `rate`.
-
-        The drive, shape (inputs, samples) in `drive_units`, is interpolated linearly between samples.
-        """
+        """Return samples at `rate` under a drive (inputs, samples) in `drive_units`, interpolated linearly."""
         drive = validate_drive(drive, self.inputs)
         plant_drive = self._drive_interpolator.interpolate(self._outputs.convert(drive))
         return self._base_stream.sample(self._plant.advance(plant_drive), plant_drive)

@@ -35,10 +35,7 @@ _NICE = -10
 
 
 def raise_priority() -> None:
-    """Raise the priority of this thread if the operating system supports and permits it.
-
-    Threads that run a bench in real time, or serve its clients, need a higher priority.
-    """
+    """Raise the priority of this thread, which runs or serves a bench in real time, if the system permits it."""
     if sys.platform == "linux":
         with suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)

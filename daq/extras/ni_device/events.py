@@ -123,10 +123,7 @@ class Events:
         return (n_samples // interval + 1) * interval
 
     def notify(self, n_samples: int, run: Any) -> bool:
-        """Send all events that are due; return whether an every-N-samples event was sent: its callback may read.
-
-        `n_samples` is the number of samples per channel that `run` has acquired or generated.
-        """
+        """Send all due events after `n_samples` per channel; return whether a callback of every N samples may read."""
         was_sent = False
         if self._every_n_samples is not None:
             _, interval, listener = self._every_n_samples

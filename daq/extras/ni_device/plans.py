@@ -177,10 +177,7 @@ def _trigger_source(task: TaskSettings, role: str, chassis: Chassis) -> Source |
 def input_plan(
     task: TaskSettings, bench: Bench, start: Source | None, reference: Source | None, on_demand: int | None = None
 ) -> InputPlan:
-    """Return the plan of an acquisition with its start and reference trigger.
-
-    `on_demand` is the number of samples to acquire immediately, without the task's sample clock.
-    """
+    """Return the plan of an acquisition with its triggers, or of `on_demand` samples without the task's clock."""
     samples, buffer_size, rate = on_demand, on_demand or 1, bench.rate
     if on_demand is None:
         samples = task.samples_per_channel if task.is_finite else None

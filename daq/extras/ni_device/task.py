@@ -104,10 +104,7 @@ class Task:
             self._active_part.start(*trigger_sources(self.settings, self.chassis))
 
     def stop(self) -> int:
-        """Stop the task; return NI's warning 200010 if a finite task is not done yet, otherwise 0.
-
-        If an error ended the run and has not been raised yet, it is raised now.
-        """
+        """Stop the task; return warning 200010 if it is incomplete, otherwise 0; raise an error that ended the run."""
         if not self.running:
             return 0
         is_early = not self.runs_until_stopped and not self.finished
@@ -367,10 +364,7 @@ class Task:
                 self.chassis.release(self)
 
     def default_count(self) -> int:
-        """Return the samples per channel of a read without a number.
-
-        These are the samples of a finite task that have not been read; otherwise the samples available now.
-        """
+        """Return the unread samples of a finite task, or those available now, for a read without a number."""
         settings = self.settings
         settings.require("ai")
         if not settings.has_sample_clock:

@@ -70,10 +70,7 @@ class TaskOutput:
         return 0 if self.run is None else self.run.generated
 
     def ticks_to_end(self) -> int:
-        """Return a lower bound of the ticks until the generation is complete.
-
-        The ticks in 10 ms if the end is unknown.
-        """
+        """Return a lower bound of the ticks until the generation is complete, by default those in 10 ms."""
         return max(1, int(self._chassis.rate / 100)) if self.run is None else self.run.ticks_to_end()
 
     def ticks_until(self, samples: int) -> int:

@@ -130,10 +130,7 @@ def time_of(task: Task, event: TimestampEvent, timeout: float) -> int:
 
 
 def full_terminal(task: Task, name: str) -> str:
-    """Return NI's full name of a terminal, such as "/cDAQ1/PFI0"; an empty name stays empty.
-
-    Raises `DaqError` -89120 if there is no such terminal.
-    """
+    """Return NI's full name of a terminal, such as "/cDAQ1/PFI0", or ""; raise `DaqError` -89120 if there is none."""
     if not name or name.startswith("/"):
         return name
     if "/" in name and not name.startswith(("ai/", "ao/")):

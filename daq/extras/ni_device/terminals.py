@@ -104,10 +104,7 @@ class Terminals:
         on_end: Callable[[str], None],
         make_excitation: Callable[[Station], TestExcitation] = excitation,
     ) -> BackgroundTest:
-        """Run the test of a scene once, from the first sample at or after `position` ticks; see `BackgroundTest`.
-
-        `mark` adds markers to a recording, `report` receives the progress.
-        """
+        """Run the test of a scene from `position` ticks on, with markers and progress; see `BackgroundTest`."""
         bench = self.bench
         first_sample = -(-position // bench.ticks_per_sample)  # rounded up
         station = Station(scene, bench.channels, bench.inputs, bench.rate, mark, report, now=first_sample)

@@ -30,10 +30,7 @@ _connections: dict[tuple[int, str], Any] = {}
 
 
 def environment(address: str, follows_wall_clock: bool) -> dict[str, str]:
-    """Return the environment variables with which child processes use the server at an address.
-
-    `follows_wall_clock`: whether bench time follows the wall clock.
-    """
+    """Return the environment of clients of a server at an address; `follows_wall_clock`: whether bench time does."""
     paths = [str(STARTUP), *filter(None, [os.environ.get("PYTHONPATH")])]
     # Forked child processes open new connections; grpc permits this only if its environment variable is set before the
     # fork.

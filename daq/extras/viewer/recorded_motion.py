@@ -34,10 +34,7 @@ class RecordedMotion:
         self.gaps_known = bool(scene.dampers) and recording.has_truth
 
     def segments(self, start: int, stop: int, step: int) -> Iterator[tuple[NDArray[np.int64], RigMotion]]:
-        """Yield sample indices and the motion at them, for every `step`-th sample of [start, stop).
-
-        Lost samples are omitted.
-        """
+        """Yield sample indices and motion for every `step`-th sample of [start, stop) that is not lost."""
         filters = {
             source.point: DisplacementFilter(source.quantity, self.recording.rate)
             for source in self.sources

@@ -116,10 +116,7 @@ class Replay:
         wait_until_received: Callable[[], object],
         progress: FractionProgress | None = None,
     ) -> None:
-        """Send everything to a stream.
-
-        `wait_until_received` is called after each block. It waits for the viewer or file, which limits the memory.
-        """
+        """Send everything; `wait_until_received` limits the memory by a wait after each block."""
         from daq.extras.viewer.spectrum_picture import spectrum_picture
 
         stream.send_recording_name(self.recording.scene.name)

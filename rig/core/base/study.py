@@ -207,10 +207,7 @@ def unfinished_file(table: Path) -> Path:
 
 
 def read_rows(path: Path, header: Sequence[str], name: str) -> list[list[str]]:
-    """Read the rows of a table without changing it.
-
-    Raises `RunError` if the file is not such a table, or cannot be read.
-    """
+    """Read the rows of a table without changing it; raise `RunError` if it is unreadable or not such a table."""
     try:
         content = path.read_bytes()
     except OSError as error:

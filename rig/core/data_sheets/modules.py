@@ -100,10 +100,7 @@ class Module:
 
 @cache
 def module(name: str) -> Module:
-    """Return a module by its preset name; case, spaces and hyphens are ignored.
-
-    Raises `SceneError` if no module has that name.
-    """
+    """Return a module by its preset name, except for case, spaces and hyphens; raise `SceneError` if unknown."""
     sheet = data_sheet(name, "module")
     facts, settings = sheet.facts, sheet.settings
     return Module(

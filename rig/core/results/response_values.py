@@ -304,10 +304,7 @@ class ResponseValues(Result):
         )
 
     def band(self, low: float | str, high: float | str) -> Self:
-        """Select the lines from `low` to `high`, in Hz or as strings with their unit.
-
-        Raises `SceneError` if the response has no line between these frequencies.
-        """
+        """Select lines from `low` to `high` (Hz, or text with unit); raise `SceneError` if there are none."""
         first, last = number(low, FREQUENCY, "low"), number(high, FREQUENCY, "high")
         if first > last:
             raise SceneError(f"band: got {first:g} to {last:g} Hz; expected the lower frequency first")

@@ -232,10 +232,7 @@ class UncertaintyBudget:
         return self._radius(0.0)
 
     def bound(self, confidence: float = 0.95) -> Array | float:
-        """Return the radius of the circle that contains the true value.
-
-        It is infinite where a contribution is unbounded.
-        """
+        """Return the radius of the circle with the true value; infinite where a contribution is unbounded."""
         return self._radius(self.random_bound(confidence))
 
     def _radius(self, random_bound: Array | float) -> Array | float:

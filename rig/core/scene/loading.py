@@ -61,10 +61,7 @@ def load(scene: SceneLike, changes: Mapping[str, Any] | None = None) -> Scene:
 
 
 def load_with_options(scene: str, settings: Iterable[str]) -> Scene:
-    """Load a scene and apply the options ``--set KEY=VALUE`` of a command, which messages quote in this form.
-
-    Raises the errors of `load`.
-    """
+    """Load a scene with the options ``--set KEY=VALUE``, as messages quote them; raise the errors of `load`."""
     return _load(scene, parse_options(settings))
 
 

@@ -21,10 +21,7 @@ def summary(name: str) -> str:
 
 
 def find_scene(scene: str | Path) -> Path:
-    """Return the path of a scene file, or of a bundled scene by its name.
-
-    Raises `SceneError` if the file does not exist.
-    """
+    """Return the path of a scene file, or of a bundled scene by its name; raise `SceneError` if there is none."""
     path = Path(scene)
     names = bundled_scenes()
     if isinstance(scene, str) and scene in names:
@@ -48,10 +45,7 @@ def find_scene(scene: str | Path) -> Path:
 
 
 def read_text(path: Path) -> str:
-    """Read the text of a scene file.
-
-    Raises `SceneError` if the file cannot be read or is not text.
-    """
+    """Read the text of a scene file; raise `SceneError` if it cannot be read or is not text."""
     try:
         text = read_file(path).decode("utf-8-sig")
     except OSError as error:
@@ -66,8 +60,5 @@ def read_text(path: Path) -> str:
 
 
 def scene_text(scene: str | Path) -> str:
-    """Return the text of a scene file, including comments.
-
-    Raises `SceneError` if the file does not exist or is not text.
-    """
+    """Return the text of a scene file, including comments; raise `SceneError` if it is missing or not text."""
     return read_text(find_scene(scene))

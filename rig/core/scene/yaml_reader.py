@@ -52,10 +52,7 @@ class _Unreadable(Exception):
 
 
 def read_yaml(text: str) -> Document:
-    """Read a YAML text.
-
-    Returns the content; its `problems` list duplicate keys and invalid YAML.
-    """
+    """Read a YAML text; `problems` of the returned content list duplicate keys and invalid YAML."""
     document = Document()
     try:
         if len(text) > MAX_CHARACTERS:

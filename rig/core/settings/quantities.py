@@ -451,10 +451,7 @@ def _factor(unit: str, kind: Kind) -> Fraction:
 
 
 def pint_factor(unit: str, kind: Kind) -> Fraction:
-    """Return the SI factor of a unit from Pint.
-
-    Raises `ValueError` if the unit is unknown or of a different kind.
-    """
+    """Return a unit's SI factor from Pint; raise `ValueError` if it is unknown or of a different kind."""
     notation = _pint_notation(unit)
     # g is the gram or standard gravity, whichever results in the required kind (74 g, 100 mV/g).
     for candidate in (notation, _GRAVITY.sub(r"\1gn", notation)):

@@ -88,10 +88,7 @@ class Settings(_Model):
         return {}
 
     def discard_notation(self) -> None:
-        """Discard the user's notation, and treat values equal to their defaults as not given.
-
-        This is used for scenes from recordings, which contain every value in SI.
-        """
+        """Discard the user's notation and values equal to defaults; recordings contain every value in SI."""
         self.__dict__.pop("written", None)
         for name, field in type(self).model_fields.items():
             value = getattr(self, name)

@@ -80,10 +80,7 @@ def assemble(scene: Scene) -> HybridSystem:
 
 
 def matrices_without_free_beds(scene: Scene) -> tuple[Array, Array, Array]:
-    """Return mass [kg], damping [N s/m] and stiffness [N/m] of bodies, tables and masses on springs.
-
-    The shape is (coordinates, coordinates).
-    """
+    """Return M [kg], C [N s/m] and K [N/m] of bodies, tables and masses on springs, (coordinates, coordinates)."""
     model = structural_model(scene)
     equations = _without_free_beds(scene, model, np.zeros(len(model.mass)))
     for mass in model.tuned:

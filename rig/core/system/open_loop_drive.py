@@ -66,10 +66,7 @@ def tone_drive(scene: Scene, system: HybridSystem, frequency: float | None = Non
 
 
 def level_of(scene: Scene) -> float:
-    """Return the level of the test: force [N], or drive in the unit of the input.
-
-    Raises `SceneError` if the scene has no shaker, or the test has no level.
-    """
+    """Return the level of the test: force [N] or drive; raise `SceneError` without a shaker or level."""
     if scene.driven_shaker is None and scene.shakers:
         raise SceneError(
             f"scene {scene.name!r} has {len(scene.shakers)} shakers. Set test.shaker to the number of the driven "

@@ -40,10 +40,7 @@ def write_checkpoint(path: Path, settings: Mapping[str, Any], state: GrainsState
 
 
 def read_checkpoint(path: Path, settings: Mapping[str, Any]) -> GrainsState | None:
-    """Read a checkpoint; return None if the file does not exist.
-
-    Raises `RunError` if the file belongs to a different run or is not a checkpoint.
-    """
+    """Read a checkpoint (None: no file); raise `RunError` if it belongs to another run or is not a checkpoint."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             stored = dict(arrays)

@@ -53,10 +53,7 @@ _MAX_REST_CHECKS = 40_000
 
 
 def settled_positions(spheres: Spheres) -> Array:
-    """Return the positions of the grains at rest on the floor [m]; shape (grains, 3).
-
-    Raises `RunError` if the grains do not come to rest.
-    """
+    """Return resting positions of the grains [m], (grains, 3); raise `RunError` if they do not come to rest."""
     stored = _stored_file(spheres)
     # numpy may raise any exception for a damaged file; the bed is then packed again.
     with suppress(Exception), stored.open("rb") as file:

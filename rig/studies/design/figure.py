@@ -154,10 +154,7 @@ def _accuracy_of_reductions(design: Design) -> str:
 
 
 def write(design: Design, folder: Path) -> list[Path]:
-    """Write the scene with the best dampers and the figures into an existing folder.
-
-    Raises `SceneError` if a file cannot be written.
-    """
+    """Write scene and figures of the best dampers into an existing folder; raise `SceneError` if this fails."""
     name = folder / file_stem("design", design.scene.name)
     scene = name.with_suffix(".yaml")
     with atomic_write(scene) as temporary:

@@ -101,10 +101,7 @@ def parse_request(
     watched: Sequence[int | str] | None = None,
     uncertain: Sequence[float | str] = (0.0, 0.0),
 ) -> tuple[Objective, SearchSpace]:
-    """Check the arguments of `rig.design`, and fill in their defaults.
-
-    Raises `SceneError` if an argument is invalid, or nothing drives the structure.
-    """
+    """Return complete arguments of `rig.design`; `SceneError` if invalid or if nothing drives the structure."""
     damper_bodies = _bodies(bodies, scene, "bodies")
     evaluated_bodies = tuple(sorted({*_bodies(watched, scene, "watched")}))
     if count(dampers, 1, "dampers") > len(damper_bodies):

@@ -61,10 +61,7 @@ def estimate_job_count(objective: Objective, space: SearchSpace) -> int:
 
 
 def search(objective: Objective, space: SearchSpace, evaluator: Evaluator) -> tuple[Trial, list[Trial]]:
-    """Search for the dampers with the smallest worst peak at each mass; ties are resolved as in `rank_trials`.
-
-    Returns the best trial, with its peaks on the fine frequency grid, and all trials.
-    """
+    """Search for the smallest worst peak at each mass; return the best trial, on the fine grid, and all trials."""
 
     def optimize_from(starts: Iterable[Choice], optimize: Callable[..., object]) -> dict[Choice, Trial]:
         return evaluator.run_searches(objective, [partial(_requested_choices, optimize, start) for start in starts])

@@ -355,10 +355,7 @@ def summarize_map(map_: MotionMap) -> str:
 
 
 def write_map(map_: MotionMap, folder: Path) -> list[Path]:
-    """Write map-<scene> or map-clearance-<scene>, as .png, .svg and .csv, into a folder.
-
-    `folder`: created if it does not exist. Raises `SceneError` if a file cannot be written.
-    """
+    """Write map-<scene> or map-clearance-<scene>, as .png, .svg and .csv, into a folder; `SceneError` on failure."""
     table = map_.columns()
     rows: list[list[object]] = [[name.lower() for name in table]]
     for cells in zip(*table.values(), strict=True):

@@ -175,10 +175,7 @@ def approximate_response(
 
 
 def follow_mode(mode: SingleMode, band: tuple[float, float], searches: int = 13) -> Approximation:
-    """Compute all periodic motions of a reduced system between two frequencies [Hz].
-
-    `searches`: number of frequencies at which the search for all solutions starts.
-    """
+    """Compute all periodic motions between frequencies [Hz], searched at `searches` frequencies."""
     low, high = (f / mode.frequency for f in band)
     if not 0 < low < high:
         raise SceneError(f"band: got {band[0]:g} to {band[1]:g} Hz; expected two ascending frequencies above 0")
@@ -242,10 +239,7 @@ def _equations(mode: SingleMode, kind: MotionType) -> continuation.Equations:
 
 
 def _motions_with_short_stay(mode: SingleMode, curves: list[continuation.Curve]) -> list[Array]:
-    """Locate Type III motions with short stays at the ceiling, which a search on a grid may miss.
-
-    Newton's iteration starts from the points of Type II curves at which the damper begins to stay at the ceiling.
-    """
+    """Locate Type III motions with short stays from points of Type II where the damper begins to stay."""
     located = []
     for curve in curves:
         points = curve.points.T

@@ -64,10 +64,7 @@ class ShakerLaw:
         return complex(per_newton), complex(per_meter)
 
     def slope(self, s: complex) -> tuple[complex, complex]:
-        """Return the derivatives of both results of `at` with respect to s.
-
-        The derivatives yield the additional drive for a changing amplitude.
-        """
+        """Return the derivatives of `at` with respect to s, for the additional drive of a changing amplitude."""
         step = 1e-3 * abs(s)
         upper, lower = self.at(s + step), self.at(s - step)
         return (upper[0] - lower[0]) / (2 * step), (upper[1] - lower[1]) / (2 * step)

@@ -25,10 +25,7 @@ _MAX_END_DB = 3.0
 
 
 def line_warnings(prescription: Prescription, scene: Scene, channels: Iterable[ChannelInfo]) -> Iterable[str]:
-    """Yield warnings from the linear response of the scene, with all dampers on their floors.
-
-    `prescription`: densities with a resolution in Hz; `channels`: channels of the bench.
-    """
+    """Yield warnings from the linear response with resting dampers; `prescription`: densities and resolution in Hz."""
     assert prescription.resolution is not None
     low, high = prescription.profile.frequencies[0], prescription.profile.frequencies[-1]
     count = round((high - low) / prescription.resolution)

@@ -83,10 +83,7 @@ class SweepControl:
         self._drives.append((time, drive))
 
     def next_drive(self, observation: Observation, window: float) -> complex:
-        """Compute the drive amplitude at the end of the next update interval.
-
-        This interval has the length `window` in s, and begins at the end of the observation.
-        """
+        """Return the drive amplitude at the end of the update interval of `window` s after the observation."""
         if not observation.force:
             # Readings that vary by less than one converter count do not determine the drive.
             return self._drives[-1][1]

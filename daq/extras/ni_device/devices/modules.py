@@ -108,10 +108,7 @@ class Module:
         return [f"{self.name}/{direction}{number}" for number in range(count)]
 
     def bench_index(self, direction: str, number: int) -> int:
-        """Return the index of the bench's channel or output at a terminal.
-
-        Raise `DaqError` -200170 for an unknown terminal.
-        """
+        """Return the bench's channel or output at a terminal; raise `DaqError` -200170 for an unknown terminal."""
         bench_indices = {"ai": self.inputs, "ao": self.outputs}.get(direction, ())
         if not 0 <= number < len(bench_indices):
             raise self.channel_error(direction, number)

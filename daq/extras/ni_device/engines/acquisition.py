@@ -163,10 +163,7 @@ class Acquisition:
         return self.position + samples - self.ring.written
 
     def start_tick(self, reference: bool, tick: int) -> int | None:
-        """Return the tick of the start or, with `reference`, of the reference trigger; None if still unknown.
-
-        `tick` is the current tick.
-        """
+        """Return the tick of the start or `reference` trigger, given the current `tick`; None if still unknown."""
         instant = self.first_instant
         if reference:
             instant = None if self.trigger_sample is None else self.instant_of(self.trigger_sample)

@@ -100,10 +100,7 @@ class Generation:
         return self.first_tick
 
     def ticks_to_end(self) -> int:
-        """Return a lower bound of the ticks until the generation is complete.
-
-        The ticks in 10 ms if the end is unknown.
-        """
+        """Return a lower bound of the ticks until the generation is complete, by default those in 10 ms."""
         if self.first_tick is None or self.plan.samples is None:
             return max(1, int(self.plan.tick_rate / 100))
         return max(1, self.ticks_until(self.plan.samples))

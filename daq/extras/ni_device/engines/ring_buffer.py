@@ -12,10 +12,7 @@ MAX_BYTES = 2 << 30
 
 
 def allocate(channels: int, samples: int, dtype: DTypeLike = np.float64) -> NDArray[Any]:
-    """Allocate an array of zeros, shape (channels, samples).
-
-    Raises `DaqError` -200077 if `samples` is negative or there is not enough memory.
-    """
+    """Return zeros, (channels, samples); `DaqError` -200077 for a negative number or without memory."""
     if samples < 0:
         raise invalid_value(
             f"{samples} samples per channel are impossible. Give 0 or more, or READ_ALL_AVAILABLE (-1)."
@@ -73,10 +70,7 @@ class RingBuffer:
         self.written += count
 
     def read(self, first: int, count: int) -> NDArray[Any]:
-        """Return a copy of samples, shape (channels, count).
-
-        Raises `IndexError` for samples that have been overwritten or have not been written yet.
-        """
+        """Return a copy of samples, (channels, count); `IndexError` for overwritten or unwritten samples."""
         if first < self.oldest or first + count > self.written:
             raise IndexError(f"samples {first} to {first + count - 1}: there are {self.oldest} to {self.written - 1}")
         start = first % self.size

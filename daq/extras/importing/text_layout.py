@@ -2,14 +2,14 @@
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from datetime import UTC, datetime
 from itertools import accumulate, chain, takewhile
 from pathlib import Path
 from typing import NamedTuple
 
 from daq.extras.importing.analyzer_heading import keyed_heading
-from daq.extras.importing.clock import TIME_NAMES, rate_of_interval
+from daq.extras.importing.clock import TIME_NAMES, rate_of_interval, warn
 from rig.core.base.errors import RecordingError
 from rig.core.base.escaping import unescape_cell
 from rig.core.settings.quantities import is_unit
@@ -37,6 +37,7 @@ _ABSCISSA_UNITS = ("", *TIME_UNITS, "Hz", "kHz")
 _MAX_UNIT_LENGTH = 16
 #: Name of a column without a name.
 UNNAMED = "column {}"
+_NO_NAME = UNNAMED.format("")
 # A complex number in one cell, as numpy and MATLAB write it: ``(1.2+3.4j)``, ``1.2 - 3.4 i``. numpy writes ``+-``
 # before a negative imaginary part.
 _NUMBER = r"\d[\d.,]*(?:e[-+]?\d+)?"
@@ -135,7 +136,11 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
                 continue
             layout = Layout(encoding, delimiter, decimal_comma, number, [], [])
             if _are_numbers(cells[first_cell:], decimal_comma):
+                _require_heading(path, number, lines[number - 1 : number], layout, len(cells))
                 return _with_columns(layout, lines[:number], cells, first_cell)
+            if delimiter is not None and (numbers := _number_positions(lines[number : number + 2], layout)):
+                plain_cells = [cell if k in numbers else "" for k, cell in enumerate(cells)]
+                return _without_texts(path, _with_columns(layout, lines[:number], plain_cells, 0), cells, numbers)
             complex_cells = _split_pairs(line, delimiter)
             parts = [complex_parts(cell) for cell in complex_cells]
             decimal_comma = any("," in part for part in chain(*parts))
@@ -145,6 +150,55 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
     raise RecordingError(
         f"{path}: no line of numbers among the first {len(lines)} lines. Export the data as a table of numbers."
     )
+
+
+def _require_heading(path: Path, number: int, above: Sequence[str], layout: Layout, count: int) -> None:
+    """Raise `RecordingError` if the line above the first line of numbers is a row that begins with a number."""
+    cells = split_cells("".join(above), layout.delimiter)
+    is_row = len(cells) == count > 1 and _is_number(cells[0], 0, layout.decimal_comma)
+    if text := next((cell for cell in cells[1:] if is_row and parse_number(cell, layout.decimal_comma) is None), ""):
+        raise RecordingError(
+            f"{path}, line {number}: {text!r:.40} is not a number. Correct the cell, or remove the line."
+        )
+
+
+def _number_positions(lines: Sequence[str], layout: Layout) -> set[int]:
+    """Return the positions of the numbers in two lines that contain texts, too; empty for other lines.
+
+    The numbers of both lines, or those to the left of the first texts, have the same positions: the first position and
+    at least one other.
+
+    >>> layout = Layout("utf-8", ",", False, 0, [], [])
+    >>> _number_positions(["0.0,1.5,started", "0.1,1.6,"], layout)
+    {0, 1}
+    >>> _number_positions(["0.0,1.5,,Serial,17", "0.1,1.6"], layout), _number_positions(["0.0,OL", "0.1,1.5"], layout)
+    ({0, 1}, set())
+    """
+    all_numbers, left_numbers = [], []
+    for row in (split_cells(line, layout.delimiter) for line in lines):
+        numbers = {k for k, cell in enumerate(row) if _is_number(cell, k, layout.decimal_comma)}
+        first_text = next((k for k, cell in enumerate(row) if cell and k not in numbers), len(row))
+        all_numbers.append(numbers)
+        left_numbers.append({k for k in numbers if k < first_text})
+    for numbers, *others in (all_numbers, left_numbers):
+        if others == [numbers] and 0 in numbers and len(numbers) > 1:
+            return numbers
+    return set()
+
+
+def _is_number(cell: str, position: int, decimal_comma: bool) -> bool:
+    """Return whether a cell contains a number, or a time of day in one of the first two positions."""
+    return bool(cell) and _are_numbers([cell] if position > 1 else [cell, ""], decimal_comma)
+
+
+def _without_texts(path: Path, layout: Layout, cells: Sequence[str], numbers: Container[int]) -> Layout:
+    """Remove the columns of texts from a layout, with a warning, and empty columns without a name."""
+    columns = list(zip(layout.names, layout.units, layout.cells or range(len(cells)), strict=True))
+    kept = [(name, unit, k) for name, unit, k in columns if k in numbers or not (cells[k] or name.startswith(_NO_NAME))]
+    texts = [name for name, _, k in columns if k not in numbers and cells[k]]
+    warn(f"{path}: columns with texts are not imported: {', '.join(texts)}")
+    names, units, positions = map(list, zip(*kept, strict=True))
+    return layout._replace(names=names, units=units, cells=tuple(positions))
 
 
 def complex_parts(cell: str) -> list[str]:

@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from itertools import islice, pairwise, takewhile, zip_longest
+from itertools import islice, pairwise, takewhile
 from pathlib import Path
 from typing import IO
 
@@ -103,33 +103,33 @@ def _labview_segments(path: Path, lines: list[str], encoding: str, stack: ExitSt
     """List the channels of a LabVIEW file; samples are lost between segments unless their times are consecutive."""
     first = read_labview_heading(lines, str(path))
     file_heading = list(takewhile(lambda line: not line.startswith(LABVIEW_END), lines))
-    headings, stops, open_heading = [first], [], list[str]()
+    headings, stops, rows, open_heading = [first], [], [0], list[str]()
     with path.open(encoding=encoding, errors="replace", newline="") as file:
         for number, line in enumerate(file):
             if number < first.lines:
                 continue
-            if open_heading or line.startswith(LABVIEW_SEGMENT_BEGINS):
-                if not open_heading:
-                    stops.append(number)
-                open_heading.append(line.rstrip("\r\n"))
-                if len(open_heading) > 1 and open_heading[-2].startswith(LABVIEW_END):
-                    heading = read_labview_heading(
-                        [*file_heading, LABVIEW_END, *open_heading], f"{path}, line {number}"
-                    )
-                    headings.append(heading._replace(lines=number + 1))
-                    open_heading = []
-    if open_heading:
+            if not open_heading and not line.startswith(LABVIEW_SEGMENT_BEGINS):
+                rows[-1] += bool(line.strip())
+                continue
+            if not open_heading:
+                stops.append(number)
+            open_heading.append(line.rstrip("\r\n"))
+            if len(open_heading) > 1 and open_heading[-2].startswith(LABVIEW_END):
+                heading = read_labview_heading([*file_heading, LABVIEW_END, *open_heading], f"{path}, line {number}")
+                headings.append(heading._replace(lines=number + 1))
+                rows, open_heading = [*rows, 0], []
+    # Keys begin with a letter, the end of a heading with an asterisk, and rows with a number or a separator.
+    if any(line.strip() and not (line[0].isalpha() or line[0] == "*") for line in open_heading):
         raise RecordingError(
             f"{path}, line {stops[-1] + 1}: the heading of segment {len(headings) + 1} has no end; expected a line "
             f"{LABVIEW_END}. Remove the lines of this segment, or export the file again."
         )
     if len(headings) > _MAX_SEGMENTS:
         raise RecordingError(f"{path} has {len(headings)} segments; expected at most {_MAX_SEGMENTS}. Log to TDMS.")
-    segments = [
-        _labview_signals(path, heading, stop, encoding, stack)
-        for heading, stop in zip_longest(headings, stops)
-        if heading is not None
-    ]
+    parts = [part for part in zip(headings, [*stops, None], rows, strict=False) if part[2]] or [(first, None, 0)]
+    if n_empty := len(headings) + bool(open_heading) - len(parts):
+        warn(f"{path}: {n_empty} of its {n_empty + len(parts)} segments contain no samples, and are not imported")
+    segments = [_labview_signals(path, heading, stop, encoding, stack) for heading, stop, _ in parts]
     if len(segments) == 1:
         return segments[0]
     if not are_repetitions(segments):

@@ -258,6 +258,39 @@ def test_columns_without_signals_are_omitted(heading: str, row: str, tmp_path: P
         np.testing.assert_allclose(signals[1].read(0, 300), SAMPLES[:, 2], atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("heading", "texts", "before"),
+    [
+        ("Time (s);force (N);tip (g);Info", ["triggered", ""], 3),
+        ("Time (s);force (N);tip (g);Info", ["on"] * 300, 3),
+        ("Time (s);force (N);tip (g);;Model;AB-12", [";Serial;12", ";Rate;1024 Hz"], 3),
+        ("Time (s);Status;force (N);tip (g)", ["OK"] * 300, 1),
+        ("Time (s);Event;force (N);tip (g)", ["start"] + [""] * 299, 1),
+    ],
+)
+def test_columns_of_texts_are_omitted(heading: str, texts: list[str], before: int, tmp_path: Path) -> None:
+    rows = [[f"{value:.8f}" for value in row] for row in SAMPLES]
+    for row, text in zip(rows, texts, strict=False):
+        row.insert(before, text)
+    (tmp_path / "a.csv").write_text("\n".join([heading, *map(";".join, rows)]), encoding="utf-8")
+    with ExitStack() as stack, pytest.warns(RunWarning, match="columns with texts are not imported: "):
+        signals = signals_of(tmp_path / "a.csv", stack)
+        assert [(signal.name, signal.unit, signal.rate) for signal in signals] == [
+            ("force", "N", 1024.0),
+            ("tip", "g", 1024.0),
+        ]
+        np.testing.assert_allclose(signals[1].read(0, 300), SAMPLES[:, 2], atol=1e-8)
+
+
+@pytest.mark.parametrize("first", ["0.0;OL;1.0", "10:00:00;0.5;OL"])
+def test_text_among_first_numbers_is_refused(first: str, tmp_path: Path) -> None:
+    stamp = first.partition(";")[0]
+    rows = [f"{stamp[:-1]}{number};0.5;1.0" for number in range(1, 6)]
+    (tmp_path / "a.csv").write_text("\n".join(["Time;force (N);tip (g)", first, *rows]), encoding="utf-8")
+    with ExitStack() as stack, pytest.raises(RecordingError, match="line 2: 'OL' is not a number"):
+        signals_of(tmp_path / "a.csv", stack)
+
+
 def test_decimal_commas_may_be_quoted(tmp_path: Path) -> None:
     rows = [f'"{time:.8f}","{force:.6f}","{tip:.6f}"'.replace(".", ",") for time, force, tip in SAMPLES]
     (tmp_path / "a.csv").write_text("\n".join(['"Time (s)","force (N)","tip (g)"', *rows]), encoding="utf-8")

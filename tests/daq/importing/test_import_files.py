@@ -385,6 +385,16 @@ def test_labview_segments_are_joined(tmp_path):
     assert np.isnan(samples[6:-3]).all()
 
 
+@pytest.mark.parametrize("heading_lines", [1, 5, 6])
+def test_labview_segment_without_samples_is_omitted(heading_lines, tmp_path):
+    text = labview_segments([0.0, 5.0, 9.0]).splitlines(keepends=True)
+    (tmp_path / "a.lvm").write_text("".join(text[: len(text) - 10 + heading_lines]))
+    with ExitStack() as stack, pytest.warns(RunWarning) as caught:
+        [signal] = text_signals(tmp_path / "a.lvm", stack)
+        assert signal.samples == 6 + 16
+    assert any("1 of its 3 segments contain no samples" in str(each.message) for each in caught)
+
+
 def test_different_labview_segments_are_refused(tmp_path):
     text = labview_segments([0.0]) + labview_segments([0.0], "body2").split(END_OF_HEADER, 1)[1].lstrip()
     (tmp_path / "a.lvm").write_text(text)

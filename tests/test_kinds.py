@@ -6,7 +6,9 @@ import json
 import sys
 from collections.abc import Iterator
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
+from pkgutil import iter_modules
 from typing import Any
 
 import pytest
@@ -16,9 +18,10 @@ from daq.core.excitation import procedure_of
 from daq.core.excitation.procedure import Procedure
 from daq.core.recording.recorded_test import FOLLOWED_CURVE, HELD_MOTION, HELD_PHASE, TestKind
 from rig.core.base.errors import SceneError
+from rig.core.scene import excitation
 from rig.core.scene.excitation import KINDS as TESTS
 from rig.core.scene.excitation import KindOfTest
-from rig.core.scene.json_schema import schema_text
+from rig.core.scene.scene_files import SCENES
 from rig.core.scene.shaker import KINDS as SHAKERS
 
 ROOT = Path(__file__).parents[1]
@@ -44,11 +47,25 @@ OWN_FIELDS = {
 }
 
 
+def has_kind(settings: type[KindOfTest]) -> bool:
+    """Return whether settings have a value of `kind`; a base class of several kinds has none."""
+    return "kind" in settings.model_fields and isinstance(settings.model_fields["kind"].default, str)
+
+
+def test_settings_of_each_module_are_in_union() -> None:
+    for module in iter_modules(excitation.__path__, f"{excitation.__name__}."):
+        for name, kind in inspect.getmembers(import_module(module.name), inspect.isclass):
+            if kind.__module__ == module.name and issubclass(kind, KindOfTest) and has_kind(kind):
+                assert kind in TESTS, f"{excitation.__name__}: add {name} to the union Test"
+
+
 @pytest.mark.parametrize("kind", TESTS, ids=lambda kind: kind.kind_name())
 def test_kind_of_test_has_procedure(kind: type[KindOfTest]) -> None:
+    module = f"daq.core.excitation.{kind.kind_name()}"
+    assert find_spec(module) is not None, f"{module}: define PROCEDURE"
     procedure = procedure_of(kind)
     is_complete = "excite" in vars(type(procedure)) or kind.wave is not KindOfTest.wave
-    assert is_complete, f"daq.core.excitation.{kind.kind_name()}: define excite, or wave in the settings"
+    assert is_complete, f"{module}: define excite, or wave in the settings"
 
 
 def test_unknown_detection_is_named() -> None:
@@ -94,7 +111,9 @@ def test_kind_is_in_guide(name: str) -> None:
 
 @pytest.mark.parametrize("name", sorted(CLASSES))
 def test_kind_is_in_schema(name: str) -> None:
-    assert json.loads(schema_text())["$defs"][name]["description"]
+    packaged = json.loads((SCENES.parent / "scene.schema.json").read_text(encoding="utf-8"))["$defs"]
+    assert name in packaged, "run: rig schema > rig/core/scene/data/scene.schema.json"
+    assert packaged[name]["description"]
 
 
 def questions(file: Path) -> Iterator[str]:

@@ -85,7 +85,7 @@ class HeldMotion(EnvelopeTone):
             self.limited[frequency] = abs(self.motion) / self.target
         return settled
 
-    def measure(self, samples: int, settled: bool, fields: dict[str, Any]) -> Generator[Array, Array, None]:
+    def measure(self, samples: int, settled: bool, fields: Mapping[str, Any]) -> Generator[Array, Array, None]:
         """Measure for at least a number of samples, and mark the interval.
 
         If the motion leaves the level although the drive is constant, its orbit is unstable: feedback holds it.

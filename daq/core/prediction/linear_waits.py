@@ -8,7 +8,7 @@ computed in closed form instead of from samples. Random noise is added according
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -327,7 +327,7 @@ class _PredictedTone(SteadyTone):
             self._drawn = np.concatenate([self._drawn, drawn[::-1]])
         return self._drawn[:_WINDOWS_AT_ONCE]
 
-    def measure(self, samples: int, settled: bool, fields: dict[str, Any]) -> Generator[Array, Array, None]:
+    def measure(self, samples: int, settled: bool, fields: Mapping[str, Any]) -> Generator[Array, Array, None]:
         """Let the transient decay during a measurement."""
         self._let_decay(samples / self.station.rate)
         self.station.now += samples

@@ -19,13 +19,13 @@ from tests.daq.measurement.bench_run import BenchRun, run, scene_with
 FORCE = 1.5  # level of each tone, N
 
 
-def run_tones(scene, *groups, levels=None, longest=60.0):
+def run_tones(scene, *groups, levels=None, longest=60.0, fields=None):
     """Run groups of tones on the bench of a scene; `longest`: maximum wait, s."""
 
     def excite(station: Station) -> Excitation:
         tones = SteadyTones(station, [Tone(station.rate, each) for each in groups[0]], controlled(station))
         settle = Settle(tolerance=1e-3, longest=longest)
-        yield from tones.run(groups, levels or [FORCE] * len(groups[0]), settle, [2.0] * len(groups))
+        yield from tones.run(groups, levels or [FORCE] * len(groups[0]), settle, [2.0] * len(groups), fields or {})
 
     return run(scene, make_excitation=excite)
 
@@ -89,3 +89,13 @@ def test_groups_follow_one_another_with_a_level_per_tone() -> None:
     ]
     assert [each["force"] for each in fields] == pytest.approx([1.0, 2.0, 1.0, 2.0], rel=0.006)
     assert not bench_run.warnings
+
+
+def test_tones_of_different_forces_share_a_curve() -> None:
+    scene = rig.load("continuation").replace(test={"kind": "sine", "frequency": 12.0, "force": 1.0}, dampers=())
+    bench_run = run_tones(scene, (12.0, 31.0), levels=(1.0, 2.0), longest=20.0, fields={"level": 3.0})
+    fields = [fields for _, _, fields in bench_run.marks_of("measure")]
+    assert [(each["frequency"], each["level"], each["force"]) for each in fields] == [
+        (12.0, 3.0, 1.0),
+        (31.0, 3.0, 2.0),
+    ]

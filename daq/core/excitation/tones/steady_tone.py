@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Generator, Mapping, Sequence
 from functools import lru_cache, reduce
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -156,12 +157,18 @@ class SteadyTones:
         return [level if self._controlled is None else level * self.station.cautious_drive for level in levels]
 
     def run(
-        self, groups: Sequence[Sequence[float]], levels: Sequence[float], settle: Settle, measured_s: Sequence[float]
+        self,
+        groups: Sequence[Sequence[float]],
+        levels: Sequence[float],
+        settle: Settle,
+        measured_s: Sequence[float],
+        fields: Mapping[str, Any] = MappingProxyType({}),
     ) -> Excitation:
         """Settle and measure groups of simultaneous tones, one group after another, and end the tones.
 
         `groups`: frequencies in Hz of each group, in the order of the tones; `levels`: of the tones; `measured_s`:
-        duration of the measurement of each group [s]. Raises `SceneError` as `check_spacing`.
+        duration of the measurement of each group [s]; `fields`: further fields of the markers, or a common `level` of
+        tones that belong to one curve. Raises `SceneError` as `check_spacing`.
         """
         for group in groups:
             check_spacing(group, settle.longest)
@@ -170,9 +177,9 @@ class SteadyTones:
             text = f"{' and '.join(format_decimals(frequency, 2) for frequency in group)} Hz"
             station.report(number / len(groups), f"{text}, settling")
             targets = dict(zip(group, drives, strict=True))
-            settled = yield from self.settle_and_mark(targets, settle.tolerance, settle.longest, {})
+            settled = yield from self.settle_and_mark(targets, settle.tolerance, settle.longest, fields)
             station.report((number + 0.5) / len(groups), f"{text}, measuring")
-            yield from self.measure(station.samples(seconds), settled, {})
+            yield from self.measure(station.samples(seconds), settled, fields)
             drives = [tone.amplitude for tone in self.tones]
             unsettled += [] if settled else [text]
         yield self.end()
@@ -257,7 +264,7 @@ class SteadyTones:
         return False
 
     def settle_and_mark(
-        self, drives: Mapping[float, float], tolerance: float, max_wait_s: float, fields: dict[str, Any]
+        self, drives: Mapping[float, float], tolerance: float, max_wait_s: float, fields: Mapping[str, Any]
     ) -> Generator[Array, Array, bool]:
         """Call `settle`, and mark the interval in the recording for each tone; return the result of `settle`.
 
@@ -270,7 +277,7 @@ class SteadyTones:
             self.station.mark("settle", first, self.station.now, drive=tone.amplitude, settled=settled, **marked)
         return settled
 
-    def measure(self, samples: int, settled: bool, fields: dict[str, Any]) -> Generator[Array, Array, None]:
+    def measure(self, samples: int, settled: bool, fields: Mapping[str, Any]) -> Generator[Array, Array, None]:
         """Hold the tones for at least a number of samples; mark the interval with the force amplitude of each in N.
 
         `settled` and `fields` are fields of the markers.
@@ -291,7 +298,7 @@ class SteadyTones:
                 yield self._drive([tone.hold(window) for tone in self.tones])
         for tone, amplitude in zip(self.tones, amplitudes, strict=True):
             marked = {"frequency": tone.frequency, "level": tone.level, **fields}
-            force = marked["level"] if self.station.force_is_drive else None
+            force = tone.amplitude if self.station.force_is_drive else None
             if is_evaluated:
                 force = float(abs(amplitude))
             self.station.mark(

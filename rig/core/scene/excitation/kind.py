@@ -330,7 +330,9 @@ class KindOfTest(Settings):
             yield Problem(("also",), message)
         elif self.level_key in {"force", "drive"} - {*shakers[number - 1].level_keys}:
             shaker = shakers[number - 1]
-            message = f"a shaker of kind {shaker.kind} {shaker.level_remark}. Give {shaker.level_keys[0]} instead."
+            permitted = [key for key in shaker.level_keys if key in self.level_keys]
+            remedy = f"Give {permitted[0]} instead." if permitted else "Choose another shaker or another kind of test."
+            message = f"a shaker of kind {shaker.kind} {shaker.level_remark}. {remedy}"
             yield Problem((self.level_key,), message)
 
 

@@ -188,8 +188,7 @@ def run_a_script(
     script: Annotated[Path, "SCRIPT.py: Python script that uses nidaqmx."],
     arguments: Annotated[
         list[str] | None,
-        # This callback replaces the common callback, which would interpret the script's arguments as options of `daq
-        # run`.
+        # Without this callback, the common callback would interpret the script's arguments as options.
         typer.Argument(metavar="[ARGS]...", help="Arguments of the script.", callback=lambda given: given),
     ] = None,
     scene: Annotated[str | None, f"SCENE: {_BENCH_SCENE}"] = None,

@@ -33,8 +33,7 @@ def main() -> None:
         output.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
         output.timing.cfg_samp_clk_timing(rate, sample_mode=AcquisitionType.CONTINUOUS)
         output.triggers.start_trigger.cfg_dig_edge_start_trig("/cDAQ1/ai/StartTrigger")
-        # 1 V of drive corresponds to 1 mm of table displacement. The 512 samples contain exactly two periods of 20 Hz
-        # at 5120 Hz, and are repeated.
+        # 1 V of drive is 1 mm of table displacement. The 512 samples, which are repeated, are two periods of 20 Hz.
         output.write(0.1 * np.sin(2 * np.pi * 20.0 * np.arange(512) / rate))
 
         output.start()

@@ -41,8 +41,7 @@ def main(blocks: int = 60) -> float:
             samples = np.array(inputs.read(BLOCK))
             amplitude = 2 * abs((samples * carrier.conj()).mean())
             if block > 10:
-                # From here on, the initial transient has decayed. An exponent of 1/8 keeps the loop stable despite the
-                # delay.
+                # From here on, the initial transient has decayed. The exponent 1/8 keeps the delayed loop stable.
                 drive *= (TARGET / amplitude) ** 0.125
             output.write(drive * carrier.imag)
             if block % 10 == 0:

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from analysis.core.decays.modal_decay import ModalDecay
 
 
-# Modes of different recordings share a panel if their frequencies differ by less than this fraction: moving dampers
-# shift natural frequencies.
+# Largest relative difference of the frequencies of one mode in different recordings: moving dampers shift them.
 _MAX_FREQUENCY_DIFFERENCE = 0.15
 
 

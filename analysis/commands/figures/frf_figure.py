@@ -30,13 +30,11 @@ _MIN_COHERENCE = 0.5
 _MIN_VISIBLE_RATIO = 0.02
 # On a logarithmic axis, this fraction of the magnitude replaces zero, and the inverse replaces infinity.
 _ZERO_RATIO = 1e-9
-# A point is drawn as noise if its standard uncertainty exceeds this fraction of the magnitude: its 95 % interval then
-# includes zero.
+# Largest standard uncertainty of a point, relative to its magnitude: beyond it, the 95 % interval includes zero.
 _MAX_ERROR_RATIO = 0.5
 # A point of a curve without error bars is drawn as noise if its roughness exceeds this fraction of the magnitude.
 _MAX_ROUGHNESS = 0.35
-# The phase is not drawn where a quarter of the steps between neighboring points exceed this angle [rad]: the line would
-# show noise.
+# Largest upper quartile of the phase steps between drawn points [rad]: beyond it, the line would show noise.
 _MAX_PHASE_STEP = 0.3
 # Upper ends of the phase axis [degrees], the preferred first: compliances of a driven body are from 0° to -180°, also
 # with scatter. A phase that passes through all angles wraps on the flank of a resonance, not at its center.
@@ -65,8 +63,7 @@ _MIN_PEAK_COHERENCE = 0.9
 _PEAK_RANGE = 0.05
 # Length of the dashes of a curve with many lines, relative to the dashes of other curves.
 _DASH_SCALE = 0.5
-#: Peaks of two recordings are of the same mode if their frequencies differ by less than this fraction; dampers shift
-#: the frequencies.
+#: Largest relative difference of the frequencies of one mode in two recordings: dampers shift the frequencies.
 MODE_SHIFT = 0.15
 #: Symbols of marked peaks, with their explanation.
 PEAK_SYMBOLS = {

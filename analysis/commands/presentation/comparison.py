@@ -261,8 +261,7 @@ class MeasurementPoints:
     path: Path
     force_on: tuple[int, ...]  # numbers of the driven bodies
     channels: dict[str, str]  # location of each response channel, by its name
-    # For each response, identifier of its sensor and of the reference's sensor; empty if several sensors measure the
-    # reference.
+    # Identifier of the sensors of each response and of its reference; empty if several sensors measure the reference.
     sensors: dict[str, str] = field(default_factory=dict)
 
     @classmethod

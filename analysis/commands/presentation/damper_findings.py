@@ -35,8 +35,7 @@ _IRREGULAR = "irregular, or impacts missed"
 # Impacts once a period: Type I at the floor; II at floor and ceiling; III as II, with a stay at the ceiling.
 _TYPES = ("Type I", "Type II", "Type III")
 _OTHER = "other patterns, or irregular"
-# Maximum number of rows for the moving dampers of a body. If there are more kinds of motion, all irregular and other
-# patterns share a row.
+# Maximum number of rows of a body's moving dampers; further irregular and other patterns share a row.
 _MAX_KINDS = 3
 _HEADING = (
     "scene", "frequency_Hz", "supplied_J", "structure_J", "dampers_J", "dampers_bound_J", "true_impacts_J",

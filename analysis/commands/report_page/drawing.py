@@ -38,8 +38,7 @@ _SHAPE_HEIGHT = 26
 _SHAPE_VIEW = 228
 # Distance between two bodies in a mode shape [px].
 _SHAPE_SPACING = 36
-# Amplitude of the largest element of an animated mode shape [px]. It is so small that two bodies in antiphase do not
-# meet.
+# Amplitude of the largest element of an animated mode shape [px], so small that bodies in antiphase do not meet.
 _MAX_AMPLITUDE = 0.45 * _SHAPE_SPACING
 # Zigzag corners of a drawn spring.
 _COILS = 8

@@ -52,8 +52,7 @@ _REQUIRED = CurveStyle("#6E7681", (2, 2))
 _UNDETERMINED = CurveStyle("#9aa2ab")
 # Upper end of the axis of relative expanded uncertainties.
 _MAX_PERCENT = 100.0
-# The first view of a wide band begins at this fraction of the lowest natural frequency, and ends at this multiple of
-# the highest.
+# The first view of a wide band extends from this fraction of the lowest to this multiple of the highest mode.
 _VIEW_RATIO = 4.0
 # A stable pole belongs to a mode if their frequencies differ by at most this fraction.
 _MODE_WIDTH = 0.05

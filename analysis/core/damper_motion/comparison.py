@@ -18,8 +18,7 @@ from rig.core.results.resonances import MIN_LINES, Resonance, find_resonances
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import CLOCK, COVERAGE_FACTOR, SENSITIVITY, SYSTEMATIC, expand
 
-# A band extends below the natural frequency of the bare structure by this fraction of the frequency, and above it by
-# half as much.
+# A band extends this fraction below the natural frequency of the bare structure, and half as much above it.
 _BAND_BELOW_RATIO = 0.15
 # The curve has a jump at a point if the point deviates from the prediction of its neighbors by more than this fraction,
 # which a resolved resonance never does.
@@ -30,18 +29,15 @@ _GRID_POINTS = 801
 _DRAWN_POINTS = 41
 # Tolerances at different frequencies are equal if their relative difference is at most this value (rounding).
 _SAME_TOLERANCE = 1e-6
-# Acceleration is divided by the square of frequency, so the relative error of the displacement is this multiple of the
-# relative error of the clock.
+# Relative error of a displacement per relative error of the clock: the square of the frequency divides accelerations.
 _CLOCK_ERRORS_IN_HEIGHT = 2.0
 # The height of a peak is stated if its relative expanded uncertainty is at most this value.
 _MAX_PEAK_UNCERTAINTY = 0.5
-# An interval is stated by its ends if its lower part is less than this fraction of its upper part; a symmetric ± would
-# be misleading.
+# Smallest ratio of lower to upper part of an interval that is stated as ±, which would otherwise be misleading.
 _MIN_SYMMETRY = 0.9
 # A peak above its highest measured point by more than half-power is extrapolated: the points are on its flanks.
 _HALF_POWER = sqrt(2.0)
-# Represents an unbounded uncertainty [m/N]: products with infinity would be undefined, and with the largest float
-# overflow.
+# Represents an unbounded uncertainty [m/N]: products with infinity are undefined, the largest float overflows.
 _UNBOUNDED = 1e100
 # Compared heights are rounded to this fraction at the finest.
 _HEIGHT_RESOLUTION = 0.005
@@ -251,8 +247,7 @@ def resonance_peak(frf: Response, band_low: float, band_high: float) -> Peak | N
     may cancel on one flank of the peak.
     """
     if SYSTEMATIC in frf.limits:
-        # Tolerances are usually the largest part of the systematic errors. A file contains only the sum of these
-        # errors.
+        # Tolerances are usually the largest part of the systematic errors, whose sum is all that a file contains.
         frf = frf.without(SYSTEMATIC).with_limits({SENSITIVITY: frf.limits[SYSTEMATIC]})
     estimate = peak(frf, band_low, band_high)
     if estimate is None or estimate.at_end or estimate.tolerances or SENSITIVITY not in frf.limits:
@@ -274,8 +269,7 @@ def resonance_peaks(frf: Response) -> list[tuple[Resonance, Peak]]:
     resonances = sorted(find_resonances(receptance), key=lambda resonance: resonance.frequency)
     frequency = np.array([resonance.frequency for resonance in resonances])
     between = np.sqrt(frequency[1:] * frequency[:-1])
-    # A band has at least three lines on either side of a resonance, so an uncertainty exists for widely spaced
-    # lines, too.
+    # A band has at least three lines on either side of a resonance, even for widely spaced lines.
     lines = np.sort(frf.frequency)
     position = np.searchsorted(lines, frequency)
     near = lines[np.maximum(position - 3, 0)], lines[np.minimum(position + 2, lines.size - 1)]

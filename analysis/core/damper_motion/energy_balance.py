@@ -63,8 +63,7 @@ def energy_per_period(rec: Recording, sweep: Sweep) -> EnergyBalance:
             f"no channel on {rec.scene.structure.listed(missing)}, but the energy balance needs the motion of all "
             f"{count} bodies. Mount a motion sensor there."
         )
-    # `driven_bodies` of the structural model would reject several coil springs; here only the driven shaker is
-    # relevant.
+    # `driven_bodies` of the structural model would reject several coil springs; only the driven shaker matters.
     shaker = rec.scene.driven_shaker
     driven = [0] if shaker is None else [body - 1 for body in shaker.bodies]
     supplied, structure, gradients, force_shares = [], [], [], []

@@ -28,16 +28,13 @@ from rig.core.scene.scene import Scene
 
 # This fraction of the segment is excluded at each end, because the correction mirrors the samples there.
 _EXCLUDED_END_RATIO = 0.05
-# The restitution is estimated from at least this number of flights that are consistent with the impacts: few flights
-# can be consistent by chance.
+# Smallest number of consistent flights for an estimate of the restitution: few are consistent by chance.
 _MIN_FLIGHTS = 6
 # At least this fraction of the intervals between impacts must be flights; otherwise impacts were missed.
 _MIN_FLIGHT_RATIO = 0.25
-# A flight is consistent if the computed position at its end deviates from the wall by at most this fraction of its
-# height.
+# Largest deviation of a consistent flight's computed end from the wall, relative to the flight's height.
 _MAX_HEIGHT_ERROR = 0.05
-# A flight is used if the uncertainty of the restitution from this flight is at most this value; other flights would
-# only add noise.
+# Largest uncertainty of the restitution from a single flight that is used; other flights would only add noise.
 _MAX_UNCERTAINTY = 0.1
 # Standard uncertainty of a median over the median absolute deviation of the values, for normal errors.
 _MEDIAN_ERROR = 1.4826 * 1.2533

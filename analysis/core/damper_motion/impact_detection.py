@@ -31,16 +31,13 @@ from rig.core.base.renamed import renamed
 from rig.core.numerics.runs import runs_of
 from rig.core.results.response import MOTIONS
 
-# At least this fraction of the samples in a segment must be valid; with fewer, more than half of the impacts would be
-# missed.
+# Smallest valid fraction of a segment's samples; with fewer, more than half of the impacts would be missed.
 _MIN_VALID_RATIO = 0.5
-# A contact is released at most this number of nominal contact durations after the first contact; gravity on the bed
-# delays the release.
+# Longest contact in nominal contact durations: gravity on the bed delays the release.
 RELEASE_DURATIONS = 1.6
 # A jump after an impact may be its release if it is below this fraction of the impact.
 _MAX_RELEASE_RATIO = 0.5
-# A jump below this fraction of a finite-duration impact may be the residual of the fit of this impact, while the sensor
-# rings.
+# Smallest jump after a finite-duration impact, relative to it, that is not a residual of its fit (ringing sensor).
 _CONTACT_RESIDUAL_RATIO = 0.15
 # Standard uncertainty of a finite-duration jump due to the model, relative to the largest impact near it.
 _CONTACT_JUMP_UNCERTAINTY = 0.03

@@ -39,16 +39,14 @@ DETECTION_SIGMAS = 6.0
 DETECTION_MARGIN_SIGMAS = 3.0
 # The model of a jump has an error of this fraction of the largest jump.
 MODEL_ERROR = 3e-3
-# The model of a finite-duration contact has an error of this fraction of the largest jump, because the weight of the
-# bed changes the pulse.
+# Model error of a finite-duration contact, relative to the largest jump: the weight of the bed changes the pulse.
 _CONTACT_MODEL_ERROR = 2e-2
 # After the subtraction of a jump, this fraction of the jump remains while the sensor rings.
 RESIDUAL_RATIO = 0.02
 # An impact on a neighboring body causes a slightly curved kink of the acceleration, which the fit can mistake for a
 # jump. Jumps below this multiple of the velocity change due to the kink within one sample are rejected.
 _KINK_JUMP_RATIO = 1.0
-# For finite-duration contact, this fraction of the contact duration replaces the sample interval in the rejection
-# above.
+# For finite-duration contact, this fraction of its duration replaces the sample interval in the rejection above.
 _KINK_DURATION_RATIO = 1.0 / 6.0
 # Searches of the residual; each subtracts all jumps found in it, so few are needed and the limit only ends a cycle.
 _MAX_ROUNDS = 12
@@ -65,8 +63,7 @@ _MAX_RESOLVED_ERROR_RATIO = 1.1
 _GROUP_SEARCH_RATIO = 3.0
 # Windows in such a segment; the computing time increases with the cube of this number.
 _MAX_WINDOWS = 4
-# The search for groups ends at this residual sum of squares, relative to the sum of squares of a jump at the detection
-# limit.
+# Residual sum of squares that ends the search for groups, relative to that of a jump at the detection limit.
 _SUFFICIENT_RATIO = 0.1
 # A segment is unresolved if its residual exceeds this multiple of the detection limit ...
 _UNRESOLVED_LIMIT_RATIO = 10.0
@@ -92,8 +89,7 @@ _SMOOTHING_SAMPLES = 8
 _KINK_PRIOR_HZ = 100.0
 # The weight of a bed causes steps of at most this multiple of their prior standard deviation.
 _MAX_STEP_SIGMAS = 3.0
-# Smallest detectable jump with finite-duration contact, relative to the prior standard deviation of steps times the
-# contact duration.
+# Smallest detectable jump of a finite-duration contact, relative to the prior deviation of steps times its duration.
 _MIN_JUMP_STEP_RATIO = 0.02
 # The noise is assumed to be constant over this number of windows.
 _NOISE_WINDOWS = 8

@@ -27,8 +27,7 @@ from rig.core.results.response import MOTIONS
 from rig.core.results.uncertainty import expand
 from rig.core.scene.damper import Damper
 
-# Tolerance of one impact per period: of about twenty impacts, one or two may be at an end of the measurement or too
-# close to another impact.
+# Tolerance of one impact per period: one or two of about twenty are at an end or too close to another impact.
 _COUNT_TOLERANCE = 0.15
 # A pattern of impacts must recur after at most this number of periods; by chance, longer patterns recur in any motion.
 _MAX_PATTERN_PERIODS = 4

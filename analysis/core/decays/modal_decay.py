@@ -17,8 +17,7 @@ from rig.core.results.uncertainty import expand
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Two spectral peaks belong to the same mode if their frequencies differ by less than this fraction: dampers shift a
-# frequency during the decay.
+# Largest relative difference of two spectral peaks of one mode: dampers shift a frequency during the decay.
 _SAME_MODE_RATIO = 0.1
 # Largest relative standard uncertainty, due to noise, of a reported damping ratio: 10 % expanded is still useful.
 MAX_RELATIVE_UNCERTAINTY = 0.05
@@ -34,8 +33,7 @@ _FALL_RATIO = 1.5
 # linearly if the dependence of damping on amplitude has a kink. In the linear case the bias is the observed difference
 # times 1 / (sqrt(2) - 1), rounded up.
 _RESPONSE_BIAS_FACTOR = 2.5
-# If the envelope has a kink in the middle of the fall, the error of the slope is this multiple of the rms residual of
-# the parabola.
+# Error of the slope due to a kink in the middle of the fall, as a multiple of the parabola's rms residual.
 _KINK_LIMIT_FACTOR = 8.0
 # Number of neighboring amplitudes on either side that a change of damping affects.
 _AFFECTED_AMPLITUDES = 2
@@ -187,8 +185,7 @@ def modal_decay(
     noise = _noise(analytic[usable], rate, frequency, width)
     log_amplitudes = _log_amplitudes(envelope[usable]) if amplitudes is None else np.log(amplitudes)
     damping, natural, kink_limit = _damping(analytic[usable], log_amplitudes, _HALF_FALL_NEPERS)
-    # Half of the noise power is in phase with the signal and changes the envelope. The noise at the two ends of the
-    # fall is independent.
+    # Half of the noise power is in phase and changes the envelope, independently at both ends of the fall.
     amplitude = np.exp(log_amplitudes)
     noise_of_fall = np.hypot(np.exp(-_HALF_FALL_NEPERS), np.exp(_HALF_FALL_NEPERS)) * noise / np.sqrt(2.0)
     # Relative uncertainty of the damping ratio.

@@ -27,8 +27,7 @@ from rig.core.results import format_number
 from rig.core.scene.structure import Dashpots, ModalDamping
 from rig.core.system.structural_model import structural_model
 
-# Largest accepted ratio of the variance of the residuals to the stated variance: stated uncertainties may be too small
-# by a factor of 2.
+# Largest ratio of residual to stated variance: stated uncertainties may be too small by a factor of 2.
 _MAX_NOISE_VARIANCE = 4.0
 # The ratio is multiplied by the reduced chi-square that is exceeded by noise with this probability.
 _NOISE_PROBABILITY = 1e-4
@@ -59,8 +58,7 @@ _DERIVATIVE_MISTAKES = {
     2: "it is the second derivative of the stated quantity, such as acceleration declared as displacement",
     -2: "it is the second integral of the stated quantity, such as displacement declared as acceleration",
 }
-# Of the mistakes of a sensor and of the swapped pairs, only this number are fitted: those with the smallest initial
-# cost.
+# Number of mistakes of a sensor and of swapped pairs that are fitted: those with the smallest initial cost.
 _MAX_FITTED_MISTAKES = 4
 # Model error in the initial cost, relative to the local peak: initial values do not fit the curves yet.
 _MODEL_ERROR = 0.1
@@ -80,8 +78,7 @@ _NO_UNIT_ERROR = (
 )
 # Delays of a channel that are tried for the first estimate [s].
 _TRIAL_DELAYS = np.arange(-5e-3, 5.01e-3, 2e-5)
-# A delay is searched in intervals of this radius [s] around the estimate, which is uncertain where few points are away
-# from resonances.
+# Radius of the interval in which a delay is searched [s]: the estimate is uncertain with few points off resonance.
 _SEARCH_RADIUS = 1e-4
 # Largest number of these intervals.
 _MAX_SEARCHES = 3
@@ -91,8 +88,7 @@ _DELAY_TOLERANCE = 1e-8
 _MIN_DELAY = 5e-6
 # Relative tolerance of a sensor whose sensitivity is fitted freely: so large that it has no effect.
 _FREE_TOLERANCE = 1e4
-# A unit is probably wrong if fitted and initial masses differ by more than this factor: people estimate masses better
-# than this value.
+# Largest plausible ratio of fitted to initial masses: people estimate masses better; beyond it, a unit is wrong.
 _MAX_MASS_RATIO = 2.5
 # Largest number of pairs of channels tested for a swap: all pairs of six channels; each pair takes a fit.
 _MAX_PAIRS = 15

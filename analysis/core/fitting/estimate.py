@@ -37,17 +37,14 @@ _MAX_STRUCTURE_VARIANCE = 4.0
 _MIN_INFLATED_VARIANCE = 1.3
 # The first fits of the dampers use these model errors in turn.
 _DAMPER_MODEL_ERRORS = (0.2, 0.05)
-# A negligible model error that selects the Cauchy loss, with which points where rig and model have different orbits
-# have little effect.
+# Negligible model error that selects the Cauchy loss: points where rig and model have different orbits matter little.
 _ROBUST_MODEL_ERROR = 1e-6
-# If the parameters of the scene lead to no solution, the initial masses and clearances of all dampers are multiplied by
-# these factors in turn.
+# Factors of the initial masses and clearances of all dampers, tried in turn if the scene's lead to no solution.
 _MASS_FACTORS = (1.0, 0.7, 0.4, 1.5)
 _CLEARANCE_FACTORS = (0.6, 1.7, 0.3)
 # With clearances multiplied by this factor, no damper reaches its ceiling.
 _UNREACHED_CLEARANCE_FACTOR = 30.0
-# The orbits explain the curves if the mean square of the residuals is at most this value; with noise alone it is
-# slightly below 1.
+# Largest mean square of the residuals if the orbits explain the curves; noise alone gives slightly below 1.
 _MAX_EXPLAINED_SQUARE = 1.5
 # In the robust cost, each squared residual is limited to this value.
 _MAX_SQUARE = 9.0
@@ -66,13 +63,11 @@ class Estimate:
     """Estimated unknowns with their covariance."""
 
     x: Array  # estimated unknowns of `Problem`, shape (unknowns,)
-    # F of the covariance ``F F^T``, shape (unknowns, columns); from the stated uncertainties or, if larger, the
-    # residuals
+    # F of the covariance ``F F^T``, (unknowns, columns), from stated uncertainties or larger residuals
     factor: Array
     # mean square of the residuals in standard deviations; 1 if the stated uncertainties explain them
     variance: float
-    # number of columns of `factor` for random errors; the other columns belong to errors with limits (tolerances,
-    # systematic errors)
+    # number of columns of `factor` for random errors; the others belong to errors with limits
     n_random: int
 
     def expanded(self, derivatives: Array | None = None) -> Array:

@@ -41,8 +41,7 @@ _MAX_RELATIVE_EXPANDED = 0.5
 # A damper does not reach its ceiling if the clearance is at least this multiple
 # of the largest gap between damper and floor.
 _UNREACHED_RATIO = 1.2
-# The uncertainties of the curves explain the residuals if the mean square of the normalized residuals is at most this
-# value.
+# Largest mean square of normalized residuals that the uncertainties of the curves explain.
 _MAX_NOISE_VARIANCE = 4.0
 # The scene does not describe the measured structure if the relative residual exceeds this value.
 _MAX_RESIDUAL_RATIO = 0.02
@@ -93,8 +92,7 @@ class Comparison:
     """Measured curves of one sweep or test, compared with the prediction of the fitted scene."""
 
     curves: Curves  # measured
-    # Predicted response, as the sensors would read it; NaN where the model has no steady-state motion, shape
-    # (responses, n).
+    # Predicted readings of the response, shape (responses, n); NaN where the model has no steady-state motion.
     predicted: ComplexArray
     is_fitted: NDArray[np.bool_]  # fitted points, shape (n,)
     normalized_residuals: Array  # residuals in standard deviations, shape (responses, n)

@@ -34,8 +34,7 @@ _MAX_RELATIVE_EXPANDED_OF = dict.fromkeys(("modal", "alpha", "beta", "dashpots")
 _MAX_RELATIVE_EXPANDED_OF |= dict.fromkeys(("restitution", "duration", "stiffness", "damping"), 0.05)
 # The limit of the half-width for all other quantities.
 _MAX_RELATIVE_EXPANDED = 0.02
-# Unknowns are limited to this value before they are converted, because exp overflows at 709. Intervals of undetermined
-# parameters reach this limit.
+# Limit of unknowns before their conversion (exp overflows at 709), which undetermined parameters reach.
 _MAX_UNKNOWN = 600.0
 
 

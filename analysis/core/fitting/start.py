@@ -35,8 +35,7 @@ _MAX_RANKED = 2000
 _MAX_FITTED = 4
 # Assignments are compared with this assumed model error, relative to the local peak.
 _MODEL_ERROR = 0.1
-# In the comparison of assignments, residuals are limited to this number of standard deviations: one wrong mode must not
-# decide the comparison.
+# Limit of residuals [standard deviations] in the comparison of assignments: one wrong mode must not decide.
 _MAX_RESIDUAL = 30.0
 # The distance of an identified mode from a model mode is the difference of their ln(frequency) in units of this value.
 _LOG_FREQUENCY_SCALE = 0.1

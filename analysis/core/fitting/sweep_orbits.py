@@ -31,8 +31,7 @@ from rig.core.scene.structure import Structure
 from rig.core.system.open_loop_drive import riding_response
 from rig.core.system.structural_model import driven_bodies, structural_model
 
-# The orbit at a nearby frequency and drive is corrected by at most this number of Newton steps: from a good start,
-# Newton converges in fewer.
+# Maximum number of Newton steps to an orbit at a nearby frequency and drive, which needs fewer.
 _MAX_CORRECTIONS = 8
 # The motion must become periodic within this number of simulated periods.
 _MAX_PERIODS = 1500
@@ -44,8 +43,7 @@ _LEVEL_CORRECTIONS = 2
 _MAX_SECANT_STEPS = 8
 # Smallest relative secant step.
 _MIN_RELATIVE_STEP = 1e-6
-# The secant steps end if the relative error of the level is at most this value; the remaining error is corrected
-# linearly.
+# Largest relative error of the level after the secant steps; the rest is corrected linearly.
 _LEVEL_TOLERANCE = 1e-5
 # Drives at which an orbit is searched. Each gives a level closer to the required level, so few suffice.
 _MAX_SEARCHES = 5
@@ -173,8 +171,7 @@ class _OrbitSolver:
         self.driven = shaker.first_body - 1
         self.spring = shaker.coil_spring or 0.0
         self.table: int | None = None
-        # The table is a coordinate of the orbits if its motion depends on the structure, or if it carries the
-        # structure.
+        # The table is a coordinate of the orbits if its motion depends on the structure or if it carries it.
         has_table = shaker.carries_structure or (self.spring > 0.0 and not shaker.prescribed)
         if self.spring and shaker.prescribed:
             grounded = structural_model(test_scene).with_ground_springs(driven_bodies(test_scene), self.spring)

@@ -18,8 +18,7 @@ from rig.core.base.errors import RecordingError
 
 # Fraction of the band that a part omits at one of its ends.
 _OMITTED_SHARE = 0.2
-# A mode is not expected in a part of a window if its distance from an end of the part is below this fraction of the
-# part.
+# Smallest distance of an expected mode from an end of a part of a window, relative to the part.
 _MARGIN = 0.1
 # Ratio of the standard uncertainty to the root mean square of four differences. If only one difference is not zero, a
 # ratio of 1 would give an expanded uncertainty equal to this difference; 1.2 adds a margin of 20 %.

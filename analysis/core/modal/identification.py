@@ -32,8 +32,7 @@ from rig.core.numerics.blas_threads import with_one_blas_thread
 from rig.core.results.response import Response, stack
 from rig.core.results.uncertainty import expand, standard_of_limit
 
-# Maximum number of covariances of two responses at a line; a larger model is not refined, because their arrays would
-# take half a gigabyte.
+# Maximum number of covariances at a line; the arrays of a larger model would take half a gigabyte.
 _MAX_COVARIANCES = 1 << 22
 
 

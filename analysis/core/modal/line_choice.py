@@ -14,8 +14,7 @@ from rig.core.results.response import Response
 MAX_LINES = 2000
 # All lines around this number of the highest peaks are selected: twice the largest number of modes.
 _MAX_PEAKS = 24
-# Around each peak, this number of adjacent lines is selected, and the same number at equal distances between the
-# flanks.
+# Number of adjacent lines selected around each peak, and at equal distances between its flanks.
 _LINES_PER_PEAK = 41
 # The flanks of a peak end where the magnitude is this fraction of the peak.
 _FLANK_RATIO = 0.1
@@ -63,8 +62,7 @@ def scatter(value: ComplexArray) -> Array:
     if value.size < 8:
         return np.full(value.size, 0.01 * float(np.nanmedian(abs(value))))
     filled = np.where(np.isfinite(value), value, 0.0)
-    # Third differences of noise have 20 times the variance of the noise. The median of a Rayleigh distribution is
-    # 1.177.
+    # Third differences of noise have 20 times its variance. The median of a Rayleigh distribution is 1.177.
     deviation = abs(np.convolve(filled, [1.0, -3.0, 3.0, -1.0], "same")) / np.sqrt(20.0) / 1.177
     deviation[:2], deviation[-2:] = deviation[2], deviation[-3]
     return np.asarray(scipy.ndimage.median_filter(deviation, min(_SCATTER_LINES, value.size), mode="nearest"))

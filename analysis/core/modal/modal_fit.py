@@ -28,8 +28,7 @@ from rig.core.base.errors import RecordingError, SceneError
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import standard_of_limit
 
-# Each point is given at least this relative uncertainty, so a few points with a very small uncertainty do not
-# determine the result.
+# Smallest relative uncertainty of a point: a few precise points must not determine the result.
 MIN_RELATIVE_ERROR = 1e-4
 # A second chart assumes this relative uncertainty, so the whole curve has weight and not only its peaks.
 _CHART_ERROR = 0.03
@@ -39,13 +38,11 @@ _MAX_INITIAL_POLES = 15
 _MAX_CANDIDATES = 40
 # Noise explains a misfit up to this multiple of its expected value. For a larger misfit, a model error is assumed.
 _MAX_NOISE_RATIO = 4.0
-# Model errors relative to the highest neighboring magnitude, which are assumed in this order until they and the noise
-# explain the misfit.
+# Model errors relative to the highest neighboring magnitude, tried in this order until the misfit is explained.
 MODEL_ERRORS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
 # For the model error, two lines are neighbors if their frequencies differ by at most this ratio.
 _NEIGHBOR_FREQUENCY_RATIO = 1.15
-# The uncertainty of a line with fewer degrees of freedom than this is combined with the uncertainties of neighboring
-# lines.
+# Smallest number of degrees of freedom of a line whose uncertainty is not combined with its neighbors'.
 _MIN_DEGREES = 10.0
 
 
@@ -239,8 +236,7 @@ def _standard_deviations(curves: Sequence[Response]) -> Array:
             # The uncertainty stated in a file may be incomplete. It is at least the scatter between the lines.
             row[:] = np.maximum(row, scatter(curve.value))
         row[:] = np.maximum(row, _local_median(row, curve.degrees_of_freedom))
-    # Systematic errors that differ from line to line act like noise. Smooth errors are omitted, because they do not
-    # resemble a mode.
+    # Systematic errors that differ from line to line act like noise; smooth errors do not resemble a mode.
     error = np.hypot(error, standard_of_limit(systematic_limit(curves, IRREGULAR)))
     largest = np.nanmax(magnitude, axis=1, keepdims=True)
     return np.hypot(error, MIN_RELATIVE_ERROR * np.maximum(magnitude, 1e-6 * largest))

@@ -16,8 +16,7 @@ from rig.core.results.uncertainty import expand
 
 # A larger relative standard uncertainty of a damping ratio causes a warning.
 _MAX_DAMPING_UNCERTAINTY = 0.02
-# At this ratio of resolution to half of the half-power width, leakage increases the damping ratio by
-# `_MAX_DAMPING_UNCERTAINTY`.
+# Ratio of resolution to half the half-power width at which leakage causes `_MAX_DAMPING_UNCERTAINTY`.
 _WIDENING_RATIO = float(np.sqrt(_MAX_DAMPING_UNCERTAINTY / LEAKAGE_FACTOR))
 # For a linear structure with lightly damped modes, the residual is below this fraction of the peak height.
 MAX_LINEAR_RESIDUAL = 0.005

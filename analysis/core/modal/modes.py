@@ -230,8 +230,7 @@ class Modes(Result):
         keys = [place or f"channel {name}" for place, name in zip(places, self.responses, strict=True)]
         number = dict(zip(keys, self.bodies or (0,) * len(keys), strict=True))
         names, shapes, errors = [], [], []
-        # The largest element scales a shape, so its uncertainty is zero. It gets the weight of the most precise other
-        # element.
+        # The largest element scales a shape without uncertainty; it gets the weight of the most precise other element.
         smallest_error = np.min(self.shape_std, axis=0, initial=np.inf, where=self.shape_std > 0.0)
         weights = 1.0 / np.where(np.isfinite(smallest_error), np.maximum(self.shape_std, smallest_error), 1.0) ** 2
         ordered = sorted(number, key=lambda key: number[key] or inf)

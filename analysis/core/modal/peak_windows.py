@@ -15,8 +15,7 @@ _HALF_POWER = 0.5 * float(np.log(2.0))
 _MIN_PROMINENCE = 0.5 * _HALF_POWER
 # A peak exceeds the scatter of its lines by at least this factor in a curve, more than noise does by chance.
 _MIN_SIGNAL_RATIO = 6.0
-# The scatter of a line is the largest value among this number of neighboring lines: the estimate at one line is itself
-# uncertain.
+# Number of neighboring lines whose largest scatter is used: the estimate at one line is itself uncertain.
 _NOISE_LINES = 31
 # Distance of the ends of a window from its peaks, in half-widths of the peaks.
 _WINDOW_HALF_WIDTHS = 6.0

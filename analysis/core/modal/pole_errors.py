@@ -22,8 +22,7 @@ _PHASE_ERRORS = (ALIASING,)
 _WIDTH_ERRORS = (ALIASING, RESOLUTION, MODEL, REFERENCE_NOISE)
 # Systematic errors are evaluated up to this distance from a pole, in half-widths (halves of the half-power width).
 _FLANK_HALF_WIDTHS = 10.0
-# Leakage of a Hann window increases a fitted half-width by this factor times the squared resolution over the
-# half-width.
+# Increase of a fitted half-width by a Hann window, in squared resolutions over the half-width.
 LEAKAGE_FACTOR = 0.16
 # Leakage increases a half-width by at most this multiple of the resolution.
 _MAX_WIDENING = 0.5
@@ -31,8 +30,7 @@ _MAX_WIDENING = 0.5
 _MAX_LINE_ERROR = 2.0 / 3.0
 # Lines may have common errors up to this distance, in correlation lengths of the residual.
 _CORRELATION_LENGTHS = 3.0
-# If the misfit is below this fraction of its expected value, the residual contains no information on the correlation of
-# the errors.
+# Smallest misfit, relative to its expected value, that contains information on the correlation of the errors.
 _MIN_NOISE_RATIO = 0.3
 # A damping ratio has at least this relative uncertainty, and a frequency at least this uncertainty relative to the
 # half-width. Errors of a curve that resemble a mode (residual transients, phase errors of sensors) do not increase the
@@ -161,8 +159,7 @@ def _covariance_factors(curves: Curves, model: ModalModel) -> tuple[Array, Array
     # The fit reduces the degrees of freedom of the misfit.
     degrees_of_freedom = curves.degrees_of_freedom(model.poles.size)
     variance = model.misfit / degrees_of_freedom
-    # The Bartlett weights must extend beyond the correlation length; otherwise they include only half of the
-    # correlation.
+    # The Bartlett weights must extend beyond the correlation length to include more than half of the correlation.
     length = max(correlation_length(model.residual), curves.shared)
     n_lags = int(np.clip(round(_CORRELATION_LENGTHS * length), 1, max(score.shape[1] // 4, 1)))
     # The covariance of moving sums equals the sum of the lagged covariances with Bartlett weights.

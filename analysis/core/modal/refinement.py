@@ -73,8 +73,7 @@ def refine(curves: Curves, model: ModalModel, errors: Covariance, line_deviation
     covariance = scatter * max(1.0, misfit / curves.degrees_of_freedom(model.poles.size))
     included: tuple[str, ...] = (MODEL,)
     if errors.reference is not None:
-        # Noise of the reference causes a bias of all responses, which may vary over a peak. The bias is assumed to have
-        # a rectangular distribution.
+        # Noise of the reference biases all responses, perhaps differently over a peak: a rectangular distribution.
         bias = curves.value.T * errors.reference[:, None]
         shift = standard_of_limit(np.einsum("kap,ka->p", weights.conj(), bias).real)
         covariance, included = covariance + np.outer(shift, shift), (MODEL, REFERENCE_NOISE)
@@ -148,8 +147,7 @@ class Likelihood:
             coupling_block += (
                 weighted.conj().transpose(2, 1, 0).reshape(-1, len(by_residue)) @ by_residue
             ).real.reshape(coupling_block.shape)
-            # The information matrix is Hermitian, so only two real products are needed for the real part of the
-            # product.
+            # The information matrix is Hermitian: two real products give the real part of the product.
             pairs = (by_residue.conj()[:, :, None] * by_residue[:, None]).reshape(len(by_residue), -1).T
             flat_information = information.reshape(len(by_residue), -1)
             block = pairs.real @ flat_information.real - pairs.imag @ flat_information.imag

@@ -18,8 +18,7 @@ from analysis.core.modal.modes import Modes
 from rig.core.base.arrays import ComplexArray
 from rig.core.results.points import Point
 
-# A second or further singular value of a residue indicates another mode if it exceeds this number of standard
-# uncertainties.
+# Smallest further singular value of a residue that indicates another mode [standard uncertainties].
 _DETECTION_SIGMAS = 5.0
 # Smallest ratio of the further singular value to the largest: smaller values may be errors of the model.
 _MIN_RATIO = 0.02

@@ -40,8 +40,7 @@ _MIN_UNCERTAINTY = 1e-3
 # and two simulated sets: modes had ratios up to 0.59, computational poles from 0.7 on.
 _MAX_FREQUENCY_RATIO = 0.6
 _UNDETERMINED = "frequency is uncertain"
-# Maximum number of fitted lines of a window, about 80 per half-width. If a window has more, every second, third, ...
-# line is fitted.
+# Maximum number of fitted lines of a window, about 80 per half-width; of more, every second, third, ... is fitted.
 _MAX_LINES = 1000
 
 
@@ -145,8 +144,7 @@ def _confirm(window: _WindowFit, halves: Sequence[Part]) -> IdentifiedPoles:
     curves, fitted, poles = window.curves, window.fitted, window.fitted.model.poles
     if not window.accepted.any():
         return no_poles(fitted.measured.value)._replace(rejected=window.rejected)
-    # A part of the lines may need a larger model error than all lines of the window, for example if a mode at the limit
-    # is missing.
+    # A part of the lines may need a larger model error, for example if a mode at the limit is missing.
     assumed_errors = [each for each in MODEL_ERRORS if each >= fitted.assumed_error]
 
     def identify(lines: NDArray[np.intp]) -> ComplexArray:

@@ -40,8 +40,7 @@ _MIN_ERRONEOUS_DISTANCE_WIDTHS = 0.8
 _CLOSE_POLE_WIDTHS = 4.0
 # The local misfit of close poles is at noise level if it is at most this multiple of its expected value for noise.
 _MAX_NOISE_RATIO = 4.0
-# Two poles closer than this multiple of the frequency resolution may be fitted to one narrow peak that the window
-# broadens.
+# Distance of poles, in frequency resolutions, below which both may be fitted to one narrow, broadened peak.
 _SAME_PEAK_RATIO = 1.5
 # The poles of two fits are the same up to this distance, in half-widths.
 _SAME_POLE_RATIO = 1e-3
@@ -80,8 +79,7 @@ def are_narrower_than_resolution(curves: Curves, poles: ComplexArray) -> NDArray
 
 def initial_model(curves: Curves, initial: ComplexArray) -> ModalModel:
     """Fit a model with those poles of `initial` [rad/s] that are significant and not computational."""
-    # Most poles that are computational or not significant are recognized after few evaluations. Only the fit of the
-    # remaining poles is completed.
+    # Most insignificant poles are recognized after few evaluations; only the fit of the others is completed.
     approximate = _fit_without_computational_poles(curves, initial, _APPROXIMATE_EVALUATIONS)
     poles, _ = _significant_poles(curves, approximate)
     return _prune(curves, _fit_without_computational_poles(curves, poles, MAX_EVALUATIONS))

@@ -11,8 +11,7 @@ from rig.core.base.arrays import Array, ComplexArray
 
 # Time for which the force window is 1 after the last sample of the impact, and then the duration of its taper [s].
 TAPER_S = 2e-3
-# Additional time before the taper, for the ringing of the channel's low-pass filters, in time constants of the slowest
-# filter.
+# Additional time before the taper, for the ringing of low-pass filters, in time constants of the slowest.
 _RINGING_TIME_CONSTANTS = 7.0
 
 

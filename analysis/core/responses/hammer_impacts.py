@@ -23,11 +23,9 @@ from rig.core.base.errors import RecordingError
 PRE_IMPACT_S = 0.2
 # Motion before an impact is estimated from at least this number of samples; fewer do not separate it from noise.
 _MIN_PRE_IMPACT_SAMPLES = 4
-# The rig is at rest in this interval if its motion is at most this fraction of the response to the impact, which then
-# has no visible effect.
+# Largest motion of a rig at rest before an impact, relative to the response: without visible effect.
 _MAX_REST_RATIO = 2e-3
-# Motion is detected if the estimate exceeds its noise by this number of standard deviations, which noise does not reach
-# by chance.
+# Smallest detected motion, in standard deviations of its noise, which chance does not reach.
 _DETECTION_SIGMAS = 4.0
 # Smallest accepted ratio of the largest force within an impact's marker to the largest force until the next impact.
 _MIN_MARKED_RATIO = 0.5

@@ -23,8 +23,7 @@ from rig.core.results.response import Response
 
 # Length of a block, relative to its pretrigger (its samples before the impact).
 _BLOCK_PER_PRETRIGGER = 50
-# Leakage is significant if the response at the end of a block exceeds this fraction of its maximum: the error of a peak
-# is then of this order.
+# Largest response at the end of a block, relative to its maximum, without significant leakage (of this order).
 _MAX_END_RATIO = 0.02
 
 

@@ -24,8 +24,7 @@ _NOISE_PARTS = 16
 _COARSER_CONVERTERS = ((2.0, 6.0), (3.0, 8.0))
 # Signals below this number of counts are rounded again only if they contain noise, which acts as dither.
 _MIN_COUNTS = 6.0
-# If noise dithers the signal, at most this fraction of the rounding error repeats from impact to impact (the value for
-# noise of half a count).
+# Largest repeating fraction of the rounding error if noise dithers the signal: that of noise of half a count.
 _MAX_REPRODUCIBLE = 0.007
 
 
@@ -95,8 +94,7 @@ def rounding_gain_error(
     for (block, spectra), (start, stop) in zip(readings, segments, strict=True):
         power = power + abs(spectra) ** 2
         n_samples = 2 * (spectra.shape[1] - 1)
-        # The polynomials of a local fit represent errors within this number of samples after an impact as a
-        # response.
+        # Within this number of samples after an impact, the polynomials of a local fit represent errors as a response.
         n_after_impact = int(n_samples * (ORDER + 1) / half_width)
         n_transform = fft.next_fast_len(2 * n_after_impact, real=True)
         for begin, _ in impacts.inside(start, stop):

@@ -156,8 +156,7 @@ class LockIn:
         rotation = np.exp(-2j * np.pi * np.fmod(cycles, 1.0))
         deviations = (local[:, ::2] + 1j * local[:, 1::2]) * rotation[:, :, None]
         amplitudes = amplitude[:, 0] + deviations[:, 0]
-        # The residual of the common fit consists of the residual of the part's own fit and the difference of the two
-        # fits.
+        # The residual of the common fit is that of the part's own fit plus the difference of the two fits.
         deviation = factors[index].mT @ (parts.coefficients - common)
         squares = parts.residual.sum(axis=0) + np.sum(np.square(deviation), axis=(0, 1))
         noise_power = np.zeros(len(amplitude))

@@ -59,8 +59,7 @@ LIFTED = (
 _CREST_FACTOR = 4.0
 # A structure is nonlinear if at least this share of the lines is distorted.
 _MIN_DISTORTED_LINES = 0.2
-# A line is distorted if the scatter of its realizations is at least this multiple of the scatter due to noise, which
-# chance does not explain.
+# Smallest ratio of a distorted line's scatter over realizations to that of noise, beyond chance.
 _NOISE_RATIO = 3.0
 # At a distorted line, the scatter of realizations is at least this fraction of the mean.
 _MEAN_RATIO = 2e-3

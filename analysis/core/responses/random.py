@@ -18,8 +18,7 @@ from rig.core.base.progress import CountProgress
 from rig.core.results import format_percent
 from rig.core.results.response import Response
 
-# Default number of blocks, for an uncertainty of about 10 % at a coherence of 0.7. The blocks are as long as this
-# number permits.
+# Default number of blocks, which are as long as possible: uncertainty of about 10 % at a coherence of 0.7.
 DEFAULT_BLOCKS = 30
 # Minimum number of samples in a block.
 _MIN_BLOCK_SAMPLES = 16

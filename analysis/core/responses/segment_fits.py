@@ -34,15 +34,13 @@ from rig.core.results.uncertainty import UncertaintyBudget
 # A segment is used if it has at least this fraction of the length of the longest segment; the transients of shorter
 # segments would need too many parameters.
 _MIN_LENGTH_RATIO = 0.25
-# A segment is used if it contains at least this fraction of a burst; otherwise most of its vibration was excited before
-# the segment.
+# Smallest fraction of a burst in a used segment; otherwise most of its vibration was excited before.
 _MIN_BURST_RATIO = 0.5
 # Maximum number of lines of an estimated response.
 _MAX_LINES = 1000
 # Maximum number of impacts of one local fit. More impacts are fitted in groups, whose responses are averaged.
 _MAX_HITS = 24
-# Maximum of the number of impacts of a group times the number of responses: the residuals of all responses remain in
-# memory, 1.2 MB each.
+# Maximum of impacts of a group times responses, whose residuals remain in memory (1.2 MB each).
 _MAX_RESIDUALS = 192
 # Maximum number of samples of a group of impacts; the spectra of a response and of the force need 0.5 GB.
 _MAX_SAMPLES = 3 << 20
@@ -91,8 +89,7 @@ class SegmentFits:
             noise = force_noise(self.impacts, rec, group, spectra.frequency[spectra.lines])
             frf = spectra.frf(rec, numerator, denominator, self.label, warnings, noise)
             frf = _with_motion_before(frf, prior_motion)
-            # The arrays of the errors are large, so only those of the first group are stored; they represent all
-            # groups.
+            # The arrays of the errors are large: those of the first group are stored, and represent all groups.
             curves.append(replace(frf, uncertainty=replace(frf.uncertainty, errors=None)) if curves else frf)
         return _average(curves)
 

@@ -27,8 +27,7 @@ from rig.core.results.uncertainty import circle_factor
 _COMMON_DECAY_LINES = 5
 # Two parts do not determine the decay of a transient; this decay factor from part to part is then assumed.
 _ASSUMED_DECAY = 0.5
-# A decay factor from part to part is limited to this value. Slower decay cannot be distinguished from a steady
-# amplitude.
+# Largest decay factor from part to part: slower decay cannot be distinguished from a steady amplitude.
 _MAX_DECAY = 0.99
 # Probability that noise in the reference is below the assumed largest noise.
 _REFERENCE_CONFIDENCE = 0.999
@@ -36,8 +35,7 @@ _REFERENCE_CONFIDENCE = 0.999
 _MIN_LINES = 8
 # Width of the median filter of this noise, in lines.
 _MEDIAN_LINES = 31
-# If there are many parts, they are averaged to this number of successive parts, from which the decay of a transient is
-# estimated.
+# Number of successive parts into which many are averaged, to estimate the decay of a transient.
 _AVERAGED_PARTS = 4
 # Residual transients are multiplied by this factor, because their estimates have an error of up to 5 %.
 _TRANSIENT_FACTOR = 1.05
@@ -65,8 +63,7 @@ class Lines:
     # number of lines on either side that moderate the noise of each line, for lines with few averages
     n_neighbors: int = 0
     noise: Scatter | None = None  # contribution of noise alone to `scatter`; None: all scatter is noise
-    # number of averaged measurements; each is rotated by the phase of its reference, which also aligns the noise of the
-    # reference
+    # number of averaged measurements, rotated by the phase of the reference, whose noise is aligned, too
     n_rotated: int = 1
     # maximum error of each mean due to rounding to counts; shape (channels, n)
     resolution: Array | None = None
@@ -174,8 +171,7 @@ def _noise_of_changes(changes: ComplexArray) -> Array:
     count, _, lines = changes.shape
     if lines < _MIN_LINES:
         return np.zeros(changes.shape[1:])
-    # Second differences of noise have six times its power. The last divisor is the ratio of the median of a gamma
-    # distribution to its mean.
+    # Second differences of noise have six times its power. Last divisor: median over mean of a gamma distribution.
     power = np.sum(abs(np.diff(changes, 2, axis=2)) ** 2, axis=0) / 6.0 / (1.0 - 1.0 / (3.0 * count))
     median_power = scipy.ndimage.median_filter(power, (1, min(_MEDIAN_LINES, lines - 2)), mode="nearest")
     return np.pad(median_power, ((0, 0), (1, 1)), mode="edge")

@@ -307,8 +307,7 @@ def _residual_transients(tones: Sequence[ToneFit]) -> Array:
     """Estimate the maximum error of each tone due to a decaying transient, shape (channels, tones)."""
     counts = np.array([len(tone.parts) for tone in tones])
     transients = np.empty((tones[0].parts.shape[1], len(tones)))
-    # Tones with the same number of parts are evaluated together, because a call takes as long for many tones as for
-    # one.
+    # Tones with equal numbers of parts are evaluated in one call, which takes as long as for one tone.
     for count in np.unique(counts):
         indices = np.flatnonzero(counts == count)
         parts = np.concatenate([tones[index].parts for index in indices.tolist()], axis=1)

@@ -36,8 +36,7 @@ from rig.core.base.progress import CountProgress
 from rig.core.results import format_number
 from rig.core.results.response import MOTIONS, Response
 
-# Smallest ratio of the last to the first frequency of a segment. Such short segments exclude the harmonics of a
-# nonlinear structure.
+# Smallest frequency ratio of a segment: short segments exclude harmonics of a nonlinear structure.
 _MIN_FREQUENCY_RATIO = 1.35
 # Factor by which this ratio is increased until enough bins of the segment are excited on either side of its frequency.
 _RATIO_INCREASE = 1.1

@@ -34,13 +34,11 @@ if TYPE_CHECKING:
     from daq.core.signal_chain.channel import ChannelInfo
     from rig.core.scene.excitation.profile import Prescription
 
-# A channel limits the drive if its distance from its limit is below this value [dB], and the control is below the
-# profile.
+# Distance from its limit below which a channel limits the drive [dB], if the control is below the profile.
 _NOTCH_DB = 1.5
 # An excess below this value [dB] is noise.
 _SMALLEST_EXCESS_DB = 0.05
-# Number of periods of a window in which the amplitude of a sweep is estimated: fewer do not separate harmonics, more
-# blur the sweep.
+# Periods of a window for the amplitude of a sweep: fewer do not separate harmonics, more blur the sweep.
 _PERIODS = 4.0
 _OUTSIDE_COLOR = "#222222"
 # Independent averages per segment, for half-overlapping segments with a Hann window.

@@ -40,8 +40,7 @@ if TYPE_CHECKING:
 # Ratio of the frequency deviation that a phase deviation causes to that of a single mode. Contributions of other modes
 # to the phase make it larger than 1. The largest ratio with the scene `backbone` was 1.8.
 _FREQUENCY_DEVIATION_RATIO = 2.0
-# The quadrature part of other modes is assumed to be at most their in-phase part times the damping ratio of the
-# resonant mode times this.
+# Largest quadrature part of other modes, in their in-phase part times the resonant mode's damping ratio.
 _MAX_QUADRATURE_PER_DAMPING = 10.0
 # The level of a point is written on its left if the distance of the next point is less than this fraction of the axis,
 # so that two labels do not overlap.

@@ -46,8 +46,7 @@ _ANGLE = re.compile(r"deg(rees?)?|°|rad(ians?)?|grad", re.IGNORECASE)
 _DECIBELS = re.compile(
     r"dB\s*(?:\(?re\.?:?\s*|/\s*)?(?P<reference>\d[\d.]*(?:e[+-]?\d+)?)?\s*(?P<unit>[^\d\s].*?)?\)?", re.IGNORECASE
 )
-# Frequencies are lines of a DFT if the relative variation of their spacing is below this value; rounding in a table
-# causes such variation.
+# Largest relative variation of the spacing of lines of a DFT, due to rounding in a table.
 _MAX_SPACING_SPREAD = 0.05
 # Assumed noise bandwidth in lines: that of a Hann window, because files do not state the window.
 _HANN_BANDWIDTH_LINES = 1.5

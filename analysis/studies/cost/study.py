@@ -47,8 +47,7 @@ PERIODS = 50
 REPEATS = 2
 #: The reference motion is in steady state if it changes by at most this fraction from period to period.
 REFERENCE_TOLERANCE = 1e-10
-#: A frequency is chosen if the responses of upward and downward sweep at this frequency differ by at most this
-#: fraction.
+#: Largest relative difference of responses in upward and downward sweep at a chosen frequency.
 SAME_MOTION_TOLERANCE = 1e-4
 #: Message for a scene whose unchanged chain gives no result.
 UNMEASURABLE = "the unchanged scene cannot be measured: {}"
@@ -115,8 +114,7 @@ def chain_study(
     linear = assemble(expanded).dampers == 0
     with temporary_folder() as folder:
         bench = _Bench(folder, linear)
-        # Run once without measurement, so the cost excludes compilation; this run also yields the
-        # largest voltage.
+        # A run without measurement excludes compilation from the cost, and yields the largest voltage.
         try:
             largest_voltage = bench.largest_voltage(expanded)
         except ShotrigError as error:

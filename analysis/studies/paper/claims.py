@@ -26,8 +26,7 @@ MAX_IDENTIFICATION_ERROR = 1e-3
 MAX_SHAPE_DIFFERENCE = 0.02
 # C2: the paper states this range for the peak with one damper over the peak with three dampers.
 C2_RATIOS = (2.5, 4.0)
-# C5 gives no numbers. Simulation and experiment count as different if their relative difference at antiresonances is at
-# least this.
+# Smallest relative difference at antiresonances that counts as different; C5 gives no numbers.
 MIN_DIFFERENCE = 0.1
 # C5 also requires that the difference at antiresonances is at least this multiple of the difference at peaks.
 MIN_DIFFERENCE_RATIO = 5.0

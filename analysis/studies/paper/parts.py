@@ -16,8 +16,7 @@ THIRD_MODE_BAND_HZ = (45.0, 54.0)
 FORCES = np.array([2.0, 2.6, 3.3, 4.0, 5.0, 7.5, 10.0, 15.0])
 # Clearances of the scans [m].
 CLEARANCES = 1e-3 * np.array([0.3, 0.4, 0.5, 0.6, 0.7, 1.0, 1.4, 2.0, 3.0])
-# Force [N] and clearance [m] of Figs 5 and 6: our choice, because Inoue, Yokomichi, Hiraki (2011) do not give these
-# values.
+# Force [N] and clearance [m] of Figs 5 and 6: our choice, because the paper does not give these values.
 FIGURE_5_SETTING = (3.3, 0.5e-3)
 # Frequency band around each mode [Hz].
 MODE_BANDS = {1: (11.5, 14.0), 2: (31.0, 36.0), 3: (45.5, 51.5)}

@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from rig.core.scene.excitation.kind import KindOfTest
     from rig.core.scene.scene import Scene
 
-# The first drive is this fraction of the force that moves the mass of the structure by the level: at a resonance a
-# small force suffices.
+# First drive, relative to the force that moves the structure's mass by the level: a resonance needs little.
 _FIRST_FORCE_RATIO = 0.05
 # The amplitude is controlled for at most this time [s]. After it, the envelope is controlled if the mode is known.
 _AMPLITUDE_WAIT_S = 15.0
@@ -46,8 +45,7 @@ class HeldMotion(EnvelopeTone):
         assert quantity is not None
         super().__init__(station, test.order[0], quantity)
         self._settle, self._order, self._level, self.target = test.settle, test.held_motion[1], 0.0, 0.0
-        # Frequencies at which the amplifier is at its limit [Hz], and the largest amplitude there relative to the
-        # level.
+        # Frequencies [Hz] with the amplifier at its limit, and the largest amplitude there relative to the level.
         self.limited: dict[float, float] = {}
         # Open-loop growth rate (1/s) and dead time (s) of the orbits that the control lost.
         self.lost: list[tuple[float, float]] = []

@@ -29,18 +29,15 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
 
-# The motion is in steady state if successive periods differ by at most this fraction: the remaining transient is of
-# this order.
+# Largest relative difference of successive periods in steady state: the remaining transient is of this order.
 _TOLERANCE = 1e-4
-# Longest wait for the steady state [s]; `_MAX_WAIT_PERIODS` applies if it is longer. A test must end also if dampers
-# move irregularly.
+# Longest wait for the steady state [s], or `_MAX_WAIT_PERIODS` if longer: dampers may move irregularly.
 _MAX_WAIT_S = 60.0
 # Longest wait for the steady state, in periods.
 _MAX_WAIT_PERIODS = 8
 # Expected duration of the iterations that shape the drive for a controlled force [s].
 _EQUALIZING_S = 8.0
-# If the difference of successive periods exceeds this multiple of the smallest earlier difference, the difference is
-# noise, not a transient.
+# Ratio of successive differences to the smallest one above which they are noise, not a transient.
 _MIN_NOISE_RATIO = 0.9
 
 
@@ -91,8 +88,7 @@ class MultisineProcedure(Procedure["Multisine"]):
                 generator = station.generator(f"multisine {number} {realisation}")
                 phases.append(generator.uniform(0.0, 2 * np.pi, lines.size))
             for experiment in range(len(shakers)):
-                # Orthogonal multisines: from experiment to experiment, the phases of shaker k increase by
-                # 2 pi k / shakers.
+                # Orthogonal multisines: between experiments, phases of shaker k increase by 2 pi k / shakers.
                 phase_step = 2.0 * np.pi * experiment / len(shakers)
                 waves = np.stack(
                     [sum_of_tones(lines, amplitudes, phase + phase_step * k, period) for k, phase in enumerate(phases)]

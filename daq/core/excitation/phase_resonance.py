@@ -26,11 +26,9 @@ if TYPE_CHECKING:
     from rig.core.scene.excitation.kind import KindOfTest
     from rig.core.scene.scene import Scene
 
-# The phase is locked if it is within the tolerance in this number of successive windows. The frequency is averaged over
-# these windows.
+# Successive windows within the tolerance if the phase is locked; the frequency is averaged over them.
 _LOCKED_WINDOWS = 8
-# In addition, the mean phase must deviate by less than this fraction of the tolerance: its own scatter must not carry
-# it to the limit.
+# Largest mean deviation of a locked phase, relative to the tolerance, which its own scatter must not reach.
 _LOCKED_RATIO = 0.7
 # Largest number of locks at a level: the phase can leave the tolerance again while the frequency is constant.
 _MAX_LOCKS = 4
@@ -80,8 +78,7 @@ class _PhaseTone(SteadyTone):
             windows.append(window)
             frequencies.append(self.frequency)
             if window.force:
-                # The frequency of the tone changes, so the phases of the amplitudes change; only the ratio of the
-                # amplitudes is steady.
+                # The frequency of the tone changes the phases of the amplitudes; only their ratio is steady.
                 detector.add(np.array([window.motion / window.force * abs(window.force), abs(window.force) + 0j]))
             mean_error = float(np.mean([loop.error(each.phase) for each in windows]))
             if (

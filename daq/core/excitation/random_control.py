@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 
 # Averaged spectra for the first update at a level, and for the levels of the ramp: a scatter of about 1 dB.
 _FIRST_AVERAGES = 16
-# The ramp continues when this fraction of the lines is within the tolerance; with few averages, the other lines are
-# outside by chance.
+# Fraction of lines within the tolerance that continues the ramp: few averages put the others outside by chance.
 _MIN_WITHIN = 0.9
 # Updates at a level of the ramp; more are needed only if the spectrum cannot be reached.
 _MAX_UPDATES = 12

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
 
-# The test gives up after this number of practice pulses, unless the scene specifies more: corrections that converge
-# need fewer.
+# Practice pulses before the test gives up, unless the scene specifies more; convergent corrections need fewer.
 _MAX_PRACTICE = 3
 # Highest frequency of the drive relative to the sample rate, below the transition band of the converter.
 _BAND_RATIO = 0.4

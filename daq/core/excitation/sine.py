@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from rig.core.scene.excitation import Sine
     from rig.core.scene.excitation.kind import KindOfTest
 
-# The steady state is reached when the transient is at most this fraction of the amplitude, below the uncertainty of
-# sensors.
+# Largest transient in steady state, relative to the amplitude: below the uncertainty of sensors.
 _TOLERANCE = 1e-3
 # Longest wait for the steady state [s]; irregular motion of dampers never reaches it.
 _MAX_WAIT_S = 60.0

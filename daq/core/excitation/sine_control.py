@@ -47,11 +47,9 @@ _MIN_WINDOW_SAMPLES = 4
 _MAX_DECREASE, _MAX_INCREASE = log(4.0), log(1.5)
 # Period of the identification, s and periods of the lowest frequency.
 _IDENTIFICATION_S, _IDENTIFICATION_PERIODS = 2.0, 8.0
-# Above the band, the identification ends at this fraction of the sample rate: the converter's filter attenuates higher
-# frequencies.
+# End of the identification above the band, relative to the sample rate: the converter attenuates the rest.
 _HIGHEST_RATIO = 0.45
-# The sweep begins when the amplitudes have been within this tolerance [dB] for this number of windows, and at the
-# latest after this time [s].
+# Tolerance [dB] and number of windows of steady amplitudes before the sweep, and the longest wait [s].
 _START_DB, _START_WINDOWS, _MAX_START_S = 0.5, 6, 30.0
 # Time in which the drive rises at the start and falls at the end [s].
 _RISE_S = 0.25
@@ -116,8 +114,7 @@ class SineSweep:
         self._recent, self._phases = np.zeros((len(self.rows), 0)), np.zeros(0)
         self.limited = False  # whether the output limited the drive
         self._caution = Caution()
-        # Frequencies of the identification [Hz], and the drives that the profile and each limit require there, a row
-        # each.
+        # Frequencies of the identification [Hz], and a row of drives for the profile and each limit.
         self._frequencies, self._required = np.ones(1), np.ones((1 + len(test.limits), 1))
 
     def first_drive(self, identified: Identified, period: int) -> float:

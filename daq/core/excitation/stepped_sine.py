@@ -33,8 +33,7 @@ StepsT = TypeVar("StepsT", bound="SteppedTest")
 _MAX_LOG_CHANGE = 0.2
 # The wait of a dwell has this fixed part [s], measured with the bundled scenes.
 _FIXED_WAIT_S = 1.4
-# In the remaining part of the wait, transients decay for this number of time constants of the slowest mode, that is to
-# exp(-2) = 14 %.
+# Decay in the remaining part of the wait, in time constants of the slowest mode: exp(-2) = 14 %.
 _STEP_TIME_CONSTANTS = 2.0
 
 

@@ -34,15 +34,13 @@ if TYPE_CHECKING:
     from rig.core.scene.excitation.kind import KindOfTest
 
 
-# The drive of a controlled force is updated after this number of periods: a shorter window does not determine the
-# amplitude.
+# Periods between updates of the drive for a controlled force; fewer do not determine the amplitude.
 _WINDOW_PERIODS = 0.5
 # The drive is updated after at least this number of samples, from which an amplitude and a phase can be estimated.
 _MIN_WINDOW_SAMPLES = 4
 # Length of the windows in open loop [s].
 _WINDOW_S = 0.1
-# The sweep begins when the transient at the first frequency is at most this fraction of the amplitude: the transient of
-# the sweep itself is larger.
+# Largest transient before the sweep, relative to the amplitude; the transient of the sweep itself is larger.
 _TOLERANCE = 0.01
 # Longest wait for the steady state at the first frequency [s]; irregular motion of dampers never reaches it.
 _MAX_WAIT_S = 60.0
@@ -104,8 +102,7 @@ class LevelMonitor:
     def __init__(self, station: Station, level: float) -> None:
         self._station, self._level = station, level
         self.lowest = self.highest = 1.0
-        # Present interval: first sample, sample after the last, largest deviation as force / level, and its frequency,
-        # Hz.
+        # Present interval: first sample, sample after the last, largest force / level, and its frequency [Hz].
         self._interval: tuple[int, int, float, float] | None = None
         self._worst = (1.0, 0.0)  # largest deviation of all intervals as force / level, and its frequency [Hz]
         self._samples = self._intervals = 0  # total length and number of the marked intervals

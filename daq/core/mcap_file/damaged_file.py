@@ -51,8 +51,7 @@ _ATTACHMENT_HEAD = struct.Struct("<QQI")
 # Field before the data of an attachment: their size.
 _DATA_SIZE = struct.Struct("<Q")
 _CHECKSUM_BYTES = 4
-# Records that no other record follows are verified up to this total size [bytes], plus `_MAX_UNCONFIRMED_RATIO` times
-# the size of the file.
+# Size of verified records without a following record [bytes], in addition to `_MAX_UNCONFIRMED_RATIO` of the file.
 _MAX_UNCONFIRMED_BYTES = 1 << 26
 # See `_MAX_UNCONFIRMED_BYTES`.
 _MAX_UNCONFIRMED_RATIO = 8

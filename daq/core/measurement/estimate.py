@@ -16,8 +16,7 @@ from rig.core.scene.scene import Scene
 MAX_SAMPLES = 1e12
 # Approximate bytes per sample in a recording that contains display data, by storage type.
 BYTES_PER_SAMPLE = {"counts": 4.5, "float32": 6.0, "float64": 10.7}
-# Lower bound of the ratio of the compressed to the approximate size. A disk is rejected only if it is too small even
-# for the compressed size.
+# Lower bound of compressed over approximate size: a disk that is smaller even than this is rejected.
 MIN_COMPRESSION_RATIO = 0.005
 # Bytes per sample of a true (simulated) quantity in a recording, measured on random motion with dampers.
 TRUTH_BYTES_PER_SAMPLE = 6.0

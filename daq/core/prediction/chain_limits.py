@@ -7,8 +7,7 @@ from rig.core.scene.measurement_chain import Channel
 from rig.core.scene.presets import complete_from_preset
 from rig.core.scene.scene import Scene
 
-# A limit that no test reaches, in any unit. None would also remove a limit, but may change the number of states of the
-# device's model.
+# A limit that no test reaches, in any unit; None may change the number of states of the device's model.
 _NO_LIMIT = 1e8
 # Largest word length [bits] of a converter; samples are stored with at most 32 bits.
 _MAX_BITS = 32

@@ -20,13 +20,11 @@ from rig.core.scene.scene import Scene
 from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.structural_model import structural_model
 
-# A force whose limit of error exceeds this fraction of the force is not resolved: its 95 % interval nearly includes
-# zero.
+# Largest limit of error of a resolved force, relative to it: beyond it, the 95 % interval nearly includes zero.
 _MAX_ERROR_RATIO = 0.5
 # Frequencies that a warning lists; a longer list would hide the remedy.
 _MAX_LISTED = 8
-# Frequencies that represent the band of a test without tones: about two per half-power width of a mode with a damping
-# ratio of 0.5 % in a decade.
+# Frequencies for the band of a test without tones: two per half-power width (0.5 % damping) in a decade.
 _N_FREQUENCIES = 400
 
 

@@ -54,8 +54,7 @@ _LEVEL_REDUCTION, _MAX_LEVEL_REDUCTIONS = 0.1, 3
 # deviations of their scatter. Complete rehearsals of 12 scenes differed by 5.5 % on average, at most by 15 %.
 _LINEAR_WAIT_ERROR = 0.15
 _WAIT_SIGMAS = 2.5
-# Smallest completed fraction of a test with feedback from which its duration is extrapolated: to at most ten times the
-# rehearsed part.
+# Smallest completed fraction of a test with feedback for an extrapolation of its duration, to ten times.
 _MIN_FRACTION = 0.1
 # The time of an abort may differ by this ratio from the time that rehearsed parts of the test predict.
 _ABORT_RATIO = 1.5
@@ -211,8 +210,7 @@ class _Assessment:
         largest_level = np.nan
         if limiting is not None and limiting.driven_share > 0.0 and self.key:
             largest_level, dampers_fly = self._largest_level(limiting, dampers_fly)
-            # At the level of the nearest limit, another limit may be exceeded; the second nearest limit is therefore
-            # checked too.
+            # At the level of the nearest limit, another may be exceeded; the second nearest is therefore checked too.
             second_ratio = by_ratio_to_limit[-2].driven_share if len(by_ratio_to_limit) > 1 else 0.0
             if second_ratio > 0.0:
                 second_level = max(self.level / second_ratio, self.level / limiting.driven_share)
@@ -401,8 +399,7 @@ class _Assessment:
         errors = linear.scatter * waits
         flies = [flying_tones(self.scene, self.system, level, order) for level in test.levels] & ~rehearsed
         if flights:
-            # Tones with flying dampers that were not rehearsed are farther from the peaks, and rarely need the longest
-            # waits.
+            # Tones with flying dampers that were not rehearsed are off the peaks, and rarely need the longest waits.
             expected = np.array([wait.expected for wait in flights])
             waits[flies] = np.maximum(waits[flies], np.exp(np.log(expected).mean()))
             errors[flies] = expected.std()

@@ -32,8 +32,7 @@ from rig.core.system.open_loop_drive import riding_equations, riding_response
 
 # Tones and transients in a window are represented by at most this number of points per period of the highest frequency.
 _POINTS_PER_PERIOD = 16
-# Largest condition number of the matrix of mode shapes: beyond it, rounding errors reach 0.1 %. The waits then follow
-# from the slowest mode alone.
+# Largest condition number of the mode shapes (rounding errors of 0.1 %); beyond, the slowest mode decides.
 _MAX_CONDITION = 1e13
 # A prediction ends after this number of measuring windows, about 1 s of CPU time.
 _MAX_WINDOWS = 20000

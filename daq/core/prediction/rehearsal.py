@@ -24,8 +24,7 @@ from rig.core.scene.shaker import Load, at_shaker
 
 #: Readings in this fraction of the settling time of the sensor's bias belong to the power-on transient.
 POWER_ON_RATIO = 0.5
-# After a stored impact of a damper, further impacts of this damper are not stored for this time [s], to limit the
-# memory.
+# Time after a stored impact without further stored impacts of this damper [s], to limit the memory.
 _MIN_IMPACT_INTERVAL_S = 0.5
 # Duration at the end of a rehearsal whose blocks are stored [s].
 _STORED_END_S = 4.0

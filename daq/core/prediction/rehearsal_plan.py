@@ -36,20 +36,15 @@ _CHANNEL_CPU_S = 130e-9
 _FILTER_TIME_RATIO = 2.0
 # CPU time of each element of the state matrix in a sample [s].
 _ELEMENT_CPU_S = 0.6e-9
-# A rehearsal of parts waits at most this time for the steady state [s]: irregular motion would otherwise use up the CPU
-# time.
+# Longest wait for the steady state in a part [s]: irregular motion would otherwise use up the CPU time.
 _LONGEST_WAIT_S = 10.0
-# Peaks of a channel's linear response below this ratio to its largest peak are omitted: they do not determine a
-# maximum.
+# Smallest peak of a channel, relative to its largest peak, that may determine a maximum.
 _MIN_PEAK_RATIO = 0.15
-# Rehearsed frequencies whose indices differ by at most this number form a group: the frequencies between are simulated
-# at less cost than a new start.
+# Largest index step within a group: frequencies between cost less than a new start.
 _MAX_INDEX_GAP = 4
-# Number of dwells at the start of each group that are run but not evaluated, because their initial motion differs from
-# the complete test.
+# Dwells at the start of each group without evaluation: their initial motion differs from the complete test.
 _EXCLUDED_DWELLS = 2
-# Frequencies of the stepped sine that replaces a long sweep: about two per half-power width of a mode with a damping
-# ratio of 0.5 % in a decade.
+# Frequencies that replace a long sweep: two per half-power width (0.5 % damping) in a decade.
 _SWEEP_POINTS = 400
 
 

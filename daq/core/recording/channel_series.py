@@ -26,16 +26,14 @@ from rig.core.numerics.runs import runs_of
 if TYPE_CHECKING:
     from mcap.records import Channel
 
-# If more samples than this are requested, the number of samples in the file is checked first: a wrong sample index must
-# not exhaust the memory.
+# Samples above which a request is compared with the file first: a wrong index must not exhaust the memory.
 _LARGE_RANGE = 1 << 22
 # Largest ratio of requested samples to samples in the file; a damaged sample number must not exhaust the memory.
 _MAX_REQUESTED_PER_STORED = 16
 # Voltages above this multiple of the converter's range are treated as invalid. The factor admits readings that were
 # imported with a wrong unit or range; `daq import` reports such a mistake.
 _MAX_RANGES = 1000.0
-# Memory for decoded samples of a recording [bytes]. Decoded samples are cached, because an analysis reads a measured
-# segment several times.
+# Memory for decoded samples [bytes], cached because an analysis reads a measured segment several times.
 _MAX_CACHE_BYTES = 1 << 27
 
 

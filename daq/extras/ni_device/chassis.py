@@ -43,8 +43,7 @@ UNLIMITED_TICKS = 1 << 62
 # The runs stop with the error of an input overflow if the bench is behind the wall clock by more than this time [s]:
 # the buffer of a real device would have overflowed.
 _MAX_DELAY_S = 5.0
-# Longest pause [s] of the fast clock for the callback of an event; a callback that never returns must not stop the
-# bench.
+# Longest pause [s] of the fast clock for a callback, which must not stop the bench if it never returns.
 _CALLBACK_WAIT_S = 0.25
 # Number of consecutive events with a late callback after which the clock no longer waits for the callbacks of a task.
 _MAX_UNANSWERED = 8
@@ -90,8 +89,7 @@ class Chassis:
         self.changed, self.sleepers = threading.Condition(lock), Sleepers(lock)
         # Listeners, such as a recording. Each is called with every block of samples at the sample rate of the bench.
         self.listeners: list[Callable[[Bench, Block], None]] = []
-        # Called before a call ("start", "read" or "write") with its name and its task; may raise the `DaqError` of the
-        # call.
+        # Called with name ("start", "read", "write") and task before a call; may raise the `DaqError` of the call.
         self.call_listeners: list[Callable[[str, Any], None]] = []
         # Called after a read or write with the task, the samples, shape (channels, n), and the error of the call.
         self.transfer_listeners: list[Callable[[Any, Array, DaqError | None], None]] = []

@@ -6,8 +6,7 @@ from typing import Any
 from daq.extras.ni_device.errors import Code, DaqError
 from daq.extras.ni_device.values import EverySamples, Signal, enum_member
 
-# Function that is called with the value of an event: number of samples since the last event, status at the end, or
-# number of the signal.
+# Function called with the value of an event: samples since the last event, status at the end, or signal number.
 Listener = Callable[[int], None]
 
 _ALREADY_REGISTERED = {

@@ -32,8 +32,7 @@ _connections: dict[tuple[int, str], Any] = {}
 def environment(address: str, follows_wall_clock: bool) -> dict[str, str]:
     """Return the environment of clients of a server at an address; `follows_wall_clock`: whether bench time does."""
     paths = [str(STARTUP), *filter(None, [os.environ.get("PYTHONPATH")])]
-    # Forked child processes open new connections; grpc permits this only if its environment variable is set before the
-    # fork.
+    # Forked child processes open new connections; grpc requires this environment variable before the fork.
     variables = {SERVER: address, "PYTHONPATH": os.pathsep.join(paths), "GRPC_ENABLE_FORK_SUPPORT": "1"}
     return variables if follows_wall_clock else {**variables, FAST: "1"}
 

@@ -13,8 +13,7 @@ from daq.extras.ni_device.devices.modules import Module
 from daq.extras.ni_device.settings.channels import Channel
 from rig.core.scene.scene import STANDARD_GRAVITY
 
-# The limits of a channel are this fraction of full scale; it is slightly below 1, so rounded limits do not exceed
-# full scale.
+# Limits of a channel, relative to full scale, which rounded limits must not exceed.
 _LIMIT_RATIO = 1 - 1e-5
 # By quantity: function of nidaqmx, unit of readings, factor from V per SI unit to the unit of sensitivity (mV/g, mV/N).
 _SENSORS = {
@@ -90,8 +89,7 @@ def _create_channel(chassis: Chassis, module: Module, bench_index: int) -> str:
     call = f'task.ai_channels.add_ai_voltage_chan("{_PHYSICAL_CHANNEL}"{_limits(info, 1.0)})'
     if not needs_excitation:
         return call
-    # A sensor with an integrating amplifier is read as a voltage; the call for a voltage channel has no argument for
-    # the excitation.
+    # A sensor with an integrating amplifier is read as a voltage, whose call has no argument for the excitation.
     lines = [
         f"voltage_channel = {call}",
         "voltage_channel.ai_excit_src = ExcitationSource.INTERNAL",

@@ -199,8 +199,7 @@ def _send(
     progress: FractionProgress | None,
 ) -> None:
     wait_until_received()
-    # The layout is sent as active, because a viewer remembers an earlier layout of the application, which overrides a
-    # default layout.
+    # The layout is sent as active: a remembered layout of the application overrides a default layout.
     stream.send_blueprint(replay.blueprint(), make_active=True, make_default=True)
     replay.send(stream, wait_until_received, progress)
     # A viewer that has received this text has received all data before it.

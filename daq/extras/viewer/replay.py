@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
     from daq.core.recording.recording import Recording
 
-# Largest number of frames (drawn positions of the rig) per second of the recording: it is sufficient for a tone of 50
-# Hz in slow motion.
+# Largest number of drawn positions per second of the recording: enough for 50 Hz in slow motion.
 _MAX_FRAMES_PER_S = 1000.0
 # Smallest number of frames per second of the recording.
 _MIN_FRAMES_PER_S = 100.0

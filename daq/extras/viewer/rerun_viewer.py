@@ -69,8 +69,7 @@ _MIN_UNCHANGED_S = 2.0
 _MIN_UNCHANGED_DRAWINGS = 5
 # Size of the pictures that are compared for changes [points]; small pictures are drawn quickly.
 _COMPARED_POINTS = 800
-# The recording is loaded when the duration that the viewer reports differs from the duration of the recording by at
-# most this [s].
+# Largest difference of the viewer's duration from that of a completely loaded recording [s].
 _END_TOLERANCE_S = 0.02
 _SHOW_PART = "Show a part of it with `from_s` and `to_s`."
 

@@ -62,8 +62,7 @@ def create_folder(folder: Path, error_type: type[ShotrigError] = SceneError) -> 
                 f"{folder.with_suffix('')}."
             )
         folder.mkdir(parents=True, exist_ok=True)
-        # A file is created as a test, because permissions are not sufficient: the folder /proc permits new files, but
-        # rejects them.
+        # A file is created as a test: the folder /proc has permissions for new files, but rejects them.
         with TemporaryFile(dir=folder):
             pass
     except (FileExistsError, NotADirectoryError):

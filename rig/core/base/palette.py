@@ -23,8 +23,7 @@ RECORDINGS = ("#AA4499", "#44AA99", "#A6761D", "#7E6BC4", "#CC6677", "#999933")
 MOTIONS = ("#e4e4e4", "#a6cee3", "#3f8fc4", "#1b4f7e", "#cf9a2b", "#e07b39", "#8c1c3a")
 #: Background of dark pages.
 DARK_PAGE = "#14181d"
-#: Smallest contrast of curves on dark pages: above 4.5, which WCAG requires for text, because curves are thinner than
-#: text.
+#: Smallest contrast of curves on dark pages: thinner than text, for which WCAG requires 4.5.
 MIN_DARK_CONTRAST = 6.0
 # Curves by type of motion; the lightest shade of the map would be too pale for a line.
 _MOTION_CURVES = {"riding": "#777777", "I": "#5ba3cf", "II": "#2171b5", "III": "#0b3c6b"}

@@ -25,8 +25,7 @@ SPACING = "spacing of the lines"
 # Lines of each rational function: of type (2, 2), or (1, 1) if there are few lines.
 _LINES = 5
 _FEW_LINES = 3
-# The limit of error is this multiple of the difference of the two functions, because their errors may have the same
-# sign.
+# Limit of error as a multiple of the difference of the two functions, whose errors may have the same sign.
 _ERROR_FACTOR = 2.0
 # Lines resolve a response if the error of interpolation is at most this fraction of the nearby values, or if it is
 # at most this multiple of the uncertainty of these values, because noise disturbs interpolation, too.
@@ -34,8 +33,7 @@ _MAX_ERROR_RATIO = 0.1
 _MAX_ERROR_IN_UNCERTAINTIES = 3.0
 # Relative error of interpolation with the recommended spacing.
 _GOOD_ERROR_RATIO = 0.01
-# The recommended spacing is at least this fraction of the present spacing; the estimate for a smaller spacing is too
-# uncertain.
+# Smallest recommended spacing, relative to the present one; estimates of smaller ones are too uncertain.
 _MIN_SPACING_RATIO = 0.02
 # A frequency differs from the frequency of a line if their relative difference exceeds this value.
 _SAME_FREQUENCY = 1e-9

@@ -11,13 +11,11 @@ from rig.core.results.uncertainty import UncertaintyBudget
 
 # Frequencies between two lines at which a peak is sought, in each of two passes: to 1/3600 of the distance.
 _STEPS = 60
-# The minima on both sides are lower than a peak by at least this fraction of the peak; smaller ripples are not
-# resonances.
+# Smallest depth of the minima on both sides of a peak, relative to it; smaller ripples are not resonances.
 _MIN_DEPTH = 0.05
 # Relative rounding error of an interpolated value.
 _ROUNDING = 1e-6
-# A half-power width is measured within this number of lines on either side of the highest line: further lines belong to
-# the neighboring modes.
+# Lines on either side of a peak within which its half-power width is measured; others belong to other modes.
 _FLANK_LINES = 4
 #: Minimum number of lines within the half-power width of a resolved peak.
 MIN_LINES = 3

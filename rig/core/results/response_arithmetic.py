@@ -15,8 +15,7 @@ from rig.core.results.text import format_frequencies
 from rig.core.results.uncertainty import BudgetTable, stack_budgets
 from rig.core.settings.quantities import FREQUENCY, number, positive_values
 
-# The highest value counts as the peak if its expanded uncertainty is at most this fraction of the value; a larger value
-# may be noise.
+# Largest relative expanded uncertainty of the highest value if it counts as the peak; otherwise it may be noise.
 MAX_PEAK_UNCERTAINTY_RATIO = 0.5
 # A curve is drawn with interpolated points between neighboring lines whose values differ by more than this fraction,
 # where a straight line would be visibly wrong.

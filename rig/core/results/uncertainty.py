@@ -44,8 +44,7 @@ _ROOT_3 = float(np.sqrt(3.0))
 COVERAGE_FACTOR = 2.0
 # Number of arrays of the size of a covariance that its computation needs at a time (measured).
 _COVARIANCE_COPIES = 6
-# Below this number of effective degrees of freedom, the coverage factor is Student's 95 % quantile; above, it differs
-# from 2 by less than 1 %.
+# Effective degrees of freedom below which the coverage factor is Student's; above, 2 is accurate to 1 %.
 _MIN_NORMAL_DEGREES = 50.0
 # Degrees of freedom above which Student's t and Fisher's F have their limits to four digits.
 _NORMAL_DEGREES = 1e6

@@ -14,8 +14,7 @@ from rig.core.base.escaping import escape_terminal
 FRF, GENERAL = 4, 0
 #: Beginning of the text line that states the bandwidth of each frequency of a response.
 RESOLUTION_LINE = "shotrig: resolution"
-#: Beginning of the text line of a general function that contains the standard deviation of a response; the name of the
-#: response follows.
+#: Beginning of the text line of a response's standard deviation (general function), before the response's name.
 DEVIATION_LINE = "standard deviation of"
 #: Beginning of the text line of a general function that contains the bound of the systematic errors of a response.
 BOUND_LINE = "systematic bound of"

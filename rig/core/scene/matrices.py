@@ -15,8 +15,7 @@ from rig.core.settings.settings import Settings
 
 # Bodies of a structure: a matrix then has 32 MB.
 MAX_BODIES = 2000
-# Matrices from other programs are symmetric up to rounding error: the asymmetry may be at most this fraction of the
-# largest element.
+# Largest asymmetry of matrices from other programs (rounding error), relative to the largest element.
 MAX_ASYMMETRY = 1e-9
 FOLDER = "folder"  # key of the validation context: folder of the scene file and its .npy files
 

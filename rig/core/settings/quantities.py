@@ -123,8 +123,7 @@ _NUMBER = re.compile(
     r"(?![\d.])\s*(.*)",
     re.DOTALL | re.IGNORECASE,
 )
-# A product of units and bracketed products with short powers. Other text is not passed to Pint, because its parser
-# evaluates expressions.
+# A product of units and brackets with short powers. Pint's parser would evaluate expressions in other text.
 _POWER = r"(?:(?:\^|\*\*)(?:-?\d|0\.5))?"
 _NAME = rf"[A-Za-zΩ]+{_POWER}"
 _JOIN = r"(?:\s*[*/]\s*|\s+)"
@@ -292,8 +291,7 @@ def positive_values(values: ArrayLike, kind: Kind, name: str) -> NDArray[np.floa
         raw = np.atleast_1d(np.asarray(values))
         if raw.dtype.kind == "U":
             raw = np.array([number(str(item), kind, name) for item in raw.flat]).reshape(raw.shape)
-        # The conversion of a list raises an error for complex numbers; the conversion of an array discards the
-        # imaginary part.
+        # A list of complex numbers raises an error; an array would lose its imaginary part.
         numbers = np.asarray(raw.tolist(), dtype=np.float64)
     except (TypeError, ValueError):
         raise SceneError(

@@ -23,8 +23,7 @@ from rig.core.laws.law import Row
 from rig.core.numerics.bernstein import N_COEFFICIENTS
 from rig.core.system.hybrid_system import FORCE_OF_BED, Element, HybridSystem
 
-#: Gauss-Legendre nodes and weights on [0, 1]. Within a step, 8 nodes integrate a product of two solutions to rounding
-#: error.
+#: Gauss-Legendre nodes and weights on [0, 1]: 8 nodes suffice in a step for a product of two solutions.
 _GAUSS_RULE = tuple(0.5 * row for row in np.polynomial.legendre.leggauss(8) + np.array([[1.0], [0.0]]))
 # Values of power series in memory at a time: 16 MB.
 _MAX_VALUES = 1 << 21

@@ -59,8 +59,7 @@ class Motion:
         The block must end at a multiple of `step`. `interval`: sample interval of this motion [s].
         """
         selected = slice(-self.first % step, None, step)
-        # Number of the last retained sample before each break, and the time from this sample to the last original
-        # sample.
+        # Number of the last retained sample before each break, and the time from it to the last original sample.
         last_before = -(-self.break_sample // step) - 1  # rounded up
         skipped = (self.break_sample - 1 - last_before * step) * interval
         return replace(

@@ -233,8 +233,7 @@ def _segment_times(
     """Return the end of each segment, s, and whether it is a sample, and whether a period starts there."""
     sample_times = np.arange(samples, dtype=np.longdouble) / np.longdouble(rate)
     end = max(np.longdouble(duration), sample_times[-1])
-    # Period starts are computed from the frequency in Hz. The rounding of omega would cause a phase error over a
-    # million periods.
+    # Period starts follow from the frequency in Hz: rounding of omega would shift them over a million periods.
     period = 1 / np.longdouble(frequency)
     periods = np.arange(1, int(end / period) + 1, dtype=np.longdouble) * period
     times, positions = np.unique(np.concatenate([sample_times, periods, [end]]), return_inverse=True)

@@ -49,8 +49,7 @@ def assemble(scene: Scene) -> HybridSystem:
     masses, body, locked = model.bed_mass, model.bed_body, model.locked
     free = np.flatnonzero(~locked)
     finite_contact = any(scene.dampers[j].contact is not None for j in free)
-    # With finite-duration contact a damper has three configurations: no contact, or contact with the lower or the upper
-    # wall.
+    # With finite-duration contact a damper has three configurations: no contact, lower wall, upper wall.
     limit = MAX_DAMPERS // 2 if finite_contact else MAX_DAMPERS
     if scene.joints and len(free) + len(scene.joints) > MAX_DAMPERS // 2:
         raise SceneError(

@@ -273,8 +273,7 @@ class HybridSystem:
         impacting = [element for element in self.elements if None in element.law.forces]
         coordinates = np.array([element.body for element in impacting], dtype=np.intp)
         gaps = sum(element.gap >= 0 for element in impacting)
-        # In the other case, each gap row of the mass matrix belongs to one damper, and couples only its gap to its
-        # body.
+        # Otherwise each gap row of the mass matrix belongs to one damper, and couples its gap to its body.
         return bool(np.count_nonzero(self.mass[coordinates]) > np.unique(coordinates).size + gaps)
 
     @property

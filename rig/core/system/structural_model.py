@@ -336,8 +336,7 @@ def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
     modes cannot be computed, or the structure is statically unstable (a negative eigenvalue larger than rounding
     errors).
     """
-    # `scipy.linalg.eigh` calls the same routine, but takes six times as long for a few bodies. A fit makes 10 000
-    # calls.
+    # `scipy.linalg.eigh` calls the same routine in six times the time; a fit makes 10 000 calls.
     squared_omega, shapes, info = scipy.linalg.lapack.dsygvd(stiffness, mass)
     if info:
         raise SceneError(

@@ -32,8 +32,7 @@ if TYPE_CHECKING:
 
 #: The results are averaged over blocks of this number of periods of the drive.
 PERIODS = 20
-#: The simulation ends after this number of blocks, even if the motion is not in steady state: grains may rearrange for
-#: hours.
+#: Maximum number of simulated blocks: grains may rearrange for hours without a steady state.
 MAX_BLOCKS = 20
 
 

@@ -24,8 +24,7 @@ from rig.extras.grains.coupling import CoupledPropagator
 _SAMPLES_PER_PERIOD = 50
 #: The motion with beds modeled as one mass is sampled this many times in a period of the drive.
 _ONE_MASS_SAMPLES_PER_PERIOD = 400
-#: The motion is in steady state if the compliances of two successive blocks differ by less than this fraction, the
-#: scatter between blocks.
+#: Largest relative difference of two successive blocks in steady state: the scatter between blocks.
 MAX_STEADY_CHANGE = 0.01
 #: A simulation with beds modeled as one mass begins with this number of periods, in which the transient decays.
 _SETTLING_PERIODS = 200

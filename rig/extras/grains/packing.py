@@ -30,13 +30,11 @@ _STEP_RATIO = 0.1
 _MAX_PACKING_MODULUS = 1e7
 #: Time constant of the drag on falling grains [s].
 _DRAG_TIME = 10e-3
-#: The fall ends when the wall force deviates from the weight of the bed by less than this fraction, because the last
-#: grains still bounce.
+#: Deviation of the wall force from the weight at the end of the fall: the last grains still bounce.
 _FALLEN_FORCE_RATIO = 0.1
 #: The fall also requires a kinetic energy below this fraction of weight times grain diameter.
 _FALLEN_ENERGY_RATIO = 1e-3
-#: The bed is at rest when the floor force deviates from its weight by less than this fraction, far below the forces of
-#: a test.
+#: Largest deviation of the floor force from the weight of a bed at rest, far below the forces of a test.
 _REST_FORCE_RATIO = 3e-4
 #: Rest also requires that the last peak of the kinetic energy is below this fraction of weight times grain diameter.
 _REST_ENERGY_RATIO = 1e-6

@@ -280,8 +280,7 @@ def clearance_label(choice: Choice) -> str:
 
 def _draw_reductions(axes: Axes, design: Design) -> None:
     """Draw peak reduction against excitation level, for the chosen clearance and its neighbors."""
-    # The axis is the acceleration without dampers, because the acceleration with dampers jumps where another peak
-    # becomes the largest.
+    # The axis is the acceleration without dampers; with dampers it jumps where another peak becomes the largest.
     chosen = int(np.argmin(np.abs(np.log(design.clearance_factors))))
     plotted_rows = (chosen - 1, chosen, chosen + 1)
     bare_acceleration = design.levels / design.bare.level * design.bare.acceleration

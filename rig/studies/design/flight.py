@@ -19,8 +19,7 @@ from rig.studies.motion_map.grid import damper_accelerations, natural_frequencie
 EFFECTIVE_DB = 1.0
 #: Frequencies over the band, in addition to natural frequencies and peaks, where the acceleration is largest.
 _BAND_POINTS = 20
-#: Dampers are usually effective if the acceleration of the body exceeds this value [g]. This acceleration is computed
-#: with riding dampers.
+#: Acceleration of the body [g], with riding dampers, above which dampers are usually effective.
 _EFFECTIVE_G = 3.0
 
 

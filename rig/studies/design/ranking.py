@@ -8,8 +8,7 @@ import numpy as np
 
 from rig.studies.design.choice import Trial
 
-#: Largest difference of peaks that are ranked as equal [dB]. Frequency grids and averages do not resolve smaller
-#: differences.
+#: Largest difference of peaks that are ranked as equal [dB]: grids and averages resolve no smaller one.
 EQUAL_DB = 0.05
 #: `EQUAL_DB` as a ratio of peaks.
 EQUAL_RATIO = 10.0 ** (EQUAL_DB / 20.0)

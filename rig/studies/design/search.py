@@ -35,8 +35,7 @@ MAX_REFINEMENT_TRIALS = 8
 SIMPLEX_TRIALS_PER_UNKNOWN = 25
 #: Locations that the simplex search refines at the largest mass: the best and its competitor.
 MAX_SIMPLEX_LOCATIONS = 2
-#: The masses of two dampers have at most this ratio. The value is large, so a single damper can dominate if that
-#: is the optimum.
+#: Largest mass ratio of two dampers, so large that a single damper can dominate if that is the optimum.
 MAX_MASS_RATIO = 300.0
 #: A location is refined if its peak is at most this multiple of the best peak on the grid.
 MAX_REFINED_PEAK_RATIO = 1.4

@@ -17,8 +17,7 @@ MAX_RISE_DB = 0.5
 _RESOLUTION_RATIO = 1.06
 #: The search for an end of the interval multiplies or divides the clearance by at most this factor in a step.
 _STEP_RATIO = 1.6
-#: If the chosen clearance is nearer to an end of the interval than this fraction of the logarithmic width, the middle
-#: is recommended instead.
+#: Distance of the clearance from an end of the interval, in logarithmic widths, below which the middle is better.
 _MIN_END_DISTANCE = 0.15
 
 

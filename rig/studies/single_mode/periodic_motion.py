@@ -139,8 +139,7 @@ class PeriodicMotion:
     def advance(self, phase: MotionPhase, t: Array) -> ModeState:
         """Compute the state at time `t` after the start of a phase of the motion, in closed form."""
         inertia, decay, stiffness_per_inertia = self._oscillator(phase)
-        # The steady response is q_c cos(t) + q_s sin(t). As in the paper (A_p and beta), this response is singular at
-        # an undamped resonance.
+        # As in the paper (A_p, beta), the response q_c cos(t) + q_s sin(t) is singular at an undamped resonance.
         d_r, d_i = stiffness_per_inertia - 1, 2 * decay  # real and imaginary part of the dynamic stiffness per inertia
         squared = inertia * (d_r * d_r + d_i * d_i)
         sin_part, cos_part = self._local_force(phase.start_time)

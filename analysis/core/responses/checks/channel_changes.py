@@ -44,13 +44,11 @@ _MIN_CHANGE = 0.1
 _SCATTER_PROBABILITY = 1e-5
 # In steady responses, a step must exceed the deviations of single lines from the gain of their part by this factor.
 _MIN_UNIFORMITY = 2.0
-# At the time of a step, the gains of the other channels change by less than this fraction of the step, or by the same
-# factor.
+# Largest change of the other channels' gains at a step, relative to it, unless they change by the same factor.
 _MAX_COMMON = 0.25
 # A channel whose gain falls below this fraction is dead: only noise and crosstalk remain.
 _DEAD_RATIO = 0.05
-# A line is evaluated if the power of its largest input exceeds this fraction of the mean power; at other lines, noise
-# dominates.
+# Smallest power of the largest input at an evaluated line, relative to the mean; at other lines, noise dominates.
 _MIN_POWER = 1e-3
 
 
@@ -114,8 +112,7 @@ def change_warnings(rec: Recording, parts: Parts, channels: Sequence[str]) -> li
         elif len(inputs) == 1 and all(
             abs(other.ratio - step.ratio) <= _MAX_COMMON * abs(step.ratio) for other in others
         ):
-            # If all responses change by the same factor, the input has changed. A dead input predicts zero for all
-            # responses.
+            # If all responses change equally, the input has changed; a dead input predicts zero for all responses.
             warnings.append(describe_change(inputs[0], 1.0 / step.ratio if step.ratio else 0.0, time))
             break
     return warnings
@@ -165,8 +162,7 @@ def _relative_gains(inputs: ComplexArray, outputs: ComplexArray) -> tuple[Array,
     weight = 1.0 / np.maximum((abs(y) ** 2 + abs(predicted) ** 2).mean(axis=1, keepdims=True), 1e-300)
     predicted_power = np.maximum(np.sum(weight * abs(predicted) ** 2, axis=0), 1e-300)
     gains = np.sum(weight * (predicted.conj() * y).real, axis=0) / predicted_power
-    # The prediction is fitted to the noisy parts, which reduces the scatter. Noise of real and imaginary part of each
-    # line is independent.
+    # The fit to noisy parts reduces the scatter. Noise of real and imaginary part of each line is independent.
     lines, count = y.shape[:2]
     freedom = max(1.0 - inputs.shape[1] / count, 1e-300)
     deviation = np.sqrt(np.sum(weight * abs(y - gains * predicted) ** 2, axis=0) / predicted_power / freedom)

@@ -21,8 +21,7 @@ _MIN_STEP = 0.25
 _MIN_RATIO_TO_NEIGHBORS = 4.0
 # A jump exceeds this number of standard uncertainties of the step, which noise does not reach at thousands of points.
 _MIN_SIGMAS = 5.0
-# A step at a point is not a jump, but noise, if the expanded random uncertainty of the point exceeds this fraction of
-# its value.
+# Largest random uncertainty (expanded) of a point with a jump, relative to its value; otherwise it is noise.
 _MAX_NOISE_RATIO = 0.5
 
 

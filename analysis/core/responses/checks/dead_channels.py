@@ -34,8 +34,7 @@ _MAX_FALL = 10.0
 # The standard deviation of a signal before is at least this number of counts of the converter. A smaller signal reads
 # zero as soon as it falls below half a count.
 _MIN_COUNTS = 3.0
-# The signal of at least one other motion channel falls by less than this fraction of the fall of a dead channel: the
-# excitation has not ended.
+# Largest fall of some other motion channel, relative to a dead channel's: the excitation has not ended.
 _MIN_CONTRAST = 10.0
 # The last live sample is the last one whose deviation exceeds the largest deviation in the first dead block by this
 # factor, which noise hardly reaches.

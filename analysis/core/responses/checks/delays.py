@@ -33,8 +33,7 @@ _MAX_CURVES = 8
 _MAX_CANDIDATES = 24
 # A point is evaluated if its relative expanded uncertainty is at most this value.
 _MAX_UNCERTAINTY = 0.5
-# Relative model errors with which poles are selected. A larger error is tried if the misfit remains above this multiple
-# of its expected value.
+# Relative model errors that select poles; a larger one is tried if the misfit exceeds this multiple of its expectation.
 _MODEL_ERRORS = (0.001, 0.01, 0.05)
 _MAX_MISFIT_RATIO = 4.0
 # Smallest standard deviation of a curve from its model, relative to the curve.

@@ -28,8 +28,7 @@ _SIDE = 8
 _DEGREE = 3
 # Iterations of the weighted linear fit.
 _ITERATIONS = 3
-# If neighboring lines have common errors, this number of independent lines on either side may contain the step, and is
-# omitted.
+# Number of omitted lines on either side of a possible step if neighboring lines have common errors.
 _BLURRED_SIDE = 5
 # At a resonance, the gain ratio of such a step cannot be fitted. A channel then has a step if its relative residual
 # exceeds this limit, ...
@@ -153,8 +152,7 @@ def _residuals(
     f = frequency[points]
     centered = f - f.mean(axis=1, keepdims=True)
     powers = (centered / abs(centered).max(axis=1, keepdims=True))[:, :, None] ** np.arange(_DEGREE + 1)
-    # Unknowns are the coefficients of numerator and denominator, whose constant term is 1. All residuals
-    # are relative to the values.
+    # Unknowns are the coefficients of numerator and denominator (constant term 1); residuals are relative.
     relative = 1.0 / abs(values)[:, :, None]
     terms = np.concatenate([powers * relative, -values[:, :, None] * relative * powers[:, :, 1:]], axis=2)
     right = values[:, :, None] * relative

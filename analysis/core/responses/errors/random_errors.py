@@ -26,8 +26,7 @@ from rig.core.results.uncertainty import LineCovariance, Lines, RandomErrors
 
 # The noise level is assumed to be constant over this number of widths of a local fit.
 _CONSTANT_NOISE_WIDTHS = 5
-# Number of iterations of the weighted fit that separates the noise of the reference from the noise of the responses,
-# which converges in fewer.
+# Number of iterations of the weighted fit that separates noise of reference and responses; fewer suffice.
 _ITERATIONS = 4
 # The noise power of a response is at least this fraction of the residual of a local fit.
 _MIN_NOISE_RATIO = 1e-6
@@ -52,8 +51,7 @@ class MeanErrors:
     The array of the test is large. All elements and selections share it.
     """
 
-    # factor of the covariance of the channels' means, the same for all elements of a test; shape (rows, channels,
-    # lines)
+    # factor of the covariance of the channels' means, for all elements of a test; shape (rows, channels, lines)
     test: ComplexArray
     lines: NDArray[np.intp]  # selected lines
     # deviation of each element in independent directions; the covariance of two elements is the sum of the products of

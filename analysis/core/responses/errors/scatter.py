@@ -28,8 +28,7 @@ _ITERATIONS = 20
 class Scatter:
     """Random deviation of the channels' means at each line."""
 
-    # factor S: the covariance of channels i and j is the sum over rows of ``S_i conj(S_j)``; complex, shape
-    # (rows, channels, lines)
+    # factor S (rows, channels, lines), complex: channels i and j have the covariance sum of ``S_i conj(S_j)``
     rows: ComplexArray
     degrees_of_freedom: Array  # two for each complex average beyond the first; shape (lines,)
 

@@ -10,8 +10,7 @@ from analysis.core.responses.local_models.local_rational import ORDER
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 
-# Coverage factor: exceeded by a normal error with a probability below 5 %, by a complex normal error with one below 2
-# %.
+# Coverage factor: a normal error exceeds it with a probability below 5 %, a complex one below 2 %.
 _COVERAGE = 2.0
 # Order of a polynomial that is as flexible as the fitted ratio of two polynomials: the sum of their orders.
 _FIT_ORDER = 2 * ORDER

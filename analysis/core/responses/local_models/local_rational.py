@@ -32,8 +32,7 @@ from rig.core.base.arrays import Array, ComplexArray
 
 Lines = NDArray[np.int64]
 
-# Order of the polynomials of the numerator, the denominator and the transients. A fit of the next higher order gives
-# the model error.
+# Order of the polynomials of numerator, denominator and transients; the next order gives the model error.
 ORDER = 2
 # Weight of the regularization towards small coefficients; also the smallest magnitude of a denominator.
 _REGULARIZATION = 1e-10
@@ -43,8 +42,7 @@ _ZERO_POWER = 1e-300
 POWER_RATIO_95 = 3.0
 # A line gets a second Gauss-Newton step if the first step reduces the sum of squares by more than this fraction,
 _MIN_REDUCTION = 1e-3
-# and if the residual exceeds this share of the power of the output, because the error after one step is proportional to
-# the residual.
+# and if the residual exceeds this share of the output's power, because the error is proportional to the residual.
 _MIN_RESIDUAL = 1e-5
 # Maximum number of elements of the systems of equations that are solved at a time; their arrays fit into the cache.
 _MAX_ELEMENTS = 1 << 17
@@ -81,8 +79,7 @@ class LocalFit(NamedTuple):
     residual: ComplexArray  # residual of the output; shape (lines, segments, width)
     fitted_response: ComplexArray  # fitted output per unit of the reference; shape (lines, 1, width)
     first_bin: Lines  # first bin of each fit; shape (lines,)
-    # value after one Gauss-Newton step, shape (lines,); up to this step, noise changes the values of both orders
-    # equally
+    # value after one Gauss-Newton step, (lines,), at which noise changes the values of both orders equally
     one_step_value: ComplexArray
     # change of the value with the next higher order of the fit, less the change due to noise [2]_: at the line, or root
     # mean square around it; shape (lines,)
@@ -130,8 +127,7 @@ def local_fit(
     # Lines within half the width of a fit.
     n_lines = max(1, half_width // max(1, int(np.median(np.diff(lines)))) if lines.size > 1 else 1)
     local_mean = scipy.ndimage.uniform_filter1d(squared_change - change_variance, n_lines, mode="nearest")
-    # A peak of one or two lines has a model error only at these lines. A change due to noise exceeds this limit at 5 %
-    # of the lines.
+    # A peak of one or two lines has a model error only there; noise alone exceeds this limit at 5 % of the lines.
     at_line = squared_change - POWER_RATIO_95 * change_variance
     return best._replace(model_error=np.sqrt(np.maximum(np.maximum(local_mean, at_line), 0.0)))
 
@@ -206,8 +202,7 @@ class _LocalData(NamedTuple):
         powers = self.powers[:, :, : order + 1]
         transients = np.concatenate([powers, *(decay[:, :, None] for decay in self.decays)], axis=2)
         if self.n_separate:
-            # The columns are zero if a segment has no separate transient at its beginning; the regularization omits
-            # them.
+            # The columns are zero without a separate transient at the beginning; the regularization omits them.
             segments, width = self.output.shape[1:]
             at_end = np.broadcast_to(transients, (len(transients), segments, transients.shape[2], width))
             transients = np.concatenate([at_end, self.start_phases[:, :, None] * transients], axis=2)

@@ -62,14 +62,12 @@ def _spectra_of_group(
         taps = scipy.signal.firwin(_FILTER_LENGTH * decimation, 1.0 / decimation, window=("kaiser", _KAISER_BETA))
     polyphase_filters = taps.reshape(-1, decimation).T
     n_rows = max(1, _MAX_MULTIPLICATIONS // polyphase_filters.size)
-    # The filter extends beyond the ends of the segment; its output there is added at the other end, because the
-    # transform is periodic.
+    # The transform is periodic, so the filter's output beyond the ends is added at the other end.
     n_taps, padding = polyphase_filters.shape[1], size - (stop - start)
     piece_samples = max(1, PIECE_SAMPLES // decimation) * decimation
     filtered = np.zeros((len(names), n_taps + size // decimation))
     total, squares = np.zeros((2, len(names)))
-    # Squares are computed relative to the first sample, because rounding errors of a large offset would hide the
-    # variation.
+    # Squares are relative to the first sample: rounding errors of a large offset would hide the variation.
     offset = np.array([rec.read(name, start, start + 1)[0] for name in names])
     for first in range(padding // decimation * decimation, size, piece_samples):
         block = np.zeros((len(names), min(piece_samples, size - first)))

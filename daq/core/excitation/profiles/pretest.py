@@ -76,8 +76,7 @@ def pretest(
     """Output a short burst of weak tones and estimate the drive of the shaker, for a band in Hz and a level in N."""
     period = station.samples(max(_MIN_BURST_S, _MIN_BURST_PERIODS / lowest))
     lines = lines_between(lowest / _BAND_MARGIN, min(_BAND_MARGIN * highest, 0.45 * station.rate), period, station.rate)
-    # Random phases avoid a high peak. The tones of the lowest frequencies have the largest amplitudes, because noise
-    # affects them most.
+    # Random phases avoid a high peak. The lowest tones are the largest, because noise affects them most.
     phases = station.generator("pretest").uniform(0.0, 2 * pi, lines.size)
     wave = sum_of_tones(lines, np.asarray(lines**-_SPECTRUM_EXPONENT, dtype=np.float64), phases, period)
     edge = station.samples(_EDGE_S)

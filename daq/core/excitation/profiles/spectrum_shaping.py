@@ -19,14 +19,11 @@ Lines = NDArray[np.int64]
 
 # Iterations; each reduces the deviation several times, so more are needed only without convergence.
 _MAX_ITERATIONS = 8
-# The drive amplitude of a line changes by at most this factor from one iteration to the next: an estimate from noise
-# must not overload the rig.
+# Largest change of a line's drive in one iteration: an estimate from noise must not overload the rig.
 _MAX_STEP_RATIO = 4.0
-# The drive amplitude of a line is at most this multiple of the median of all lines: at an antiresonance no drive gives
-# the force.
+# Largest drive of a line, relative to the median of all lines: at an antiresonance no drive gives the force.
 _MAX_LINE_RATIO = 100.0
-# The RMS force and the median force of the lines must agree with their levels within this fraction, below the usual
-# tolerance of sensors.
+# Tolerance of the lines' rms and median force, below the usual tolerance of sensors.
 _LEVEL_TOLERANCE = 0.03
 
 

@@ -22,11 +22,9 @@ _MIN_BEATS = 1.5
 _MEMORY_FACTOR = 0.5
 # The memory is at least this number of periods; a shorter memory amplifies the noise.
 _MIN_MEMORY_PERIODS = 6.0
-# The memory is at most this number of periods. A longer memory does not improve a slow sweep, and the motion with
-# dampers may change.
+# Longest memory in periods: more does not improve a slow sweep, and the motion with dampers may change.
 _MAX_MEMORY_PERIODS = 20.0
-# Number of integration steps from the middle of an observation to its end. The integration compensates the delay of the
-# observation.
+# Integration steps from the middle of an observation to its end, which compensate its delay.
 _STEPS = 6
 # The drive changes between windows by at most this fraction of the largest of the stored drive amplitudes: a wrong
 # estimate must not overload the rig.

@@ -19,8 +19,7 @@ from rig.core.scene.excitation.shock import PULSE_POSITION, HalfSine, ShockProfi
 
 # Part of the error that a correction removes.
 _CORRECTION = 0.7
-# Odd number of half periods of a wavelet, so large that the bandwidth of the wavelet is less than the distance of the
-# lines.
+# Odd number of half periods of a wavelet, whose bandwidth is then less than the distance of the lines.
 _HALF_PERIODS = 25
 # The amplitudes of the wavelets are adjusted until the spectrum agrees within this tolerance [dB].
 _SYNTHESIS_DB = 0.5

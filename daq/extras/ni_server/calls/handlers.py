@@ -11,8 +11,7 @@ from daq.extras.ni_server.attributes import attribute_handler
 from daq.extras.ni_server.calls import channels, samples, settings, tasks
 from daq.extras.ni_server.calls.call import Call, Handler
 
-# Patterns of the names of calls that create inputs, and of calls that create any channel (A: analog, C: counter, D:
-# digital).
+# Patterns of calls that create inputs, and of calls that create any channel (A: analog, C: counter, D: digital).
 _CREATE_INPUT = re.compile(r"Create(TEDS)?AI(\w+)Chan")
 _CREATE_CHANNEL = re.compile(r"Create(TEDS)?([ACD][IO])(\w*Chan\w*)")
 # Boundaries between the words of a call's name.

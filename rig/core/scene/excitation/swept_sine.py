@@ -80,8 +80,7 @@ class SweptSine(FrequencySweep, KindOfTest):
     kind: Literal["swept_sine"] = "swept_sine"
     recorded_as: ClassVar = "sweep"
     single_tone: ClassVar = True
-    # The controller identifies the shaker from the motion of both ends of its spring, so it does not use a force
-    # sensor.
+    # The controller identifies the shaker from both ends of its spring, so it does not use a force sensor.
     controls_by_cell: ClassVar = False
     start: Start = "settled"
     from_: Frequency = Field(alias="from")

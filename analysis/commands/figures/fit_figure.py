@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 # At most this number of sweeps is drawn: more panels would not fit on a page.
 MAX_ROWS = 8
 _ROW_HEIGHT_IN = 2.4
-# A fitted curve has a gap where a frequency step exceeds this multiple of both neighboring steps: a line across the gap
-# would show values that were never computed.
+# Largest frequency step without a gap in a fitted curve, relative to both neighbors: nothing was computed in gaps.
 _MIN_BREAK_RATIO = 3.0
 
 

@@ -20,8 +20,7 @@ from rig.core.results.uncertainty import CLOCK, COVERAGE_FACTOR, SENSITIVITY, SY
 
 # A band extends this fraction below the natural frequency of the bare structure, and half as much above it.
 _BAND_BELOW_RATIO = 0.15
-# The curve has a jump at a point if the point deviates from the prediction of its neighbors by more than this fraction,
-# which a resolved resonance never does.
+# Largest relative deviation of a point from the prediction of its neighbors without a jump, even at a resonance.
 _MAX_LEAVE_ONE_OUT_ERROR = 0.2
 # Frequencies of the interpolated curve between the neighbors of the highest point, so its maximum needs no refinement.
 _GRID_POINTS = 801

@@ -334,8 +334,7 @@ def _acceleration_responses(
         # The mean of interval averages is an average over a longer interval; point samples are summed explicitly.
         delays = np.exp(-2j * np.pi * np.outer(np.arange(decimation), frequency) / info.rate)
         response *= delays.mean(axis=0)
-    # A jump occurs in the middle of a sub-sample interval. This phase corrects the delays, because the running sum over
-    # an interval lacks half a sub-sample interval of delay.
+    # A jump occurs in the middle of a sub-sample interval; this phase corrects the missing delay of the running sum.
     response *= np.exp(2j * np.pi * frequency * 0.5 * (1 - interval_averages) / (rate * instants))
     jump = fft.irfft(response, n_samples * instants) * rate * instants
     for _ in range(interval_averages):

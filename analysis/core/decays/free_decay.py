@@ -220,8 +220,7 @@ def decay(rec: Recording, channel: str | None = None, impact: int = 1, modes: in
     # The envelope of the last period depends on samples after the end, so the last period is discarded.
     end = acceleration.size - min(period, (acceleration.size - begin) // 10)
     free_decay = acceleration[begin:end]
-    # Unlike the magnitude of the analytic signal, this envelope does not exceed the largest acceleration next to the
-    # impact, and does not oscillate when several modes beat.
+    # Unlike an analytic signal's magnitude, this envelope neither oscillates in beats nor overshoots at the impact.
     longest_period = rec.rate / min((mode.frequency for mode in decays), default=rec.rate / (free_decay.size - 1))
     envelope = upper_bound(acceleration[begin:], longest_period)[: free_decay.size]
     peak_indices, _ = scipy.signal.find_peaks(abs(free_decay), distance=max(period, 1))

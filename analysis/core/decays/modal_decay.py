@@ -313,8 +313,7 @@ def _bias_limit(values: Array, narrower: Array, larger_fall: Array, kink_limit: 
         difference = abs(alternative - values)
         determined = np.flatnonzero(np.isfinite(difference))
         if determined.size:
-            # The fits over a larger fall are undetermined at the first and last amplitudes. At these
-            # amplitudes, the difference at the nearest amplitude is used.
+            # At the first and last amplitudes, a larger fall is undetermined; the nearest difference is used.
             bias += factor * np.interp(np.arange(difference.size), determined, difference[determined])
     return np.asarray(scipy.ndimage.maximum_filter1d(bias, 2 * _AFFECTED_AMPLITUDES + 1) if bias.size else bias)
 

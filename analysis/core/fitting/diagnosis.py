@@ -70,8 +70,7 @@ _MODEL_ERRORS = (0.1, 0.01, 0.0)
 # of mean squares: a likelihood ratio of 90. A free factor adds an unknown, so it is preferred only if its sum of
 # squares is smaller by more than this number of mean squares.
 _CLOSE_SQUARE = 9.0
-# The factor of the masses indicates a unit error if it differs from that of the unit error by at most this factor: so
-# well do people estimate the mean mass.
+# Largest ratio of the factor of the masses to that of a unit error: people estimate the mean mass so well.
 _UNIT_TOLERANCE = 1.25
 _NO_UNIT_ERROR = (
     " (the factor does not correspond to a common unit error; the structure may also differ from the scene)"

@@ -38,8 +38,7 @@ STATUS_TEXTS = {"roughly": "roughly determined"}
 _USUAL_CLOCK_TOLERANCE = 20e-6
 # A value is roughly determined if its relative expanded uncertainty is below this value.
 _MAX_RELATIVE_EXPANDED = 0.5
-# A damper does not reach its ceiling if the clearance is at least this multiple
-# of the largest gap between damper and floor.
+# Smallest clearance of a damper that does not reach its ceiling, relative to its largest gap to the floor.
 _UNREACHED_RATIO = 1.2
 # Largest mean square of normalized residuals that the uncertainties of the curves explain.
 _MAX_NOISE_VARIANCE = 4.0

@@ -13,8 +13,7 @@ from rig.core.results.uncertainty import COVERAGE_FACTOR
 
 # A combination of parameters is reported if its relative expanded uncertainty is at least this value.
 _MIN_RELATIVE_EXPANDED = 0.02
-# A parameter is listed in a combination if its component is at least this fraction of the largest component; smaller
-# components would make the list unreadable.
+# Smallest listed component of a combination, relative to the largest; all would make the list unreadable.
 _MIN_COMPONENT_RATIO = 0.3
 # A sensor is named if the correlation of its error with the error of a parameter is at least this value.
 _MIN_CORRELATION = 0.7

@@ -29,8 +29,7 @@ from rig.core.scene.scene import Scene
 
 # Lower limit of the standard uncertainty of a point, relative to its value: a few quiet points must not decide the fit.
 _MIN_RELATIVE_UNCERTAINTY = 2e-5
-# Lower limit of the standard uncertainty of a point, relative to the peak of its curve: points near a zero of the
-# response must not decide the fit.
+# Smallest standard uncertainty of a point, relative to its curve's peak: zeros of the response must not decide.
 _MIN_UNCERTAINTY_RELATIVE_TO_PEAK = 1e-7
 # The noise power of the reference has this relative uncertainty if it is estimated from several responses.
 _REFERENCE_NOISE_UNCERTAINTY = 0.5

@@ -28,15 +28,13 @@ PRIOR_SD = 1.0
 _MAX_CHANGE = 6.0
 # Step of an unknown for finite differences of orbits, which are accurate to about 1e-13.
 _UNKNOWN_STEP = 1e-6
-# Relative step of a parameter for derivatives of the matrices. The matrices are linear in all parameters, except that
-# modal damping depends on masses and springs.
+# Relative step of a parameter for derivatives of the matrices, in which only modal damping is nonlinear.
 _PARAMETER_STEP = 1e-6
 # Residual of a point where the scene has no periodic solution, in standard deviations: far above the limit of outliers.
 _FAILED_RESIDUAL = 30.0
 # A point is an outlier above this residual, in standard deviations or, if larger, in medians of the residuals.
 _OUTLIER_LIMIT = 6.0
-# A fitted sensitivity is plausible if it deviates from the data sheet by at most this multiple of the tolerance:
-# tolerances may be optimistic, but not wrong by more.
+# Largest plausible deviation of a fitted sensitivity from its data sheet, in tolerances, which may be optimistic.
 _MAX_SENSOR_DEVIATION = 2.0
 # Points are neighbors up to this frequency ratio: wider than a resonance, narrower than the spacing of most modes.
 _NEIGHBOR_FREQUENCY_RATIO = 1.15

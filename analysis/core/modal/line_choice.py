@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import Response
 
-# Up to this number, all lines are fitted. If there are more, the lines of peaks are selected and, at equal distances,
-# about half of this number of other lines.
+# Lines up to which all are fitted; of more, those of peaks and about half this number of evenly spaced others.
 MAX_LINES = 2000
 # All lines around this number of the highest peaks are selected: twice the largest number of modes.
 _MAX_PEAKS = 24

@@ -23,8 +23,7 @@ MAX_LINEAR_RESIDUAL = 0.005
 _MAINS_FREQUENCIES = (50.0, 60.0)  # Hz
 # Largest tested multiple of the mains frequency: hum at higher multiples is rarely distinct.
 _MAX_MAINS_MULTIPLE = 10
-# Largest tolerance, relative to the mains frequency. At ±5 % of the mains frequency, a peak at a random frequency
-# matches a multiple with a probability of 10 %.
+# Largest deviation from the mains frequency, relative to it: 5 % would match a tenth of random frequencies.
 _MAX_COINCIDENCE = 0.05
 
 

@@ -74,8 +74,7 @@ class AveragedSpectra:
 
     channels: tuple[str, ...]  # names
     frequency: Array  # Hz; shape (n,)
-    # factor S: the mean of Y_i conj(Y_j) as recorded, without correction for the sensors, is the sum over rows of
-    # ``S_i conj(S_j)``; shape (rows, channels, n)
+    # factor S (rows, channels, n): the mean of Y_i conj(Y_j) as recorded is the sum of ``S_i conj(S_j)`` over rows
     factor: ComplexArray
     n_averages: float  # equivalent number of independent blocks; overlapping blocks count as fewer
     resolution: float  # bandwidth of the window in Hz; 0 without leakage (bursts that end inside their block)
@@ -126,8 +125,7 @@ class AveragedSpectra:
         coherence = 1.0 / (1.0 + incoherence)
         # Reading of each channel per unit of the reference.
         readings = np.einsum("rin,nr->in", factor, f.conj()) / sff
-        # Each input uses up one degree of freedom, so it is subtracted from the number of averages. The coherence is
-        # not corrected: with few blocks it is too large.
+        # Each input uses up a degree of freedom of the averages. The coherence of few blocks remains too large.
         n_free_averages = self.n_averages - len(inputs)
         error = np.full(value.shape, np.nan)
         if n_free_averages > 0.0:

@@ -87,8 +87,7 @@ def rounding_gain_error(
     """
     steps = quantization_steps(rec, names)[:, None]
     step = np.where(steps > 0.0, steps, 1.0)
-    # Power spectra of the errors, summed over impacts. Each error ends `n_after_impact` samples after its impact, so
-    # a short transform determines the autocorrelation.
+    # Summed power spectra of errors that end `n_after_impact` samples after impacts: a short transform suffices.
     errors, noise, max_counts = [np.zeros((1, 1)) for _ in _COARSER_CONVERTERS], [], np.zeros(steps.shape)
     power = np.zeros((1, 1))
     for (block, spectra), (start, stop) in zip(readings, segments, strict=True):

@@ -22,8 +22,7 @@ from rig.core.results.response import Response
 DEFAULT_BLOCKS = 30
 # Minimum number of samples in a block.
 _MIN_BLOCK_SAMPLES = 16
-# A response leaks into the next burst if its value at the end of a block exceeds this fraction of its maximum: the
-# error of a peak is then of this order.
+# Largest response at the end of a block, relative to its maximum, that does not leak (error of this order).
 _MAX_END_RATIO = 0.02
 
 

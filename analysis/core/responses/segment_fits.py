@@ -31,8 +31,7 @@ from rig.core.results import format_percent
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import UncertaintyBudget
 
-# A segment is used if it has at least this fraction of the length of the longest segment; the transients of shorter
-# segments would need too many parameters.
+# Smallest length of a used segment, relative to the longest; shorter ones need too many transients.
 _MIN_LENGTH_RATIO = 0.25
 # Smallest fraction of a burst in a used segment; otherwise most of its vibration was excited before.
 _MIN_BURST_RATIO = 0.5
@@ -46,8 +45,7 @@ _MAX_RESIDUALS = 192
 _MAX_SAMPLES = 3 << 20
 #: Name of the systematic error due to motion before an impact.
 MOTION_BEFORE = "motion before the impact"
-# Motion before an impact causes a warning if its amplitude exceeds this fraction of the response to the impact: the
-# error of a peak is then of this order.
+# Largest motion before an impact without a warning, relative to the response: an error of this order.
 _MAX_MOTION_RATIO = 0.01
 
 

@@ -48,8 +48,7 @@ class Lines:
     # names, in the order of the rows; with several inputs, the rows of each input follow one another
     channels: tuple[str, ...]
     frequency: Array  # Hz, in the order measured; shape (n,)
-    # amplitude as recorded, without correction for the sensors; complex, shape (channels, n). With several inputs:
-    # amplitudes due to each input alone, shape (inputs channels, n)
+    # complex amplitude as recorded, (channels, n); of several inputs, due to each alone, (inputs channels, n)
     mean: ComplexArray
     scatter: Scatter  # random deviation of the mean
     label: str = ""  # for legends

@@ -42,8 +42,7 @@ if TYPE_CHECKING:
 _FREQUENCY_DEVIATION_RATIO = 2.0
 # Largest quadrature part of other modes, in their in-phase part times the resonant mode's damping ratio.
 _MAX_QUADRATURE_PER_DAMPING = 10.0
-# The level of a point is written on its left if the distance of the next point is less than this fraction of the axis,
-# so that two labels do not overlap.
+# Distance of the next point, relative to the axis, below which a label is on the left: labels must not overlap.
 _LABEL_RATIO = 0.08
 
 

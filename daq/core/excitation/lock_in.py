@@ -11,13 +11,11 @@ import numpy as np
 
 from rig.core.base.arrays import Array, ComplexArray
 
-# A window has at least this number of periods, also of the difference between two tones: fewer do not separate a tone
-# from an offset or from its neighbor.
+# Smallest number of periods, also of a difference of tones, in a window: fewer do not separate tones and offset.
 MIN_PERIODS = 2
 # A window has at least this number of samples: more than the six fitted terms of a tone without harmonics.
 _MIN_SAMPLES = 8
-# A window has at least this number of beats. Near half the sample rate, the samples of a tone beat, and amplitude and
-# phase cannot be separated in a shorter part of a beat.
+# Smallest number of beats in a window: part of a beat near half the sample rate hides amplitude and phase.
 _MIN_BEATS = 0.5
 # Order of the highest harmonic that is fitted with the tone.
 _MAX_HARMONIC = 6

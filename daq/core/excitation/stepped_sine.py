@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 SteadyT = TypeVar("SteadyT", bound="SteppedTest | PhaseResonance | Continuation")
 StepsT = TypeVar("StepsT", bound="SteppedTest")
 
-# An extrapolated drive is used only if it is closer to the last drive than this value (natural logarithm of their
-# ratio); otherwise the last drive is kept.
+# Largest logarithmic distance of a used extrapolated drive from the last drive, which is kept otherwise.
 _MAX_LOG_CHANGE = 0.2
 # The wait of a dwell has this fixed part [s], measured with the bundled scenes.
 _FIXED_WAIT_S = 1.4

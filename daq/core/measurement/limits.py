@@ -24,8 +24,7 @@ _CHECK_INTERVAL_S = 0.1
 _CONTROL_CHECK_INTERVAL_S = 0.5
 # A test ends if a control channel is overloaded for longer than this value [s].
 _MAX_OVERLOAD_S = 1.0
-# An overload can be the cause that a test gives up if it occurred within this time before [s]: the tests wait at most
-# some seconds between their last measurement and this decision.
+# Longest time from an overload to a test that gives up because of it [s]: tests wait some seconds before.
 _RECENT_S = 10.0
 # The settling of a sensor is simulated for at most this time; afterwards, the bias is assumed to be constant [s].
 _MAX_SETTLING_S = 60.0

@@ -19,8 +19,7 @@ from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.open_loop_drive import accelerations_per_level
 from rig.core.system.structural_model import structural_model
 
-# Frequencies of a sweep at which the acceleration is compared with gravity: about two per half-power width of a mode
-# with a damping ratio of 0.5 % in a decade.
+# Frequencies of a sweep that are compared with gravity: two per half-power width (0.5 % damping) in a decade.
 _N_FREQUENCIES = 400
 # Modes that a text lists; a longer list would hide the remedy.
 _MAX_LISTED_MODES = 5

@@ -18,8 +18,7 @@ from rig.core.system.assembly import assemble, force_row
 from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.open_loop_drive import drive_per_level, riding_response
 
-# Frequencies at which the required drive and the signal-to-noise ratio are computed: about two per half-power width of
-# a mode with a damping ratio of 0.5 % in a decade.
+# Frequencies of required drive and signal-to-noise ratio: two per half-power width (0.5 % damping) in a decade.
 _N_FREQUENCIES = 400
 
 

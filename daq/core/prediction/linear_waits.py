@@ -51,8 +51,7 @@ _MAX_STORED_WINDOWS = 512
 # The drive of a transition has harmonics up to this order, plus this multiple of its phase deviation in rad; higher
 # harmonics are below 1e-10 (Bessel functions J_n(x) with n > 1.5 x + 15).
 _MIN_HARMONICS, _HARMONICS_PER_RADIAN = 16, 1.5
-# Decay rate that is added to all modes [1/s], so that no exponent of an undamped mode equals that of a drive. It is
-# negligible: the time constant is 12 days.
+# Decay rate added to all modes [1/s], so no exponent equals that of a drive; its time constant is 12 days.
 _ADDED_DECAY_RATE = 1e-6
 
 
@@ -309,8 +308,7 @@ class _PredictedTone(SteadyTone):
         lock_in_gain, noise_gain = lock_in_of_signals(
             self.frequency, self.rate, self._decay_over(self._points(samples))[:-1]
         )
-        # Standard deviation of real and imaginary part for white noise up to half the sample rate; the weights of both
-        # parts have about the same norm.
+        # Standard deviation of each part for white noise up to half the sample rate; their weights have similar norms.
         deviation = noise_gain * math.sqrt(self.rate) / 2.0
         return _Window(
             seconds,

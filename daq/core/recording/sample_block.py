@@ -30,8 +30,7 @@ SCHEMAS: dict[str, tuple[str, str, np.dtype[Any]]] = {
 # Numpy type of the samples for each schema.
 SAMPLE_TYPE: dict[str, np.dtype[Any]] = {schema: kind for schema, _, kind in SCHEMAS.values()}
 
-# Header of a protobuf message: three fields of eight bytes, each after its tag (a byte with number and type of the
-# field), and the tag of the samples.
+# Header of a protobuf message: three fields of eight bytes, each after its tag, and the tag of the samples.
 _HEADER = struct.Struct("<BqBQBdB")
 _TAGS = (0x09, 0x11, 0x19, 0x22)
 # Maximum number of blocks that are decoded together; the recorder writes a few blocks to a chunk.

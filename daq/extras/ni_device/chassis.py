@@ -40,8 +40,7 @@ if TYPE_CHECKING:
 
 # A number of ticks that exceeds any run, and whose sums do not overflow 64 bits.
 UNLIMITED_TICKS = 1 << 62
-# The runs stop with the error of an input overflow if the bench is behind the wall clock by more than this time [s]:
-# the buffer of a real device would have overflowed.
+# Delay behind the wall clock [s] that stops runs: the buffer of a real device would have overflowed.
 _MAX_DELAY_S = 5.0
 # Longest pause [s] of the fast clock for a callback, which must not stop the bench if it never returns.
 _CALLBACK_WAIT_S = 0.25

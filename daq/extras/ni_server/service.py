@@ -32,8 +32,7 @@ PORT = 31763
 _MAX_CONNECTIONS = 200
 # Longest time until the first exchange on a connection [ms].
 _MAX_HANDSHAKE_MS = 5000
-# Interval at which Python switches threads. A response waits several times for the simulation to release the
-# interpreter lock: Python's default of 5 ms is too long.
+# Interval of thread switches: with Python's 5 ms, responses would wait too long for the simulation's lock.
 _SWITCH_INTERVAL_S = 0.0005
 
 

@@ -10,8 +10,7 @@ import re
 _CONTROL_CHARACTERS = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb\ud800-\udfff]"
 )
-# Text that a spreadsheet computes as a formula, after the apostrophes that prevent this. Spaces, tabs and line ends in
-# front may be dropped while the spreadsheet reads the cell.
+# Text that a spreadsheet computes as a formula, even after apostrophes and after blanks that it drops.
 _FORMULA = re.compile(r"['\s]*[=+\-@].", re.DOTALL)
 _MARKDOWN_SYNTAX = re.compile(r"([\\`*_{}\[\]()<>#+\-!|~&$])")
 

@@ -134,9 +134,9 @@ def _start_processes(cleanup: ExitStack) -> Executor:
 
 def _initialize_worker(parent: int, first: Semaphore) -> None:
     """Initialize a worker: a single thread for linear algebra; signals are handled by the `parent` (process id)."""
-    # Only the worker that acquires `first` reports that it compiles: all workers compile the same functions.
     # A terminal sends Ctrl-C to all processes.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Only the worker that acquires `first` reports that it compiles: all workers compile the same functions.
     if not first.acquire(block=False):
         logging.getLogger("shotrig.compiling").setLevel(logging.ERROR)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

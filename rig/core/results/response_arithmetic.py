@@ -17,8 +17,7 @@ from rig.core.settings.quantities import FREQUENCY, number, positive_values
 
 # Largest relative expanded uncertainty of the highest value if it counts as the peak; otherwise it may be noise.
 MAX_PEAK_UNCERTAINTY_RATIO = 0.5
-# A curve is drawn with interpolated points between neighboring lines whose values differ by more than this fraction,
-# where a straight line would be visibly wrong.
+# Largest relative step between neighboring lines that is drawn as a straight line without visible error.
 _MAX_STEP = 0.1
 # Intervals into which interpolated points divide the distance between two lines: the drawn curve looks smooth.
 _POINTS_BETWEEN = 16

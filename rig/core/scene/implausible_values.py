@@ -27,8 +27,7 @@ _MAX_MASS_RATIO_WITH_UNIT = 50.0
 _MIN_MASS_RATIO = 1e-4
 # Lowest resonance [Hz] of a body on its spring in real rigs; a lower one indicates a wrong unit.
 _MIN_RESONANCE_HZ = 0.1
-# If only one of mass and stiffness has a unit, and they give a resonance below this value [Hz], the number without a
-# unit was probably not meant in SI units.
+# Lowest plausible resonance [Hz] of a mass and a stiffness of which one has no unit, as if it were in SI.
 _MIN_BARE_RESONANCE_HZ = 1.0
 
 

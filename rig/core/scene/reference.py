@@ -274,8 +274,7 @@ def _describe_key(key: Key, dotted_name: str) -> Iterator[str]:
 
 
 def _key_line(key: Key, name: str, note: str | None = None) -> str:
-    # The first sentence ends at a full stop followed by a space, because a full stop may be part of a name. The text
-    # after a colon is the meaning of the key.
+    # The first sentence ends at a full stop before a space; the text after a colon is the meaning of the key.
     first_sentence = re.split(r"(?<=[\w\])%`])[.;](?:\s|$)", key.meaning)[0]
     note = _kinds_note(key) if note is None else note
     return fill(f"{first_sentence}{note}", _WIDTH, initial_indent=f"  {name:{18}} ", subsequent_indent=" " * 21)

@@ -17,8 +17,7 @@ from rig.core.steady_response.frequency_response import frequency_response
 from rig.studies.design.choice import Objective, Trial
 from rig.studies.design.worst_peak import Peak
 
-#: At a peak, the motion is computed at this number of successive test frequencies, each from the motion at the previous
-#: frequency; the last is the peak.
+#: Number of successive test frequencies for the motion at a peak, each from the previous one; the last is the peak.
 APPROACH_FREQUENCIES = 3
 #: A motion is in steady state if it changes by at most this fraction.
 STEADY_TOLERANCE = 1e-4

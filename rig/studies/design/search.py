@@ -24,8 +24,7 @@ from rig.studies.design.worst_peak import Peak
 GRID_MASS_RATIOS = (1.0, 0.5, 0.25)
 #: Clearances of the grid, from the smallest to the largest; the best one is refined afterwards.
 GRID_CLEARANCES = 10
-#: Share of the grid that a typical search computes at all levels, for the estimate of its progress. The rest is
-#: excluded by a lower bound from one level.
+#: Share of the grid computed at all levels, for the estimate of the progress; a lower bound excludes the rest.
 TYPICAL_COMPLETED_SHARE = 0.4
 #: Choices of each mass that are computed concurrently; more would be wasted when the search turns elsewhere.
 LOOKAHEAD = 3

@@ -36,8 +36,7 @@ if TYPE_CHECKING:
 KINDS = ("riding", "I", "II", "III", "other, every period", "longer period", "irregular")
 #: The type of motion is determined when the motion deviates from the steady state by at most this fraction.
 STEADY_TOLERANCE = 1e-6
-#: The wait ends after this multiple of the time in which the slowest mode decays to the tolerance. A motion that has
-#: not repeated by then counts as irregular.
+#: Longest wait, in decay times of the slowest mode to the tolerance; motion without repetition is irregular.
 MAX_WAIT_DECAY_TIMES = 3.0
 #: The limit of the wait is at least this number of periods; a smaller limit would save little time.
 MIN_WAIT_LIMIT_PERIODS = 2000

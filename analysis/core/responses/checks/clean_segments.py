@@ -16,8 +16,7 @@ OVERLOADED = "overloaded"
 LOST = "lost"
 SETTLING = "settling"
 DEAD = "dead or disconnected"
-# Number of blocks in the second half of the test that determine the mean and scatter after settling. A block is a
-# period of the lowest frequency.
+# Blocks (periods of the lowest frequency) in the second half that determine mean and scatter after settling.
 _SETTLED_BLOCKS = 32
 # The second half of a test with at least this number of blocks is assumed to be settled.
 _MIN_BLOCKS = 16

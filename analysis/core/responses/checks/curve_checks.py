@@ -14,8 +14,7 @@ from rig.core.results.response import Response
 
 # The power is evaluated at points whose relative expanded uncertainty is at most this value.
 _MAX_UNCERTAINTY = 0.3
-# A step between two points is a jump if the magnitude of the change of the complex logarithm (nepers, radians) exceeds
-# this value and the two following limits.
+# Smallest step of the complex logarithm [nepers, radians] at a jump, in addition to the two following limits.
 _MIN_STEP = 0.25
 # A jump exceeds the larger of the steps on either side, scaled to the same frequency spacing, by this factor.
 _MIN_RATIO_TO_NEIGHBORS = 4.0

@@ -28,16 +28,13 @@ _COMPARED = 8
 _MIN_BLOCKS = 4
 # A signal is dead if it is below this fraction of the previous signal: only noise and crosstalk remain.
 _DEAD_RATIO = 0.01
-# A signal that falls by more than this factor in two steps has settled, as after power-on of a sensor. A signal that
-# dies falls in one step, rarely in two.
+# Largest fall in two steps of a signal that dies, usually in one; a larger fall is that of a settling sensor.
 _MAX_FALL = 10.0
-# The standard deviation of a signal before is at least this number of counts of the converter. A smaller signal reads
-# zero as soon as it falls below half a count.
+# Smallest standard deviation before [counts of the converter]; a smaller signal falls below half a count.
 _MIN_COUNTS = 3.0
 # Largest fall of some other motion channel, relative to a dead channel's: the excitation has not ended.
 _MIN_CONTRAST = 10.0
-# The last live sample is the last one whose deviation exceeds the largest deviation in the first dead block by this
-# factor, which noise hardly reaches.
+# Ratio of the last live deviation to the largest one in the first dead block, which noise hardly reaches.
 _PEAK_RATIO = 3.0
 
 # For each open recording: the first dead sample of each dead channel.

@@ -48,8 +48,7 @@ _MIN_CHANGE = 0.1
 # The same for nonlinear structures, about 30 %: curves with moving dampers are not rational. Of 32 intact sweeps, three
 # had ratios up to 0.21.
 _MIN_NONLINEAR_CHANGE = 0.3
-# At a step of one channel, the logarithms of the gain ratios of the other channels are below this fraction of the
-# logarithm of the step, or all equal to it.
+# Largest logarithmic gain ratio of other channels at a step of one channel, relative to it, unless all equal it.
 _MAX_COMMON = 0.25
 # Logarithms of the trial ratios.
 _TRIALS = np.linspace(-5.0, 5.0, 101)

@@ -42,8 +42,7 @@ _MARGIN = 0.15
 _MAX_VALUES = 2_000_000
 # A step in the model must reduce the rms residual at least to this fraction of the residual without a step.
 _MAX_REMAINING_FRACTION = 0.35
-# Largest rms residual relative to the rms reading: with a step in the model for a step of the gain, and without one for
-# a tone that is not hidden by noise.
+# Largest rms residual over rms reading: of a step of the gain in its model, and of a tone not hidden by noise.
 _MAX_REMAINING = 0.1
 # Smallest reported change of the logarithm of a gain.
 _MIN_CHANGE = 0.1
@@ -52,8 +51,7 @@ _MAX_COMMON = 0.25
 # A channel is searched in a block if its readings span more than this number of counts of the converter. A smaller
 # tone, as at an antiresonance, appears suddenly when it exceeds half a count.
 _MIN_COUNTS = 8.0
-# A step in the model must reduce the rms residual of another channel below this fraction of its value without a step,
-# if the channel is to show the same step.
+# Largest rms residual of another channel with the same step in its model, relative to that without the step.
 _MAX_FRACTION_OF_STEP = 0.7
 
 

@@ -66,8 +66,7 @@ def aliased_ratios(rec: Recording, contributions: ChannelContributions) -> tuple
             transmission *= abs(frequency / images) ** (2 - MOTIONS.index(info.quantity))
         shaker = rec.scene.driven_shaker
         if info.at == "table" and shaker is not None:
-            # If the channel does not contribute to the force, its contribution is computed from the response of the
-            # driven body: k0 x0 / F = 1 + k0 x1 / F.
+            # A channel without a share in the force is computed from the driven body: k0 x0 / F = 1 + k0 x1 / F.
             spring_share = np.where(reference[row] == 0.0, 1.0 + (shaker.coil_spring or 0.0) * value, reference[row])
             image_ratio = _image_ratio(shaker, frequency, images, spring_share)
             true_ratio[row] = _FURTHER_IMAGES * np.sum(transmission * image_ratio, axis=0)

@@ -54,8 +54,7 @@ class MeanErrors:
     # factor of the covariance of the channels' means, for all elements of a test; shape (rows, channels, lines)
     test: ComplexArray
     lines: NDArray[np.intp]  # selected lines
-    # deviation of each element in independent directions; the covariance of two elements is the sum of the products of
-    # their deviations; shape (lines, directions)
+    # deviation of each element in independent directions, (lines, directions); their products give covariances
     deviations: tuple[ComplexArray, ...]
 
     @classmethod

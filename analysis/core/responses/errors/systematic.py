@@ -34,8 +34,7 @@ IRREGULAR = (UNSETTLED, RESOLUTION, MODEL, REFERENCE, JITTER)
 _LATERAL_RATIO = 0.1
 # Fewest lines that determine the slope of a curve by central differences.
 _MIN_SLOPE_LINES = 3
-# For fewer lines, the slope is assumed to be this multiple of value / frequency. Peaks with a half-power width of a
-# fifth of their frequency or more are not steeper.
+# Slope for fewer lines, in value / frequency: that of a peak with a half-power width of a fifth of its frequency.
 _ASSUMED_SLOPE_RATIO = 10.0
 # Between lines, the slope of a peak is at most this multiple of the slope of its chords.
 _MAX_CHORD_RATIO = 10.0

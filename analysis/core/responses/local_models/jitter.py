@@ -31,8 +31,7 @@ def jitter_factor(
     factor = np.zeros((0, len(names)))
     if not deviation_samples:
         return factor
-    # A polynomial fit to neighboring bins weights the samples. The weights decrease from the impact to a first zero,
-    # which is this number of samples later.
+    # A polynomial fit weights the samples: from the impact, weights fall to zero in this number of samples.
     n_samples = size * (_FIT_ORDER + 1) // (2 * half_width + 1)
     weights = scipy.signal.savgol_coeffs(2 * half_width + 1, _FIT_ORDER)
     cosines = np.cos(2.0 * np.pi / size * np.arange(n_samples)[:, None] * np.arange(-half_width, half_width + 1))

@@ -18,8 +18,7 @@ from rig.core.base.arrays import Array, ComplexArray
 MIN_COHERENCE = 0.9
 # The level is raised until the response has this fraction of the response in the test; a larger one if noise requires.
 _RESPONSE_RATIO = 0.1
-# The first level is this fraction of the level that a table, or a structure of 1 kg, requires: the rig must not be
-# overloaded before its response is known.
+# First level, relative to that of a table or 1 kg: an unknown rig must not be overloaded.
 _FIRST_RATIO = 0.1
 # Largest change of a line, or of all lines, in one step: a larger step could overload the rig.
 _MAX_STEP = 10.0

@@ -26,8 +26,7 @@ _MIN_MEMORY_PERIODS = 6.0
 _MAX_MEMORY_PERIODS = 20.0
 # Integration steps from the middle of an observation to its end, which compensate its delay.
 _STEPS = 6
-# The drive changes between windows by at most this fraction of the largest of the stored drive amplitudes: a wrong
-# estimate must not overload the rig.
+# Largest change of the drive between windows, relative to the largest stored amplitude: no overload by an error.
 _MAX_CHANGE_RATIO = 0.5
 # Number of the last drive amplitudes that are stored.
 _STORED_DRIVES = 12

@@ -124,7 +124,7 @@ def _signal_series(model: Model, state: State, workspace: Workspace, lane: int, 
     else:
         for k in range(N_COEFFICIENTS):
             series[k] = 0.0
-            for term in range(model.laws.terms):
+            for term in range(signals.terms):
                 part = (
                     signals.numbers[row, SCALE + term]
                     * workspace.state_series[k, signals.indices[row, ENTRY + 2 * term]]

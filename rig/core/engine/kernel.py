@@ -16,8 +16,9 @@ Terms:
 - status: which quantities of the present state are already computed (`rig.core.engine.power_series`).
 
 All numbers are float64, and no memory is allocated. The tables are described in `rig.core.engine.flow` and
-`rig.core.engine.law_tables`, the ends of modes in `rig.core.engine.resets`. Inlined functions have a single call site,
-because the compile time is proportional to the code.
+`rig.core.engine.law_tables`, the ends of modes in `rig.core.engine.resets`. The compile time is proportional to the
+code. Inlined functions therefore have a single call site, and functions get only the arrays that they need: numba
+passes each array as seven or more values.
 """
 
 from __future__ import annotations
@@ -69,22 +70,15 @@ _NOTHING, _CLOSE_BREAK, _SEPARATE_TENSILE = 0, 1, 2
 
 
 @inlined_kernel
-def _advance_flights(model: Model, state: State, signals: Signals, duration: float) -> None:
+def _advance_flights(gravity: float, state: State, signals: Signals, duration: float) -> None:
     """Propagate every flying detached mass by a duration, s, and reset the multiplicities of all signals."""
     for lane in range(signals.row.shape[0]):
         row = unsigned(signals.row[lane])
         if signals.numbers[row, FLIES] > 0.0:
             j = unsigned(signals.indices[row, ELEMENT])
-            state.height[j] += duration * (state.velocity[j] - 0.5 * model.gravity * duration)
-            state.velocity[j] -= model.gravity * duration
+            state.height[j] += duration * (state.velocity[j] - 0.5 * gravity * duration)
+            state.velocity[j] -= gravity * duration
         state.multiplicity[lane] = 0
-
-
-@inlined_kernel
-def _forget_envelope(model: Model, workspace: Workspace, j: int) -> None:
-    """Restart the envelope of an element's gap, which differs in order of magnitude between contact and flight."""
-    gap = model.laws.elements[j].gap_coordinate
-    workspace.envelope[gap] = workspace.envelope[model.first_velocity + gap] = 0.0
 
 
 @inlined_kernel
@@ -114,7 +108,7 @@ def advance(
     while True:
         if pending != _NOTHING:
             if pending == _SEPARATE_TENSILE:
-                separate_tensile(flow, model, state, log, workspace.contact)
+                separate_tensile(flow.after, model, state, log, workspace.contact)
             if status != CONTACTS_UNCHECKED:
                 close_break(model, state, log)
             pending = _NOTHING
@@ -126,7 +120,7 @@ def advance(
         if table_index < 0:
             return TABLES_MISSING, remaining, STATE_ONLY
         if status <= STATE_ONLY:
-            load_signals(model, state, signals)
+            load_signals(model.laws, state.mode, signals.row)
         length = min(remaining, 1.0)
         halvings = state.counters[EVENTS_AT_INSTANT] - STEP_HALVING_EVENTS * elements
         if halvings > 0:
@@ -141,42 +135,43 @@ def advance(
             if (
                 status == ABOVE_MARGINS
                 and not exceeds(state.z, workspace.envelope)
-                and inside_margins(model, state, signals, workspace.end_state, duration)
+                and inside_margins(model.gravity, state, signals, workspace.end_state, duration)
             ):
                 copy(workspace.end_state, state.z)
-                _advance_flights(model, state, signals, duration)
+                _advance_flights(model.gravity, state, signals, duration)
                 remaining -= 1.0
                 continue
         if not finished and (
             log.counts[N_EVENTS] + 4 * elements > log.events.shape[0] or log.counts[N_BREAKS] == log.breaks.shape[0]
         ):
             return LOG_FULL, remaining, STATE_ONLY
+        if finished or (flow.has_step_matrix and (status == STATE_ONLY or not flow.drive_is_smooth)):
+            store_accelerations(flow, model.first_velocity, table_index, state.z, workspace.derivative, status)
         if finished:
-            store_accelerations(flow, model, table_index, state.z, workspace.derivative, STATE_ONLY)
             return DONE, 0.0, STATE_ONLY
         if not full_step:
-            expand_state(flow, model, table_index, state.z, workspace.state_series)
+            expand_state(flow, model.step, table_index, state.z, workspace.state_series)
             sum_state_series(workspace, length, workspace.end_state)
         if flow.has_step_matrix:
-            if status == STATE_ONLY or not flow.drive_is_smooth:
-                store_accelerations(flow, model, table_index, state.z, workspace.derivative, status)
             # After a full step the accelerations at its end are known, but their derivatives only with
             # `has_derivatives`.
             if not (full_step and has_derivatives):
                 end_status = WITH_ACCELERATIONS if full_step else STATE_ONLY
-                store_accelerations(flow, model, table_index, workspace.end_state, workspace.derivative, end_status)
+                store_accelerations(
+                    flow, model.first_velocity, table_index, workspace.end_state, workspace.derivative, end_status
+                )
             bound_by_tables(flow, table_index, state.z, workspace)
         else:
             bound_by_series(
                 model, signals, workspace.state_series, length, state.z, workspace.end_state, workspace.bound
             )
-        unproven_low, unproven_high = screen(model, state, workspace, length, duration)
+        unproven_low, unproven_high = screen(model.gravity, state, workspace, length, duration)
         if full_step and unproven_low | unproven_high != 0:
-            expand_state(flow, model, table_index, state.z, workspace.state_series)
+            expand_state(flow, model.step, table_index, state.z, workspace.state_series)
         tau, lane, end = first_event(model, state, workspace, length, unproven_low, unproven_high)
         if tau == NO_CROSSING:
             copy(workspace.end_state, state.z)
-            _advance_flights(model, state, signals, duration)
+            _advance_flights(model.gravity, state, signals, duration)
             state.counters[EVENTS_AT_INSTANT] = 0
             remaining -= length
             if flow.has_step_matrix and not flow.uses_envelope:
@@ -184,14 +179,14 @@ def advance(
             elif flow.has_step_matrix:
                 if status == STATE_ONLY or exceeds(state.z, workspace.envelope):
                     widen_envelope(flow, table_index, state.z, workspace)
-                is_inside = inside_margins(model, state, signals, state.z, 0.0)
+                is_inside = inside_margins(model.gravity, state, signals, state.z, 0.0)
                 status = ABOVE_MARGINS if is_inside else WITH_ACCELERATIONS
             continue
         status = STATE_ONLY
         if tau > 0.0:
             sum_state_series(workspace, tau * length, workspace.end_state)
             copy(workspace.end_state, state.z)
-            _advance_flights(model, state, signals, tau * duration)
+            _advance_flights(model.gravity, state, signals, tau * duration)
             remaining -= tau * length
             state.counters[EVENTS_AT_INSTANT] = 0
         else:
@@ -201,19 +196,21 @@ def advance(
         log.counts[PRESENT_SEGMENT] = segment
         log.present_offset[0] = (steps - remaining) * model.step
         j = unsigned(signals.indices[unsigned(signals.row[lane]), ELEMENT])
-        m = mode_number(model, state, j)
+        m = mode_number(model.laws.elements, state.mode, j)
         x = unsigned(model.laws.exit[m, lane - model.laws.elements[j].first_lane, end])
         if model.laws.exits[x].event != NO_EVENT:
             open_break(model, state, log)
             pending = _CLOSE_BREAK
         if model.laws.exits[x].restitution >= 0.0:
-            impact(flow, model, state, log, j, m, x, end, workspace.contact)
+            impact(flow.after, model, state, log, j, m, x, end, workspace.contact)
             pending = _SEPARATE_TENSILE
         elif model.laws.modes[m].is_held:
-            separate(flow, model, state, log, j, m, end, SEPARATION_MULTIPLICITY)
+            separate(flow.after, model, state, log, j, m, end, SEPARATION_MULTIPLICITY)
         else:
-            change_force(flow, model, state, log, j, x)
+            change_force(flow.after, model, state, log, j, x)
             if model.laws.exits[x].event != NO_EVENT:
-                _forget_envelope(model, workspace, j)
+                # The gap differs in order of magnitude between contact and flight.
+                gap = model.laws.elements[j].gap_coordinate
+                workspace.envelope[gap] = workspace.envelope[model.first_velocity + gap] = 0.0
                 if model.coupled:
                     pending = _SEPARATE_TENSILE

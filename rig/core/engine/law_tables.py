@@ -14,6 +14,7 @@ from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.core.laws.law import Exit, Mode, Row, Signal
 from rig.core.system.hybrid_system import Element, HybridSystem
@@ -69,6 +70,7 @@ SIGNAL_FIELDS = np.dtype(
 #: Constants of an exit. event: its kind. restitution: negative without impact.
 EXIT_FIELDS = np.dtype([("event", np.int64), ("restitution", np.float64)])
 Records = np.recarray[Any, Any]
+Ints = NDArray[np.int64]
 
 
 def _records(fields: np.dtype[Any], rows: Iterable[tuple[Any, ...]]) -> Records:
@@ -79,12 +81,11 @@ def _records(fields: np.dtype[Any], rows: Iterable[tuple[Any, ...]]) -> Records:
 class LawTables(NamedTuple):
     """The laws of all elements; m is the number of a mode, x of an exit.
 
-    terms: largest number of terms of a signal. elements[j], modes[m], signals[m, lane of the element], exits[x]:
+    elements[j], modes[m], signals[m, lane of the element], exits[x]:
     records (`ELEMENT_FIELDS` and so on). numbers, indices [m, lane of the element]: see `Signals`.
     exit[m, lane, end]: number of an exit. target[x, candidate]: next mode, as number within the element.
     """
 
-    terms: int
     elements: Records
     modes: Records
     signals: Records
@@ -98,10 +99,12 @@ class LawTables(NamedTuple):
 class Signals(NamedTuple):
     """The signals of the present modes, which the kernel reads in every step.
 
-    row: row of each lane in `numbers` and `indices`, which contain the signals of all modes (columns: see above).
+    terms: largest number of terms of a signal. row: row of each lane in `numbers` and `indices`, which contain the
+    signals of all modes (columns: see above).
     lowest, highest: limits of each lane with the margins of the envelope (`rig.core.engine.screening`).
     """
 
+    terms: int
     row: np.ndarray
     numbers: np.ndarray
     indices: np.ndarray
@@ -245,7 +248,6 @@ def law_tables(system: HybridSystem, size: int) -> LawTables:
     ]
     exit_rows = [(exit_.event, NONE if exit_.restitution is None else exit_.restitution) for _, exit_ in exits]
     return LawTables(
-        terms=n_terms,
         elements=_records(ELEMENT_FIELDS, element_rows),
         modes=_records(MODE_FIELDS, mode_rows),
         signals=signals,
@@ -261,6 +263,7 @@ def empty_signals(laws: LawTables) -> Signals:
     """Return the signals of all lanes, whose rows the kernel sets (`load_signals`)."""
     lanes = int(laws.elements.lanes.sum())
     return Signals(
+        terms=laws.numbers.shape[2] - SCALE,
         row=np.zeros(lanes, dtype=np.int64),
         numbers=laws.numbers.reshape(-1, laws.numbers.shape[2]),
         indices=laws.indices.reshape(-1, laws.indices.shape[2]),

@@ -7,7 +7,7 @@ z' = A z + b. The time in a step of length h is tau h, 0 <= tau <= 1.
 from __future__ import annotations
 
 from rig.core.base.arrays import Array
-from rig.core.engine.flow import Flow, Model
+from rig.core.engine.flow import Flow
 from rig.core.engine.workspace import Workspace
 from rig.core.numerics.bernstein import N_COEFFICIENTS
 from rig.core.numerics.jit import inlined_kernel
@@ -20,7 +20,7 @@ CONTACTS_UNCHECKED, STATE_ONLY, WITH_ACCELERATIONS, ABOVE_MARGINS = -1, 0, 1, 2
 
 
 @inlined_kernel
-def expand_state(flow: Flow, model: Model, table_index: int, z: Array, state_series: Array) -> None:
+def expand_state(flow: Flow, step: float, table_index: int, z: Array, state_series: Array) -> None:
     """Compute the power series of the state over one step: state_series[k] = (A h)^k z / k!, plus the terms of b."""
     size = flow.rates_constant.shape[1]
     if flow.has_series:
@@ -29,7 +29,7 @@ def expand_state(flow: Flow, model: Model, table_index: int, z: Array, state_ser
     for i in range(size):
         state_series[0, i] = z[i]
     for k in range(N_COEFFICIENTS):
-        factor = model.step / (k + 1)
+        factor = step / (k + 1)
         for i in range(size):
             rate = flow.rates_constant[table_index, i] if k == 0 else 0.0
             for entry in range(flow.row_pointer[i], flow.row_pointer[i + 1]):
@@ -52,14 +52,13 @@ def sum_state_series(workspace: Workspace, tau: float, out: Array) -> None:
 
 
 @inlined_kernel
-def store_accelerations(flow: Flow, model: Model, table_index: int, z: Array, work: Array, status: int) -> None:
+def store_accelerations(flow: Flow, coordinates: int, table_index: int, z: Array, work: Array, status: int) -> None:
     """Store after a state its accelerations, if `status` is STATE_ONLY, and their derivatives with respect to tau.
 
     `work`: scratch array. For a system without tables for full steps, only the accelerations are stored;
     `bound_by_series` computes the derivatives.
     """
     columns = flow.rates_constant.shape[1]
-    coordinates = model.first_velocity
     if flow.has_step_matrix:
         affine_product(flow.derivative, flow.derivative_constant, table_index, z, columns, work)
         for i in range(coordinates if status != STATE_ONLY else 0, 2 * coordinates):

@@ -93,7 +93,7 @@ def _propagate(
     inputs, n_segments = drive.shape[0], drive.shape[1] - 1
     first_drive_state = flow.rates_constant.shape[1] - 2 * inputs
     stride = 1 if steps.shape[0] > 1 else 0
-    reset_envelope(flow, workspace)
+    reset_envelope(workspace.envelope, flow.rates_constant.shape[1])
     for k in range(first, n_segments):
         segment_steps, stored = steps[stride * k], row[k] >= 0
         if remaining < 0.0:
@@ -113,16 +113,18 @@ def _propagate(
             if states.table_index.shape[0] > 0:
                 store_state(model, state, row[k], states)
             if motion.rows.shape[1] > 0:
-                store_motion(flow, model, state, motion, row[k], k == n_segments - 1)
+                store_motion(model, state, motion, row[k], k == n_segments - 1)
         remaining = -1.0
     return DONE, n_segments, -1.0
 
 
 @kernel
-def _store_accelerations(flow: Any, model: Any, states: Array, table_indices: NDArray[np.int64], work: Array) -> None:
+def _store_accelerations(
+    flow: Any, coordinates: int, states: Array, table_indices: NDArray[np.int64], work: Array
+) -> None:
     """Compute the accelerations for each row of `states`, and store them after the state; `work`: scratch array."""
     for k in range(states.shape[0]):
-        store_accelerations(flow, model, table_indices[k], states[k], work, STATE_ONLY)
+        store_accelerations(flow, coordinates, table_indices[k], states[k], work, STATE_ONLY)
 
 
 #: A motion with a larger displacement has diverged, because no length in a scene is larger.
@@ -296,7 +298,9 @@ class Propagator:
         rows[:, :first] = states[:, :first]
         # A view of the indices may have another memory layout.
         table_indices = np.ascontiguousarray(table_indices)
-        self._store_accelerations(self.tables.flow, self.tables.model, rows, table_indices, self.workspace.derivative)
+        self._store_accelerations(
+            self.tables.flow, self.system.coordinates, rows, table_indices, self.workspace.derivative
+        )
         return np.ascontiguousarray(rows[:, first : first + self.system.coordinates].T)
 
     def state_samples(self, samples: int) -> StateSamples:

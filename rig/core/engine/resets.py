@@ -30,8 +30,8 @@ from typing import Any
 import numpy as np
 
 from rig.core.base.arrays import Array
-from rig.core.engine.flow import Flow, Model
-from rig.core.engine.law_tables import HIGH, LOW, LOWER, NONE, REST, SCALE, UPPER
+from rig.core.engine.flow import Model
+from rig.core.engine.law_tables import HIGH, LOW, LOWER, NONE, REST, SCALE, UPPER, Ints, LawTables
 from rig.core.engine.state import Log, State, change_mode, log_event, mode_number
 from rig.core.laws.events import NO_EVENT
 from rig.core.numerics.complementarity import (
@@ -55,9 +55,8 @@ _MAX_ZERO_FORCE_RATIO = 1e-6
 
 
 @inlined_kernel
-def _gap(model: Model, state: State, j: int) -> float:
-    """Return the gap of an element that is not held, m."""
-    element = model.laws.elements[j]
+def _gap(element: Any, state: State, j: int) -> float:
+    """Return the gap of element j if it is not held, m."""
     gap, base = element.gap_coordinate, element.base_coordinate
     if gap >= 0:
         return state.z[gap] - state.z[base] if base >= 0 else state.z[gap]
@@ -65,11 +64,10 @@ def _gap(model: Model, state: State, j: int) -> float:
 
 
 @inlined_kernel
-def _speed(model: Model, state: State, j: int) -> float:
-    """Return the rate of change of the gap of an element that is not detached, m/s."""
-    element, first = model.laws.elements[j], model.first_velocity
-    speed = state.z[first + element.gap_coordinate]
-    return speed - state.z[first + element.base_coordinate] if element.base_coordinate >= 0 else speed
+def _speed(element: Any, z: Array, first: int) -> float:
+    """Return the rate of change of the gap of an element that is not detached, m/s; `first`: index of velocities."""
+    speed = z[first + element.gap_coordinate]
+    return speed - z[first + element.base_coordinate] if element.base_coordinate >= 0 else speed
 
 
 @inlined_kernel
@@ -79,27 +77,27 @@ def _push_of(end: int) -> float:
 
 
 @inlined_kernel
-def _limit(model: Model, m: int, end: int) -> float:
+def _limit(laws: LawTables, m: int, end: int) -> float:
     """Return the limit of the first signal of mode m, which is the gap of a flying mass, m."""
-    return model.laws.numbers[m, 0, LOWER if end == LOW else UPPER]
+    return laws.numbers[m, 0, LOWER if end == LOW else UPPER]
 
 
 @kernel
 def release(
-    flow: Flow, model: Model, state: State, log: Log, j: int, end: int, velocity: float, multiplicity: int
+    after: Ints, model: Model, state: State, log: Log, j: int, end: int, velocity: float, multiplicity: int
 ) -> None:
     """Change held element j to the mode beyond an end of the interval of its holding force, and log the event.
 
     `velocity`: velocity of a detached mass, m/s, positive upwards; unused if the gap is a coordinate. `multiplicity`:
     multiplicity of the zero of the gap at a wall.
     """
-    laws, m, element = model.laws, mode_number(model, state, j), model.laws.elements[j]
+    laws, m, element = model.laws, mode_number(model.laws.elements, state.mode, j), model.laws.elements[j]
     x, gap = unsigned(laws.exit[m, 0, end]), element.gap_coordinate
     if gap < 0:
         state.height[j] = state.z[element.position_index] + laws.modes[m].wall_gap
         state.velocity[j] = velocity
-    change_mode(flow, model, state, j, m, laws.target[x, 0])
-    m = mode_number(model, state, j)
+    change_mode(after, laws, state, j, m, laws.target[x, 0])
+    m = mode_number(laws.elements, state.mode, j)
     for lane in range(element.lanes):
         limit = laws.numbers[m, lane, LOWER if end == LOW else UPPER]
         zeros = multiplicity
@@ -112,25 +110,19 @@ def release(
 
 
 @inlined_kernel
-def separate(flow: Flow, model: Model, state: State, log: Log, j: int, m: int, end: int, multiplicity: int) -> None:
+def separate(after: Ints, model: Model, state: State, log: Log, j: int, m: int, end: int, multiplicity: int) -> None:
     """Release element j with the velocity of its body."""
     laws, element = model.laws, model.laws.elements[j]
     if element.gap_coordinate >= 0:
-        release(flow, model, state, log, j, end, 0.0, multiplicity)
+        release(after, model, state, log, j, end, 0.0, multiplicity)
         return
     # For a detached mass, the most frequent element, the call would take longer than the rest of the event.
     x = unsigned(laws.exit[m, 0, end])
     state.height[j] = state.z[element.position_index] + laws.modes[m].wall_gap
     state.velocity[j] = state.z[element.velocity_index]
-    change_mode(flow, model, state, j, m, laws.target[x, 0])
+    change_mode(after, laws, state, j, m, laws.target[x, 0])
     state.multiplicity[element.first_lane] = multiplicity if end == LOW else -multiplicity
     log_event(log, j, laws.exits[x].event, 0.0)
-
-
-@inlined_kernel
-def _released_end(model: Model, m: int) -> int:
-    """Return the end of the interval at which a wall releases an element at rest."""
-    return LOW if model.laws.modes[m].push > 0.0 else HIGH
 
 
 @inlined_kernel
@@ -140,9 +132,9 @@ def _sum_forces(model: Model, state: State, force: Array) -> None:
     for j in range(unsigned(model.laws.elements.shape[0])):
         element = model.laws.elements[j]
         if element.gap_coordinate >= 0:
-            mode = model.laws.modes[mode_number(model, state, j)]
-            spring_force = mode.force_gap * (_gap(model, state, j) - mode.force_rest)
-            spring_force += mode.force_speed * _speed(model, state, j)
+            mode = model.laws.modes[mode_number(model.laws.elements, state.mode, j)]
+            spring_force = mode.force_gap * (_gap(element, state, j) - mode.force_rest)
+            spring_force += mode.force_speed * _speed(element, state.z, model.first_velocity)
             if element.memory_coordinate >= 0:
                 spring_force += mode.force_memory * state.z[element.memory_coordinate]
             force[element.gap_coordinate] += spring_force
@@ -181,26 +173,28 @@ def _rebound_is_negligible(
 
 
 @inlined_kernel
-def _end_impact(flow: Flow, model: Model, state: State, j: int, m: int, x: int, end: int, rebound_speed: float) -> None:
+def _end_impact(
+    after: Ints, model: Model, state: State, j: int, m: int, x: int, end: int, rebound_speed: float
+) -> None:
     """Set element j in flight from the wall that it hit, or at rest on this wall if the rebound speed is 0."""
     laws, element = model.laws, model.laws.elements[j]
     gap, push = element.gap_coordinate, _push_of(end)
     if gap >= 0:
-        state.z[gap] = _limit(model, m, end)
+        state.z[gap] = _limit(laws, m, end)
         state.z[model.first_velocity + gap] = push * max(rebound_speed, 0.0)
     elif rebound_speed > 0.0:
-        state.height[j] = state.z[element.position_index] + _limit(model, m, end)
+        state.height[j] = state.z[element.position_index] + _limit(laws, m, end)
         state.velocity[j] = state.z[element.velocity_index] + push * rebound_speed
     if rebound_speed > 0.0:
-        change_mode(flow, model, state, j, m, laws.target[x, 0])
-        is_limited = abs(_limit(model, mode_number(model, state, j), end)) < np.inf
+        change_mode(after, laws, state, j, m, laws.target[x, 0])
+        is_limited = abs(_limit(laws, mode_number(laws.elements, state.mode, j), end)) < np.inf
         state.multiplicity[element.first_lane] = 0 if not is_limited else 1 if end == LOW else -1
         return
     candidate = 0
     while candidate + 1 < laws.target.shape[1] and laws.target[x, candidate + 1] != NONE:
         candidate += 1
     state.multiplicity[element.first_lane] = 0
-    change_mode(flow, model, state, j, m, laws.target[x, candidate])
+    change_mode(after, laws, state, j, m, laws.target[x, candidate])
 
 
 @kernel
@@ -210,9 +204,9 @@ def _touched_end(model: Model, state: State, j: int, gap_error: float) -> int:
     `gap_error`: numerical error of the gap of the mass whose impact determined the instant, m. With this error as the
     tolerance, masses that fly with equal gaps land at the same instant.
     """
-    m, element = mode_number(model, state, j), model.laws.elements[j]
+    m, element = mode_number(model.laws.elements, state.mode, j), model.laws.elements[j]
     multiplicity = state.multiplicity[element.first_lane]
-    position, gap = state.z[element.position_index], _gap(model, state, j)
+    position, gap = state.z[element.position_index], _gap(element, state, j)
     if element.gap_coordinate >= 0:
         descent_speed = -state.z[model.first_velocity + element.gap_coordinate]
         rounding = ROUNDING * (abs(position) + abs(gap))
@@ -220,16 +214,16 @@ def _touched_end(model: Model, state: State, j: int, gap_error: float) -> int:
         descent_speed = state.z[element.velocity_index] - state.velocity[j]
         rounding = ROUNDING * (abs(position) + abs(state.height[j]))
     rounding = max(rounding, gap_error)
-    if descent_speed > 0.0 and multiplicity <= 0 and gap <= _limit(model, m, LOW) + rounding:
+    if descent_speed > 0.0 and multiplicity <= 0 and gap <= _limit(model.laws, m, LOW) + rounding:
         return LOW
-    if descent_speed < 0.0 and multiplicity >= 0 and gap >= _limit(model, m, HIGH) - rounding:
+    if descent_speed < 0.0 and multiplicity >= 0 and gap >= _limit(model.laws, m, HIGH) - rounding:
         return HIGH
     return NONE
 
 
 @inlined_kernel
 def _independent_impact(
-    flow: Flow, model: Model, state: State, log: Log, j: int, m: int, x: int, end: int, work: ContactWorkspace
+    after: Ints, model: Model, state: State, log: Log, j: int, m: int, x: int, end: int, work: ContactWorkspace
 ) -> None:
     """Apply the impact of element j if the mass matrix does not couple it to other elements."""
     element, exit_, push = model.laws.elements[j], model.laws.exits[x], _push_of(end)
@@ -237,14 +231,14 @@ def _independent_impact(
     closing_speed = push * (state.z[velocity_index] - state.velocity[j])
     rebound_speed = exit_.restitution * closing_speed
     if rebound_speed > 0.0 and _rebound_is_negligible(
-        model, state, j, push, _limit(model, m, end), rebound_speed, work.force
+        model, state, j, push, _limit(model.laws, m, end), rebound_speed, work.force
     ):
         rebound_speed = 0.0
     inverse_mass = model.inverse_mass[row, row]
     impulse = (closing_speed + rebound_speed) / (inverse_mass + 1.0 / element.mass)
     state.z[velocity_index] -= push * impulse * inverse_mass
     log_event(log, j, exit_.event, closing_speed)
-    _end_impact(flow, model, state, j, m, x, end, rebound_speed)
+    _end_impact(after, model, state, j, m, x, end, rebound_speed)
 
 
 @kernel
@@ -274,9 +268,8 @@ def _close_slow_openings(model: Model, state: State, work: ContactWorkspace, cou
 
 
 @kernel
-def _set_direction(model: Model, i: int, push: float, contact: Any) -> None:
+def _set_direction(element: Any, i: int, push: float, contact: Any) -> None:
     """Write into a contact how element i acts; `push`: direction of the wall's force."""
-    element = model.laws.elements[i]
     is_coordinate = element.gap_coordinate >= 0
     contact.damper, contact.sign = i, push
     contact.row = element.gap_coordinate if is_coordinate else element.position_index
@@ -287,13 +280,13 @@ def _set_direction(model: Model, i: int, push: float, contact: Any) -> None:
 @inlined_kernel
 def _collect_contact(model: Model, state: State, i: int, end: int, count: int, work: ContactWorkspace) -> None:
     """Write the contact of element i, in flight at an end of its gap or at rest, into row `count` of `work`."""
-    laws, m, contact = model.laws, mode_number(model, state, i), work.contacts[count]
+    laws, m, contact = model.laws, mode_number(model.laws.elements, state.mode, i), work.contacts[count]
     flying, gap = not laws.modes[m].is_held, laws.elements[i].gap_coordinate
     push = _push_of(end) if flying else laws.modes[m].push
     restitution = laws.exits[laws.exit[m, 0, end]].restitution if flying else 0.0
-    _set_direction(model, i, push, contact)
+    _set_direction(laws.elements[i], i, push, contact)
     contact.flying = flying
-    contact.wall_gap = _limit(model, m, end) if flying else laws.modes[m].wall_gap
+    contact.wall_gap = _limit(laws, m, end) if flying else laws.modes[m].wall_gap
     contact.velocity_before = state.z[laws.elements[i].velocity_index]
     contact.opening_speed = 0.0
     if flying and gap >= 0:
@@ -309,14 +302,14 @@ def _collect_contact(model: Model, state: State, i: int, end: int, count: int, w
 
 
 @kernel
-def _slip_by_impact(flow: Flow, model: Model, state: State, log: Log) -> None:
+def _slip_by_impact(after: Ints, model: Model, state: State, log: Log) -> None:
     """Set masses with friction to the modes of their new speeds after an impact.
 
     A friction force is finite, so that it transmits no impulse: masses that stick slip, and others may reverse.
     """
     laws = model.laws
     for i in range(unsigned(laws.elements.shape[0])):
-        element, m = laws.elements[i], mode_number(model, state, i)
+        element, m = laws.elements[i], mode_number(laws.elements, state.mode, i)
         # A joint with memory is skipped, because it has no mass: the kernel detects a speed outside the interval.
         if element.gap_coordinate < 0 or element.memory_coordinate >= 0:
             continue
@@ -328,27 +321,27 @@ def _slip_by_impact(flow: Flow, model: Model, state: State, log: Log) -> None:
             state.multiplicity[element.first_lane + lane] = 0
             if _push_of(end) * speed < 0.0:
                 x = unsigned(laws.exit[m, lane, end])
-                change_mode(flow, model, state, i, m, laws.target[x, 0])
+                change_mode(after, laws, state, i, m, laws.target[x, 0])
                 log_event(log, i, laws.exits[x].event, 0.0)
-        m = mode_number(model, state, i)
+        m = mode_number(laws.elements, state.mode, i)
         if not laws.modes[m].is_held or laws.modes[m].transmits:
             continue
         if abs(speed) > ROUNDING * abs(state.z[element.velocity_index]):
-            release(flow, model, state, log, i, LOW if speed > 0.0 else HIGH, 0.0, 1)
+            release(after, model, state, log, i, LOW if speed > 0.0 else HIGH, 0.0, 1)
         else:
             state.z[model.first_velocity + element.gap_coordinate] = 0.0
 
 
 @kernel
 def _coupled_impact(
-    flow: Flow, model: Model, state: State, log: Log, j: int, m: int, end: int, work: ContactWorkspace
+    after: Ints, model: Model, state: State, log: Log, j: int, m: int, end: int, work: ContactWorkspace
 ) -> None:
     """Apply the impact of element j, with its effect through a full mass matrix on masses that touch a wall."""
     count, landing = 0, 0
     laws, first = model.laws, model.first_velocity
-    gap_error = abs(_gap(model, state, j) - _limit(model, m, end))
+    gap_error = abs(_gap(laws.elements[j], state, j) - _limit(laws, m, end))
     for i in range(unsigned(laws.elements.shape[0])):
-        mode = laws.modes[mode_number(model, state, i)]
+        mode = laws.modes[mode_number(laws.elements, state.mode, i)]
         if not (mode.transmits or mode.can_hit):
             continue
         touched = LOW
@@ -387,11 +380,11 @@ def _coupled_impact(
             if i == j and 0.0 < rebound_speed <= contact.opening_speed:
                 rebound_speed = 0.0
             # A reaction of zero means that another impact has moved the wall away before the mass touched it.
-            m = mode_number(model, state, i)
+            m = mode_number(laws.elements, state.mode, i)
             x = unsigned(laws.exit[m, 0, touched])
             if contact.reaction > 0.0 or rebound_speed <= 0.0:
                 log_event(log, i, laws.exits[x].event, -contact.opening_speed)
-            _end_impact(flow, model, state, i, m, x, touched, rebound_speed)
+            _end_impact(after, model, state, i, m, x, touched, rebound_speed)
         elif contact.bound == FREE and gap >= 0:
             state.z[first + gap] = 0.0
         elif contact.bound != FREE:
@@ -400,22 +393,22 @@ def _coupled_impact(
                 opening_speed = contact.sign * state.z[first + gap]
             if opening_speed > ROUNDING * (abs(contact.velocity_before) + abs(body_velocity)):
                 touched = LOW if contact.sign > 0.0 else HIGH
-                release(flow, model, state, log, i, touched, contact.velocity_before, 1)
+                release(after, model, state, log, i, touched, contact.velocity_before, 1)
             elif gap >= 0:
                 state.z[first + gap] = 0.0
-    _slip_by_impact(flow, model, state, log)
+    _slip_by_impact(after, model, state, log)
     # The impact changes the velocities of walls, so that the rate of a gap may no longer be exactly zero.
     for i in range(unsigned(laws.elements.shape[0])):
-        if laws.modes[mode_number(model, state, i)].can_hit:
+        if laws.modes[mode_number(laws.elements, state.mode, i)].can_hit:
             lane = laws.elements[i].first_lane
             state.multiplicity[lane] = min(1, max(-1, state.multiplicity[lane]))
 
 
 @inlined_kernel
-def _separate_independent(flow: Flow, model: Model, state: State, log: Log, work: ContactWorkspace) -> None:
+def _separate_independent(after: Ints, model: Model, state: State, log: Log, work: ContactWorkspace) -> None:
     """Separate each mass whose contact force is tensile, if contacts do not affect each other."""
     for i in range(unsigned(model.laws.elements.shape[0])):
-        m = mode_number(model, state, i)
+        m = mode_number(model.laws.elements, state.mode, i)
         mode = model.laws.modes[m]
         if not mode.is_held:
             continue
@@ -428,18 +421,22 @@ def _separate_independent(flow: Flow, model: Model, state: State, log: Log, work
         for c in range(model.force.shape[1]):
             magnitude += abs(model.force[0, c, row] * state.z[c]) * model.inverse_mass[row, row]
         if abs(relative_acceleration) > ROUNDING * magnitude:
-            separate(flow, model, state, log, i, m, _released_end(model, m), _TENSILE_MULTIPLICITY)
+            separate(after, model, state, log, i, m, LOW if mode.push > 0.0 else HIGH, _TENSILE_MULTIPLICITY)
 
 
 @kernel
-def _separate_coupled(flow: Flow, model: Model, state: State, log: Log, work: ContactWorkspace) -> None:
+def _separate_coupled(after: Ints, model: Model, state: State, log: Log, work: ContactWorkspace) -> None:
     """Solve for the forces on all held masses, and release the masses whose force is at an end of its interval."""
     count = 0
     for i in range(unsigned(model.laws.elements.shape[0])):
-        m, element, contact = mode_number(model, state, i), model.laws.elements[i], work.contacts[count]
+        m, element, contact = (
+            mode_number(model.laws.elements, state.mode, i),
+            model.laws.elements[i],
+            work.contacts[count],
+        )
         if not model.laws.modes[m].is_held:
             continue
-        _set_direction(model, i, model.laws.modes[m].push, contact)
+        _set_direction(element, i, model.laws.modes[m].push, contact)
         is_detached = element.gap_coordinate < 0
         free_acceleration = 0.0
         magnitude = model.gravity if is_detached else 0.0
@@ -471,31 +468,31 @@ def _separate_coupled(flow: Flow, model: Model, state: State, log: Log, work: Co
         magnitude = contact.magnitude + abs(work.matrix[a, a] * contact.reaction)
         if opening_acceleration > ROUNDING * magnitude:
             end = LOW if at_low == (contact.sign > 0.0) else HIGH
-            m = mode_number(model, state, contact.damper)
-            separate(flow, model, state, log, contact.damper, m, end, _TENSILE_MULTIPLICITY)
+            m = mode_number(model.laws.elements, state.mode, contact.damper)
+            separate(after, model, state, log, contact.damper, m, end, _TENSILE_MULTIPLICITY)
 
 
 @inlined_kernel
-def separate_tensile(flow: Flow, model: Model, state: State, log: Log, work: ContactWorkspace) -> None:
+def separate_tensile(after: Ints, model: Model, state: State, log: Log, work: ContactWorkspace) -> None:
     """Separate every mass at rest whose contact force would be tensile by more than rounding."""
     _sum_forces(model, state, work.force)
     if model.coupled:
-        _separate_coupled(flow, model, state, log, work)
+        _separate_coupled(after, model, state, log, work)
     else:
-        _separate_independent(flow, model, state, log, work)
+        _separate_independent(after, model, state, log, work)
 
 
 @inlined_kernel
 def impact(
-    flow: Flow, model: Model, state: State, log: Log, j: int, m: int, x: int, end: int, work: ContactWorkspace
+    after: Ints, model: Model, state: State, log: Log, j: int, m: int, x: int, end: int, work: ContactWorkspace
 ) -> None:
     """Apply the impact of element j on the wall at an end of its gap; `separate_tensile` must follow."""
     if model.coupled or model.laws.exits[x].restitution > 0.0:
         _sum_forces(model, state, work.force)
     if model.coupled:
-        _coupled_impact(flow, model, state, log, j, m, end, work)
+        _coupled_impact(after, model, state, log, j, m, end, work)
     else:
-        _independent_impact(flow, model, state, log, j, m, x, end, work)
+        _independent_impact(after, model, state, log, j, m, x, end, work)
 
 
 @inlined_kernel
@@ -505,18 +502,17 @@ def _is_gap(signal: Any) -> bool:
 
 
 @kernel
-def _side_of_limit(model: Model, state: State, j: int, m: int, lane: int, end: int) -> int:
+def _side_of_limit(laws: LawTables, state: State, j: int, m: int, lane: int, end: int, speed: float) -> int:
     """Return the side of a limit on which a signal of mode m is: 1 inside, 0 at the limit within rounding, -1 outside.
 
     Without a dashpot, the signal is zero at every touch and release. An exception is a contact that the impact of
     another element starts or ends through a full mass matrix.
     """
-    element, signal, number = model.laws.elements[j], model.laws.signals[m, lane], model.laws.numbers[m, lane]
+    element, signal, number = laws.elements[j], laws.signals[m, lane], laws.numbers[m, lane]
     limit = number[LOWER if end == LOW else UPPER]
     if abs(limit) == np.inf:
         return 1
-    speed = _speed(model, state, j)
-    quantity, factor = _gap(model, state, j), signal.gap_factor
+    quantity, factor = _gap(element, state, j), signal.gap_factor
     if element.memory_coordinate >= 0:
         quantity -= state.z[element.memory_coordinate]  # the factor of the memory is minus that of the gap
     if signal.is_speed:
@@ -533,12 +529,11 @@ def _side_of_limit(model: Model, state: State, j: int, m: int, lane: int, end: i
 
 
 @kernel
-def _is_consistent(model: Model, state: State, j: int, m: int) -> bool:
+def _is_consistent(laws: LawTables, state: State, j: int, m: int, speed: float) -> bool:
     """Return whether each signal of mode m is inside its interval, or is a gap at a limit and moves inwards."""
-    laws, speed = model.laws, _speed(model, state, j)
     for lane in range(laws.elements[j].lanes):
         for end in range(2):
-            side = _side_of_limit(model, state, j, m, lane, end)
+            side = _side_of_limit(laws, state, j, m, lane, end, speed)
             inward_rate = _push_of(end) * laws.numbers[m, lane, SCALE] * speed
             if side < 0 or (side == 0 and _is_gap(laws.signals[m, lane]) and inward_rate <= 0.0):
                 return False
@@ -546,30 +541,29 @@ def _is_consistent(model: Model, state: State, j: int, m: int) -> bool:
 
 
 @inlined_kernel
-def _speed_rounding(model: Model, state: State, element: Any) -> float:
+def _speed_rounding(element: Any, z: Array, step: float) -> float:
     """Return the rounding error of a speed, m/s: proportional to its terms, velocity and displacement / step."""
-    displacement, velocity = state.z[element.position_index], state.z[element.velocity_index]
-    return ROUNDING * (abs(velocity) + abs(displacement) / model.step)
+    return ROUNDING * (abs(z[element.velocity_index]) + abs(z[element.position_index]) / step)
 
 
 @kernel
-def _stop_simultaneously(flow: Flow, model: Model, state: State, log: Log, j: int) -> None:
+def _stop_simultaneously(after: Ints, model: Model, state: State, log: Log, j: int) -> None:
     """Stop the masses that slide at a speed of zero within rounding at the instant at which element j stops.
 
     The forces that then hold these masses depend on each other.
     """
     laws = model.laws
     for i in range(unsigned(laws.elements.shape[0])):
-        m, element = mode_number(model, state, i), laws.elements[i]
+        m, element = mode_number(laws.elements, state.mode, i), laws.elements[i]
         if i == j or element.gap_coordinate < 0 or element.memory_coordinate >= 0:
             continue
         for lane in range(element.lanes):
             if not laws.signals[m, lane].is_speed or state.multiplicity[element.first_lane + lane] != 0:
                 continue
-            if abs(_speed(model, state, i)) <= _speed_rounding(model, state, element):
+            if abs(_speed(element, state.z, model.first_velocity)) <= _speed_rounding(element, state.z, model.step):
                 x = unsigned(laws.exit[m, lane, LOW if laws.exit[m, lane, LOW] != NONE else HIGH])
                 state.z[model.first_velocity + element.gap_coordinate] = 0.0
-                change_mode(flow, model, state, i, m, laws.target[x, 0])
+                change_mode(after, laws, state, i, m, laws.target[x, 0])
                 log_event(log, i, laws.exits[x].event, 0.0)
                 break
 
@@ -578,35 +572,36 @@ def _stop_simultaneously(flow: Flow, model: Model, state: State, log: Log, j: in
 def _remember(model: Model, state: State, j: int, m: int, m_before: int) -> None:
     """Set the memory of element j so that its force does not jump at the change to mode m; its force is at a limit."""
     element, force = model.laws.elements[j], model.laws.modes[m_before].force_constant
-    state.z[element.memory_coordinate] = _gap(model, state, j) - force / model.laws.modes[m].force_gap
+    state.z[element.memory_coordinate] = _gap(element, state, j) - force / model.laws.modes[m].force_gap
     # The rate of the force is proportional to the speed, which is zero unless an impact has changed it.
-    zeros = 2 if abs(_speed(model, state, j)) <= _speed_rounding(model, state, element) else 1
+    zeros = (
+        2 if abs(_speed(element, state.z, model.first_velocity)) <= _speed_rounding(element, state.z, model.step) else 1
+    )
     state.multiplicity[element.first_lane] = zeros if force < 0.0 else -zeros
 
 
 @kernel
-def change_force(flow: Flow, model: Model, state: State, log: Log, j: int, x: int) -> None:
+def change_force(after: Ints, model: Model, state: State, log: Log, j: int, x: int) -> None:
     """Apply an exit without a jump of velocities to an element whose gap is a coordinate."""
-    laws, element, present = model.laws, model.laws.elements[j], mode_number(model, state, j)
-    event = laws.exits[x].event
-    candidate = 0
+    laws, element, present = model.laws, model.laws.elements[j], mode_number(model.laws.elements, state.mode, j)
+    event, candidate, speed = laws.exits[x].event, 0, _speed(element, state.z, model.first_velocity)
     while (
         candidate + 1 < laws.target.shape[1]
         and laws.target[x, candidate + 1] != NONE
-        and not _is_consistent(model, state, j, element.first_mode + laws.target[x, candidate])
+        and not _is_consistent(laws, state, j, element.first_mode + laws.target[x, candidate], speed)
     ):
         candidate += 1
     m = element.first_mode + laws.target[x, candidate]
     mode = laws.modes[m]
     for lane in range(element.lanes):
-        at_low = not mode.is_held and _side_of_limit(model, state, j, m, lane, LOW) == 0
-        at_high = not mode.is_held and _side_of_limit(model, state, j, m, lane, HIGH) == 0
+        at_low = not mode.is_held and _side_of_limit(laws, state, j, m, lane, LOW, speed) == 0
+        at_high = not mode.is_held and _side_of_limit(laws, state, j, m, lane, HIGH, speed) == 0
         state.multiplicity[element.first_lane + lane] = 1 if at_low else -1 if at_high else 0
     if mode.force_memory != 0.0:
         _remember(model, state, j, m, present)
     if mode.is_held:
         state.z[model.first_velocity + element.gap_coordinate] = 0.0
-        _stop_simultaneously(flow, model, state, log, j)
-    change_mode(flow, model, state, j, present, laws.target[x, candidate])
+        _stop_simultaneously(after, model, state, log, j)
+    change_mode(after, laws, state, j, present, laws.target[x, candidate])
     if event != NO_EVENT:
-        log_event(log, j, event, -mode.push * _speed(model, state, j) if mode.wall > 0 else 0.0)
+        log_event(log, j, event, -mode.push * _speed(element, state.z, model.first_velocity) if mode.wall > 0 else 0.0)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
-from rig.core.engine.flow import Flow, Model
+from rig.core.engine.flow import Model
 from rig.core.engine.state import TABLE_INDEX, State, mode_number
 from rig.core.numerics.jit import inlined_kernel
 from rig.core.numerics.simd import LANES, transpose, unsigned
@@ -48,24 +48,23 @@ def store_state(model: Model, state: State, row: int, states: StateSamples) -> N
         states.state[row, i] = state.z[i]
     for j in range(states.height.shape[1]):
         states.height[row, j] = state.height[j]
-        states.contact[row, j] = model.laws.modes[mode_number(model, state, j)].wall
+        states.contact[row, j] = model.laws.modes[mode_number(model.laws.elements, state.mode, j)].wall
 
 
 @inlined_kernel
-def store_motion(flow: Flow, model: Model, state: State, motion: MotionSamples, column: int, last: bool) -> None:
+def store_motion(model: Model, state: State, motion: MotionSamples, column: int, last: bool) -> None:
     """Store the present motion in a column of `motion`.
 
     `LANES` samples are buffered before they are written, because the rows are far apart in memory. `last`: whether this
     is the last sample of the propagation.
     """
     row, coordinates = column % LANES, model.first_velocity
-    first_acceleration = flow.rates_constant.shape[1]
     for i in range(2 * coordinates):
         motion.buffer[row, i] = state.z[i]
     for i in range(coordinates):
-        motion.buffer[row, 2 * coordinates + i] = state.z[first_acceleration + i]
+        motion.buffer[row, 2 * coordinates + i] = state.z[model.first_acceleration + i]
     for j in range(motion.contact.shape[0]):
-        m = mode_number(model, state, j)
+        m = mode_number(model.laws.elements, state.mode, j)
         gap = model.laws.modes[m].wall_gap
         if model.laws.elements[j].gap_coordinate >= 0:
             gap = state.z[model.laws.elements[j].gap_coordinate]

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from rig.core.base.arrays import Array
-from rig.core.engine.flow import Flow, Model
+from rig.core.engine.flow import Flow
 from rig.core.engine.law_tables import (
     BOUND,
     ELEMENT,
@@ -69,20 +69,20 @@ def _lower_bound(
 
 
 @inlined_kernel
-def _value_and_rate(model: Model, signals: Signals, row: int, z: Array) -> tuple[float, float]:
+def _value_and_rate(signals: Signals, row: int, z: Array) -> tuple[float, float]:
     """Return a signal at a state with accelerations, without the height of a flying mass, and its rate of change."""
     # The first term is outside the loop, because most signals have no other.
     scale = signals.numbers[row, SCALE]
     value = signals.numbers[row, OFFSET] + scale * z[unsigned(signals.indices[row, ENTRY])]
     rate = scale * z[unsigned(signals.indices[row, RATE])]
-    for term in range(1, model.laws.terms):
+    for term in range(1, signals.terms):
         value += signals.numbers[row, SCALE + term] * z[signals.indices[row, ENTRY + 2 * term]]
         rate += signals.numbers[row, SCALE + term] * z[signals.indices[row, RATE + 2 * term]]
     return value, rate
 
 
 @inlined_kernel
-def screen(model: Model, state: State, workspace: Workspace, length: float, duration: float) -> tuple[int, int]:
+def screen(gravity: float, state: State, workspace: Workspace, length: float, duration: float) -> tuple[int, int]:
     """Return the signals that may reach a limit in the step, as bit masks with a bit for each lane.
 
     `length`, `duration`: of the step, relative to a full step and in seconds.
@@ -91,14 +91,14 @@ def screen(model: Model, state: State, workspace: Workspace, length: float, dura
     """
     unproven_low = unproven_high = 0
     signals = workspace.signals
-    velocity_change = model.gravity * duration  # of free fall, downwards
+    velocity_change = gravity * duration  # of free fall, downwards
     # The bounds are for a full step, with derivatives with respect to the time relative to it.
     fourth_power = length**4
     for lane in range(signals.row.shape[0]):
         row = unsigned(signals.row[lane])
         fourth_derivative = workspace.bound[unsigned(signals.indices[row, BOUND])] * fourth_power
-        value, slope = _value_and_rate(model, signals, row, state.z)
-        value_end, slope_end = _value_and_rate(model, signals, row, workspace.end_state)
+        value, slope = _value_and_rate(signals, row, state.z)
+        value_end, slope_end = _value_and_rate(signals, row, workspace.end_state)
         # The derivatives of accelerations are with respect to the time relative to a full step.
         rate_duration = length if signals.indices[row, ORDER] > 0 else duration
         slope *= rate_duration
@@ -125,10 +125,10 @@ def screen(model: Model, state: State, workspace: Workspace, length: float, dura
 
 
 @inlined_kernel
-def reset_envelope(flow: Flow, workspace: Workspace) -> None:
-    """Set the envelope to zero; the next state widens it."""
-    for i in range(flow.rates_constant.shape[1]):
-        workspace.envelope[i] = 0.0
+def reset_envelope(envelope: Array, columns: int) -> None:
+    """Set the envelope of all states to zero; the next state widens it."""
+    for i in range(columns):
+        envelope[i] = 0.0
 
 
 @inlined_kernel
@@ -147,7 +147,7 @@ def widen_envelope(flow: Flow, table_index: int, z: Array, workspace: Workspace)
 
 
 @inlined_kernel
-def inside_margins(model: Model, state: State, signals: Signals, z: Array, duration: float) -> bool:
+def inside_margins(gravity: float, state: State, signals: Signals, z: Array, duration: float) -> bool:
     """Return whether every signal is inside its limits with margins at the state z with its accelerations.
 
     `duration`: time of z from now, s.
@@ -156,12 +156,12 @@ def inside_margins(model: Model, state: State, signals: Signals, z: Array, durat
         row = unsigned(signals.row[lane])
         # The first term is outside the loop, because most signals have no other.
         value = signals.numbers[row, OFFSET] + signals.numbers[row, SCALE] * z[unsigned(signals.indices[row, ENTRY])]
-        for term in range(1, model.laws.terms):
+        for term in range(1, signals.terms):
             value += signals.numbers[row, SCALE + term] * z[signals.indices[row, ENTRY + 2 * term]]
         rounding = 0.0
         if signals.numbers[row, FLIES] > 0.0:
             j = unsigned(signals.indices[row, ELEMENT])
-            height = state.height[j] + duration * (state.velocity[j] - 0.5 * model.gravity * duration)
+            height = state.height[j] + duration * (state.velocity[j] - 0.5 * gravity * duration)
             value += height
             rounding = 2 * ROUNDING * abs(height)
         if not min(value - signals.lowest[lane], signals.highest[lane] - value) > rounding:

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.core.engine.flow import Flow, Model
-from rig.core.engine.law_tables import Records, Signals
+from rig.core.engine.flow import Model
+from rig.core.engine.law_tables import Ints, LawTables, Records
 from rig.core.numerics.jit import inlined_kernel
 from rig.core.numerics.simd import aligned_zeros, unsigned
 from rig.core.system.hybrid_system import HybridSystem
@@ -115,29 +115,32 @@ def log_event(log: Log, damper: int, kind: int, closing_speed: float) -> None:
 
 
 @inlined_kernel
-def mode_number(model: Model, state: State, j: int) -> int:
-    """Return the number of the present mode of element j in the tables of the laws."""
-    return unsigned(model.laws.elements[j].first_mode + state.mode[j])
+def mode_number(elements: Records, mode: Ints, j: int) -> int:
+    """Return the number of the present mode of element j in the tables of the laws; `mode`: see `State`."""
+    return unsigned(elements[j].first_mode + mode[j])
 
 
 @inlined_kernel
-def change_mode(flow: Flow, model: Model, state: State, j: int, before: int, mode: int) -> None:
-    """Change the mode of element j, which has the number `before`: update the configuration and its table index."""
-    after = unsigned(model.laws.elements[j].first_mode + mode)
-    force_change = model.laws.modes[after].force_index - model.laws.modes[before].force_index
+def change_mode(after: Ints, laws: LawTables, state: State, j: int, present: int, mode: int) -> None:
+    """Change the mode of element j, which has the number `present`: update the configuration and its table index.
+
+    `after`: see `Flow`.
+    """
+    m = unsigned(laws.elements[j].first_mode + mode)
+    force_change = laws.modes[m].force_index - laws.modes[present].force_index
     state.mode[j] = mode
-    state.counters[CONFIGURATION] += model.laws.elements[j].stride * force_change
+    state.counters[CONFIGURATION] += laws.elements[j].stride * force_change
     if force_change != 0 and state.counters[TABLE_INDEX] >= 0:
-        state.counters[TABLE_INDEX] = flow.after[unsigned(state.counters[TABLE_INDEX]), after]
+        state.counters[TABLE_INDEX] = after[unsigned(state.counters[TABLE_INDEX]), m]
 
 
 @inlined_kernel
-def load_signals(model: Model, state: State, signals: Signals) -> None:
-    """Set the rows of the signals of the present modes."""
-    for j in range(unsigned(model.laws.elements.shape[0])):
-        element, row = model.laws.elements[j], mode_number(model, state, j) * unsigned(model.laws.numbers.shape[1])
+def load_signals(laws: LawTables, mode: Ints, rows: Ints) -> None:
+    """Set the rows of the signals of the present modes (`State.mode`)."""
+    for j in range(unsigned(laws.elements.shape[0])):
+        element, row = laws.elements[j], mode_number(laws.elements, mode, j) * unsigned(laws.numbers.shape[1])
         for k in range(element.lanes):
-            signals.row[element.first_lane + k] = row + k
+            rows[element.first_lane + k] = row + k
 
 
 @inlined_kernel
@@ -150,7 +153,7 @@ def _store_side(model: Model, state: State, log: Log, side: int) -> None:
         velocity[j] = state.z[element.velocity_index]
         if element.gap_coordinate >= 0:
             velocity[j] += state.z[model.first_velocity + element.gap_coordinate]
-        elif model.laws.modes[mode_number(model, state, j)].flies > 0.0:
+        elif model.laws.modes[mode_number(model.laws.elements, state.mode, j)].flies > 0.0:
             velocity[j] = state.velocity[j]
     log.configuration[row, side] = state.counters[CONFIGURATION]
     for i in range(log.state.shape[2]):

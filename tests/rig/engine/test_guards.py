@@ -84,7 +84,7 @@ def test_series_bounds_contain_the_guard(length: float) -> None:
     model, state, bound = engine.tables.model, engine.state, engine.workspace.bound
     state.mode[:] = FLIGHT, FLOOR, CEILING
     signals = engine.workspace.signals
-    load_signals(model, state, signals)
+    load_signals(model.laws, state.mode, signals.row)
     # The signal depends on the position of the body in flight, and on its acceleration in contact.
     rows = model.laws.elements.position_index.copy()
     rows[1:] = model.laws.elements.velocity_index[1:]
@@ -110,7 +110,7 @@ def test_series_bounds_contain_the_guard(length: float) -> None:
 def test_series_bound_of_finite_contact_is_infinite() -> None:
     engine = propagator("2 ms")
     model, work = engine.tables.model, engine.workspace
-    load_signals(model, engine.state, work.signals)
+    load_signals(model.laws, engine.state.mode, work.signals.row)
     bound_by_series(model, work.signals, work.state_series, 1.0, engine.state.z, work.end_state, work.bound)
     assert (work.bound[work.signals.indices[work.signals.row[model.laws.elements.first_lane], BOUND]] == np.inf).all()
 
@@ -148,7 +148,7 @@ class Step:
         self.table_index = engine.tables.table_index(self.configuration)
         bound = engine.tables.flow.bound[self.table_index][:size]
         self.bounds = engine.tables.flow.bound_constant[self.table_index] + np.abs(z) @ bound
-        load_signals(model, state, engine.workspace.signals)
+        load_signals(model.laws, state.mode, engine.workspace.signals.row)
         self.bound = self.bounds[
             engine.workspace.signals.indices[engine.workspace.signals.row[model.laws.elements.first_lane], BOUND]
         ]
@@ -211,9 +211,9 @@ class Step:
         flow = engine.tables.flow
         bound_by_tables(flow, self.table_index, state.z, work)
         np.testing.assert_allclose(work.bound, self.bounds, rtol=1e-12)
-        unproven_low, unproven_high = screen(model, state, work, length, length * model.step)
+        unproven_low, unproven_high = screen(model.gravity, state, work, length, length * model.step)
         if unproven_low | unproven_high:
-            expand_state(flow, model, self.table_index, state.z, work.state_series)
+            expand_state(flow, model.step, self.table_index, state.z, work.state_series)
         tau, lane, _ = first_event(model, state, work, length, unproven_low, unproven_high)
         return bool(unproven_low | unproven_high), tau, int(work.signals.indices[work.signals.row[lane], ELEMENT])
 
@@ -304,10 +304,10 @@ def test_one_guard_below_its_margin_is_detected(contacts, seed, duration, low_gu
     if low_guard >= 0:
         margin[low_guard] = guard[low_guard] * (1 + 1e-9)
     signals = engine.workspace.signals
-    load_signals(model, state, signals)
+    load_signals(model.laws, state.mode, signals.row)
     signals.lowest[:] = signals.numbers[signals.row, LOWER] + margin
     signals.highest[:] = signals.numbers[signals.row, UPPER] - margin
-    assert inside_margins(model, state, signals, z, duration) == (low_guard < 0)
+    assert inside_margins(model.gravity, state, signals, z, duration) == (low_guard < 0)
 
 
 def test_envelope_contains_all_states_until_reset() -> None:
@@ -317,7 +317,7 @@ def test_envelope_contains_all_states_until_reset() -> None:
     states = np.zeros((5, len(work.magnitude)))
     states[:, :columns] = np.random.default_rng(2).standard_normal((5, columns))
     widen_envelope(flow, 0, np.ones(len(work.magnitude)), work)
-    reset_envelope(flow, work)
+    reset_envelope(work.envelope, columns)
     assert (work.envelope[:columns] == 0.0).all()
     for z in states:
         widen_envelope(flow, 0, z, work)

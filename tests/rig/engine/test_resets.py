@@ -72,11 +72,11 @@ def propagator(coupling: float, restitution: float = 0.0, finite_contacts: int =
 
 def impact_and_separate(engine: Propagator, damper: int, wall: int) -> None:
     """Apply the impact of a damper on a wall 0.25 s after the start of segment 7; then separate tensile contacts."""
-    flow, model, work = engine.tables.flow, engine.tables.model, engine.workspace.contact
+    after, model, work = engine.tables.flow.after, engine.tables.model, engine.workspace.contact
     engine.log.counts[PRESENT_SEGMENT], engine.log.present_offset[0] = 7, 0.25
-    m, end = mode_number(model, engine.state, damper), END[wall]
-    impact(flow, model, engine.state, engine.log, damper, m, model.laws.exit[m, 0, end], end, work)
-    separate_tensile(flow, model, engine.state, engine.log, work)
+    m, end = mode_number(model.laws.elements, engine.state.mode, damper), END[wall]
+    impact(after, model, engine.state, engine.log, damper, m, model.laws.exit[m, 0, end], end, work)
+    separate_tensile(after, model, engine.state, engine.log, work)
 
 
 def randomize(engine: Propagator, contacts: list[int], seed: int) -> State:
@@ -183,7 +183,7 @@ def test_separated_dampers_solve_the_complementarity_problem(coupled: bool, cont
         1.0 / model.laws.elements.mass[in_contact]
     )
     reaction = solve_by_enumeration(matrix, bias)
-    separate_tensile(engine.tables.flow, model, state, engine.log, work)
+    separate_tensile(engine.tables.flow.after, model, state, engine.log, work)
     separated = in_contact[(reaction == 0.0) & (matrix @ reaction + bias > 1e-9)]
     assert set(np.flatnonzero(state.mode == FLIGHT)) & set(in_contact) == set(separated)
     assert engine.log.events.damper[: engine.log.counts[N_EVENTS]].tolist() == separated.tolist()
@@ -239,7 +239,7 @@ def test_tension_within_rounding_does_not_separate(wall: int, coupled: bool, rat
     work.force[:3] = 0.0, (acceleration - model.gravity) / inverse[1], 0.0
     separate_tensile_dampers = _separate_coupled if coupled else _separate_independent
     engine.log.counts[PRESENT_SEGMENT], engine.log.present_offset[0] = 7, 0.25
-    separate_tensile_dampers(engine.tables.flow, model, state, engine.log, work)
+    separate_tensile_dampers(engine.tables.flow.after, model, state, engine.log, work)
     assert (state.mode[1] == FLIGHT) == separates and engine.log.counts[N_EVENTS] == separates
     if separates:
         log = engine.log

@@ -10,7 +10,7 @@ from analysis.commands.presentation.figures_of_recordings import present_each
 from analysis.commands.presentation.outputs import CommandOutput
 from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.tracking.backbone import Backbone, backbone
-from analysis.core.tracking.body_motion import level_rows
+from analysis.core.tracking.body_motion import common_error_text, level_rows
 from rig.core.base.figure_style import add_caption
 from rig.core.results.text import table_lines
 
@@ -29,10 +29,10 @@ def present_backbone(recordings: OpenRecordings, paths: Sequence[Path], output: 
 
 def _draw(result: Backbone, figure: Figure, axes: Axes) -> None:
     result.draw(axes)
-    sensor = "Amplitude bars contain the limit of error of the sensor, which is common to all points."
     axes.margins(x=0.08)
+    common = common_error_text(result.amplitude, result.amplitude_common)
     add_caption(
-        figure, "Numbers: level of each point. Dotted lines only join the points. Bars: 95 % intervals.", sensor
+        figure, "Numbers: level of each point. Dotted lines only join the points. Bars: 95 % intervals.", common
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from analysis.commands.presentation.figures_of_recordings import present_each
 from analysis.commands.presentation.outputs import CommandOutput, with_recording_name
 from analysis.core.recordings.names import OpenRecordings, with_recordings
+from analysis.core.tracking.body_motion import common_error_text
 from analysis.core.tracking.continuation import AmplitudeCurve, continuation
 from rig.core.base.figure_style import add_legend_below
 from rig.core.orbits.branches import follow_orbits
@@ -80,9 +81,8 @@ def present_continuation(
             axes.plot([], [], ls=dashes, label=name, **line)
         omissions = [f"{text}." for text in result.omissions()]
         computed = ["Exact: computed from the scene."] * bool(exact)
-        add_legend_below(
-            figure, "Bars: 95 % intervals, which contain the sensor's limit of error.", *computed, *omissions
-        )
+        common = common_error_text(result.amplitude, result.amplitude_common)
+        add_legend_below(figure, "Bars: 95 % intervals.", common, *computed, *omissions)
 
     title = "Response at constant level"
     written = present_each(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from analysis.commands.presentation.figures_of_recordings import present_each
 from analysis.commands.presentation.outputs import CommandOutput
 from analysis.core.recordings.names import OpenRecordings, with_recordings
+from analysis.core.tracking.body_motion import common_error_text
 from analysis.core.tracking.force_surface import ForceSurface, force_surface
 from rig.core.base.figure_style import add_legend_below
 from rig.core.base.palette import level_styles
@@ -34,9 +35,11 @@ def present_surface(
             add_legend_below(figure, "Bars: 95 % intervals.", "Hollow: unstable." * is_unstable, held)
         else:
             result.draw(axes)
-            sensors = "The tolerances of the sensors are common to all points of a level."
             bars = "Bars: 95 % intervals of the force, which include the uncertainty of the amplitude"
-            add_legend_below(figure, f"{bars} times the slope of the curve. {sensors}")
+            common = common_error_text(result.force, result.force_common)
+            add_legend_below(
+                figure, f"{bars} times the slope of the curve.", common.replace("points", "points of a level")
+            )
 
     title = "Response at constant force" if forces else "Force at constant amplitude"
     return present_each(

@@ -19,7 +19,7 @@ from analysis.core.decays.sensor_correction import correct_motion
 from analysis.core.signals.profile_check import ProfileCheck
 from analysis.core.signals.shock_spectrum import OCTAVE_STEPS, prescribed_spectrum, scatter_text
 from analysis.core.tracking.backbone import Backbone
-from analysis.core.tracking.body_motion import CurvePart
+from analysis.core.tracking.body_motion import CurvePart, common_error_text
 from analysis.core.tracking.continuation import AmplitudeCurve
 from daq.core.recording.recorded_test import shocks_of
 from rig.core.base.arrays import Array
@@ -73,7 +73,7 @@ def _profile_chart(check: ProfileCheck) -> Chart:
 def _tracking_chart(result: AmplitudeCurve | Backbone) -> Chart:
     """Return a chart of the amplitude against frequency of followed curves or resonances."""
     curves, parts = list[Curve](), result.parts()
-    amplitude, bound = 1e3 * result.amplitude, 1e3 * result.amplitude_expanded
+    amplitude, bound = 1e3 * result.amplitude, 1e3 * (result.amplitude_expanded - result.amplitude_common)
     for part in parts:
         if not any(part.style == curve.style for curve in curves):
             path = np.any([other.selected for other in parts if other.style == part.style], axis=0)
@@ -82,6 +82,7 @@ def _tracking_chart(result: AmplitudeCurve | Backbone) -> Chart:
     difference = float(np.nanmax(abs(result.force / result.level - 1.0))) if result.unit == "N" else 0.0
     notes = [
         "Points in the order of the test, with 95 % intervals.",
+        common_error_text(result.amplitude, result.amplitude_common),
         "Hollow circles: motions that are unstable at constant force." * any(not part.is_stable for part in parts),
         f"The measured force differs from its level by up to {format_percent(difference)}."
         * (difference > FORCE_TOLERANCE),

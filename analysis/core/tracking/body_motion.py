@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
 from rig.core.base.palette import CurveStyle
+from rig.core.results import format_percent
 from rig.core.results.response import Response
+from rig.core.results.uncertainty import SENSITIVITY
 
 
 class BodyMotion(NamedTuple):
@@ -18,6 +20,7 @@ class BodyMotion(NamedTuple):
     force: Array  # amplitude [N]; NaN if it is not known
     amplitude: Array  # displacement [m]
     relative: Array  # half of the 95 % interval of the response, relative to the response
+    common: Array  # part of `relative` that is common to all lines: the tolerances of the sensors
     settled: NDArray[np.bool_]
 
 
@@ -81,4 +84,17 @@ def body_motion(response: Response, location: str) -> BodyMotion:
     size, magnitude = response.frequency.size, abs(response.value[:, k, 0])
     force = np.full(size, np.nan) if response.amplitude is None else response.amplitude
     settled = np.ones(size, dtype=bool) if response.unsteady is None else ~response.unsteady
-    return BodyMotion(k, force, magnitude * force, response.expanded()[:, k, 0] / magnitude, settled)
+    relative, own = (each.expanded()[:, k, 0] / magnitude for each in (response, response.without(SENSITIVITY)))
+    return BodyMotion(k, force, magnitude * force, relative, relative - own, settled)
+
+
+def common_error_text(value: Array, common: Array) -> str:
+    """Write the largest part of the intervals that is common to all points, which bars in a figure do not contain.
+
+    >>> common_error_text(np.array([1.0, 2.0]), np.array([0.05, 0.1]))
+    'Common to all points and not drawn: tolerances of the sensors, up to 5 %.'
+    """
+    largest = float(np.nanmax(common / value, initial=0.0))
+    return f"Common to all points and not drawn: tolerances of the sensors, up to {format_percent(largest)}." * (
+        largest > 0.0
+    )

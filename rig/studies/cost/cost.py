@@ -198,6 +198,8 @@ def _cells(point: Point) -> tuple[str, str, str, str]:
 
 
 def _draw(study: MotionStudy, steady: SteadyStudy) -> Figure:
+    import llvmlite.binding
+
     count = 1 + bool(steady.points)
     with new_figure(5.2, 10.0 if steady.points else 6.8) as figure:
         panels = figure.subplots(1, count, squeeze=False, width_ratios=(1.5, 1.0)[:count])[0]
@@ -208,9 +210,8 @@ def _draw(study: MotionStudy, steady: SteadyStudy) -> Figure:
             draw_points(panels[1], steady.points, "total CPU time / s")
             panels[1].set(ylabel="error of the compliance, relative", title=_steady_title(steady))
         level = "" if study.scene.test is None else study.scene.test.level_text(study.scene.driven_shaker)
-        add_page_title(
-            figure, study.scene.name, ", ".join(filter(None, [level, "CPU times on one core of this machine"]))
-        )
+        processor = f"CPU times on one core (processor {llvmlite.binding.get_host_cpu_name()})"
+        add_page_title(figure, study.scene.name, ", ".join(filter(None, [level, processor])))
         add_caption(
             figure, "Errors relative to the largest displacement or compliance; 1 is 100 %. Reference: a motion with "
             f"{DIGITS} decimal digits. As called: with setup; warm: without. Guard pause: no event detection after "

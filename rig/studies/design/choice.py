@@ -229,7 +229,7 @@ class Objective:
     @cached_property
     def bare_peak(self) -> Peak:
         """Worst peak without dampers, which is the same at every level."""
-        return max(linear_peak(scene, self.levels[0], self._frequencies(scene), self.bodies) for scene in self.scenes)
+        return max(linear_peak(scene, self.levels[0], self.frequencies(scene), self.bodies) for scene in self.scenes)
 
     @cached_property
     def subproblems(self) -> tuple[Objective, ...]:
@@ -250,11 +250,11 @@ class Objective:
         peaks = []
         for scene in self.scenes:
             damped = scene.replace(dampers=choice.dampers(self.impact_law))
-            problem, frequencies = OrbitProblem(damped), self._frequencies(damped)
+            problem, frequencies = OrbitProblem(damped), self.frequencies(damped)
             peaks += [peak_at(problem, level, frequencies, self.bodies) for level in self.levels]
         return max(peaks)
 
-    def _frequencies(self, scene: Scene) -> Array:
+    def frequencies(self, scene: Scene) -> Array:
         """Return frequencies, dense between the resonances without dampers and with riding dampers."""
         low, high = self.band
         natural = natural_frequencies(scene, low, high)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, NamedTuple
@@ -12,23 +13,27 @@ import numpy as np
 from rig.core.base.figure_style import COLORS, add_page_title, cell_edges, new_figure, save_figure, set_log_scale
 from rig.core.base.output_files import atomic_write, file_stem
 from rig.core.base.palette import BASELINE
+from rig.core.orbits.problem import OrbitProblem
 from rig.core.results import format_decimals, format_number, format_percent
 from rig.core.scene.damper import Damper
 from rig.core.scene.excitation import FORCE_TOLERANCE
 from rig.core.scene.scene import Scene
 from rig.core.system.reference import linear_response
 from rig.studies.design.check import Expected
-from rig.studies.design.choice import Choice, mass_unit
+from rig.studies.design.choice import FINE_DENSITY, Choice, mass_unit
 from rig.studies.design.design import Design
 from rig.studies.design.overloads import overload_lines, predict_overloads
 from rig.studies.design.ranking import EQUAL_DB, IRREGULAR_RATIO, MIN_MACHINABLE_CLEARANCE
 from rig.studies.design.tuned_mass import TunedMass
+from rig.studies.design.worst_peak import response_at_level
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 BLUE, RED = COLORS[:2]
+#: Colors of the responses with dampers, for successive levels.
+LEVEL_COLORS = RED, "#E69F00", "#8C2D04"
 # Frequencies of the drawn response without dampers: about one a pixel.
 _RESPONSE_POINTS = 800
 #: A clearance is at a limit of the search if it differs from the limit by at most this fraction.
@@ -300,24 +305,34 @@ def _draw_reductions(axes: Axes, design: Design) -> None:
 
 
 def _draw_responses(axes: Axes, design: Design) -> None:
-    """Draw the largest response of all bodies without dampers, and the peaks of each mode with dampers."""
-    scene, (low, high) = design.question.scenes[0], design.question.band
+    """Draw the largest response of all bodies without dampers, and with dampers with the peaks of each mode."""
+    objective = replace(design.question, density=FINE_DENSITY)
+    scene, (low, high) = objective.scenes[0], objective.band
     (name, unit, factor), level_unit = design.question.response_display, design.question.level.unit
     peaks = [mode.undamped.frequency for mode in design.modes if mode.in_band]
     frequency = np.unique(np.concatenate([np.geomspace(low, high, _RESPONSE_POINTS), peaks]))
     bare = abs(linear_response(scene.replace(dampers=[]), frequency)).max(axis=0)
     axes.plot(frequency, factor * bare, color=BASELINE, lw=1.0, label="without dampers")
-    for number, level in enumerate(design.question.levels):
+    damped_scene = scene.replace(dampers=design.best.choice.dampers(objective.impact_law))
+    problem, coarse = OrbitProblem(damped_scene), objective.frequencies(damped_scene)
+    for number, level in enumerate(objective.levels):
+        color, dashes, marker = LEVEL_COLORS[number % 3], ("-", "--", "-.")[number % 3], "os^"[number % 3]
+        response = response_at_level(problem, level, coarse)
+        axes.plot(coarse, factor * abs(response.frf).max(axis=0), color=color, ls=dashes, lw=1.0)
         damped = [mode.damped[number] for mode in design.modes if mode.in_band]
         axes.plot(
-            [peak.frequency for peak in damped], [factor * peak.magnitude for peak in damped], "os^DvP"[number % 6],
-            color=RED, mfc="none", ms=5, label=f"peaks with dampers, {format_number(level)} {level_unit}",
+            [peak.frequency for peak in damped], [factor * peak.magnitude for peak in damped], marker, color=color,
+            mfc="white", ms=5,
+        )  # fmt: skip
+        axes.plot(
+            [], [], ls=dashes, marker=marker, color=color, mfc="white", ms=5,
+            label=f"with dampers, {format_number(level)} {level_unit}",
         )  # fmt: skip
     axes.set(xlabel="frequency / Hz", ylabel=f"largest {name} / ({unit})", xlim=(low, high))
     set_log_scale(axes.xaxis)
     set_log_scale(axes.yaxis, 5)
     _add_legend_below(axes)
-    axes.set_title("Response without dampers, and peaks with them")
+    axes.set_title("Response without and with dampers")
 
 
 def _add_legend_below(axes: Axes) -> None:

@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from rig.core.base.arrays import Array
 from rig.core.base.figure_style import add_page_title, cell_edges, new_figure, save_with_table, set_log_scale
 from rig.core.base.output_files import file_stem
-from rig.core.base.palette import MOTIONS
+from rig.core.base.palette import MOTIONS, contrast
 from rig.core.base.progress import CountProgress
 from rig.core.base.study import Study, digest
 from rig.core.results import Result, format_percent
@@ -42,7 +43,9 @@ MAX_WAIT_DECAY_TIMES = 3.0
 MIN_WAIT_LIMIT_PERIODS = 2000
 #: The limit of the wait is at most this number of periods.
 MAX_WAIT_LIMIT_PERIODS = 20_000
-LEGEND = ("riding", "Type I", "Type II", "Type III", *KINDS[4:])
+LEGEND = ("riding", "Type I: lower wall", "Type II: both walls", "Type III: stays at the upper wall", *KINDS[4:])
+#: Height and width of the name of a type of motion, relative to the map.
+NAME_SIZE = 1 / 12, 1 / 5
 
 
 @dataclass(frozen=True, repr=False)
@@ -132,7 +135,20 @@ class MotionMap(Result):
         ax.pcolormesh(*self.borders, self.kind, **mesh_style | style)
         for kind in sorted(set(self.kind.ravel())):
             ax.plot([], [], "s", color=MOTIONS[kind], label=LEGEND[kind])
+            self._write_name(ax, kind)
         self.draw_axes(ax)
+
+    def _write_name(self, ax: Axes, kind: int) -> None:
+        """Write the name of a type of motion into the widest part of its region, if it fits."""
+        region = self.kind == kind
+        name_cells = [max(1, round(part * cells)) for part, cells in zip(NAME_SIZE, region.shape, strict=True)]
+        depth = scipy.ndimage.distance_transform_edt(np.pad(region, 1))[1:-1, 1:-1]
+        depth = depth * scipy.ndimage.binary_erosion(region, np.ones(name_cells))
+        row, column = np.unravel_index(depth.argmax(), depth.shape)
+        if depth[row, column] > 0.0:
+            color = max(("#ffffff", "#000000"), key=lambda text: contrast(text, MOTIONS[kind]))
+            name = LEGEND[kind].partition(":")[0]
+            ax.text(self.frequency[column], self.value[row], name, color=color, ha="center", va="center", fontsize=9)
 
     @property
     def borders(self) -> tuple[Array, Array]:
@@ -394,11 +410,10 @@ def _draw(map_: MotionMap) -> Figure:
             handles.append(Line2D([], [], color="black", lw=1.0, ls="--", label=f"{map_.over} of the scene"))
         if not np.isfinite(settling).all():
             handles.append(Patch(facecolor="white", edgecolor="black", lw=0.5, label="does not settle (right)"))
-        figure.legend(handles=handles, loc="outside lower center", ncols=5)
+        figure.legend(handles=handles, loc="outside lower center", ncols=4)
         rows, points = map_.kind.shape
         add_page_title(
             figure, f"{map_.scene.name} (computed)",
-            f"{rows} × {points} steady motions; each row upward in frequency, each motion from that at the previous "
-            "frequency, so settling also depends on the step",
+            f"{rows} × {points} steady motions; each row upward in frequency, each motion from the previous one",
         )  # fmt: skip
         return figure

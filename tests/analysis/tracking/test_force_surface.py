@@ -23,7 +23,7 @@ def surface(frequencies: ArrayLike = (0.95, 1.1, 1.3)) -> ForceSurface:
     frequency, amplitude = (grid.ravel() for grid in np.meshgrid(frequencies, np.linspace(0.05, 2.0, 40)))
     stiffness = 1.0 + amplitude**2 - frequency**2 + 0.05j * frequency
     force = abs(stiffness) * amplitude
-    return ForceSurface("spring", "body 1", frequency, amplitude, stiffness, force, 0.01 * force)
+    return ForceSurface("spring", "body 1", frequency, amplitude, stiffness, force, 0.01 * force, 0.0 * force)
 
 
 def test_constant_force_has_all_branches() -> None:
@@ -90,9 +90,7 @@ def test_table_contains_folds() -> None:
 
 def test_levels_near_each_other_are_one_curve() -> None:
     amplitude = np.array([0.10000, 0.20000, 0.10049, 0.20199])
-    result = ForceSurface(
-        "a", "body 1", np.array([1.0, 1.0, 2.0, 2.0]), amplitude, np.ones(4) + 0j, np.ones(4), np.ones(4)
-    )
+    result = ForceSurface("a", "body 1", np.array([1.0, 1.0, 2.0, 2.0]), amplitude, np.ones(4) + 0j, *(np.ones(4),) * 3)
     with new_figure(2.0) as figure:
         axes = figure.add_subplot()
         result.draw(axes)

@@ -19,6 +19,7 @@ import analysis
 import daq
 import rig
 from rig.core.base.errors import SceneError
+from rig.core.base.figure_style import new_figure
 from rig.core.base.workers import Workers
 from rig.core.orbits.problem import OrbitProblem
 from rig.core.scene.damper import Damper
@@ -28,7 +29,7 @@ from rig.studies.design.check import Expected
 from rig.studies.design.choice import FINE_DENSITY, INSTANTANEOUS, Choice
 from rig.studies.design.design import chart_levels
 from rig.studies.design.evaluator import Evaluator
-from rig.studies.design.figure import clearance_label, describe_check, grain_check, summary, write
+from rig.studies.design.figure import _draw_responses, clearance_label, describe_check, grain_check, summary, write
 from rig.studies.design.request import mass_limit, parse_request
 from rig.studies.design.worst_peak import Peak, response_at_level
 from tests.rig.this_process import pieces_in_this_process, reduce_chart_and_check
@@ -133,6 +134,15 @@ def test_damaged_table_loses_no_trial(tmp_path: Path) -> None:
 
 def test_drawing_shows_clearance_of_heaviest_damper() -> None:
     assert "in body 4 / mm" in clearance_label(Choice((3, 4), (0.01, 0.06), (8e-3, 7e-3)))
+
+
+@pytest.mark.thorough
+def test_drawn_response_with_dampers_reaches_the_peak(design: rig.Design) -> None:
+    with new_figure(3.0) as figure:
+        axes = figure.subplots()
+        _draw_responses(axes, design)
+    _, response, peak, *_ = axes.lines
+    assert max(response.get_ydata()) == pytest.approx(max(peak.get_ydata()), rel=0.02)
 
 
 @given(levels=st.lists(st.floats(0.1, 50.0), min_size=1, max_size=5, unique=True).map(sorted))

@@ -46,6 +46,11 @@ def test_types_follow_in_order_with_force(fig9_map: rig.MotionMap) -> None:
     assert {"I", "III"} <= {KINDS[k] for k in at_resonance}
 
 
+def test_regions_have_the_names_of_their_motions(fig9_map: rig.MotionMap) -> None:
+    axes = fig9_map.plot()
+    assert {"riding", "Type III"} <= {text.get_text() for text in axes.texts}
+
+
 def test_row_equals_the_frequency_response(fig9_map: rig.MotionMap) -> None:
     scene = with_ideal_force(rig.load("fig9"))
     scene = scene.replace(test=scene.test.replace(force=10.0))

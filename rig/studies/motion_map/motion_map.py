@@ -135,7 +135,7 @@ class MotionMap(Result):
         ax.pcolormesh(*self.borders, self.kind, **mesh_style | style)
         for kind in sorted(set(self.kind.ravel())):
             ax.plot([], [], "s", color=MOTIONS[kind], label=LEGEND[kind])
-            self._write_name(ax, kind)
+            self._write_name(ax, int(kind))
         self.draw_axes(ax)
 
     def _write_name(self, ax: Axes, kind: int) -> None:
@@ -148,7 +148,8 @@ class MotionMap(Result):
         if depth[row, column] > 0.0:
             color = max(("#ffffff", "#000000"), key=lambda text: contrast(text, MOTIONS[kind]))
             name = LEGEND[kind].partition(":")[0]
-            ax.text(self.frequency[column], self.value[row], name, color=color, ha="center", va="center", fontsize=9)
+            position = float(self.frequency[column]), float(self.value[row])
+            ax.text(*position, name, color=color, ha="center", va="center", fontsize=9)
 
     @property
     def borders(self) -> tuple[Array, Array]:

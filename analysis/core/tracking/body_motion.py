@@ -85,7 +85,8 @@ def body_motion(response: Response, location: str) -> BodyMotion:
     force = np.full(size, np.nan) if response.amplitude is None else response.amplitude
     settled = np.ones(size, dtype=bool) if response.unsteady is None else ~response.unsteady
     relative, own = (each.expanded()[:, k, 0] / magnitude for each in (response, response.without(SENSITIVITY)))
-    return BodyMotion(k, force, magnitude * force, relative, relative - own, settled)
+    common = np.subtract(relative, own, out=np.zeros(size), where=np.isfinite(relative))
+    return BodyMotion(k, force, magnitude * force, relative, common, settled)
 
 
 def common_error_text(value: Array, common: Array) -> str:

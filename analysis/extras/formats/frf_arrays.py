@@ -20,6 +20,8 @@ _BLOCK = re.compile(r"(.*[._])?(npts|n_?fft|n_?samples|block(_?(size|length))?)"
 _SPACING = re.compile(r"(.*[._])?(df|delta_?f|resolution|x_values\.increment)", re.IGNORECASE)
 # Name of the frequency of the first line [Hz], in files of Testlab.
 _START = re.compile(r"(.*\.)?x_values\.start_value")
+# Name of an array of angular frequencies [rad/s].
+_ANGULAR = re.compile(r"(.*\.)?(w|om(ega)?)([_(].*)?", re.IGNORECASE)
 # Name of the unit of the values.
 _UNIT = re.compile(r"(?!(frequency|freq|x|time)[._@]?units?)(.*[._@])?(units?|y_values\.quantity\.label)")
 # Fewest complex values of a response; a shorter array is more likely a setting than a response.
@@ -86,7 +88,8 @@ def _frequencies(path: Path, arrays: Mapping[str, NDArray[Any]], lines: int) -> 
     named = {name: array for name, array in rising.items() if name.lower().rpartition(".")[2].startswith(("f", "hz"))}
     candidates = named or rising
     if len(candidates) == 1:
-        return next(iter(candidates.values()))
+        [(name, array)] = candidates.items()
+        return array / (2.0 * np.pi) if _ANGULAR.fullmatch(name) else array
     if candidates:
         raise RecordingError(
             f"{path}: the frequencies may be {' or '.join(candidates)}. Name the array of frequencies in Hz "

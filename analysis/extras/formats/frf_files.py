@@ -60,6 +60,8 @@ _IMPORT = "If the file contains time histories, make a recording of it with `daq
 # Beginning of the names of columns without a heading.
 _NO_NAME = UNNAMED.format("")
 _NO_SYSTEMATIC_ERRORS = "The file states no systematic errors: the uncertainties include only random errors (type A)."
+# A phase in radians is at most π; files round it.
+_MAX_RADIANS = 3.15
 # Components of a response by the first letter of their names.
 _COMPONENTS = {
     "r": "real", "i": "imag", "m": "magnitude", "a": "magnitude", "b": "magnitude", "p": "phase",
@@ -350,6 +352,11 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
             value = first_column + 1j * pair["imag"][1]
         else:
             phase_unit, phase = pair["phase"]
+            if not phase_unit and abs(phase).max() <= _MAX_RADIANS:
+                raise SceneError(
+                    f"{path}: {name}: its phase has no unit and is at most {abs(phase).max():.3g}: it may be in rad "
+                    "or in degrees. Add the unit to the name of the column, such as 'phase [rad]'."
+                )
             value = first_column * np.exp(1j * (phase if phase_unit.startswith("rad") else np.radians(phase)))
         curves.append(_curve(path, name, frequency, scale * value, motion, coherence))
     missing = f"{'; '.join(incomplete)}; expected real and imag, or magnitude and phase. Export both."

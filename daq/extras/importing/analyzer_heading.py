@@ -15,6 +15,8 @@ _NAMES = (
     "pointid",
     "channelname",
     "channel",
+    "kanalname",
+    "kanal",
     "signalname",
     "signal",
     "name",
@@ -22,8 +24,18 @@ _NAMES = (
     "measurementlabel",
     "title",
 )
-_UNITS = ("yaxisunits", "yaxisunit", "amplitudeunit", "channelunit", "units", "unit", "vunit", "verticalunits")
-_ABSCISSA_UNITS = ("xaxisunits", "xaxisunit")
+_UNITS = (
+    "yaxisunits",
+    "yaxisunit",
+    "amplitudeunit",
+    "channelunit",
+    "units",
+    "unit",
+    "einheit",
+    "vunit",
+    "verticalunits",
+)
+_ABSCISSA_UNITS = ("xaxisunits", "xaxisunit", "xeinheit")
 # Keywords of the kind of data. Complex data have two columns for each function.
 _KINDS = ("datatype", "yaxistype", "functionclass", "measurementtype")
 # Texts of the kind of complex data stored as pairs of real and imaginary part.

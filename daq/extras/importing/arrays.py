@@ -13,7 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.extras.importing.clock import Clock, clock_of_times, looks_like_times, rate_of_interval, warn_used_as_times
+from daq.extras.importing.clock import (
+    GIVE_VALUE_OF_COUNT,
+    Clock,
+    clock_of_times,
+    looks_like_times,
+    rate_of_interval,
+    warn,
+    warn_used_as_times,
+)
 from daq.extras.importing.matlab_file import ATTRIBUTE_MARK, MAX_DEPTH, matlab_arrays
 from daq.extras.importing.signal import Signal
 from rig.core.base.errors import RecordingError, ShotrigError
@@ -22,9 +30,11 @@ from rig.core.numerics.memory import require_memory_with_program
 # Names of arrays that state the sample rate.
 _RATE_NAMES = re.compile(r"(.*[._])?(f_?s|sr|rate|(samp|sample|sampling)_?(rate|freq|frequency))(_?hz)?", re.IGNORECASE)
 # Names of arrays that state the sample interval.
-_INTERVAL_NAMES = re.compile(r"(.*[._])?(dt|ts|increment|delta_?t|sample_?interval|x?delta)(_?s)?", re.IGNORECASE)
+_INTERVAL_NAMES = re.compile(r"(.*[._])?(dt|ts|increment|delta_?t|(sample_?|t)?interval|x?delta)(_?s)?", re.IGNORECASE)
 # Names of arrays that contain the times of the samples.
 _TIME_NAMES = re.compile(r"(.*[._])?(t|time|times|zeit)(_s)?", re.IGNORECASE)
+# Names of arrays that state the value of one count of a converter.
+_SCALE_NAMES = re.compile(r"(.*[._@])?(scal(e|ing)(_?factor)?|gain|factor|lsb|slope|cal\w*)", re.IGNORECASE)
 # Shorter arrays are settings, not samples.
 _MIN_SAMPLES = 16
 # Two-dimensional arrays with more channels do not contain samples.
@@ -137,6 +147,10 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
             )
         )
     scalars = {name: float(array.ravel()[0]) for name, array in numbers.items() if array.size == 1}
+    counts = [name for name, array in sample_arrays.items() if array.dtype.kind in "iu"]
+    for key in [key for key, value in scalars.items() if counts and value != 1.0 and _SCALE_NAMES.fullmatch(key)]:
+        what = f"{key.replace(ATTRIBUTE_MARK, '.')} = {scalars[key]:.6g}"
+        warn(f"{path}: {what} is not applied to the integers of {counts[0]!r}. {GIVE_VALUE_OF_COUNT}")
     # Units in the form that `analysis export` writes: two rows of strings, ``channels`` and ``units``.
     texts = (arrays.get(key, np.array([])).ravel().tolist() for key in ("channels", "units"))
     units = dict(zip(*(map(str, text) for text in texts), strict=False))

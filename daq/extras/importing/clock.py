@@ -36,9 +36,16 @@ _MAX_REGULAR_INTERVALS = 1.5
 _INTERVAL_TOLERANCE = 0.25
 # Largest relative rounding error of a time with three digits: 0.5 of its last digit.
 _ROUNDING = 0.005
+# Dates from 1954 to 2119, in days since 1900 (spreadsheets) and since the year 0 (MATLAB).
+_DATES_IN_DAYS = ((20e3, 80e3), (713e3, 774e3))
+_SECONDS_PER_DAY = 86400.0
+# Relative deviation of a rate from a number of two digits, or a power of two, that still is this number.
+_ROUNDNESS = 1e-4
 # Gaps in the times of a clock; a file with more gaps has no clock.
 _MAX_GAPS = 10_000
 
+#: Remedy for integers that are counts of a converter.
+GIVE_VALUE_OF_COUNT = "Give the value of one count as the unit, such as unit: 0.0005 g, in the channel table."
 #: Row before which rows are missing, and their number.
 MissingRows = tuple[int, int]
 
@@ -201,7 +208,17 @@ def rate_with_gaps(
 def require_even(
     times: Array, numbers: NDArray[np.int64], start: float, rate: float, resolution: float, where: str
 ) -> None:
-    """Raise `RecordingError` if a time (s) differs from the time of its sample index by more than half an interval."""
+    """Raise `RecordingError` if a time (s) differs from the time of its sample index by more than half an interval.
+
+    Also raise it if the times are probably dates in days: the rate is then a round number of samples per second only if
+    a day is taken for a second.
+    """
+    days = rate / _SECONDS_PER_DAY
+    is_round = min(abs(float(f"{days:.1e}") / days - 1.0), abs(2.0 ** round(math.log2(days)) / days - 1.0)) < _ROUNDNESS
+    if is_round and any(low < start < high for low, high in _DATES_IN_DAYS):
+        raise RecordingError(
+            f"{where}: {start:.9g} is probably a date in days, as in spreadsheets and MATLAB. Save the times in s."
+        )
     deviation = abs(times - start - numbers / rate)
     uneven = np.flatnonzero(~(deviation * rate <= _MAX_DEVIATION + resolution * rate))
     if uneven.size:

@@ -25,8 +25,10 @@ _H5PY_MISSING, _MEMORY_MISSING = "needs h5py", "needs more memory"
 _UNREADABLE = ""
 # Between the name of an array and that of its attribute.
 ATTRIBUTE_MARK = "@"
-# Attributes of an array that state its unit, its sample rate, or its sample interval.
-_STATED_ATTRIBUTES = re.compile(r"units?|.*(rate|freq|fs|sr|dt|interval|increment|delta).*", re.IGNORECASE)
+# Attributes of an array that state its unit, its sample rate, its sample interval, or the value of one count.
+_STATED_ATTRIBUTES = re.compile(
+    r"units?|.*(rate|freq|fs|sr|dt|interval|increment|delta|scal|gain|factor|lsb|slope|cal).*", re.IGNORECASE
+)
 # Depth of structures within structures; a structure may refer to itself.
 MAX_DEPTH = 8
 # Maximum number of values in a file: cells may refer to themselves.

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from daq.extras.importing.analyzer_heading import keyed_heading
-from daq.extras.importing.clock import TIME_NAMES, rate_of_interval, warn
+from daq.extras.importing.clock import GIVE_VALUE_OF_COUNT, TIME_NAMES, rate_of_interval, warn
 from rig.core.base.errors import RecordingError
 from rig.core.base.escaping import unescape_cell
 from rig.core.settings.quantities import is_unit
@@ -30,7 +30,7 @@ _ANGLE_OR_DECIBEL = re.compile(r"deg(rees?)?|°|rad(ians?)?|grad|dB\b.*", re.IGN
 # Name of a column of line numbers; the abscissa is the next column.
 _LINE_NUMBER = re.compile(r"(#|no|nr|n|line|index|idx|sample|point|row)\.?( ?(#|no|nr|number)\.?)?", re.IGNORECASE)
 #: Units of time: the first cell of a line of units is one of them, or empty.
-TIME_UNITS = ("s", "ms", "us", "µs", "ns", "sec", "second", "Second", "Seconds")
+TIME_UNITS = ("s", "ms", "us", "µs", "ns", "sec", "msec", "usec", "µsec", "second", "Second", "Seconds")
 # Units of time or of frequency.
 _ABSCISSA_UNITS = ("", *TIME_UNITS, "Hz", "kHz")
 # Length of the longest unit [characters].
@@ -50,13 +50,19 @@ _FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[-+]\d+$)")
 _GROUPED_NUMBER = re.compile(r"[-+]?\d{1,3}(?:\.\d{3})+,\d*")
 # A number with marks or blanks between thousands, in a heading.
 _GROUPED_RATE = re.compile(r"\d{1,3}(?:([., ])\d{3})(?:\1\d{3})*")
+# Lines of numbers that are examined for decimal commas.
+_MAX_EXAMINED_ROWS = 50
+# A part of a number that a decimal comma separates.
+_INTEGER = re.compile(r"[-+]?\d+(?:e[-+]?\d+)?|", re.IGNORECASE)
+# A line of a heading with the value of one count: ``Scale factor;0.0005``.
+_SCALE = re.compile(r"\W*(scal(e|ing)[ _-]?factor|multiplier|skalierungsfaktor)\W.*\d.*", re.IGNORECASE)
 # A column of texts at the end of the lines.
 _COMMENTS = re.compile(r"(comment|remark|note|event|bemerkung|kommentar)(s|en)?", re.IGNORECASE)
 # The sample rate in a line of a heading: ``Sample rate: 51.2 kHz``, ``Sampling frequency [Hz]\t51200``. A number with
 # an unknown unit is no rate.
 _RATE_UNIT, _INTERVAL_UNIT = "[kM]?(?:Hz|Sa?/s|sps)", "[mnuµμ]?s|seconds?"
 _STATED_RATE = re.compile(
-    rf"\W*(?:sampl\w*|scan|abtast|mess)[ _-]?(?:rate|freq\w*)\W*({_RATE_UNIT})?\W*"
+    rf"\W*(?:fs|(?:sampl\w*|scan|abtast|mess)[ _-]?(?:rate|freq\w*))\W*({_RATE_UNIT})?\W*"
     rf"(\d(?:[\d.,]| (?=\d{{3}}\b))*(?:e[-+]?\d+)?)(?:\W*|\W*({_RATE_UNIT})\W*)",
     re.IGNORECASE,
 )
@@ -137,8 +143,13 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
             layout = Layout(encoding, delimiter, decimal_comma, number, [], [])
             if _are_numbers(cells[first_cell:], decimal_comma):
                 _require_heading(path, number, lines[number - 1 : number], layout, len(cells))
+                if any(map(_SCALE.fullmatch, lines[:number])) and all(map(_INTEGER.fullmatch, cells[first_cell + 1 :])):
+                    warn(
+                        f"{path}: the scale factor of its heading is not applied to its integers. {GIVE_VALUE_OF_COUNT}"
+                    )
+                _require_other_delimiter(path, lines[max(number - 1, 0) : number + _MAX_EXAMINED_ROWS], layout)
                 return _with_columns(layout, lines[:number], cells, first_cell)
-            if delimiter is not None and (numbers := _number_positions(lines[number : number + 2], layout)):
+            if delimiter is not None and (numbers := _number_positions(lines[number:], layout)):
                 plain_cells = [cell if k in numbers else "" for k, cell in enumerate(cells)]
                 return _without_texts(path, _with_columns(layout, lines[:number], plain_cells, 0), cells, numbers)
             complex_cells = _split_pairs(line, delimiter)
@@ -162,11 +173,23 @@ def _require_heading(path: Path, number: int, above: Sequence[str], layout: Layo
         )
 
 
-def _number_positions(lines: Sequence[str], layout: Layout) -> set[int]:
-    """Return the positions of the numbers in two lines that contain texts, too; empty for other lines.
+def _require_other_delimiter(path: Path, lines: Sequence[str], layout: Layout) -> None:
+    """Raise `RecordingError` if commas separate the columns and are decimal marks, too; `lines[0]` may be names."""
+    names, *rows = ([cell.strip() for cell in line.split(",")] for line in lines)
+    if layout.delimiter != "," or not all(_INTEGER.fullmatch(cell) for row in rows for cell in row):
+        return
+    has_zeros = any(re.match(r"0\d", cell) for row in rows for cell in row)
+    if has_zeros or (rows and not _INTEGER.fullmatch(names[0]) and 1 < len(names) < len(rows[0])):
+        raise RecordingError(
+            f"{path}: commas separate its columns, and seem to be decimal marks, too. Export it with semicolons."
+        )
 
-    The numbers of both lines, or those to the left of the first texts, have the same positions: the first position and
-    at least one other.
+
+def _number_positions(lines: Sequence[str], layout: Layout) -> set[int]:
+    """Return the positions of the numbers in lines that contain texts, too; empty for other lines.
+
+    The numbers of all lines, or those to the left of the first texts, have the same positions: the first, or the second
+    with a time of day, and at least one other.
 
     >>> layout = Layout("utf-8", ",", False, 0, [], [])
     >>> _number_positions(["0.0,1.5,started", "0.1,1.6,"], layout)
@@ -174,16 +197,18 @@ def _number_positions(lines: Sequence[str], layout: Layout) -> set[int]:
     >>> _number_positions(["0.0,1.5,,Serial,17", "0.1,1.6"], layout), _number_positions(["0.0,OL", "0.1,1.5"], layout)
     ({0, 1}, set())
     """
-    all_numbers, left_numbers = [], []
-    for row in (split_cells(line, layout.delimiter) for line in lines):
+    candidates: list[set[int]] = []
+    for line in filter(str.strip, lines):
+        row = split_cells(line, layout.delimiter)
         numbers = {k for k, cell in enumerate(row) if _is_number(cell, k, layout.decimal_comma)}
         first_text = next((k for k, cell in enumerate(row) if cell and k not in numbers), len(row))
-        all_numbers.append(numbers)
-        left_numbers.append({k for k in numbers if k < first_text})
-    for numbers, *others in (all_numbers, left_numbers):
-        if others == [numbers] and 0 in numbers and len(numbers) > 1:
-            return numbers
-    return set()
+        # A date may precede the time of day.
+        is_first = min(numbers, default=2) == 0 or (min(numbers, default=2) == 1 and ":" in row[1])
+        found = [each for each in (numbers, {k for k in numbers if k < first_text}) if len(each) > 1 and is_first]
+        candidates = [each for each in candidates or found if each in found]
+        if not candidates:
+            break
+    return candidates[0] if candidates and len(lines) > 1 else set()
 
 
 def _is_number(cell: str, position: int, decimal_comma: bool) -> bool:
@@ -346,16 +371,17 @@ def _names_and_units(rows_above: list[list[str]], column_count: int) -> tuple[li
     """
     adjacent = takewhile(lambda row: len(row) == column_count, reversed(rows_above))
     rows = [_spaced_slashes([unescape_cell(cell.strip(" ,;")) for cell in row]) for row in adjacent]
-    if not rows:
-        return [UNNAMED.format(number) for number in range(1, column_count + 1)], [""] * column_count
-    names, units = rows[0], [""] * column_count
+    # Texts in the first cell alone are no names, and the lines above them may be other settings: ``Data:``.
+    is_named = [column_count == 1 or any(row[1:]) or _is_abscissa(*_name_and_unit(row[0])) for row in rows]
+    names = rows[0] if rows and is_named[0] else [""] * column_count
+    units = [""] * column_count
     for number, row in enumerate(rows):
         row_names, row_units = map(list, zip(*map(_name_and_unit, row), strict=True))
         above = rows[number + 1] if number + 1 < len(rows) else None
         if above is not None and _are_units(row, above):
             row_names, row_units = above, [_without_brackets(cell) for cell in row]
         # Comments above the names may contain brackets, too.
-        if any(row_units) and (number == 0 or _is_abscissa(row_names[0], row_units[0])):
+        if any(row_units) and ((number == 0 and is_named[0]) or _is_abscissa(row_names[0], row_units[0])):
             names, units = row_names, row_units
             break
     return [name or UNNAMED.format(k) for k, name in enumerate(names, 1)], units
@@ -376,7 +402,9 @@ def _spaced_slashes(row: list[str]) -> list[str]:
 def _are_units(row: Sequence[str], above: Sequence[str]) -> bool:
     """Return whether a line of a heading contains the units of the names in the line above."""
     units = [_without_brackets(cell) for cell in row]
-    if units[0] not in _ABSCISSA_UNITS or max(map(len, units)) > _MAX_UNIT_LENGTH:
+    has_units, above_has_units = (any(map(is_unit, filter(None, cells[1:]))) for cells in (units, above))
+    is_time = units[0] in _ABSCISSA_UNITS or (has_units and TIME_NAMES.fullmatch(above[0]) is not None)
+    if not is_time or max(map(len, units)) > _MAX_UNIT_LENGTH or (above_has_units and not has_units):
         return False
     in_brackets = all(unit != cell for unit, cell in zip(units, row, strict=True))
     return in_brackets or not any(map(_UNIT_IN_BRACKETS.fullmatch, above))

@@ -89,6 +89,10 @@ def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
     elif layout.rate:
         clock = Clock(layout.rate)
         warn(f"{path}: the table has no times; the sample rate of its heading, {layout.rate:.6g} Hz, is used")
+    if 1 < table.rows < len(columns) and layout.names[-1] == UNNAMED.format(len(columns)):
+        raise RecordingError(
+            f"{path} has {len(columns)} unnamed columns of {table.rows} numbers. Export a column for each channel."
+        )
     if not table.rows:
         raise RecordingError(f"{path} contains no line of numbers. Export time histories as columns of numbers.")
     numbered = list(enumerate(columns))[first_data_column:]
@@ -285,7 +289,7 @@ class _Table:
         """Estimate the clock from the first column, which contains times in `unit`."""
         where = f"{self._path}: the times in its first column"
         try:
-            scale = parse(f"1 {unit.lower()}", TIME) if unit and not self.has_times_of_day else 1.0
+            scale = parse(f"1 {re.sub('sec$', 's', unit.lower())}", TIME) if unit and not self.has_times_of_day else 1.0
         except ValueError as error:
             raise RecordingError(f"{where}: {error}; expected a unit of time such as s or ms") from None
         if self.rows < 2:

@@ -165,6 +165,9 @@ def test_complex_number_without_heading_is_read(tmp_path: Path) -> None:
         ("Source,force,tip\nSecond,N,m/s^2\n", "{t},{y},{z}\n"),
         ("Time/s,force/N,tip/(m/s^2)\n", "{t},{y},{z}\n"),
         ("in s,force in N,tip in m/s^2\n", "{t},{y},{z}\n"),
+        ("Fs = 1024 Hz\nforce [N],tip [m/s^2]\n", "{y},{z}\n"),
+        ('"TIMESTAMP","force","tip"\n"TS","N","m/s^2"\n"","Smp","Smp"\n', '"2026-11-30 10:00:0{t}",{y},{z}\n'),
+        ("Kanalname;force;tip\nEinheit;N;m/s^2\nx-Einheit;s;s\nStart;10:15;10:15\n", "{t};{y};{z}\n"),
     ],
 )
 def test_clock_and_units_of_instruments_are_read(heading: str, row: str, tmp_path: Path) -> None:
@@ -221,6 +224,7 @@ SIGNALS = ["force", "tip"]
     [
         ("Sample;Time (s);force (N);tip (g)", "{number};{time:.8f};{force:.6f};{tip:.6f}"),
         ("Time 1 (s);force (N);Time 2 (s);tip (g)", "{time:.8f};{force:.6f};{time:.8f};{tip:.6f}"),
+        ("Time (msec);force (N);tip (g)", "{ms:.5f};{force:.6f};{tip:.6f}"),
         ("Time (ms);force (N);tip (g);", "{ms:.5f};{force:.6f};{tip:.6f};"),
         ("% exported;by Fortran\nTime (s);force (N);tip (g)", "{time:.8f};{force:.6f};{fortran}"),
         (";time;force;tip", "{number};{time:.8f};{force:.6f};{tip:.6f}"),
@@ -266,6 +270,7 @@ def test_columns_without_signals_are_omitted(heading: str, row: str, tmp_path: P
         ("Time (s);force (N);tip (g);;Model;AB-12", [";Serial;12", ";Rate;1024 Hz"], 3),
         ("Time (s);Status;force (N);tip (g)", ["OK"] * 300, 1),
         ("Time (s);Event;force (N);tip (g)", ["start"] + [""] * 299, 1),
+        ("No.;Event;at;Comment\n1;start;0.0;\n2;stop;0.3;\n\nTime;force (N);tip (g);Info", ["on"] * 300, 3),
     ],
 )
 def test_columns_of_texts_are_omitted(heading: str, texts: list[str], before: int, tmp_path: Path) -> None:
@@ -280,6 +285,45 @@ def test_columns_of_texts_are_omitted(heading: str, texts: list[str], before: in
             ("tip", "g", 1024.0),
         ]
         np.testing.assert_allclose(signals[1].read(0, 300), SAMPLES[:, 2], atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("Time (s),tip (g)\n0,00,0,16\n0,01,0,25\n", "commas separate its columns, and seem to be decimal marks"),
+        ("Time (s),tip (g)\n0,1,1,6\n0,2,2,5\n", "commas separate its columns, and seem to be decimal marks"),
+        ("Time,tip (g)\n44321.500000000000,1\n44321.500011574074,2\n44321.500023148148,3\n", "is probably a date in days"),
+        ("0.0,0.1,0.2\n0.0,1.6,1.7\n", "3 unnamed columns of 2 numbers"),
+    ],
+)
+def test_ambiguous_numbers_are_refused(text: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with ExitStack() as stack, pytest.raises(RecordingError, match=message):
+        [signal.read(0, signal.samples) for signal in signals_of(tmp_path / "a.csv", stack)]
+
+
+@pytest.mark.filterwarnings("ignore:.*has no heading; its first column rises evenly")
+def test_text_above_numbers_is_no_name(tmp_path: Path) -> None:
+    rows = "".join(f"{time:.8f},{tip:.6f}\n" for time, _, tip in SAMPLES)
+    (tmp_path / "a.csv").write_text("Points:,300\nData:,\n" + rows)
+    with ExitStack() as stack:
+        [signal] = signals_of(tmp_path / "a.csv", stack)
+        assert (signal.name, signal.rate) == ("column 2", 1024.0)
+
+
+@pytest.mark.parametrize("ending", [".h5", ".npz", ".csv"])
+def test_scale_of_integers_is_reported(ending: str, tmp_path: Path) -> None:
+    path, counts = tmp_path / f"a{ending}", np.arange(-20, 20)
+    if ending == ".h5":
+        with h5py.File(path, "w") as file:
+            file["tip"] = counts
+            file["tip"].attrs["scale_factor"] = 0.0005
+    elif ending == ".npz":
+        np.savez(path, tip=counts, gain=0.0005)
+    else:
+        path.write_text("Scale factor:,0.0005\ntime (s),tip\n" + "".join(f"{k},{n}\n" for k, n in enumerate(counts)))
+    with ExitStack() as stack, pytest.warns(RunWarning, match="not applied to .* integers.* value of one count"):
+        signals_of(path, stack)
 
 
 @pytest.mark.parametrize("first", ["0.0;OL;1.0", "10:00:00;0.5;OL"])
@@ -384,3 +428,15 @@ def test_exponents_of_fortran_are_read(tmp_path: Path) -> None:
     (tmp_path / "a.dat").write_text(text, encoding="utf-8")
     [curve] = analysis.read_frfs(tmp_path / "a.dat", unit="m/s^2/N")
     np.testing.assert_allclose(curve.value, ACCELERANCE, rtol=1e-7)
+
+
+def test_angular_frequencies_are_converted(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", omega=OMEGA, H=ACCELERANCE)
+    [curve] = analysis.read_frfs(tmp_path / "a.npz", unit="m/s^2/N")
+    np.testing.assert_allclose(curve.frequency, FREQUENCY)
+
+
+def test_phase_needs_unit_below_pi(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.txt", "f [Hz]\ttip mag [m/s²/N]\ttip phase\n", np.radians(POLAR))
+    with pytest.raises(SceneError, match=r"may be in rad or in degrees.*'phase \[rad\]'"):
+        analysis.read_frfs(path)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.extras.importing.arrays import arrays_of
+from daq.extras.importing.clock import warn
 from daq.extras.importing.matlab_file import ATTRIBUTE_MARK
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
@@ -24,6 +25,8 @@ _START = re.compile(r"(.*\.)?x_values\.start_value")
 _ANGULAR = re.compile(r"(.*\.)?(w|om(ega)?)([_(].*)?", re.IGNORECASE)
 # Name of the unit of the values.
 _UNIT = re.compile(r"(?!(frequency|freq|x|time)[._@]?units?)(.*[._@])?(units?|y_values\.quantity\.label)")
+# Name of a cross spectrum.
+_SPECTRUM = re.compile(r"spec|csd|cpsd", re.IGNORECASE)
 # Fewest complex values of a response; a shorter array is more likely a setting than a response.
 _MIN_LINES = 4
 
@@ -56,6 +59,11 @@ def response_arrays(path: Path) -> ResponseArrays:
             f"{path} contains no array of complex numbers; its arrays are {listed or 'none'}. Save the "
             "responses as complex numbers, or convert samples with `daq import`."
         )
+    spectra = [name for name in complex_arrays if _SPECTRUM.search(name)]
+    if len(spectra) < len(complex_arrays):
+        complex_arrays = {name: array for name, array in complex_arrays.items() if name not in spectra}
+        if spectra:
+            warn(f"{path}: cross spectra are left out: {', '.join(spectra)}")
     lengths = {max(array.shape) for array in complex_arrays.values()}
     if len(lengths) > 1:
         raise RecordingError(

@@ -292,7 +292,7 @@ def test_columns_of_texts_are_omitted(heading: str, texts: list[str], before: in
     [
         ("Time (s),tip (g)\n0,00,0,16\n0,01,0,25\n", "commas separate its columns, and seem to be decimal marks"),
         ("Time (s),tip (g)\n0,1,1,6\n0,2,2,5\n", "commas separate its columns, and seem to be decimal marks"),
-        ("Time,tip (g)\n44321.500000000000,1\n44321.500011574074,2\n44321.500023148148,3\n", "is probably a date in days"),
+        ("Time,tip (g)\n44321.500000000000,1\n44321.500011574074,2\n44321.500023148148,3\n", "a date in days"),
         ("0.0,0.1,0.2\n0.0,1.6,1.7\n", "3 unnamed columns of 2 numbers"),
     ],
 )
@@ -440,3 +440,11 @@ def test_phase_needs_unit_below_pi(tmp_path: Path) -> None:
     path = write(tmp_path / "a.txt", "f [Hz]\ttip mag [m/s²/N]\ttip phase\n", np.radians(POLAR))
     with pytest.raises(SceneError, match=r"may be in rad or in degrees.*'phase \[rad\]'"):
         analysis.read_frfs(path)
+
+
+def test_spectra_next_to_responses_are_left_out(tmp_path: Path) -> None:
+    spectrum = np.full(FREQUENCY.size, 1.0 + 1.0j)
+    scipy.io.savemat(tmp_path / "a.mat", {"f": FREQUENCY, "Hf_chan_2": ACCELERANCE, "Hf_Cross_Spec_chan_2": spectrum})
+    with pytest.warns(RunWarning, match="left out: Hf_Cross_Spec_chan_2"):
+        [curve] = analysis.read_frfs(tmp_path / "a.mat", unit="m/s^2/N")
+    np.testing.assert_allclose(curve.value, ACCELERANCE)

@@ -381,30 +381,25 @@ class _Table:
         layout = self._layout
         if (numbers := self._parse_numbers(lines, layout.cells)) is not None:
             return numbers
-        texts = [line.replace(",", ".") if layout.decimal_comma else line for _, line in lines]
-        shape = len(lines), len(layout.names)
-        try:
-            values = np.loadtxt(texts, delimiter=layout.delimiter, comments=None, ndmin=2, usecols=layout.cells)
-            if values.shape == shape:
-                return values
-        except ValueError:
-            # Lines with empty cells, times of day or errors are read cell by cell.
-            pass
-        return np.array([self._parse_line(*each) for each in lines]).reshape(shape)
+        # Lines with empty cells, times of day or errors are read cell by cell.
+        return np.array([self._parse_line(*each) for each in lines]).reshape(len(lines), len(layout.names))
 
     def _parse_numbers(self, lines: list[tuple[int, str]], cells: Sequence[int] | None) -> Array | None:
         """Return the cells of lines of plain numbers, shape (lines, cells).
 
-        The result is None for other lines and for blanks between cells.
+        The result is None for other lines.
         """
         import pyarrow
         import pyarrow.csv
 
         delimiter, decimal_comma = self._layout.delimiter, self._layout.decimal_comma
-        if delimiter is None or (delimiter == "," and decimal_comma):
+        if delimiter == "," and decimal_comma:
             return None
+        texts = [line for _, line in lines]
+        if delimiter is None:
+            texts, delimiter = [" ".join(line.split()) + "\n" for line in texts], " "
         # LabVIEW files may have a column of comments.
-        text, count = "".join(line for _, line in lines), lines[0][1].count(delimiter) + 1
+        text, count = "".join(texts), texts[0].count(delimiter) + 1
         columns = [str(column) for column in range(count)]
         included = columns if cells is None else [str(cell) for cell in cells]
         try:

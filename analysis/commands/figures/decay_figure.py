@@ -131,10 +131,7 @@ def frequency_title(decays_of_mode: list[tuple[int, ModalDecay]]) -> str:
 
 
 def group_modes(decays: Sequence[Decay]) -> list[list[tuple[int, ModalDecay]]]:
-    """Group the modes of all decays by frequency; a group has pairs (index of the decay, its mode).
-
-    Modes without a damping ratio are omitted.
-    """
+    """Group modes with damping ratios by frequency; a group has pairs (index of the decay, its mode)."""
     modes = sorted(
         ((index, mode) for index, decay in enumerate(decays) for mode in decay.modes if mode.damping.size),
         key=lambda pair: pair[1].frequency,

@@ -463,10 +463,7 @@ def _is_free(axes: Axes, point: tuple[float, float], side: float, taken: Iterabl
 def with_local_models(
     frf: Response, marks: Iterable[PeakMark], frequency: Array, magnitude: Array
 ) -> tuple[Array, Array]:
-    """Replace a drawn curve around each peak that it does not reach by the local model of the peak.
-
-    `frequency`, `magnitude`: the curve, Hz and the unit of `frf`.
-    """
+    """Replace a drawn curve (Hz, unit of `frf`) around each peak that it does not reach by the peak's local model."""
     for mark in marks:
         if mark.symbol not in _MARKERS:
             continue

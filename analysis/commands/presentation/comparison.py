@@ -171,10 +171,7 @@ def change_heading(shown_in: tuple[str, float]) -> tuple[str, ...]:
 
 
 def change_rows(changes: Sequence[PeakChange], shown_in: tuple[str, float]) -> list[tuple[str, ...]]:
-    """Return a row for each compared peak: heights, change and shift with their 95 % intervals, equivalent damping.
-
-    `shown_in`: unit of the peaks, and the factor from SI to this unit.
-    """
+    """Return the texts of each compared peak; `shown_in`: unit of the peaks, and the factor from SI to this unit."""
     rows: list[tuple[str, ...]] = []
     for change in changes:
         before, after = change.height_texts(shown_in[1])

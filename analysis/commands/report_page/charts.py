@@ -217,10 +217,7 @@ def _column(values: ArrayLike, positive_only: bool = False, digits: int = _DIGIT
 
 
 def level_image(levels: Array, x: tuple[float, float], y: tuple[float, float]) -> dict[str, Any]:
-    """Return the image of a spectrogram as JSON data.
-
-    `levels`, shape (rows, columns): dB, first row at the top; `x`, `y`: limits of the image on the axes.
-    """
+    """Return a spectrogram in dB, first row at the top, as JSON data; `x`, `y`: limits of the image on the axes."""
     brightness = np.clip((levels - float(np.max(levels))) / IMAGE_SPAN_DB + 1.0, 0.0, 1.0)
     rows, columns = levels.shape
     pixels = base64.b64encode(np.round(255 * brightness).astype(np.uint8).tobytes()).decode()

@@ -145,10 +145,7 @@ class Measurements:
 
     @property
     def baseline(self) -> Measurement:
-        """Recording with which the others are compared: the first without moving dampers, otherwise the first.
-
-        Without moving dampers the response is linear, so its peaks do not depend on the level.
-        """
+        """Recording of comparison: the first without moving dampers (independent of level), otherwise the first."""
         label = baseline_label({result.label: not result.rec.scene.is_linear for result in self.results})
         return next((result for result in self.results if result.label == label), self.results[0])
 

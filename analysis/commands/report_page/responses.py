@@ -426,10 +426,7 @@ def _extremes(f: NDArray[np.float64], value: Array | ComplexArray) -> NDArray[np
 
 
 def damper_charts(measurement: Measurement) -> list[Chart]:
-    """Return a chart of the impacts per period on each body and the share of energy that all dampers dissipate.
-
-    All sweeps share it.
-    """
+    """Return one chart for all sweeps: impacts per period on each body, and the energy share of all dampers."""
     results = measurement.dampers
     if not results:
         return []

@@ -295,10 +295,7 @@ class _FloorMotion:
     gravity: float  # g, m/s²
 
     def height_from_rest(self, sample: int, last: int) -> float:
-        """Return the maximum height [m] of a damper that is at rest on the floor at `sample` and does not rebound.
-
-        Several flights until sample `last` are computed one after another.
-        """
+        """Return the maximum height [m], until sample `last`, of a damper at rest at `sample` that does not rebound."""
         highest = 0.0
         while sample < last and (falling := np.flatnonzero(self.apparent_gravity[sample:last] < 0.0)).size:
             release, delay = sample + int(falling[0]), 0.0

@@ -164,10 +164,7 @@ class ImpactModel:
         )
 
     def readings(self, differences: Array, order: int | None = None) -> Array:
-        """Integrate differences to readings, and subtract the smooth motion; shape (..., differences).
-
-        `order`: polynomial order; by default `polynomial_order_for` the length.
-        """
+        """Integrate differences to readings, and subtract the smooth motion of an `order`; shape (..., differences)."""
         length = differences.shape[-1]
         for _ in range(self.difference_order):
             differences = np.cumsum(differences, axis=-1)
@@ -178,10 +175,7 @@ class ImpactModel:
         return differences
 
     def locate(self, time: Array | float) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
-        """Return the sample before a time, the preceding row of the arrays, and the weight of the following row.
-
-        `time`: samples; one or several.
-        """
+        """Return the sample before a `time` [samples], the preceding row, and the weight of the following row."""
         sample = np.floor(time)
         position = (time - sample) * self.instants_per_sample - 0.5 + MAX_SHIFT * self.instants_per_sample
         row = np.clip(np.floor(position), 0, len(self.unit_differences) - 2)

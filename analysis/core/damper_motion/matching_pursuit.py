@@ -265,10 +265,7 @@ class MatchingPursuit:
         return self.detection_limit(self.jump_noise, max((abs(jump.velocity_jump) for jump in self.jumps), default=0.0))
 
     def detection_limit(self, noise: float, largest: float) -> float:
-        """Return the smallest jump that is reliably detected, m/s, except next to a larger jump.
-
-        The limit follows from noise, model errors and, for finite-duration contact, the prior of steps.
-        """
+        """Return the smallest jump that is reliably detected, m/s, except next to a larger jump."""
         duration = self.model.contact_samples / self.rate
         model_error = _CONTACT_MODEL_ERROR if duration else MODEL_ERROR
         sigmas = DETECTION_SIGMAS + DETECTION_MARGIN_SIGMAS
@@ -371,10 +368,8 @@ class MatchingPursuit:
         return step, step * 2 * np.pi * _KINK_PRIOR_HZ
 
     def noise(self, noise_quantile: float = NOISE_QUANTILE) -> Array:
-        """Estimate the standard deviation of a reading in each window from the jump filter output; shape (windows,).
-
-        The result is cached until the residual changes.
-        """
+        """Estimate the standard deviation of a reading in each window from the jump filter output; (windows,)."""
+        # The result is cached until the residual changes.
         key = "noise", noise_quantile
         if key not in self._cache:
             self._cache[key] = self._noise_level(self.model, noise_quantile)

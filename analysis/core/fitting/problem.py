@@ -171,10 +171,7 @@ class Problem:
         return channel_gains, 1.0 + self.deviation(x, curves.reference_sensor)
 
     def operating_points(self, x: Array, curves: Curves) -> tuple[Array, Array]:
-        """Return the true amplitude of the reference and the true frequency in Hz, each of shape (n,).
-
-        The amplitude is in N for a force and in m for a table; it is NaN for tests other than steady tones.
-        """
+        """Return true amplitude (N or m; NaN except for steady tones) and frequency [Hz] of the reference; (n,)."""
         clock = 1.0 + (float(x[-1]) if self.clock_tolerance > 0.0 else 0.0)
         level = np.nan if curves.level is None else curves.level
         return np.asarray(level / self.gains(x, curves)[1]), curves.frequency * clock
@@ -195,10 +192,7 @@ class Problem:
         return largest if np.isfinite(largest) else 0.0
 
     def predicted(self, x: Array, group: Group, scene: Scene, search: bool = True) -> ComplexArray:
-        """Return displacement / reference as the sensors read it, shape (responses, n).
-
-        It is NaN where no steady-state motion exists. `search`: as in `SweepOrbits.response`.
-        """
+        """Return displacement / reference as the sensors read it, (responses, n); NaN without steady-state motion."""
         channel_gains, reference_gain = self.gains(x, group.curves)
         displacement_ratio = self._displacement_ratio(x, group, scene, search)[list(group.curves.bodies)]
         return channel_gains[:, None] / reference_gain * displacement_ratio
@@ -222,10 +216,7 @@ class Problem:
     def normalized_residuals(
         self, x: Array, group: Group, scene: Scene, model_error: float = 0.0, search: bool = True
     ) -> ComplexArray:
-        """Return the residuals of a group's fitted points in standard deviations; shape (fitted, responses).
-
-        `model_error`, relative to the local peak, is added to the standard deviations.
-        """
+        """Return residuals of fitted points in standard deviations with the `model_error`; (fitted, responses)."""
         curves, is_fitted = group.curves, group.is_fitted
         residual = self.predicted(x, group, scene, search)[:, is_fitted] - curves.value[:, is_fitted]
         whitened = np.einsum("nij,jn->ni", curves.whitening[is_fitted], residual)

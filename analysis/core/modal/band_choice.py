@@ -82,10 +82,8 @@ def _poles(identify: Callable[[NDArray[np.intp]], ComplexArray], lines: NDArray[
 
 
 def band_choice(poles: ComplexArray, parts: Sequence[Part]) -> BandChoice:
-    """Compare poles [rad/s] with the poles of parts of their lines.
-
-    The standard uncertainty due to the choice of lines is 1.2 times the root mean square of the differences (type A).
-    """
+    """Compare poles [rad/s] with those of parts of their lines; their scatter is an uncertainty of type A."""
+    # The standard uncertainty is 1.2 times the root mean square of the differences.
     natural, damping, width = abs(poles) / (2 * np.pi), -poles.real / abs(poles), half_width(poles)
     missing: list[list[str]] = [[] for _ in poles]
     differences: list[list[tuple[float, float]]] = [[] for _ in poles]

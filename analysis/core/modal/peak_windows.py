@@ -36,11 +36,8 @@ class Window(NamedTuple):
 
 
 def peak_windows(frequency: Array, values: Sequence[ComplexArray]) -> list[Window]:
-    """Return the windows around the peaks of curves at equal frequencies [Hz] in ascending order.
-
-    Peaks are determined in the mean logarithm of the magnitudes, because a mean of the magnitudes would depend on the
-    units.
-    """
+    """Return the windows around the peaks of curves at equal frequencies [Hz] in ascending order."""
+    # Peaks of the mean logarithm do not depend on the units, as peaks of a mean magnitude would.
     magnitude = np.abs(np.nan_to_num(np.stack(values))) * frequency**2
     log_magnitude = np.log(np.maximum(magnitude, 1e-12 * magnitude.max(axis=1, keepdims=True))).mean(axis=0)
     peaks, properties = scipy.signal.find_peaks(log_magnitude, prominence=_MIN_PROMINENCE)

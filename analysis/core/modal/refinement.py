@@ -128,10 +128,7 @@ class Likelihood:
         return (slice(begin, begin + step) for begin in range(0, self.s.size, step))
 
     def equations(self, model: ModalModel) -> tuple[Array, Array]:
-        """Compute the normal matrix and the right-hand side of a step.
-
-        The unknowns are the parameters of the poles, then the residues and residual terms of each response.
-        """
+        """Compute normal matrix and right-hand side of a step: pole parameters, then residues and residual terms."""
         residual, responses = self.residual(model), self.curves.value.shape[0]
         poles = 2 * model.poles.size
         n_unknowns = poles + self.terms.shape[1]

@@ -91,10 +91,7 @@ def stabilization_diagram(frequency: Array, value: ComplexArray, weight: Array) 
 
 
 def merge_charts(frequency: Array, charts: Sequence[list[ChartPole]]) -> tuple[ComplexArray, ComplexArray]:
-    """Cluster the poles of several charts; return a pole [rad/s] of each cluster with enough stable poles, and of all.
-
-    Clusters with the most stable poles are first.
-    """
+    """Cluster the poles of charts; return a pole [rad/s] of each stable cluster, most stable first, and all poles."""
     spacing = float(np.median(np.diff(frequency)))
     chart_poles = list(itertools.chain(*charts))
     poles = np.array([each.pole for each in chart_poles], dtype=complex)

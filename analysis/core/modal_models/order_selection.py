@@ -161,10 +161,7 @@ def is_significant(curves: Curves, smaller: ModalModel, larger: ModalModel) -> b
 
 
 def better_model(curves: Curves, first: ModalModel, second: ModalModel) -> ModalModel:
-    """Return the model with more poles if its additional poles are significant, otherwise the model with fewer poles.
-
-    Of two models with the same number of poles, the model with the smaller misfit is returned.
-    """
+    """Return the model with more poles if they are significant; of equal numbers, that with the smaller misfit."""
     smaller, larger = sorted((first, second), key=lambda model: model.poles.size)
     if smaller.poles.size == larger.poles.size:
         return min(first, second, key=lambda model: model.misfit)

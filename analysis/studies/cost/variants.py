@@ -45,10 +45,7 @@ class Variant:
 
 
 def expand_chain(scene: Scene) -> Scene:
-    """Return the scene with its presets filled in, and its channels listed, without alarm and abort limits.
-
-    Raises `SceneError` if no channel measures the force.
-    """
+    """Return the scene with presets and channels, without alarms and aborts; `SceneError` without a force channel."""
     shaker = scene.driven_shaker
     converter = complete_from_preset(scene.converter).replace(preset=None, rate=scene.converter.sample_rate)
     channels = scene.channels

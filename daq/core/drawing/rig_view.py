@@ -260,10 +260,7 @@ class RigView:
         yield "rig/scale/text", label((x, y, z - 0.006), text, MARK)
 
     def moving_parts(self, motion: RigMotion) -> Iterator[tuple[str, Array, Array | None]]:
-        """Yield entity, translation (instants, 3) in meters of the drawing, and scale (instants, 3) of moving parts.
-
-        Springs are drawn once at their rest length, and then scaled along z. The scale of other parts is None.
-        """
+        """Yield entity, translation in drawn meters and scale (None except springs) of moving parts, (instants, 3)."""
         drawn_displacement = motion.displacement * self.exaggeration
         drawn_tables = motion.tables * self.exaggeration
         lower_end = drawn_tables[0] if self.stack.ground else np.zeros(drawn_displacement.shape[1])

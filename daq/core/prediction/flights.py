@@ -26,10 +26,7 @@ _MAX_LISTED_MODES = 5
 
 
 def onset_level(scene: Scene, system: HybridSystem) -> float:
-    """Return the lowest level of a tone or sweep at which a damper leaves its floor; infinite for any other test.
-
-    The level is the force in N, or the drive in the shaker's unit.
-    """
+    """Return the lowest level at which a damper leaves its floor in a tone or sweep; infinite for other tests."""
     accelerations = _acceleration_per_level(scene, system, test_frequencies(scene.test, _N_FREQUENCIES))
     with np.errstate(divide="ignore"):
         levels = system.take_off_acceleration[:, None] / accelerations if accelerations.size else accelerations

@@ -96,10 +96,7 @@ def expected_seconds(scene: Scene, channels: Sequence[ChannelInfo]) -> float:
 
 
 def plan_about_peaks(scene: Scene, channels: tuple[ChannelInfo, ...], seconds: float) -> RehearsalPlan:
-    """Plan groups of neighboring frequencies about the peaks, at the highest level, each started from rest.
-
-    `seconds` is the affordable duration of all groups [s].
-    """
+    """Plan groups of frequencies about the peaks at the highest level, each from rest, of `seconds` in total."""
     test = scene.test
     assert test is not None
     frequencies, direction = test_frequencies(test, _SWEEP_POINTS), test.sweep_direction

@@ -185,10 +185,7 @@ class Series:
                 return
 
     def read(self, start: int, stop: int) -> Array:
-        """Return samples [start, stop) in the unit of the topic, NaN where the file has none.
-
-        Raises `RecordingError` for a damaged chunk, or a range with almost no samples for its size.
-        """
+        """Return samples [start, stop), NaN where the file has none; `RecordingError` if damaged or nearly empty."""
         self.reject_mostly_lost(start, stop)
         values = np.empty(stop - start)
         next_sample = start

@@ -120,10 +120,7 @@ class CommittedFile:
             return False
 
     def finish(self) -> None:
-        """Commit the last bytes, and rename the file if it replaces another.
-
-        Raises `DiskError` if the disk is full or fails, or the file was moved, deleted or cannot be renamed.
-        """
+        """Commit the last bytes, and rename the file; `DiskError` if the disk fails, or the file was moved."""
         self.commit()
         self._is_complete = True
         if not self._is_in_place():

@@ -330,10 +330,7 @@ class Chassis:
             )
 
     def event_tick(self, source: OtherTask) -> int | None:
-        """Return the tick of the start or reference trigger of another task; None before the trigger.
-
-        If no running task is on the device of `source`, the task may be on any device.
-        """
+        """Return the tick of a trigger of another task, if possible on the device of `source`; None before it."""
         runs: dict[Any, Any] = self.inputs if source.direction == "ai" else self.outputs
         device = source.device.lower()
         on_device = [run for task, run in runs.items() if device and task.device.lower().startswith(device)]

@@ -104,10 +104,7 @@ class TaskOutput:
     # Writes
 
     def write(self, volts: Array, timeout: float) -> int:
-        """Write samples [V] as soon as the buffer has space; return their number per channel.
-
-        `timeout`: s; a negative timeout is infinite.
-        """
+        """Write samples [V] when the buffer has space, within `timeout` s (negative: infinite); return the number."""
         if not self._is_running and (self.buffer is None or self._has_played):
             # The first write after a run starts a new buffer.
             settings = self._settings.groups["buffer"]

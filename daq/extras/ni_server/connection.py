@@ -52,10 +52,8 @@ class Connection(GrpcSessionOptions):
         self.chassis.pass_time(seconds)
 
     def close(self, grace: float | None = 0.5) -> None:
-        """Close the rig and all its tasks; running calls may finish within `grace` s (None: they are aborted).
-
-        Nothing is done in a forked process, which has no threads of the rig.
-        """
+        """Close the rig and all its tasks; running calls may finish within `grace` s (None: they are aborted)."""
+        # A forked process has no threads of the rig.
         if self._open and os.getpid() == self._process:
             self._open = False
             _open_connections.discard(self)

@@ -86,10 +86,7 @@ class Sessions:
             return session, True
 
     def check_memory(self, name: str, max_bytes: int) -> None:
-        """Raise `DaqError` -200077 if all buffers of a session's client exceed a size.
-
-        The session's buffers are released.
-        """
+        """Raise `DaqError` -200077, and release the session's buffers, if all buffers of its client exceed a size."""
         with self._lock:
             session = self._open.get(name)
             if session is None:

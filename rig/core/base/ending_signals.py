@@ -44,10 +44,8 @@ def handle_interrupts(handler: Handler) -> Iterator[dict[int, Handler]]:
 
 @contextmanager
 def interrupt_flag() -> Iterator[Callable[[], bool]]:
-    """Set a flag at the first Ctrl-C so that a block of samples is completed; the second interrupts as usual.
-
-    Provides a function that returns the flag.
-    """
+    """Yield a function that returns whether Ctrl-C was received; a second Ctrl-C interrupts as usual."""
+    # A block of samples is completed after the first Ctrl-C.
     interrupted = threading.Event()
 
     def set_flag(number: int, frame: FrameType | None) -> None:

@@ -131,10 +131,7 @@ class Law(NamedTuple):
         return start.wall != FLIGHT or start.force is None
 
     def mode_at(self, wall: int, gap: float) -> str:
-        """Return the first mode that contains a gap [m] and touches a wall (`FLIGHT`: no wall).
-
-        If the gap is outside every mode due to rounding, the first mode at the wall is returned.
-        """
+        """Return the first mode with a gap [m], or at it within rounding, that touches a wall (`FLIGHT`: none)."""
         at_wall = [name for name, mode in self.modes.items() if mode.wall == wall]
         containing = [
             name

@@ -240,10 +240,7 @@ def _initial_state(scene: Scene, system: HybridSystem) -> Array:
 
 
 def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
-    """Return the coordinates at rest under the weight of the dampers [m]; joints with friction exert no force.
-
-    Raises `SceneError` if nothing supports the structure.
-    """
+    """Return coordinates at rest under the weight of the dampers [m], without friction; `SceneError` if unsupported."""
     n = system.coordinates
     memories = [element.memory for element in system.elements if element.memory >= 0]
     frictionless = replace(system, elements=tuple(element for element in system.elements if element.memory < 0))
@@ -279,10 +276,7 @@ def _is_singular(stiffness: Array) -> bool:
 
 
 def force_row(scene: Scene, system: HybridSystem) -> Array:
-    """Return the row whose product with the state is the force of the driven shaker on the structure [N].
-
-    The row is zero without a shaker, or if no state gives its force.
-    """
+    """Return the row whose product with the state is the driven shaker's force [N]; zeros if there is no such row."""
     if scene.driven_shaker is None:
         return np.zeros(system.states)
     table = scene.at_driven("table")

@@ -456,20 +456,14 @@ class Drive:
 
 
 def pure_tone(amplitudes: np.ndarray, angular_frequency: float) -> Drive:
-    """Return the drive of a pure tone u(t) = Re(U e^{i w t}), with p = (cos w t, sin w t).
-
-    `amplitudes`: U of each input; `angular_frequency`: w in rad/s.
-    """
+    """Return the drive u(t) = Re(U e^{i w t}) of a tone, p = (cos w t, sin w t), with `amplitudes` U of inputs."""
     generator = np.array([[0.0, -angular_frequency], [angular_frequency, 0.0]])
     amplitudes = np.asarray(amplitudes, dtype=complex)
     return Drive(generator, np.column_stack([amplitudes.real, -amplitudes.imag]), angular_frequency)
 
 
 def first_order_hold(inputs: int, interval: float) -> Drive:
-    """Return the drive of linearly interpolated samples: p = (u, change of u over the sample interval).
-
-    `inputs`: number of inputs; `interval`: sample interval [s].
-    """
+    """Return the drive of linearly interpolated samples: p = (u, change of u over the sample `interval` [s])."""
     generator = np.zeros((2 * inputs, 2 * inputs))
     generator[:inputs, inputs:] = np.eye(inputs) / interval
     return Drive(generator, np.hstack([np.eye(inputs), np.zeros((inputs, inputs))]), 0.0)

@@ -105,20 +105,14 @@ def force_per_drive(scene: Scene, system: HybridSystem, omega: float | Array) ->
 
 
 def accelerations_per_drive(scene: Scene, places: Sequence[str], omega: Array) -> Array:
-    """Return the acceleration amplitude at each place per unit of drive [m/s²]; shape (places,) + omega.shape.
-
-    All dampers ride. `omega`: rad/s.
-    """
+    """Return accelerations at places per drive [m/s²] with riding dampers; (places,) + omega.shape, rad/s."""
     system = assemble(scene)
     rows = [system.points.index(place) for place in places]
     return np.asarray(omega**2 * np.abs(riding_response(system, scene.at_driven("shaker"), omega)[rows]))
 
 
 def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float | Array) -> Array:
-    """Return the acceleration amplitude of each body per unit of level [m/s²]; shape (bodies,) + omega.shape.
-
-    All dampers ride. `omega`: rad/s.
-    """
+    """Return accelerations of bodies per level [m/s²] with riding dampers; (bodies,) + omega.shape, rad/s."""
     response = riding_response(system, scene.at_driven("shaker"), omega) * drive_per_level(scene, system, omega)
     return omega**2 * np.abs(response[: scene.structure.bodies])
 
@@ -198,10 +192,7 @@ def riding_response(system: HybridSystem, name: str, omega: float | Array) -> Co
 
 
 def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float) -> Array:
-    """Return the drive (inputs, samples) of a test whose drive is not a tone; `rate`: sample rate [Hz].
-
-    Raises `SceneError` for tests whose signal is generated only during a recording.
-    """
+    """Return the drive (inputs, samples) at a `rate` [Hz]; `SceneError` if a recording alone can generate it."""
     drive = np.zeros((len(system.inputs), samples))
     test = scene.test
     if test is None:

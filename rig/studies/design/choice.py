@@ -268,10 +268,7 @@ class Objective:
 
 
 def variants(scene: Scene, damping: float, stiffness: float) -> tuple[Scene, ...]:
-    """Return the nominal scene, then variants in which damping and stiffness have their extreme values.
-
-    `damping`, `stiffness`: largest relative deviation of each from its nominal value.
-    """
+    """Return the nominal scene, then variants with the largest relative deviations of `damping` and `stiffness`."""
     nominal = structural_model(scene)
     factors = product(*({1.0 - uncertainty, 1.0 + uncertainty} for uncertainty in (damping, stiffness)))
     variations = [

@@ -40,10 +40,7 @@ _UNCERTAINTIES = "`uncertain`"
 
 
 def mass_limit(budget: float | str | None, scene: Scene) -> float:
-    """Return the limit of the added mass [kg] from a mass or a share of the structure's mass; None for the default.
-
-    Raises `SceneError` if the budget is neither a mass nor a share.
-    """
+    """Return the limit of the added mass [kg] from a mass or a share of the structure's mass; None: the default."""
     if budget is None:
         return DEFAULT_MASS_RATIO * total_mass(scene)
     if not isinstance(budget, str):

@@ -194,10 +194,7 @@ class LocalSpectra:
         )
 
     def power(self, spectra: ComplexArray, half_width: int | None = None) -> Array:
-        """Compute the mean square of spectra over several bins on either side of each line; shape (lines,).
-
-        `half_width`: number of bins, by default as in a fit.
-        """
+        """Compute the mean square of spectra over `half_width` bins (default: as a fit) around each line."""
         half_width = self.half_width if half_width is None else half_width
         mean_square = np.mean(abs(spectra) ** 2, axis=0)
         return np.asarray(scipy.ndimage.uniform_filter1d(mean_square, 2 * half_width + 1)[self.lines])

@@ -89,10 +89,7 @@ class Module:
             raise invalid_value(f"sample clock rate of {self.product_type}: {error}") from None
 
     def range_for(self, limit: float) -> float:
-        """Return the smallest range, ± V, that includes a limit in V; infinite if the inputs are not limited.
-
-        Raises `DaqError` -200077 if the limit exceeds all ranges.
-        """
+        """Return the smallest range that includes a limit [V], infinite without limit; `DaqError` -200077 if none."""
         if not self.ranges:
             return math.inf
         for input_range in self.ranges:

@@ -101,10 +101,7 @@ class Acquisition:
 
     @property
     def readable_end(self) -> int:
-        """Number of the sample after the last readable sample.
-
-        With a reference trigger, 0 until the record is complete.
-        """
+        """Number of the sample after the last readable one; 0 until a reference trigger's record is complete."""
         return 0 if self.plan.reference is not None and not self.done else self.ring.written
 
     @property

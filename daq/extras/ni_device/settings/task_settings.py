@@ -147,10 +147,7 @@ class TaskSettings:
         return added
 
     def find(self, names: str) -> list[Channel]:
-        """Return channels by their virtual names or the names of their terminals; all channels for an empty string.
-
-        Raises `DaqError` -200488 if there is no channel of a name.
-        """
+        """Return channels by names or terminals, all for an empty string; `DaqError` -200488 if a name is unknown."""
         selected = []
         for name in unflatten(names):
             key = name.lower().lstrip("/")

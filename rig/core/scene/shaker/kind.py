@@ -143,10 +143,8 @@ class KindOfShaker(Settings):
         return {}
 
     def force_row(self, states: int, table: int | None) -> Array:
-        """Return the row whose product with the state is the force on the structure [N], shape (states,).
-
-        `table`: row of the table. The result is zero if the force does not depend on the state.
-        """
+        """Return the row whose product with the state is the force on the structure [N]; `table`: row of the table."""
+        # The row is zero if the force does not depend on the state.
         return np.zeros(states)
 
     def required_drive(self, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:

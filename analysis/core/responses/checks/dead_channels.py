@@ -28,11 +28,11 @@ _COMPARED = 8
 _MIN_BLOCKS = 4
 # A signal is dead if it is below this fraction of the previous signal: only noise and crosstalk remain.
 _DEAD_RATIO = 0.01
-# Largest fall in two steps of a signal that dies, usually in one; a larger fall is that of a settling sensor.
+# A signal that falls by more than this factor in two steps has settled; one that dies falls in one step.
 _MAX_FALL = 10.0
 # Smallest standard deviation before [counts of the converter]; a smaller signal falls below half a count.
 _MIN_COUNTS = 3.0
-# Largest fall of some other motion channel, relative to a dead channel's: the excitation has not ended.
+# Smallest ratio of a dead channel's fall to that of some other motion channel: the excitation has not ended.
 _MIN_CONTRAST = 10.0
 # Ratio of the last live deviation to the largest one in the first dead block, which noise hardly reaches.
 _PEAK_RATIO = 3.0

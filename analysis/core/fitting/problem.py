@@ -18,6 +18,7 @@ from analysis.core.fitting.measured import Curves, Sensor
 from analysis.core.fitting.parameters import Parameter, with_values
 from analysis.core.fitting.predicted import linear_derivatives, linear_response, scene_of_test
 from analysis.core.fitting.sweep_orbits import StoredOrbit, SweepOrbits
+from analysis.core.modal.modal_fit import neighboring_maxima
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.uncertainty import standard_of_limit
 from rig.core.scene.scene import Scene
@@ -36,8 +37,6 @@ _FAILED_RESIDUAL = 30.0
 _OUTLIER_LIMIT = 6.0
 # Largest plausible deviation of a fitted sensitivity from its data sheet, in tolerances, which may be optimistic.
 _MAX_SENSOR_DEVIATION = 2.0
-# Points are neighbors up to this frequency ratio: wider than a resonance, narrower than the spacing of most modes.
-_NEIGHBOR_FREQUENCY_RATIO = 1.15
 
 
 # State of a group: the fitted points, the current orbit at each point, and the earlier orbits.
@@ -326,9 +325,6 @@ class Problem:
 def _local_peaks(curves: Curves) -> Array:
     """Return the largest magnitude near each point, in standard deviations of that point, shape (n, responses)."""
     order = np.argsort(curves.frequency, kind="stable")
-    frequency, magnitude = curves.frequency[order], abs(curves.value[:, order])
-    first = np.searchsorted(frequency, frequency / _NEIGHBOR_FREQUENCY_RATIO)
-    stop = np.searchsorted(frequency, frequency * _NEIGHBOR_FREQUENCY_RATIO, side="right")
-    largest = np.empty(magnitude.T.shape)
-    largest[order] = np.stack([magnitude[:, a:b].max(axis=1) for a, b in zip(first, stop, strict=True)])
+    largest = np.empty(curves.value.T.shape)
+    largest[order] = neighboring_maxima(curves.frequency[order], np.abs(curves.value[:, order])).T
     return largest * abs(np.einsum("nii->ni", curves.whitening))

@@ -40,7 +40,7 @@ _MAX_CANDIDATES = 40
 _MAX_NOISE_RATIO = 4.0
 # Model errors relative to the highest neighboring magnitude, tried in this order until the misfit is explained.
 MODEL_ERRORS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
-# For the model error, two lines are neighbors if their frequencies differ by at most this ratio.
+# Lines are neighbors up to this frequency ratio: wider than a resonance, narrower than the spacing of most modes.
 _NEIGHBOR_FREQUENCY_RATIO = 1.15
 # Smallest number of degrees of freedom of a line whose uncertainty is not combined with its neighbors'.
 _MIN_DEGREES = 10.0
@@ -129,6 +129,13 @@ def measured_curves(curves: Sequence[Response]) -> tuple[Curves, Array]:
     ), sigma
 
 
+def neighboring_maxima(frequency: Array, magnitude: Array) -> Array:
+    """Return the largest magnitude among the neighbors of each line, (responses, n); `frequency`: ascending [Hz]."""
+    first = np.searchsorted(frequency, frequency / _NEIGHBOR_FREQUENCY_RATIO)
+    stop = np.searchsorted(frequency, frequency * _NEIGHBOR_FREQUENCY_RATIO, side="right")
+    return np.stack([magnitude[:, begin:end].max(axis=1) for begin, end in zip(first, stop, strict=True)], axis=1)
+
+
 def _best_model(
     measured: Curves,
     sigma: Array,
@@ -143,10 +150,7 @@ def _best_model(
     explains the residual.
     """
     # Errors due to nonlinearity are proportional to the peaks, not to the curve between the peaks.
-    frequency, magnitude = measured.frequency, np.abs(measured.value)
-    first = np.searchsorted(frequency, frequency / _NEIGHBOR_FREQUENCY_RATIO)
-    stop = np.searchsorted(frequency, frequency * _NEIGHBOR_FREQUENCY_RATIO, side="right")
-    local_peak = np.stack([magnitude[:, begin:end].max(axis=1) for begin, end in zip(first, stop, strict=True)], axis=1)
+    local_peak = neighboring_maxima(measured.frequency, np.abs(measured.value))
     models: list[tuple[Curves, ModalModel]] = []
     for error in assumed_errors:
         curves = replace(measured, weight=1.0 / np.hypot(sigma, error * local_peak), has_model_error=error > 0.0)

@@ -19,15 +19,13 @@ from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.open_loop_drive import accelerations_per_level
 from rig.core.system.structural_model import structural_model
 
-# Frequencies of a sweep that are compared with gravity: two per half-power width (0.5 % damping) in a decade.
-_N_FREQUENCIES = 400
 # Modes that a text lists; a longer list would hide the remedy.
 _MAX_LISTED_MODES = 5
 
 
 def onset_level(scene: Scene, system: HybridSystem) -> float:
     """Return the lowest level at which a damper leaves its floor in a tone or sweep; infinite for other tests."""
-    accelerations = _acceleration_per_level(scene, system, test_frequencies(scene.test, _N_FREQUENCIES))
+    accelerations = _acceleration_per_level(scene, system, test_frequencies(scene.test))
     with np.errstate(divide="ignore"):
         levels = system.take_off_acceleration[:, None] / accelerations if accelerations.size else accelerations
     return float(levels.min(initial=np.inf))
@@ -53,7 +51,7 @@ def flying_tones(scene: Scene, system: HybridSystem, level: float, tones: Array)
 
 def flight_lines(scene: Scene, system: HybridSystem, level: float, rehearsals: Sequence[Rehearsal]) -> tuple[str, ...]:
     """Return lines that state for each damper whether, where and when it flies in `rehearsals` of the test."""
-    frequencies = test_frequencies(scene.test, _N_FREQUENCIES)
+    frequencies = test_frequencies(scene.test)
     accelerations = level * _acceleration_per_level(scene, system, frequencies)
     exceeds_gravity = accelerations > (system.take_off_acceleration[:, None] if accelerations.size else np.inf)
     names_by_range: dict[tuple[str, bool], list[str]] = {}

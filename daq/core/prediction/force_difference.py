@@ -24,13 +24,11 @@ from rig.core.system.structural_model import structural_model
 _MAX_ERROR_RATIO = 0.5
 # Frequencies that a warning lists; a longer list would hide the remedy.
 _MAX_LISTED = 8
-# Frequencies for the band of a test without tones: two per half-power width (0.5 % damping) in a decade.
-_N_FREQUENCIES = 400
 
 
 def unresolved_force(scene: Scene, system: HybridSystem, channels: Sequence[ChannelInfo]) -> Iterator[str]:
     """Yield a warning if the sensors do not resolve the spring force at resonances in the band of the test."""
-    test, shaker, band = scene.test, scene.driven_shaker, test_frequencies(scene.test, _N_FREQUENCIES)
+    test, shaker, band = scene.test, scene.driven_shaker, test_frequencies(scene.test)
     if test is None or shaker is None or shaker.coil_spring is None or not band.size:
         return
     has_cell = any(info.at == scene.at_driven("shaker") for info in channels)

@@ -18,13 +18,13 @@ from rig.core.system.assembly import assemble, force_row
 from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.open_loop_drive import drive_per_level, riding_response
 
-# Frequencies of required drive and signal-to-noise ratio: two per half-power width (0.5 % damping) in a decade.
+# Frequencies over the band of a test without tones: two per half-power width (0.5 % damping) in a decade.
 _N_FREQUENCIES = 400
 
 
-def test_frequencies(test: Test | None, points: int) -> Array:
-    """Return the tones of a test, or `points` frequencies over its band, ascending [Hz]; empty without a band."""
-    return np.array(() if test is None else test.tones(points))
+def test_frequencies(test: Test | None) -> Array:
+    """Return the tones of a test, or frequencies over its band, ascending [Hz]; empty without a band."""
+    return np.array(() if test is None else test.tones(_N_FREQUENCIES))
 
 
 def states_per_level(scene: Scene, system: HybridSystem, frequencies: Array) -> tuple[ComplexArray, ComplexArray]:
@@ -63,7 +63,7 @@ def channel_readings(scene: Scene, channels: Sequence[ChannelInfo], frequencies:
 
 def required_drive(scene: Scene, system: HybridSystem) -> tuple[float, float] | None:
     """Return the largest drive per unit of the test's level and its frequency; None for tests without tone or sweep."""
-    frequencies = test_frequencies(scene.test, _N_FREQUENCIES)
+    frequencies = test_frequencies(scene.test)
     if not frequencies.size or scene.test is None or not scene.test.single_tone:
         return None
     drive_gain = abs(states_per_level(scene, system, frequencies)[1])
@@ -93,7 +93,7 @@ def lowest_signal_to_noise(scene: Scene, channels: tuple[ChannelInfo, ...]) -> d
     The noise is that of a measured tone or spectral line: sqrt(2 S / T) for a noise density S and a lock-in measurement
     over the time T. The ratio is not defined for impacts and free decays.
     """
-    test, frequencies = scene.test, test_frequencies(scene.test, _N_FREQUENCIES)
+    test, frequencies = scene.test, test_frequencies(scene.test)
     settings = {channel.name: channel for channel in scene.channels or ()}
     if test is None or not frequencies.size or scene.driven is None:
         return {}

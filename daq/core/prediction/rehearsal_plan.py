@@ -44,8 +44,6 @@ _MIN_PEAK_RATIO = 0.15
 _MAX_INDEX_GAP = 4
 # Dwells at the start of each group without evaluation: their initial motion differs from the complete test.
 _EXCLUDED_DWELLS = 2
-# Frequencies that replace a long sweep: two per half-power width (0.5 % damping) in a decade.
-_SWEEP_POINTS = 400
 
 
 @dataclass(frozen=True)
@@ -99,7 +97,7 @@ def plan_about_peaks(scene: Scene, channels: tuple[ChannelInfo, ...], seconds: f
     """Plan groups of frequencies about the peaks at the highest level, each from rest, of `seconds` in total."""
     test = scene.test
     assert test is not None
-    frequencies, direction = test_frequencies(test, _SWEEP_POINTS), test.sweep_direction
+    frequencies, direction = test_frequencies(test), test.sweep_direction
     settings, periods = _stepped_sine_settings(test, direction), procedure_of(test).periods_of_step(test)
     n_directions = 2 if direction == "both" else 1
     step_s = expected_wait(scene, settings["settle"].longest) + periods / frequencies.mean()

@@ -43,8 +43,8 @@ class HeldMotion(EnvelopeTone):
     def __init__(self, station: Station, test: ConstantResponse) -> None:
         quantity = controlled(station)
         assert quantity is not None
-        super().__init__(station, test.order[0], quantity)
-        self._settle, self._order, self._level, self.target = test.settle, test.held_motion[1], 0.0, 0.0
+        super().__init__(station, test.order[0], quantity, test.settle)
+        self._order, self._level, self.target = test.held_motion[1], 0.0, 0.0
         # Frequencies [Hz] with the amplifier at its limit, and the largest amplitude there relative to the level.
         self.limited: dict[float, float] = {}
         # Open-loop growth rate (1/s) and dead time (s) of the orbits that the control lost.
@@ -73,7 +73,7 @@ class HeldMotion(EnvelopeTone):
         settled, end = False, self.station.now + max_wait_s * self.rate
         while not settled and (remaining_s := (end - self.station.now) / self.rate) > _MIN_WAIT_S:
             if self.is_controllable(frequency):
-                settled = yield from self.settle_envelope(frequency, drive, self.target, tolerance, remaining_s)
+                settled = yield from self.settle_envelope(frequency, drive, self.target, remaining_s)
             else:
                 super().start(self.target)
                 settled = yield from super().settle({frequency: drive}, tolerance, min(_AMPLITUDE_WAIT_S, remaining_s))
@@ -92,9 +92,7 @@ class HeldMotion(EnvelopeTone):
         held = yield from self.hold_envelope(samples, self.target, feedback=False)
         growth = held.growth
         if settled and growth:
-            settled = yield from self.settle_envelope(
-                self.frequency, self.amplitude, self.target, self._settle.tolerance, self._settle.longest
-            )
+            settled = yield from self.settle_envelope(self.frequency, self.amplitude, self.target, self._settle.longest)
             first = self.station.now
             held = yield from self.hold_envelope(samples, self.target, feedback=True)
             settled = settled and not held.growth

@@ -12,6 +12,7 @@ import analysis
 import daq
 import rig
 from analysis.commands.cli import app
+from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, RunError, SceneError
 from tests.daq.excitation.virtual_device import run_device
 from tests.daq.measurement.bench_run import run
@@ -83,8 +84,9 @@ def test_curve_continues_behind_a_corner(tmp_path: Path) -> None:
         "test": {"kind": "continuation", "from": 48.9, "to": 48.5, "at": "body 1", "force": 0.8629473},
         **BODY_1_AND_FORCE,
     })  # fmt: skip
-    with pytest.warns(daq.RunWarning, match=r"no points from 48\.\d+ to 48\.\d+"):
+    with pytest.warns(daq.RunWarning) as warned:
         path = daq.record(scene, tmp_path / "corner.mcap")
+    assert re.search(r"no points from 48\.\d+ to 48\.\d+", " ".join(str(warning.message) for warning in warned))
     measured = analysis.continuation(path)
     theory = scene.replace(test={"kind": "sine", "frequency": 48.5, "force": 0.8629473}, channels=None)
     [branch] = [b for b in rig.follow_orbits(theory, "frequency", (48.45, 48.55)).branches if b.stable.any()]
@@ -176,9 +178,13 @@ def test_device_gives_equal_markers() -> None:
     assert delayed[-1]["settled"] and delayed[-1]["frequency"] <= 50.2
 
 
-def test_long_delay_gives_up() -> None:
+def test_long_delay_leaves_zero_drive() -> None:
+    played = list[Array]()
     with pytest.raises(RunError, match=r"at 50.* Hz requires a dead time below 0\.44 s; it is 0\.46 s"):
-        run_device(scene_with(**FOLDED), 2048)
+        run_device(scene_with(**FOLDED), 2048, played)
+    # The zeros that fill the queue follow the ramp.
+    ramp, zeros = played[-2:]
+    assert ramp[0, 0] and not ramp[0, -1] and ramp.shape[1] <= 0.1 * 5120 and zeros.shape[1] == 2048
 
 
 def test_limited_amplifier_gives_up() -> None:
@@ -238,6 +244,25 @@ def test_chaotic_motion_next_to_corner_is_omitted() -> None:
     settled = [fields["frequency"] for *_, fields in bench_run.marks_of("measure") if fields["settled"]]
     assert min(settled) > 39.415
     assert "the motion is irregular at 39.4" in " ".join(bench_run.warnings)
+
+
+def test_irregular_motion_leaves_zero_drive() -> None:
+    # Below 71.58 Hz the motion is chaotic: successive periods differ by 0.3 % and more.
+    scene = rig.load({
+        "structure": {
+            "masses": [1.9774, 1.12], "springs": [180708.73316201, 102353.48495067], "damping": {"modal": 0.0027407}
+        },
+        "dampers": [{"body": 1, "mass_ratio": 0.04663, "clearance": 0.00036654548474}],
+        "shaker": {"kind": "force", "body": 1},
+        "test": {"kind": "continuation", "at": "body 1", "force": 5.3957514054}
+        | {"from": 71.596828901735, "to": 65.34079530838, "settle": {"longest": 10.0}},
+        **BODY_1_AND_FORCE,
+        "seed": 469970,
+    })  # fmt: skip
+    bench_run = run(scene)
+    settled = [fields["frequency"] for *_, fields in bench_run.marks_of("measure") if fields["settled"]]
+    assert min(settled) > 71.58 and "did not reach steady state" in bench_run.reason
+    assert abs(bench_run.drive[0]).max() > 5.0 and not bench_run.drive[:, -1].any()
 
 
 def test_noise_is_measured_with_settled_sensors() -> None:

@@ -14,14 +14,16 @@ from rig.core.scene.shaker import DRIVE_PER_VOLT
 Markers = list[tuple[str, int, int, dict[str, Any]]]
 
 
-def run_device(scene: rig.Scene, queued: int) -> Markers:
-    """Run the test of a scene on a device with a queue; return its markers."""
+def run_device(scene: rig.Scene, queued: int, played: list[Array] | None = None) -> Markers:
+    """Run the test of a scene on a device with a queue; return its markers, and append the volts to `played`."""
     bench = Bench(scene)
     queue, markers = np.zeros((len(bench.inputs), 0)), Markers()
 
     def write(volts: Array) -> None:
         nonlocal queue
         queue = np.concatenate([queue, volts], axis=1)
+        if played is not None:
+            played.append(volts)
 
     def read(samples: int) -> Array:
         nonlocal queue

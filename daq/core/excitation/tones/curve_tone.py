@@ -42,7 +42,7 @@ class CurveTone(EnvelopeTone):
     periods = 2.0
 
     def __init__(self, station: Station, test: Continuation, force: Controlled | None) -> None:
-        super().__init__(station, test.from_, displacement(station, test.at))
+        super().__init__(station, test.from_, displacement(station, test.at), test.settle)
         self._test = test
         self._force = force
         self._forces = deque[float](maxlen=AVERAGED_WINDOWS)
@@ -92,7 +92,7 @@ class CurveTone(EnvelopeTone):
     def drive_to(self, frequency: float, drive: float, level: float) -> Generator[Array, Array, Point | None]:
         """Settle at a frequency in Hz and the level, without feedback; return the point, None if it did not settle."""
         self.control, control = None, AmplitudeControl(level, self.station.drive_limit)
-        settle = self._test.settle
+        settle = self._settle
         for _ in range(_MAX_DRIVES):
             settled = yield from self.settle({frequency: drive}, settle.tolerance, settle.longest)
             # The force is averaged without the transients before the steady state.
@@ -116,11 +116,9 @@ class CurveTone(EnvelopeTone):
         if not self._gain:
             # A lost motion has shown that the model of the mode is wrong.
             return None
-        settle, self._is_flank = self._test.settle, False
+        self._is_flank = False
         transition_s = 0.0 if abs(frequency - self.frequency) * self.dead_time < _SMALL_TURN else TRANSITION_S
-        settled = yield from self.settle_envelope(
-            frequency, self.amplitude, motion, settle.tolerance, settle.longest, transition_s
-        )
+        settled = yield from self.settle_envelope(frequency, self.amplitude, motion, self._settle.longest, transition_s)
         return self.point() if settled else None
 
     def is_holdable(self, point: Point, ratio: float) -> bool:

@@ -25,6 +25,7 @@ from daq.core.excitation.tones.settling import Settling
 from daq.core.excitation.tones.steady_tone import MAX_TOLERANCE, TRANSITION_S, SteadyTone, half_cosine
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.scene.excitation import FORCE_TOLERANCE
+from rig.core.scene.excitation.kind import Settle
 
 # Largest product of |l| and dead time at which the control is used. From 0.54 on, the stability limit is in error.
 MAX_POLE_TIMES_DEAD_TIME = 0.5
@@ -59,9 +60,6 @@ _MAX_REPEATED_PERIODS = 4
 # Orders of the tone's frequency at which successive periods are compared. Hann windows of two periods at these orders
 # cover the band from 0 to 2.5, without the drift of integrated channels at 0.
 _COMPARED_ORDERS = 1.0, 1.5
-# Successive periods of a periodic motion differ by at most this ratio. Feedback next to folds causes up to 0.2 %.
-# Chaotic motions next to corners have 0.5 to 2 %, and their force differs by as much or more from that of the orbit.
-_MAX_IRREGULARITY = 0.003
 # Number of windows at rest from which the noise is estimated, to 20 %.
 _NOISE_WINDOWS = 12
 # Variance of the envelopes by noise in a measurement, relative to that at rest, which a few windows determine roughly.
@@ -135,9 +133,9 @@ class EnvelopeTone(SteadyTone):
     # Length of a control window, periods. Three periods contain the impacts of several cycles.
     periods = 3.0
 
-    def __init__(self, station: Station, frequency: float, controlled: Controlled) -> None:
+    def __init__(self, station: Station, frequency: float, controlled: Controlled, settle: Settle) -> None:
         super().__init__(station, frequency, controlled)
-        self._quantity = controlled
+        self._quantity, self._settle = controlled, settle
         self.forget_mode()
         self.direction = 1.0 + 0j  # phase of the drive relative to that of the envelopes, as e^{i phase}
         self.motion = 0j  # last envelope of the controlled motion, m
@@ -236,7 +234,6 @@ class EnvelopeTone(SteadyTone):
         frequency: float,
         drive: float,
         target: float,
-        tolerance: float,
         max_wait_s: float,
         transition_s: float = TRANSITION_S,
     ) -> Generator[Array, Array, bool]:
@@ -255,7 +252,7 @@ class EnvelopeTone(SteadyTone):
             return False
         self.control = None
         control = self._control_to(target * self.motion / abs(self.motion))
-        detector, drives = Settling(tolerance), deque([self.envelope], maxlen=AVERAGED_WINDOWS)
+        detector, drives = Settling(self._settle.tolerance), deque([self.envelope], maxlen=AVERAGED_WINDOWS)
         while station.now + self.window <= end:
             envelopes = yield from self.steer(self._next_drive(control))
             self.motion = complex(envelopes[0])
@@ -301,7 +298,11 @@ class EnvelopeTone(SteadyTone):
         growth = _growth(np.array(motions), target, window / self.rate, tolerance)
         # The windows of the comparison have two periods, and a Hann window has 1.5 times the noise.
         noise *= (1.5 * len(_COMPARED_ORDERS) * window * self.frequency / self.rate / 2.0) ** 0.5
-        largest = float(np.hypot(_MAX_IRREGULARITY, noise))
+        # Changes of the drive change the motion by |b dU| = |l X dU / U| a second, until the motion repeats.
+        pole = abs(self._gain * drive) / max(abs(motion), 1e-300)
+        controlled = _MAX_REPEATED_PERIODS * pole / self.frequency * invasive
+        # The force of a motion that does not repeat differs from that of the orbit by about as much as its periods.
+        largest = float(np.linalg.norm([self._settle.tolerance, noise, controlled]))
         repeats = irregularity(np.concatenate(self._readings), self.frequency, self.rate) < largest
         return Held(motion, drive, invasive, growth, repeats)
 

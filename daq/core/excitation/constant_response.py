@@ -98,7 +98,7 @@ class HeldMotion(EnvelopeTone):
             settled = settled and not held.growth
             if not settled and growth * self.dead_time > MAX_POLE_TIMES_DEAD_TIME:
                 self.lost.append((growth, self.dead_time))
-        self.mark_measured(first, held, settled and held.repeats, **fields)
+        self.mark_measured(first, held, settled and held.repetition > 0, **fields)
 
 
 class ConstantResponseProcedure(StepsProcedure["ConstantResponse"]):
@@ -131,6 +131,7 @@ class ConstantResponseProcedure(StepsProcedure["ConstantResponse"]):
             raise GivenUp(" ".join([f"the motion of {test.at} reached the level at no frequency.", *messages]))
         for message in messages:
             station.warn(message)
+        tone.warn_of_multiples()
 
     def part(self, test: ConstantResponse, seconds: float, scene: Scene) -> ConstantResponse:
         """Return the highest level at evenly spaced frequencies of the test."""

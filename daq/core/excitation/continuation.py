@@ -192,8 +192,8 @@ class _Curve:
                 return False
             first = station.now
             held = yield from tone.hold_envelope(samples, point.motion, feedback=False)
-        settled = not held.growth and held.invasive < _MAX_INVASIVE and held.repeats
-        if not held.repeats and held.invasive < _MAX_INVASIVE:
+        settled = not held.growth and held.invasive < _MAX_INVASIVE and held.repetition > 0
+        if not held.repetition and held.invasive < _MAX_INVASIVE:
             self.irregular.append(point.frequency)
         tone.mark_measured(
             first,
@@ -458,6 +458,7 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
             raise GivenUp(failures[0])
         for message in failures:
             station.warn(message)
+        tone.warn_of_multiples()
         station.report(1.0, "done")
 
     def waits(self, test: Continuation, scene: Scene) -> float:

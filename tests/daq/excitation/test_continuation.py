@@ -265,6 +265,21 @@ def test_irregular_motion_leaves_zero_drive() -> None:
     assert abs(bench_run.drive[0]).max() > 5.0 and not bench_run.drive[:, -1].any()
 
 
+def test_motion_with_several_periods_is_named() -> None:
+    scene = rig.load({
+        "structure": {"masses": [0.89973], "springs": [85335.54219696348], "damping": {"modal": 0.0044327}},
+        "dampers": [{"body": 1, "mass_ratio": 0.044105, "clearance": 0.0014164190450585282}],
+        "shaker": {"kind": "force", "body": 1},
+        "test": {"kind": "continuation", "at": "body 1", "force": 1.5500553489433753}
+        | {"from": 49.82, "to": 49.7, "points": 3},
+        **BODY_1_AND_FORCE,
+        "seed": 316449,
+    })  # fmt: skip
+    bench_run = run(scene)
+    assert [fields["repetition"] for *_, fields in bench_run.marks_of("measure")] == [4, 4, 4]
+    assert "after 4 periods at 49.82 Hz" in " ".join(bench_run.warnings)
+
+
 def test_noise_is_measured_with_settled_sensors() -> None:
     sensor = {"sensitivity": "100 mV/g", "noise": "20 ug/sqrt(Hz)", "bias": "2 V", "bias_settling": "0.2 s"}
     channels = [

@@ -29,9 +29,6 @@ _EXACT_ERROR = 1e-4
 _MAX_PROBED = 0.06
 # Numbers of searches for orbits: where many motions repeat, some are found only by a larger number.
 _SEARCHES = 2, 4, 16
-# A motion with a doubled period has at least this amplitude at 3/2 of the frequency, relative to that at the frequency,
-# and this multiple of the amplitudes at neighboring lines.
-_MIN_DOUBLED, _MIN_DOUBLED_RATIO = 1e-3, 5.0
 # Orbits are followed over the drive, relative to that of the point, and over the frequency.
 _DRIVES, _FREQUENCIES = (0.75, 1.33), (0.97, 1.03)
 
@@ -72,7 +69,7 @@ class _Crossing(NamedTuple):
     value: float  # of the parameter
     amplitude: float  # of the body, m
     force: float  # amplitude of its first harmonic, N
-    doubled: bool  # whether the motion repeats after several periods
+    repetition: int  # number of periods after which the motion repeats
 
 
 def _orbits(
@@ -108,8 +105,8 @@ def _crossings(curve: rig.OrbitCurve, body: int, offset_of: _Offset) -> Iterator
         along = np.append(0.0, np.cumsum(lengths))[chosen]
         curves = CubicSpline(along, np.array([branch.value, np.log(amplitude), np.log(force)]).T[chosen])
         for value, height, level_there in curves(CubicSpline(along, offset[chosen]).solve(0.0, extrapolate=False)):
-            doubled = branch.orbits[0].repetition > 1
-            yield _Crossing(float(value), float(np.exp(height)), float(np.exp(level_there)), doubled)
+            repetition = branch.orbits[0].repetition
+            yield _Crossing(float(value), float(np.exp(height)), float(np.exp(level_there)), repetition)
 
 
 def _at_amplitude(curve: rig.OrbitCurve, body: int, level: float) -> list[_Crossing]:
@@ -137,16 +134,6 @@ def _measured(case: Case) -> Iterator[tuple[Response, int, Marker]]:
                     yield response, int(np.argmin(abs(response.frequency - mark.fields["frequency"]))), mark
 
 
-def _is_doubled(case: Case, channel: str, mark: Marker) -> bool:
-    """Return whether the measured motion repeats after two periods, not after one."""
-    turn = np.arange(mark.end + 1 - mark.first_sample) * mark.fields["frequency"] / case.scene.converter.rate
-    samples = np.hanning(turn.size) * case.recording.read(channel, mark.first_sample, mark.end + 1)
-    # The lines next to 3/2 are outside of the main lobe of the Hann window.
-    orders = 1.5 + np.array([0.0, -0.5, *(np.array([-5.0, -4.0, -3.0, 3.0, 4.0, 5.0]) / turn[-1])])
-    half, fundamental, *near = abs(np.exp(-2j * np.pi * np.outer(orders, turn)) @ samples)
-    return bool(half > max(_MIN_DOUBLED * fundamental, _MIN_DOUBLED_RATIO * np.sqrt(np.mean(np.square(near)))))
-
-
 def _surface_points(case: Case) -> Iterator[_Point | None]:
     """Yield the force of each settled point, and that of the orbit with its frequency and amplitude."""
     surface = analysis.force_surface(case.recording)
@@ -158,6 +145,7 @@ def _surface_points(case: Case) -> Iterator[_Point | None]:
         force, drive = float(surface.force[k]), float(mark.fields["drive"])
         curve = _orbits(case, drive, float(surface.frequency[k]), over_drive=True)
         found = [] if curve is None else _at_amplitude(curve, body, float(surface.amplitude[k]))
+        found = [each for each in found if each.repetition == mark.fields["repetition"]]
         if not found:
             yield None
             continue
@@ -168,23 +156,23 @@ def _surface_points(case: Case) -> Iterator[_Point | None]:
 def _curve_points(case: Case) -> Iterator[_Point | None]:
     """Yield the force of each settled point, and that of the orbit with its frequency and amplitude."""
     [location] = case.scene.controlled_terms
-    [channel] = [name for name, info in case.recording.channels.items() if info.at == location]
     for response, line, mark in _measured(case):
         k = [output.at for output in response.outputs].index(location)
-        point, doubled = None, _is_doubled(case, channel, mark)
+        point = None
         for searches in _SEARCHES:
-            point = _curve_point(case, response, line, k, mark.fields, searches, doubled) or point
+            point = _curve_point(case, response, line, k, mark.fields, searches) or point
             if point is not None and abs(point[0] - point[2]) <= point[1]:
                 break
         yield point
 
 
 def _curve_point(
-    case: Case, response: Response, line: int, k: int, fields: Mapping[str, Any], searches: int, doubled: bool
+    case: Case, response: Response, line: int, k: int, fields: Mapping[str, Any], searches: int
 ) -> _Point | None:
     """Return the force of a settled point, and that of the orbit with its frequency, amplitude and period.
 
-    `k`: output.
+    `k`: output. The orbits do not switch branches at a doubling of the period: without an orbit of the measured period,
+    there is nothing to compare.
     """
     body, shaker = int(response.outputs[k].at.removeprefix("body ")) - 1, case.scene.driven_shaker
     force, drive = float(response.amplitude[line]), float(fields["drive"])
@@ -195,7 +183,7 @@ def _curve_point(
     probed = min(relative, _MAX_PROBED)
     amplitudes = [value * force * (1.0 + error) for error in (-probed, 0.0, probed)]
     at_amplitudes = [[] if curve is None else _at_amplitude(curve, body, amplitude) for amplitude in amplitudes]
-    found = [[each for each in some if each.doubled == doubled] for some in at_amplitudes]
+    found = [[each for each in some if each.repetition == fields["repetition"]] for some in at_amplitudes]
     if not all(found):
         return None
     exact = [min(some, key=lambda each: abs(each.value - drive)).force for some in found]

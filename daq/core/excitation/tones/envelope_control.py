@@ -57,6 +57,9 @@ AVERAGED_WINDOWS = 12
 _MAX_SCATTER = 0.01
 # A motion that repeats after at most this number of periods of the tone is periodic.
 _MAX_REPEATED_PERIODS = 4
+# A smaller relative difference of successive periods is no multiple of the period: it may be a transient that decays
+# slowly next to a doubling of the period, and it changes the amplitude at the tone by its square only.
+_MIN_MULTIPLE = 0.01
 # Orders of the tone's frequency at which successive periods are compared. Hann windows of two periods at these orders
 # cover the band from 0 to 2.5, without the drift of integrated channels at 0.
 _COMPARED_ORDERS = 1.0, 1.5
@@ -124,7 +127,7 @@ class Held(NamedTuple):
     drive: complex  # mean envelope
     invasive: float  # root mean square of the changes of the drive by the control, relative to the drive
     growth: float  # rate at which the motion left its target with a constant drive, 1/s; 0 if it stayed
-    repeats: bool  # whether the motion is periodic, as far as noise permits
+    repetition: int  # number of periods of the tone after which the motion repeats, as far as noise permits; 0: none
 
 
 class EnvelopeTone(SteadyTone):
@@ -141,6 +144,7 @@ class EnvelopeTone(SteadyTone):
         self.motion = 0j  # last envelope of the controlled motion, m
         self.noise = 0.0  # standard deviation of the envelope in a window by noise, m
         self.scatter = 0.0  # relative standard deviation of the last drives
+        self._multiples: list[str] = []  # motions that repeat after several periods
         self._readings: list[Array] = []  # of the first channel of the motion, since the last measurement began
         self._observed = 0.0, 0j, 0j  # frequency and envelopes of motion and drive in the last observation of the mode
 
@@ -303,16 +307,29 @@ class EnvelopeTone(SteadyTone):
         controlled = _MAX_REPEATED_PERIODS * pole / self.frequency * invasive
         # The force of a motion that does not repeat differs from that of the orbit by about as much as its periods.
         largest = float(np.linalg.norm([self._settle.tolerance, noise, controlled]))
-        repeats = irregularity(np.concatenate(self._readings), self.frequency, self.rate) < largest
-        return Held(motion, drive, invasive, growth, repeats)
+        differences = irregularity(np.concatenate(self._readings), self.frequency, self.rate)
+        repetition = next((lag for lag, difference in enumerate(differences, 1) if difference < largest), 0)
+        if repetition and differences[0] < _MIN_MULTIPLE:
+            repetition = 1
+        return Held(motion, drive, invasive, growth, repetition)
 
     def mark_measured(self, first: int, held: Held, settled: bool, **fields: Any) -> None:
         """Mark the measurement from a given sample to the present sample."""
         self.station.mark(
             "measure", first, self.station.now, drive=abs(held.drive),
             force=abs(held.drive) if self.station.force_is_drive else None,
-            settled=settled, invasive=held.invasive, **fields,
+            settled=settled, invasive=held.invasive, repetition=held.repetition, **fields,
         )  # fmt: skip
+        if settled and held.repetition > 1:
+            self._multiples.append(f"after {held.repetition} periods at {self.frequency:.5g} Hz")
+
+    def warn_of_multiples(self) -> None:
+        """Warn of the measured motions that repeat only after several periods of the tone."""
+        if self._multiples:
+            self.station.warn(
+                f"The motion repeats {', '.join(dict.fromkeys(self._multiples))}. The measured amplitudes are those at "
+                "the frequency of the tone."
+            )
 
 
 def _growth(motions: ComplexArray, target: float, window: float, tolerance: float) -> float:
@@ -328,17 +345,18 @@ def _growth(motions: ComplexArray, target: float, window: float, tolerance: floa
     return float(max(np.log(latest[-1] / latest[middle]) / ((latest.size - 1 - middle) * window), 1e-9))
 
 
-def irregularity(samples: Array, frequency: float, rate: float) -> float:
-    """Return the difference of successive periods of a motion, relative to its amplitude at its frequency in Hz.
+def irregularity(samples: Array, frequency: float, rate: float) -> list[float]:
+    """Return the differences of a motion after 1, 2, ... periods, relative to its amplitude at its frequency in Hz.
 
-    A motion with a multiple of the period repeats after some periods; the smallest difference counts. Chaotic and
-    quasi-periodic motions do not repeat, even if their envelopes at the frequency are nearly constant. A slow drift
-    hardly counts. `rate`: sample rate [Hz].
+    Chaotic and quasi-periodic motions do not repeat, even if their envelopes at the frequency are nearly constant. A
+    slow drift hardly counts. `rate`: sample rate [Hz].
 
     >>> t = np.arange(400)
     >>> doubled, beating = (np.sin(t) + 0.1 * np.sin(ratio * t) for ratio in (0.5, 0.43))
-    >>> irregularity(doubled, 1.0, 2.0 * np.pi) < 1e-3, irregularity(beating, 1.0, 2.0 * np.pi) > 0.02
-    (True, True)
+    >>> [difference < 1e-3 for difference in irregularity(doubled, 1.0, 2.0 * np.pi)]
+    [False, True, False, True]
+    >>> min(irregularity(beating, 1.0, 2.0 * np.pi)) > 0.02
+    True
     """
     period = rate / frequency
     # Amplitudes in Hann windows of two periods that begin one period apart, shape (windows, orders).
@@ -351,8 +369,8 @@ def irregularity(samples: Array, frequency: float, rate: float) -> float:
         turns = [np.exp(-2j * np.pi * order * local) for order in _COMPARED_ORDERS]
         rows.append([2.0 * np.sum(window * turn * inside) / np.sum(window) for turn in turns])
     amplitudes = np.array(rows)
-    differences = [
-        float(np.sqrt(np.mean(np.sum(abs(amplitudes[lag:] - amplitudes[:-lag]) ** 2, axis=1)) / 2.0))
+    scale = 2.0**0.5 * max(abs(complex(np.mean(amplitudes[:, 0]))), 1e-300)
+    return [
+        float(np.sqrt(np.mean(np.sum(abs(amplitudes[lag:] - amplitudes[:-lag]) ** 2, axis=1)))) / scale
         for lag in range(1, min(_MAX_REPEATED_PERIODS, len(rows) // 2) + 1)
-    ]
-    return min(differences, default=0.0) / max(abs(complex(np.mean(amplitudes[:, 0]))), 1e-300)
+    ] or [0.0]

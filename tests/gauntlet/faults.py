@@ -1,9 +1,9 @@
 """Faults in the samples of one channel: ``python -m tests.gauntlet.faults --seed 7 --scenes 8``.
 
 The test of each random scene is recorded once and analyzed with each fault in one of its channels: the gain is halved
-in the middle of the test, the channel is disconnected there, or all its samples are 2 ms late. Printed is a row for
-each kind of test and fault: in how many scenes the channel is named, nothing is reported, or the analysis refuses the
-recording. Exit code 1: an intact channel was blamed.
+in the middle of the test, the channel is disconnected there, or its samples are 2 ms late, all of them or from there
+on. Printed is a row for each kind of test and fault: in how many scenes the channel is named, nothing is reported, or
+the analysis refuses the recording. Exit code 1: an intact channel was blamed.
 """
 
 import argparse
@@ -36,8 +36,14 @@ KINDS = (
     RANDOM,
     MULTISINE,
 )
-# Ratio of the gains from the middle of the test on, and delay of all samples, s.
-FAULTS = {"none": (1.0, 0.0), "gain halved": (0.5, 0.0), "disconnected": (1e-4, 0.0), "2 ms late": (1.0, 2e-3)}
+# Ratio of the gains after and before the middle of the test, and delays before and after it [s].
+FAULTS = {
+    "none": (1.0, 0.0, 0.0),
+    "gain halved": (0.5, 0.0, 0.0),
+    "disconnected": (1e-4, 0.0, 0.0),
+    "2 ms late": (1.0, 2e-3, 2e-3),
+    "later from the middle": (1.0, 0.0, 2e-3),
+}
 
 OUTCOMES = ("named", "silent", "refused", "blamed")
 
@@ -47,8 +53,8 @@ class FaultyRecording(Recording):
 
     def __init__(self, path: Path, channel: str, fault: str) -> None:
         super().__init__(path)
-        self._channel, (self._gain, delay) = channel, FAULTS[fault]
-        self._delay = round(delay * self.rate)
+        self._channel, (self._gain, *delays) = channel, FAULTS[fault]
+        self._delays = [round(delay * self.rate) for delay in delays]
         # In the middle of the measurement; the last hit ends with the recording.
         starts = [mark.first_sample for mark in self.markers if mark.kind in ("measure", "hit")]
         stops = [mark.last_sample or self.samples for mark in self.markers if mark.kind == "measure"]
@@ -60,10 +66,14 @@ class FaultyRecording(Recording):
             return super().read(channel, start, stop)
         start, stop = self._range(start, stop)
         lost = np.isnan(super().read(channel, start, stop))
-        samples = super().read(channel, max(start - self._delay, 0), max(stop - self._delay, 0))
-        samples = np.concatenate([np.zeros(stop - start - samples.size), np.nan_to_num(samples)])
+        before, after = (self._read_delayed(start, stop, delay) for delay in self._delays)
+        samples = np.where(np.arange(start, stop) < self._middle, before, after * self._gain)
         samples[lost] = np.nan
-        return np.where(np.arange(start, stop) < self._middle, samples, samples * self._gain)
+        return samples
+
+    def _read_delayed(self, start: int, stop: int, delay: int) -> Array:
+        samples = super().read(self._channel, max(start - delay, 0), max(stop - delay, 0))
+        return np.concatenate([np.zeros(stop - start - samples.size), np.nan_to_num(samples)])
 
 
 def outcome_of(path: Path, channel: str, fault: str) -> tuple[str, str]:
@@ -111,7 +121,7 @@ def main() -> int:
                     print(f"{options.seed}/{number} {kind}, {fault}, {words}", flush=True)
         for fault in FAULTS:
             row = [f"{counts[kind, fault, outcome]:3} {outcome:9}" for outcome in OUTCOMES]
-            print(f"{kind:24}{fault:14}{''.join(row)}", flush=True)
+            print(f"{kind:24}{fault:23}{''.join(row)}", flush=True)
     return int(any(outcome == "blamed" for _, _, outcome in counts))
 
 

@@ -1,5 +1,6 @@
 """Channels that change their gain, die or are late are named; intact channels and structures are not."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -35,6 +36,11 @@ def stepped_sine(tmp_path_factory):
 @pytest.fixture(scope="module")
 def swept_sine(tmp_path_factory):
     return synthetic.swept_sine(tmp_path_factory.mktemp("swept") / "a.mcap", 8.0, 60.0, SECONDS, noise=1e-4)
+
+
+@pytest.fixture(scope="module")
+def impulses(tmp_path_factory):
+    return synthetic.impulses(tmp_path_factory.mktemp("impulses") / "a.mcap", hits=8, noise=0.1)
 
 
 def multisine(path, periods):
@@ -125,18 +131,17 @@ def noise_of(signal, ratio):
     return ratio * signal.std() * np.random.default_rng(0).standard_normal(signal.size)
 
 
-def test_changed_channel_among_hits_is_named(tmp_path):
-    path = synthetic.impulses(tmp_path / "a.mcap", hits=8, noise=0.1)
+def test_changed_channel_among_hits_is_named(impulses, tmp_path):
     first = 640 + 3 * round(6.0 * synthetic.RATE) - 400
-    [warning] = warnings_with_gain(path, tmp_path, ["body1"], 1.5, first)
+    [warning] = warnings_with_gain(impulses, tmp_path, ["body1"], 1.5, first)
     assert warning.startswith("body1: its gain changes by a factor of 1.5 at about 18")
 
 
-def test_number_of_evaluated_parts_is_limited(tmp_path, monkeypatch):
+def test_number_of_evaluated_parts_is_limited(impulses, monkeypatch):
     monkeypatch.setattr(channel_changes, "_MAX_PARTS", 5)
     parts = channel_changes.Parts(np.arange(0, 20_000, 1000), 1000, 5.0, 60.0)
-    with daq.open(synthetic.impulses(tmp_path / "a.mcap", hits=8)) as rec:
-        clean, spectra = channel_changes._spectra(rec, parts, list(rec.channels))
+    with daq.open(impulses) as rec:
+        clean, _, spectra = channel_changes._spectra(rec, parts, list(rec.channels))
     assert clean == [0, 4000, 8000, 12000, 16000] and len(spectra) == 5
 
 
@@ -202,6 +207,17 @@ def test_dead_channel_is_named_and_omitted(request, tmp_path, kind, channel):
     assert np.median(abs(response.value[:, :, 0].T / value - 1.0)) < 0.01
 
 
+def test_channel_that_dies_early_in_block_is_dead(random_test):
+    with daq.open(random_test) as rec:
+        # A block has four periods of the lowest frequency; 0.5 % of the first dead one contains the signal.
+        block = 4 * round(rec.rate / 5.0)
+        read, first = rec.read, 20 * block + block // 200
+        samples = read("body3")
+        samples[first:] *= 1e-6
+        rec.read = lambda name, start=0, stop=None: (samples if name == "body3" else read(name))[start:stop]
+        assert dead_channels(rec) == {"body3": first}
+
+
 def test_signal_below_a_count_is_not_dead(random_test, tmp_path):
     with daq.open(random_test) as rec:
         samples = np.stack([rec.read(name) for name in rec.channels])
@@ -240,8 +256,40 @@ def test_noise_at_antiresonance_is_no_change_of_gain():
     assert not step_warnings(stack(curves), is_linear=True)
 
 
-def test_dead_hammer_is_named(tmp_path):
-    path = synthetic.impulses(tmp_path / "a.mcap", hits=8, noise=0.1)
-    [response] = responses_with_gain(path, tmp_path, ["hammer"], 1e-5, 640 + 3 * round(6.0 * synthetic.RATE) - 400)
+def curves_with_step(log_ratio, error):
+    """Return two curves of two modes; from 40 Hz on, the first has a step of its gain, in every line of three."""
+    frequency = np.linspace(11.0, 90.0, 390)
+    modes = [1.0 / (natural**2 - frequency**2 + 0.04j * natural * frequency) for natural in (22.0, 60.0)]
+    values = [(modes[0] - modes[1]) * np.exp(log_ratio * (frequency > 40.0)), modes[0] + modes[1]]
+    curves = [Response.curve(frequency, value, f"body{k}", error=error) for k, value in enumerate(values)]
+    return stack([replace(curve, uncertainty=replace(curve.uncertainty, shared=3.0)) for curve in curves])
+
+
+def test_line_of_unknown_uncertainty_hides_no_step():
+    error = np.full(390, 1e-6)
+    error[129::21] = np.nan
+    # No ratio fits: the phase changes as well.
+    [warning] = step_warnings(curves_with_step(0.5 + 0.5j, error), is_linear=True)
+    assert warning.startswith("body0: its gain")
+
+
+@pytest.mark.parametrize(
+    ("kind", "row"),
+    # The response to the swept sine beats in the middle of the test.
+    [(kind, row) for kind in ("random_test", "stepped_sine", "impulses") for row in (1, -1)] + [("swept_sine", -1)],
+)
+def test_channel_that_becomes_late_is_named(request, kind, row):
+    with daq.open(request.getfixturevalue(kind)) as rec:
+        channel, read, first = list(rec.channels)[row], rec.read, rec.samples // 2 + 300
+        samples = read(channel)
+        samples[first:] = samples[first - 5 : -5]
+        rec.read = lambda name, start=0, stop=None: (samples if name == channel else read(name))[start:stop]
+        [warning] = [text for text in analysis.frfs(rec).warnings if " on, in contrast" in text]
+    # Five samples are 1.95 ms.
+    assert re.match(rf"{channel} seems to be (1\.9|2) ms late from about", warning)
+
+
+def test_dead_hammer_is_named(impulses, tmp_path):
+    [response] = responses_with_gain(impulses, tmp_path, ["hammer"], 1e-5, 640 + 3 * round(6.0 * synthetic.RATE) - 400)
     assert any(text.startswith("hammer: dead or disconnected") for text in response.warnings)
     assert not any("marker" in text for text in response.warnings)

@@ -1,16 +1,20 @@
-"""Channels whose gain changes during a test, for example due to a broken cable, a loose sensor or a switched range.
+"""Channels whose gain or delay changes during a test, for example due to a broken cable or a switched range.
 
 A test is divided into *parts* with equal excitation, such as impacts, periods or sections of a random test. The ratio
 of an output to the inputs, averaged over all parts, predicts its spectrum in each part. The *relative gain* of a part
 is the regression coefficient of measured and predicted spectrum. It scatters with noise and leakage, and has a step
 where the gain of the channel changes. The step is where the sum of squares about the means before and after it is
-smallest (D. M. Hawkins, J. Am. Stat. Assoc. 72 (1977) 180-186). In steady responses, a change of the gain is the same
-at all lines, so two periods are enough; the drift of a settling sensor differs from line to line. A change of the
+smallest (D. M. Hawkins, J. Am. Stat. Assoc. 72 (1977) 180-186). The *delay* of a part maximizes the cross-correlation
+of measured and predicted spectrum (generalized cross-correlation: C. H. Knapp, G. C. Carter, IEEE Trans. Acoust. Speech
+Signal Process. 24 (1976) 320-327), and has a step in the same way. In steady responses, a change of the gain is the
+same at all lines, so two periods are enough; the drift of a settling sensor differs from line to line. A change of the
 structure affects all outputs, and is not reported.
 """
 
+from __future__ import annotations
+
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -42,6 +46,18 @@ _MAX_VALUES = 1 << 22
 _MIN_CHANGE = 0.1
 # ... and if the scatter would cause such a step with at most this probability (Student's t distribution).
 _SCATTER_PROBABILITY = 1e-5
+# Smallest reported change of a delay, as the phase that it causes at the highest frequency [rad].
+_MIN_PHASE = 0.1
+# Largest trial delay of a part, in periods of the highest frequency ...
+_MAX_TURNS = 2.0
+# ... or this time [s], if it is longer, ...
+_MAX_DELAY_S = 5e-3
+# ... up to this number of periods, to limit the computing time.
+_MAX_LONG_TURNS = 20.0
+# Smallest cross-correlation of a part, relative to that without noise.
+_MIN_CLARITY = 0.5
+# Spacing of the trial delays, in periods of the highest frequency.
+_TURNS_SPACING = 0.1
 # In steady responses, a step must exceed the deviations of single lines from the gain of their part by this factor.
 _MIN_UNIFORMITY = 2.0
 # Largest change of the other channels' gains at a step, relative to it, unless they change by the same factor.
@@ -65,11 +81,15 @@ class Parts:
 
 
 class _Step(NamedTuple):
-    """Step of the relative gain of an output at the start of a part of the test."""
+    """Step of the relative gain or of the delay of an output within a part of the test, or at its start."""
 
     part: int
     before: float
     after: float
+
+    @property
+    def change(self) -> float:
+        return self.after - self.before
 
     @property
     def ratio(self) -> float:
@@ -87,26 +107,40 @@ def sections(rec: Recording, channels: Collection[str], first: int, stop: int, l
 
 
 def change_warnings(rec: Recording, parts: Parts, channels: Sequence[str]) -> list[str]:
-    """Return a warning for each channel whose gain changes during a test."""
+    """Return a warning for each channel whose gain or delay changes during a test."""
     inputs = [name for name in channels if rec.channels[name].quantity == "force"]
     inputs = inputs or [name for name in channels if not rec.channels[name].body]
     outputs = [name for name in channels if name not in inputs]
     if not inputs or not outputs:
         return []
-    clean, spectra = _spectra(rec, parts, [*inputs, *outputs])
-    has_one_steady_input = parts.is_steady and len(inputs) == 1
-    if len(clean) < (_MIN_PERIODS if has_one_steady_input else max(_MIN_PARTS, len(inputs) + _MIN_SIDE + 1)):
+    clean, frequency, spectra = _spectra(rec, parts, [*inputs, *outputs])
+    if len(clean) < max(_MIN_PERIODS, len(inputs) + 1):
         return []
-    gains, limits = _relative_gains(spectra[:, : len(inputs)], spectra[:, len(inputs) :])
-    steps = [_largest_step(*rows, parts.is_steady) for rows in zip(gains, limits, strict=True)]
+    compared = _Compared.of(spectra[:, : len(inputs)], spectra[:, len(inputs) :], frequency)
+    delayed = _delay_warnings(compared, clean, rec.rate, inputs, outputs, parts.is_steady)
+    has_one_steady_input = parts.is_steady and len(inputs) == 1
+    if delayed or len(clean) < (_MIN_PERIODS if has_one_steady_input else max(_MIN_PARTS, len(inputs) + _MIN_SIDE + 1)):
+        return delayed
+    return _gain_warnings(compared, clean, rec.rate, inputs, outputs, parts.is_steady)
+
+
+def _gain_warnings(
+    compared: _Compared,
+    starts: Sequence[int],
+    rate: float,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    is_steady: bool,
+) -> list[str]:
+    """Return a warning for each channel whose gain changes."""
+    gains, limits = compared.gains()
     warnings = []
-    for k, step in enumerate(steps):
-        if step is None:
+    for k, step in enumerate(_largest_step(*rows, is_steady) for rows in zip(gains, limits, strict=True)):
+        if step is None or abs(step.change) <= _MIN_CHANGE * max(abs(step.before), abs(step.after)):
             continue
+        time = _time(step, gains[k], starts, rate)
         others = [_changed(other, step.part) for other in np.delete(gains, k, axis=0)]
-        change = step.after - step.before
-        time = f"{clean[step.part] / rec.rate:.4g} s"
-        if all(abs(other.after - other.before) < _MAX_COMMON * abs(change) for other in others):
+        if all(abs(other.change) < _MAX_COMMON * abs(step.change) for other in others):
             blamed = outputs[k] if others else f"{outputs[k]} or {' or '.join(inputs)}"
             warnings.append(describe_change(blamed, step.ratio, time))
         elif len(inputs) == 1 and all(
@@ -118,9 +152,55 @@ def change_warnings(rec: Recording, parts: Parts, channels: Sequence[str]) -> li
     return warnings
 
 
+def _delay_warnings(
+    compared: _Compared,
+    starts: Sequence[int],
+    rate: float,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    is_steady: bool,
+) -> list[str]:
+    """Return a warning for each channel whose delay changes."""
+    delays, limits = compared.delays()
+    determined = np.flatnonzero(np.isfinite(delays).all(axis=1))
+    delays, limits = delays[determined], limits[determined]
+    outputs = [outputs[row] for row in determined.tolist()]
+    warnings = []
+    for k, step in enumerate(_largest_step(*rows, is_steady) for rows in zip(delays, limits, strict=True)):
+        if step is None or abs(step.change) < compared.min_delay:
+            continue
+        time = _time(step, delays[k], starts, rate)
+        if step.part >= len(inputs):
+            # Predictions from the parts before the step contain no noise of those after it.
+            compared_with_before, _ = compared.predict(slice(step.part)).delays()
+            compared_with_before = compared_with_before[determined]
+            delays = np.where(np.isfinite(compared_with_before), compared_with_before, delays)
+            step = _changed(delays[k], step.part)
+        others = [_changed(other, step.part).change for other in np.delete(delays, k, axis=0)]
+        if all(abs(other) < _MAX_COMMON * abs(step.change) for other in others):
+            reference = "" if others else " or ".join(inputs)
+            warnings.append(describe_delay(outputs[k], step.change, time, reference))
+        elif len(inputs) == 1 and all(abs(other - step.change) < _MAX_COMMON * abs(step.change) for other in others):
+            # If all responses become early, the input has become late.
+            warnings.append(describe_delay(inputs[0], -step.change, time))
+            break
+    return warnings
+
+
+def describe_delay(name: str, delay: float, place: str, reference: str = "") -> str:
+    """Describe a change of the delay of a channel [s] at a time or a frequency; or of the opposite of its reference."""
+    senses = ("late", "early") if delay > 0.0 else ("early", "late")
+    alternative = f", or {reference} {senses[1]}," if reference else ""
+    return (
+        f"{name} seems to be {abs(1e3 * delay):.2g} ms {senses[0]}{alternative} from about {place} on, in contrast to "
+        "the other channels. Check cable and time base, and record again; until then, its responses are wrong."
+    )
+
+
 def describe_change(name: str, ratio: float, place: str) -> str:
-    """Describe a change of the gain of a channel by a ratio, NaN if unknown, at a time or a frequency."""
-    change = "changes" if np.isnan(ratio) else f"changes by a factor of {format_number(float(f'{ratio:.2g}'))}"
+    """Describe a change of the gain of a channel by a ratio, NaN if it may be a delay, at a time or a frequency."""
+    factor = format_number(float(f"{ratio:.2g}"))
+    change = "or its delay changes" if np.isnan(ratio) else f"changes by a factor of {factor}"
     if abs(ratio) < _DEAD_RATIO:
         change = "drops to zero (dead or disconnected)"
     return (
@@ -129,8 +209,8 @@ def describe_change(name: str, ratio: float, place: str) -> str:
     )
 
 
-def _spectra(rec: Recording, parts: Parts, names: Sequence[str]) -> tuple[list[int], ComplexArray]:
-    """Return the starts of the parts without flaws, and their spectra in the band, shape (parts, channels, lines)."""
+def _spectra(rec: Recording, parts: Parts, names: Sequence[str]) -> tuple[list[int], Array, ComplexArray]:
+    """Return the starts of the parts without flaws, frequencies, and spectra of shape (parts, channels, lines)."""
     frequency = np.fft.rfftfreq(parts.samples, 1.0 / rec.rate)
     in_band = (frequency >= max(parts.low, frequency[1])) & (frequency <= parts.high)
     window = np.ones(parts.samples) if parts.is_periodic else scipy.signal.windows.hann(parts.samples, sym=False)
@@ -145,51 +225,117 @@ def _spectra(rec: Recording, parts: Parts, names: Sequence[str]) -> tuple[list[i
             block -= block.mean(axis=1, keepdims=True)
             clean.append(start)
             spectra.append(scipy.fft.rfft(block * window, axis=1)[:, in_band])
-    return clean, np.array(spectra)
+    return clean, frequency[in_band], np.array(spectra)
 
 
-def _relative_gains(inputs: ComplexArray, outputs: ComplexArray) -> tuple[Array, Array]:
-    """Return gains of each output in each part of the test, relative to all parts, and the smallest visible steps.
+@dataclass(frozen=True)
+class _Compared:
+    """Spectra of the inputs, of the outputs and of their predictions, shape (lines, parts, channels)."""
 
-    A visible step exceeds the scatter of the gain from line to line.
-    `inputs`, `outputs`: spectra, shape (parts, channels, lines). The results have the shape (outputs, parts).
-    """
-    power = (abs(inputs) ** 2).mean(axis=0).max(axis=0)
-    excited = power > _MIN_POWER * power.mean()
-    x, y = (np.moveaxis(spectra[:, :, excited], 2, 0) for spectra in (inputs, outputs))
-    predicted = x @ (np.linalg.pinv(x) @ y)
-    # Each line has about equal weight, so neither resonances nor the noise between resonances dominate.
-    weight = 1.0 / np.maximum((abs(y) ** 2 + abs(predicted) ** 2).mean(axis=1, keepdims=True), 1e-300)
-    predicted_power = np.maximum(np.sum(weight * abs(predicted) ** 2, axis=0), 1e-300)
-    gains = np.sum(weight * (predicted.conj() * y).real, axis=0) / predicted_power
-    # The fit to noisy parts reduces the scatter. Noise of real and imaginary part of each line is independent.
-    lines, count = y.shape[:2]
-    freedom = max(1.0 - inputs.shape[1] / count, 1e-300)
-    deviation = np.sqrt(np.sum(weight * abs(y - gains * predicted) ** 2, axis=0) / predicted_power / freedom)
-    factor = max(_MIN_UNIFORMITY, scipy.stats.t.isf(_SCATTER_PROBABILITY, 2 * lines - 1) / np.sqrt(lines))
-    return np.asarray(gains.T), np.asarray(factor * deviation.T)
+    inputs: ComplexArray
+    measured: ComplexArray
+    predicted: ComplexArray
+    frequency: Array  # Hz
+    freedom: float  # degrees of freedom of the deviations, relative to the number of parts
+
+    @classmethod
+    def of(cls, inputs: ComplexArray, outputs: ComplexArray, frequency: Array) -> _Compared:
+        """Predict outputs from inputs; spectra of shape (parts, channels, lines)."""
+        power = (abs(inputs) ** 2).mean(axis=0).max(axis=0)
+        excited = power > _MIN_POWER * power.mean()
+        x, y = (np.moveaxis(spectra[:, :, excited], 2, 0) for spectra in (inputs, outputs))
+        # The prediction is fitted to the noisy parts, which reduces the scatter.
+        freedom = max(1.0 - inputs.shape[1] / len(outputs), 1e-300)
+        return cls(x, y, y, frequency[excited], freedom).predict(slice(None))
+
+    def predict(self, parts: slice) -> _Compared:
+        """Predict the outputs of all parts by the responses of these parts."""
+        responses = np.linalg.pinv(self.inputs[:, parts]) @ self.measured[:, parts]
+        return replace(self, predicted=self.inputs @ responses)
+
+    def gains(self) -> tuple[Array, Array]:
+        """Return gains relative to all parts, and the smallest visible steps, (outputs, parts)."""
+        y, predicted = self.measured, self.predicted
+        # Each line has about equal weight, so neither resonances nor the noise between resonances dominate.
+        weight = 1.0 / np.maximum((abs(y) ** 2 + abs(predicted) ** 2).mean(axis=1, keepdims=True), 1e-300)
+        predicted_power = np.maximum(np.sum(weight * abs(predicted) ** 2, axis=0), 1e-300)
+        gains = np.sum(weight * (predicted.conj() * y).real, axis=0) / predicted_power
+        # Noise of real and imaginary part of each line is independent.
+        lines = len(y)
+        deviation = np.sqrt(np.sum(weight * abs(y - gains * predicted) ** 2, axis=0) / predicted_power / self.freedom)
+        factor = max(_MIN_UNIFORMITY, scipy.stats.t.isf(_SCATTER_PROBABILITY, 2 * lines - 1) / np.sqrt(lines))
+        return np.asarray(gains.T), np.asarray(factor * deviation.T)
+
+    @property
+    def min_delay(self) -> float:
+        """Smallest reported change of a delay [s]."""
+        return _MIN_PHASE / (2.0 * np.pi * float(self.frequency.max()))
+
+    def delays(self) -> tuple[Array, Array]:
+        """Return delays relative to all parts [s], NaN if noise hides a part, and smallest visible steps (as gains)."""
+        y, predicted, highest = self.measured, self.predicted, float(self.frequency.max())
+        omega = 2.0 * np.pi * self.frequency[:, None, None]
+        product = predicted.conj() * y
+        product = product / np.maximum(abs(product), 1e-300)
+        powers = [np.sum(abs(each) ** 2, axis=1, keepdims=True) for each in (predicted, y)]
+        # Lines without noise have unit weight. The prediction contains noise in the proportion of fitted to all values.
+        noise = 1.0 - self.freedom
+        weight = np.maximum(powers[0] / np.maximum(powers[1], 1e-300) - noise, 0.0) ** 2
+        count = int(np.ceil(max(_MAX_TURNS, min(_MAX_DELAY_S * highest, _MAX_LONG_TURNS)) / _TURNS_SPACING))
+        trials = np.arange(-count, count + 1) * (_TURNS_SPACING / highest)
+        correlation = np.tensordot(np.exp(1j * np.outer(trials, omega)), weight * product, 1).real
+        delays = trials[np.argmax(correlation, axis=0)]
+        is_clear = correlation.max(axis=0) > _MIN_CLARITY * np.sum(weight, axis=0)
+        information = np.maximum(np.sum(weight * omega**2, axis=0), 1e-300)
+        for _ in range(2):
+            phase = np.angle(product * np.exp(1j * omega * delays))
+            delays = delays - np.sum(weight * omega * phase, axis=0) / information
+        phase = np.angle(product * np.exp(1j * omega * delays))
+        terms = weight * omega * phase
+        squares = np.maximum(np.sum(terms**2, axis=0), 1e-300)
+        # Errors of neighboring lines are correlated, as those of a transient.
+        correlation = np.clip(np.sum(terms[1:] * terms[:-1], axis=0) / squares, 0.0, 0.9)
+        deviation = np.sqrt(squares * (1.0 + correlation) / (1.0 - correlation) / self.freedom) / information
+        factor = scipy.stats.t.isf(_SCATTER_PROBABILITY, max(len(y) - 1, 1))
+        return np.where(is_clear.all(axis=0), delays, np.nan).T, np.asarray(factor * deviation.T)
 
 
-def _changed(gains: Array, part: int) -> _Step:
-    """Return the median gains before and after the start of a part."""
-    return _Step(part, float(np.median(gains[:part])), float(np.median(gains[part:])))
+def _sides(values: Array, part: int) -> tuple[Array, Array]:
+    """Return the values before and after a part, which the step divides; only many values can do without this part."""
+    return values[:part], values[part + (values.size > _MIN_PARTS) :]
 
 
-def _largest_step(gains: Array, limits: Array, is_steady: bool) -> _Step | None:
-    """Return the step that explains most of the scatter of the gains; None if small (`limits`) or scatter itself."""
-    size = gains.size
+def _changed(values: Array, part: int) -> _Step:
+    """Return the medians before and after a part."""
+    before, after = _sides(values, part)
+    return _Step(part, float(np.median(before)), float(np.median(after)))
+
+
+def _largest_step(values: Array, limits: Array, is_steady: bool) -> _Step | None:
+    """Return the step that explains most of the scatter of gains or delays; None if small (`limits`) or scatter."""
+    size = values.size
     min_side = _MIN_SIDE if size >= _MIN_PARTS else 1
 
     def scatter(part: int) -> float:
-        return float(np.var(gains[:part]) * part + np.var(gains[part:]) * (size - part))
+        return sum(float(np.var(side)) * side.size for side in _sides(values, part))
 
-    part = min(range(min_side, size - min_side + 1), key=scatter)
-    step = _changed(gains, part)
-    change = abs(step.after - step.before)
-    is_large = change > _MIN_CHANGE * max(abs(step.before), abs(step.after))
-    if is_steady:
-        is_large &= change > max(np.sqrt(np.mean(side**2)) for side in (limits[:part], limits[part:]))
+    part = min(range(min_side, size - min_side + (size <= _MIN_PARTS)), key=scatter)
+    step = _changed(values, part)
+    limit = 0.0
+    if is_steady or size < _MIN_PARTS:
+        limit = max(np.sqrt(np.mean(side**2)) for side in _sides(limits, part))
     if size >= _MIN_PARTS:
-        error = np.sqrt(scatter(part) / (size - 2) * (1.0 / part + 1.0 / (size - part)))
-        is_large &= change > scipy.stats.t.isf(_SCATTER_PROBABILITY, size - 2) * error
-    return step if is_large else None
+        counts = [side.size for side in _sides(values, part)]
+        freedom = sum(counts) - 2
+        error = np.sqrt(scatter(part) / freedom * sum(1.0 / count for count in counts))
+        limit = max(limit, scipy.stats.t.isf(_SCATTER_PROBABILITY, freedom) * error)
+    return step if abs(step.change) > limit else None
+
+
+def _time(step: _Step, values: Array, starts: Sequence[int], rate: float) -> str:
+    """Describe the instant of a step, which the value of its part shows to a tenth of the distance of two parts."""
+    if values.size <= _MIN_PARTS:
+        return f"{starts[step.part] / rate:.4g} s"
+    share = round(float(np.clip((step.after - values[step.part]) / step.change, 0.0, 1.0)), 1)
+    first, last = starts[step.part : step.part + 2]
+    return f"{((1.0 - share) * first + share * last) / rate:.4g} s"

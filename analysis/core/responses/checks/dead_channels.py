@@ -28,7 +28,8 @@ _COMPARED = 8
 _MIN_BLOCKS = 4
 # A signal is dead if it is below this fraction of the previous signal: only noise and crosstalk remain.
 _DEAD_RATIO = 0.01
-# A signal that falls by more than this factor in two steps has settled; one that dies falls in one step.
+# A signal that falls by more than this factor in several steps has settled; one that dies falls in one step, or in two
+# at the beginning of a block.
 _MAX_FALL = 10.0
 # Smallest standard deviation before [counts of the converter]; a smaller signal falls below half a count.
 _MIN_COUNTS = 3.0
@@ -122,7 +123,8 @@ def _first_dead_block(levels: Array) -> int | None:
         # The last block before may be dead in part.
         before = levels[max(block - 1 - _COMPARED, 0) : block - 1]
         falls = levels[max(block - 3, 0) : block] > _MAX_FALL * levels[max(block - 3, 0) + 1 : block + 1]
-        if levels[block:].max() < _DEAD_RATIO * before.min() and falls.sum() < 2:
+        has_settled = falls.sum() > 1 and (falls.size < 3 or falls[0])
+        if levels[block:].max() < _DEAD_RATIO * before.min() and not has_settled:
             return block
     return None
 

@@ -1,8 +1,9 @@
-"""Steps of the gain of a channel during a sweep, from the response curves.
+"""Steps of the gain or the delay of a channel during a sweep, from the response curves.
 
 Near each frequency, a response is a rational function [1]_. The function is fitted to the points before and after an
-instant of the sweep. The fit is repeated with one more unknown: the ratio of the gains after and before. A step is
-reported if the ratio explains nearly all of the residual, and the other curves have no step at this frequency. A change
+instant of the sweep. The fit is repeated with one more unknown: the ratio of the gains after and before, or the change
+of the delay. A step is reported if it explains nearly all of the residual, and the other curves have no step at this
+frequency. A change
 of the motion to another branch changes all curves, and their phases; a single curve of a nonlinear structure is not
 checked, because a fault is distinguished from such a change by the other curves.
 
@@ -17,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.core.responses.checks.channel_changes import describe_change
+from analysis.core.responses.checks.channel_changes import describe_change, describe_delay
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results import format_number
 from rig.core.results.response import Response
@@ -50,23 +51,27 @@ _MIN_CHANGE = 0.1
 _MIN_NONLINEAR_CHANGE = 0.3
 # Largest logarithmic gain ratio of other channels at a step of one channel, relative to it, unless all equal it.
 _MAX_COMMON = 0.25
-# Logarithms of the trial ratios.
-_TRIALS = np.linspace(-5.0, 5.0, 101)
+# Logarithms of the trial ratios: changes of the gain, and changes of the phase at the step due to delays.
+_TRIALS: tuple[Array, ComplexArray] = (
+    np.linspace(-5.0, 5.0, 101),
+    np.asarray(1j * np.pi * np.linspace(-1.0, 1.0, 101), dtype=np.complex128),
+)
 # Factors by which their spacing is reduced around the best ratio.
 _REFINEMENTS = (0.02, 0.004, 0.0008)
 
 
 class _Step(NamedTuple):
-    """Change of the gain of a curve around a position of the sweep."""
+    """Change of the gain or the delay of a curve around a position of the sweep."""
 
     position: int
-    log_ratio: float  # logarithm of the gain after the step over the gain before it
+    # logarithm of the gain after the step over that before it; imaginary: phase at the position due to a delay
+    log_ratio: complex
     residual: float  # relative residual with equal gains
     remaining: float  # relative residual with this ratio
 
 
 def step_warnings(response: Response, is_linear: bool) -> list[str]:
-    """Return a warning for each channel whose gain changes during a sweep.
+    """Return a warning for each channel whose gain or delay changes during a sweep.
 
     `response`: lines in the order of measurement. If not `is_linear`, all curves may change by the same ratio without a
     fault of the reference.
@@ -76,7 +81,7 @@ def step_warnings(response: Response, is_linear: bool) -> list[str]:
     frequency, curves = response.frequency[::stride], response.value[::stride, :, 0].T
     valid = (np.isfinite(curves) & (abs(curves) > 0.0)).all(axis=0)
     frequency, curves = frequency[valid], curves[:, valid]
-    noise = np.nan_to_num(response.error[::stride, :, 0].T[:, valid] / abs(curves), nan=np.inf)
+    noise = response.error[::stride, :, 0].T[:, valid] / abs(curves)
     positions = np.arange(_SIDE + excluded, frequency.size - _SIDE - excluded)
     if not positions.size or (len(curves) == 1 and not is_linear):
         return []
@@ -88,26 +93,40 @@ def step_warnings(response: Response, is_linear: bool) -> list[str]:
         if step is None or abs(step.log_ratio) < min_change:
             others = np.delete(residuals, k, axis=0).max(axis=0, initial=0.0)
             largest = int(np.argmax(residuals[k] - others))
-            noise_there = np.sqrt(np.mean(noise[k, _points(positions[largest], excluded)] ** 2))
-            limit = max(_MIN_BLURRED_RESIDUAL, others[largest] / _MAX_OTHER_RESIDUAL, noise_there / _MAX_NOISE_RATIO)
+            # Lines of unknown uncertainty have about that of the others.
+            noise_there = noise[k, _points(positions[largest], excluded)]
+            known = noise_there[np.isfinite(noise_there)]
+            noise_ratio = np.sqrt(np.mean(known**2)) if known.size else np.inf
+            limit = max(_MIN_BLURRED_RESIDUAL, others[largest] / _MAX_OTHER_RESIDUAL, noise_ratio / _MAX_NOISE_RATIO)
             if is_linear and excluded and len(names) > 1 and residuals[k, largest] > limit:
                 warnings.append(describe_change(name, np.nan, _place(frequency[positions[largest]])))
             continue
         others = [
-            _fit_ratio(frequency, curve, step.position, excluded).log_ratio for curve in np.delete(curves, k, axis=0)
+            _fit_ratio(frequency, curve, step.position, excluded, _trials_like(step)).log_ratio
+            for curve in np.delete(curves, k, axis=0)
         ]
         if all(abs(other) < _MAX_COMMON * abs(step.log_ratio) for other in others):
-            blamed = name if others else f"{name} or {reference}"
-            warnings.append(describe_change(blamed, float(np.exp(step.log_ratio)), _place(frequency[step.position])))
+            warnings.append(_describe(name, step.log_ratio, frequency[step.position], "" if others else reference))
         elif is_linear and all(abs(other - step.log_ratio) < _MAX_COMMON * abs(step.log_ratio) for other in others):
-            ratio = float(np.exp(-step.log_ratio))
-            warnings.append(describe_change(reference, ratio, _place(frequency[step.position])))
+            warnings.append(_describe(reference, -step.log_ratio, frequency[step.position]))
             break
     return warnings
 
 
+def _describe(name: str, log_ratio: complex, frequency: float, reference: str = "") -> str:
+    """Describe a step of a channel; `reference`: the other channel that may be the cause."""
+    if log_ratio.imag:
+        return describe_delay(name, -log_ratio.imag / (2.0 * np.pi * frequency), _place(frequency), reference)
+    blamed = f"{name} or {reference}" if reference else name
+    return describe_change(blamed, float(np.exp(log_ratio.real)), _place(frequency))
+
+
 def _place(frequency: float) -> str:
     return f"{format_number(float(f'{frequency:.3g}'))} Hz"
+
+
+def _trials_like(step: _Step) -> Array | ComplexArray:
+    return _TRIALS[1] if step.log_ratio.imag else _TRIALS[0]
 
 
 def _best_step(
@@ -115,23 +134,28 @@ def _best_step(
 ) -> _Step | None:
     """Return the step with the smallest remaining residual; None if the residual remains too large."""
     candidates = positions[residuals > _MIN_RESIDUAL]
-    steps = [_fit_ratio(frequency, curve, position, excluded) for position in candidates.tolist()]
+    steps = [
+        _fit_ratio(frequency, curve, position, excluded, trials)
+        for trials in _TRIALS
+        for position in candidates.tolist()
+    ]
     step = min(steps, key=lambda step: step.remaining, default=None)
     is_significant = step and step.remaining < min(_MAX_REMAINING_FRACTION * step.residual, _MAX_REMAINING)
     return step if is_significant else None
 
 
-def _fit_ratio(frequency: Array, curve: ComplexArray, position: int, excluded: int) -> _Step:
-    """Fit the ratio of the gains after and before a position of the sweep."""
-    positions = np.array([position])
-    trials = np.asarray(_TRIALS, dtype=np.float64)
+def _fit_ratio(
+    frequency: Array, curve: ComplexArray, position: int, excluded: int, trials: Array | ComplexArray
+) -> _Step:
+    """Fit the ratio of the gains after and before a position of the sweep, or the change of the delay."""
+    positions, unit = np.array([position]), 1j if np.iscomplexobj(trials) else 1.0
     residual = float(_residuals(frequency, curve, positions, excluded, 0.0)[0])
     for spacing in (*_REFINEMENTS, 0.0):
         remaining = _residuals(frequency, curve, np.repeat(positions, trials.size), excluded, trials)
         best = int(np.argmin(remaining))
-        log_ratio, smallest = float(trials[best]), float(remaining[best])
-        trials = np.asarray(log_ratio + spacing * np.arange(-5, 6), dtype=np.float64)
-    return _Step(position, log_ratio, residual, smallest)
+        log_ratio, smallest = trials[best], float(remaining[best])
+        trials = log_ratio + spacing * unit * np.arange(-5, 6)
+    return _Step(position, log_ratio.item(), residual, smallest)
 
 
 def _points(position: NDArray[np.int64], excluded: int) -> NDArray[np.int64]:
@@ -141,14 +165,20 @@ def _points(position: NDArray[np.int64], excluded: int) -> NDArray[np.int64]:
 
 
 def _residuals(
-    frequency: Array, curve: ComplexArray, positions: NDArray[np.int64], excluded: int, log_ratio: float | Array
+    frequency: Array,
+    curve: ComplexArray,
+    positions: NDArray[np.int64],
+    excluded: int,
+    log_ratio: float | Array | ComplexArray,
 ) -> Array:
     """Return the relative residual of a rational function around each position, for a ratio of the gains."""
     # The points at a position, and `excluded` points on either side of it, are omitted: they may contain the step.
     points = np.clip(_points(positions[:, None], excluded), 0, frequency.size - 1)
-    gains = np.exp(np.where(np.arange(2 * _SIDE) < _SIDE, 0.0, np.reshape(log_ratio, (-1, 1))))
-    values = curve[points] / gains
     f = frequency[points]
+    # The phase of a delay is proportional to frequency.
+    ratios = np.reshape(log_ratio, (-1, 1))
+    ratios = ratios.real + 1j * ratios.imag * f / frequency[positions][:, None]
+    values = curve[points] / np.exp(np.where(np.arange(2 * _SIDE) < _SIDE, 0.0, ratios))
     centered = f - f.mean(axis=1, keepdims=True)
     powers = (centered / abs(centered).max(axis=1, keepdims=True))[:, :, None] ** np.arange(_DEGREE + 1)
     # Unknowns are the coefficients of numerator and denominator (constant term 1); residuals are relative.

@@ -1,11 +1,12 @@
-"""Sudden changes of the gain of a channel while a tone drives a structure, from the samples.
+"""Sudden changes of the gain or the delay of a channel while a tone drives a structure, from the samples.
 
 The amplitude of every channel changes slowly from one period to the next, also in a transient and in a sweep. Over some
 periods, a reading is therefore modeled by a tone whose amplitude is quadratic in time, with harmonics and an offset. A
 *step* is an instant from which on the readings have to be divided by a ratio to follow this model. Model and ratio are
 fitted by least squares for every instant: x are the readings before the instant (0 after it), y the readings after it,
-and P removes the part that the model can represent. The ratio g minimizes ``|P x + P y / g|``. A change of the motion
-is no step: it is not sudden, and affects other channels as well.
+and P removes the part that the model can represent. The ratio g minimizes ``|P x + P y / g|``. A change of the delay
+changes the phase of the tone: the model has an additional tone from the instant on, whose amplitude and phase are
+fitted. A change of the motion is no step: it is not sudden, and affects other channels as well.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.core.responses.checks.channel_changes import describe_change
+from analysis.core.responses.checks.channel_changes import describe_change, describe_delay
 from analysis.core.responses.checks.clean_segments import find_flaws
 from analysis.core.responses.checks.gain_steps import step_warnings
 from daq.core.recording.recording import Recording
-from rig.core.base.arrays import Array
+from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results import format_number
 from rig.core.results.response import Response
 
@@ -44,7 +45,7 @@ _MAX_VALUES = 2_000_000
 _MAX_REMAINING_FRACTION = 0.35
 # Largest rms residual over rms reading: of a step of the gain in its model, and of a tone not hidden by noise.
 _MAX_REMAINING = 0.1
-# Smallest reported change of the logarithm of a gain.
+# Smallest reported change of the logarithm of a gain, and of a phase [rad].
 _MIN_CHANGE = 0.1
 # Largest fraction of this change that another channel may show at the same instant.
 _MAX_COMMON = 0.25
@@ -76,28 +77,28 @@ class ToneInterval:
 
 
 class ToneStep(NamedTuple):
-    """Sudden change of the gain of a channel."""
+    """Sudden change of the gain of a channel, or of its phase."""
 
     channel: str
     sample: int
-    log_ratio: float
+    log_ratio: complex  # logarithm of the complex gain after the step over that before it; real or imaginary
     frequency: float  # Hz
+
+    def describe(self, rate: float) -> str:
+        """Describe the step; `rate`: samples per second."""
+        place = f"{format_number(float(f'{self.frequency:.3g}'))} Hz ({self.sample / rate:.4g} s)"
+        if self.log_ratio.imag:
+            return describe_delay(self.channel, -self.log_ratio.imag / (2.0 * np.pi * self.frequency), place)
+        return describe_change(self.channel, float(np.exp(self.log_ratio.real)), place)
 
 
 def tone_step_warnings(rec: Recording, intervals: Sequence[ToneInterval], channels: Sequence[str]) -> list[str]:
-    """Return a warning for each channel whose gain changes suddenly in one of the intervals."""
+    """Return a warning for each channel whose gain or delay changes suddenly in one of the intervals."""
     steps: dict[str, ToneStep] = {}
     for step in find_tone_steps(rec, intervals, channels):
         if step.channel not in steps or abs(step.log_ratio) > abs(steps[step.channel].log_ratio):
             steps[step.channel] = step
-    return [
-        describe_change(
-            step.channel,
-            float(np.exp(step.log_ratio)),
-            f"{format_number(float(f'{step.frequency:.3g}'))} Hz ({step.sample / rec.rate:.4g} s)",
-        )
-        for step in steps.values()
-    ]
+    return [step.describe(rec.rate) for step in steps.values()]
 
 
 def find_tone_steps(rec: Recording, intervals: Sequence[ToneInterval], channels: Sequence[str]) -> Iterator[ToneStep]:
@@ -126,24 +127,43 @@ def find_tone_steps(rec: Recording, intervals: Sequence[ToneInterval], channels:
             offset += int((1.0 - 3.0 * _MARGIN) * samples)
 
 
-def _steps_of_block(block: Array, phase: Array) -> dict[int, tuple[int, float]]:
+def _steps_of_block(block: Array, phase: Array) -> dict[int, tuple[int, complex]]:
     """Return position and logarithm of the ratio for each row with a step."""
-    model, _ = np.linalg.qr(_model(phase))
+    terms = _model(phase)
+    model, triangle = np.linalg.qr(terms)
     margin = int(_MARGIN * block.shape[1])
     positions = np.arange(margin, block.shape[1] - margin)
     # The offset is removed, because a large offset would hide the tone.
-    fits = [_Fits.of(row - row.mean(), model, positions) for row in block]
-    steps = {}
-    for number, fit in enumerate(fits):
-        best = int(np.argmin(fit.remaining))
-        log_ratio = float(fit.log_ratio[best])
-        is_significant = fit.remaining[best] < min(_MAX_REMAINING_FRACTION * fit.residual, _MAX_REMAINING)
-        if not is_significant or abs(log_ratio) < _MIN_CHANGE:
-            continue
-        others = (other.step_at(best) for index, other in enumerate(fits) if index != number)
-        if max(others) < _MAX_COMMON * abs(log_ratio):
-            steps[number] = int(positions[best]), log_ratio
+    rows = [row - row.mean() for row in block]
+    steps: dict[int, tuple[int, complex]] = {}
+    added = _added_tones(model, terms, positions)
+    for fits in (
+        [_Fits.of(row, model, positions) for row in rows],
+        [_Fits.of_phase(row, model, triangle, added, positions) for row in rows],
+    ):
+        for number, fit in enumerate(fits):
+            best = int(np.argmin(fit.remaining))
+            log_ratio = complex(fit.log_ratio[best])
+            is_significant = fit.remaining[best] < min(_MAX_REMAINING_FRACTION * fit.residual, _MAX_REMAINING)
+            if number in steps or not is_significant or abs(log_ratio) < _MIN_CHANGE:
+                continue
+            others = (other.step_at(best) for index, other in enumerate(fits) if index != number)
+            if max(others) < _MAX_COMMON * abs(log_ratio):
+                steps[number] = int(positions[best]), log_ratio
     return steps
+
+
+def _added_tones(model: Array, terms: Array, positions: Array) -> tuple[Array, Array, Array]:
+    """Return the tone (cosine, sine), its projections from each position on, and the squares outside the model."""
+    tone = terms[:, _DRIFT_TERMS : _DRIFT_TERMS + 2]
+
+    def sums_from(values: Array) -> Array:
+        total = np.cumsum(values, axis=0)
+        return np.asarray((total[-1] - total)[positions - 1])
+
+    projections = sums_from(model[:, :, None] * tone[:, None, :])
+    squares = sums_from(tone[:, :, None] * tone[:, None, :]) - np.swapaxes(projections, 1, 2) @ projections
+    return tone, projections, squares
 
 
 def _model(phase: Array) -> Array:
@@ -160,12 +180,12 @@ class _Fits(NamedTuple):
 
     residual: float  # residual without a step
     remaining: Array  # (positions,)
-    log_ratio: Array  # (positions,)
+    log_ratio: ComplexArray  # (positions,)
 
     def step_at(self, index: int) -> float:
         """Return the magnitude of the logarithm of the ratio at a position; 0 if this does not reduce the residual."""
         is_step = self.remaining[index] < _MAX_FRACTION_OF_STEP * self.residual
-        return abs(float(self.log_ratio[index])) if is_step else 0.0
+        return abs(complex(self.log_ratio[index])) if is_step else 0.0
 
     @classmethod
     def of(cls, readings: Array, model: Array, positions: Array) -> _Fits:
@@ -186,7 +206,35 @@ class _Fits(NamedTuple):
         scale = np.maximum(tone_before + factor**2 * (tone_powers[-1] - tone_before), 1e-300)
         log_ratio = np.where(factor > 0.0, -np.log(np.maximum(factor, 1e-300)), 0.0)
         residual = max(float(powers[-1] - projections[-1] @ projections[-1]), 0.0) / max(tone_powers[-1], 1e-300)
-        return cls(np.sqrt(residual), np.sqrt(remaining / scale), log_ratio)
+        return cls(np.sqrt(residual), np.sqrt(remaining / scale), log_ratio.astype(complex))
+
+    @classmethod
+    def of_phase(
+        cls, readings: Array, model: Array, triangle: Array, added: tuple[Array, Array, Array], positions: Array
+    ) -> _Fits:
+        """Fit a step of the phase from each position on; `triangle`: model times triangle are the terms."""
+        tone, projections, squares = added
+        coefficients = readings @ model
+        misfit = readings - model @ coefficients
+        products = np.cumsum(tone * misfit[:, None], axis=0)
+        right = (products[-1] - products)[positions - 1]
+        change = np.linalg.solve(squares + 1e-9 * readings.size * np.eye(2), right[:, :, None])
+        remaining = np.maximum(float(misfit @ misfit) - np.sum(right * change[:, :, 0], axis=1), 0.0)
+        drift = model[:, :_DRIFT_TERMS] @ coefficients[:_DRIFT_TERMS]
+        scale = max(float(np.sum((readings - drift) ** 2)), 1e-300)
+        # Amplitudes before the step are those of the terms, quadratic in time, when all terms are fitted together.
+        unknowns = np.linalg.solve(triangle, (coefficients[:, None] - (projections @ change)[:, :, 0].T))
+        time = np.linspace(-1.0, 1.0, readings.size)[positions]
+        cosine, sine = (
+            sum(time**order * unknowns[_DRIFT_TERMS + part + 2 * order] for order in range(3)) for part in range(2)
+        )
+        before = cosine - 1j * sine
+        ratio = 1.0 + (change[:, 0, 0] - 1j * change[:, 1, 0]) / np.where(before == 0.0, 1e-300, before)
+        phase = np.angle(ratio)
+        # A delay changes the phase, but not the magnitude.
+        is_delay = abs(phase) > abs(np.log(np.maximum(abs(ratio), 1e-300)))
+        residual = np.sqrt(float(misfit @ misfit) / scale)
+        return cls(residual, np.sqrt(remaining / scale), np.where(is_delay, 1j * phase, 0.0))
 
 
 def sweep_warnings(

@@ -2,7 +2,7 @@
 
 import csv
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -49,18 +49,25 @@ def read_table(path: Path) -> dict[str, Column]:
             f"cannot read {path}: {getattr(error, 'strerror', None) or error}. Give a YAML or CSV file."
         ) from None
     rows = _from_csv(path, text) if path.suffix.lower() == ".csv" else _from_yaml(path, text)
-    table: dict[str, Column] = {}
-    problems = [] if rows else [f"{path} names no channel; expected lines such as {EXAMPLE}"]
-    for line, name, values in rows:
+    if not rows:
+        raise SceneError(f"{path} names no channel; expected lines such as {EXAMPLE}")
+    return _columns((f"{path}:{line}", name, values) for line, name, values in rows)
+
+
+def _columns(rows: Iterable[tuple[str, str, Any]]) -> dict[str, Column]:
+    """Return the column of each row (place for messages, name of the channel, keys); raise one `SceneError`."""
+    columns: dict[str, Column] = {}
+    problems = []
+    for place, name, values in rows:
         try:
-            if name in table:
+            if name in columns:
                 raise ValueError("a second line for this channel. Remove one of them.")
-            table[name] = column(values)
+            columns[name] = values if isinstance(values, Column) else column(_keys_of(values))
         except ValueError as error:
-            problems.append(f"{path}:{line}: {name}: {error}")
+            problems.append(f"{place}: {name}: {error}")
     if problems:
         raise SceneError("\n".join(problems))
-    return table
+    return columns
 
 
 def columns_of(table: Any) -> dict[str, Column]:
@@ -78,16 +85,7 @@ def columns_of(table: Any) -> dict[str, Column]:
         return read_table(Path(table))
     if not isinstance(table, Mapping):
         raise SceneError(f"table: got {table!r:.60}; expected a file or a mapping such as {PYTHON_EXAMPLE}")
-    columns: dict[str, Column] = {}
-    problems = []
-    for name, values in table.items():
-        try:
-            columns[str(name)] = values if isinstance(values, Column) else column(_keys_of(values))
-        except ValueError as error:
-            problems.append(f"table: {name}: {error}")
-    if problems:
-        raise SceneError("\n".join(problems))
-    return columns
+    return _columns(("table", str(name), values) for name, values in table.items())
 
 
 def _keys_of(values: Any) -> Mapping[str, Any]:

@@ -14,16 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.extras.importing.clock import (
-    GIVE_VALUE_OF_COUNT,
     Clock,
     clock_of_times,
     looks_like_times,
     rate_of_interval,
-    warn,
+    time_scale,
     warn_used_as_times,
 )
 from daq.extras.importing.matlab_file import ATTRIBUTE_MARK, MAX_DEPTH, matlab_arrays
 from daq.extras.importing.signal import Signal
+from daq.extras.importing.units import warn_of_scale
 from rig.core.base.errors import RecordingError, ShotrigError
 from rig.core.numerics.memory import require_memory_with_program
 
@@ -33,8 +33,6 @@ _RATE_NAMES = re.compile(r"(.*[._])?(f_?s|sr|rate|(samp|sample|sampling)_?(rate|
 _INTERVAL_NAMES = re.compile(r"(.*[._])?(dt|ts|increment|delta_?t|(sample_?|t)?interval|x?delta)(_?s)?", re.IGNORECASE)
 # Names of arrays that contain the times of the samples.
 _TIME_NAMES = re.compile(r"(.*[._])?(t|time|times|zeit)(_s)?", re.IGNORECASE)
-# Names of arrays that state the value of one count of a converter.
-_SCALE_NAMES = re.compile(r"(.*[._@])?(scal(e|ing)(_?factor)?|gain|factor|lsb|slope|cal\w*)", re.IGNORECASE)
 # Shorter arrays are settings, not samples.
 _MIN_SAMPLES = 16
 # Two-dimensional arrays with more channels do not contain samples.
@@ -122,7 +120,9 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
             continue
         require_memory_with_program(in_memory + _CLOCK_BYTES * max(array.shape), f"{path}: importing it")
         if array.ndim == 1:
-            clocks[name] = clock_of_times(array.astype(float), 0.0, f"{path}: the times in {name!r}")
+            times_in = f"{path}: the times in {name!r}"
+            scale = time_scale(_stated_unit(arrays, name), times_in)
+            clocks[name] = clock_of_times(scale * array.astype(float), 0.0, times_in)
             continue
         # There are more samples than channels, in either orientation.
         channel_rows = array if array.shape[0] <= array.shape[1] else array.T
@@ -147,10 +147,8 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
             )
         )
     scalars = {name: float(array.ravel()[0]) for name, array in numbers.items() if array.size == 1}
-    counts = [name for name, array in sample_arrays.items() if array.dtype.kind in "iu"]
-    for key in [key for key, value in scalars.items() if counts and value != 1.0 and _SCALE_NAMES.fullmatch(key)]:
-        what = f"{key.replace(ATTRIBUTE_MARK, '.')} = {scalars[key]:.6g}"
-        warn(f"{path}: {what} is not applied to the integers of {counts[0]!r}. {GIVE_VALUE_OF_COUNT}")
+    if counts := [name for name, array in sample_arrays.items() if array.dtype.kind in "iu"]:
+        warn_of_scale(f"{path}: {counts[0]!r}", scalars)
     # Units in the form that `analysis export` writes: two rows of strings, ``channels`` and ``units``.
     texts = (arrays.get(key, np.array([])).ravel().tolist() for key in ("channels", "units"))
     units = dict(zip(*(map(str, text) for text in texts), strict=False))

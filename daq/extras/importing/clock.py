@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, RunWarning
 from rig.core.results import format_percent
+from rig.core.settings.quantities import TIME, parse
 
 # Names of a column of times.
 TIME_NAMES = re.compile(r"((date|datum)[ _/]?)?(time|zeit|t|x_value|seconds?)(stamp)?", re.IGNORECASE)
@@ -39,13 +40,13 @@ _ROUNDING = 0.005
 # Dates from 1954 to 2119, in days since 1900 (spreadsheets) and since the year 0 (MATLAB).
 _DATES_IN_DAYS = ((20e3, 80e3), (713e3, 774e3))
 _SECONDS_PER_DAY = 86400.0
+# Largest date in s since 1970: the year 5138. Dates since 1973 in ms exceed it.
+_MAX_DATE = 1e11
 # Relative deviation of a rate from a number of two digits, or a power of two, that still is this number.
 _ROUNDNESS = 1e-4
 # Gaps in the times of a clock; a file with more gaps has no clock.
 _MAX_GAPS = 10_000
 
-#: Remedy for integers that are counts of a converter.
-GIVE_VALUE_OF_COUNT = "Give the value of one count as the unit, such as unit: 0.0005 g, in the channel table."
 #: Row before which rows are missing, and their number.
 MissingRows = tuple[int, int]
 
@@ -56,6 +57,18 @@ class Clock(NamedTuple):
     rate: float | None
     start_s: float = 0.0
     missing: Sequence[MissingRows] = ()
+
+
+def time_scale(unit: str, where: str) -> float:
+    """Return a unit of time in s, and 1 without a unit; raise `RecordingError` if it is not a unit of time.
+
+    >>> time_scale("msec", "a"), time_scale("", "a")
+    (0.001, 1.0)
+    """
+    try:
+        return parse(f"1 {re.sub('sec$', 's', unit.lower())}", TIME) if unit else 1.0
+    except ValueError as error:
+        raise RecordingError(f"{where}: {error}; expected a unit of time such as s or ms") from None
 
 
 def rate_of_interval(interval: float, max_error: float = 0.0) -> float:
@@ -210,9 +223,11 @@ def require_even(
 ) -> None:
     """Raise `RecordingError` if a time (s) differs from the time of its sample index by more than half an interval.
 
-    Also raise it if the times are probably dates in days: the rate is then a round number of samples per second only if
-    a day is taken for a second.
+    Also raise it if the times are probably dates in other units than s. Dates in days have a round number of samples
+    per second only if a day is taken for a second.
     """
+    if start > _MAX_DATE:
+        raise RecordingError(f"{where}: {start:.6g} is probably a date in ms, µs or ns. Save the times in s.")
     days = rate / _SECONDS_PER_DAY
     is_round = min(abs(float(f"{days:.1e}") / days - 1.0), abs(2.0 ** round(math.log2(days)) / days - 1.0)) < _ROUNDNESS
     if is_round and any(low < start < high for low, high in _DATES_IN_DAYS):

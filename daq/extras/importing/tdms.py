@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.extras.importing.clock import TIME_NAMES, Clock, clock_of_times, rate_of_interval, warn
+from daq.extras.importing.clock import TIME_NAMES, Clock, clock_of_times, rate_of_interval, time_scale, warn
 from daq.extras.importing.signal import Signal
+from daq.extras.importing.text_layout import name_and_unit
+from daq.extras.importing.units import warn_of_scale
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, RunError
-from rig.core.settings.quantities import TIME, parse
 
 if TYPE_CHECKING:
     from logging import LogRecord
@@ -98,10 +99,8 @@ def _clock(path: Path, channel: Any) -> Clock:
         seconds = times.astype(float)
     except Exception as error:
         raise RecordingError(f"{where} cannot be read: {_error_text(error)}. Export the file again.") from error
-    try:
-        seconds = seconds * parse(f"1 {channel.properties.get('unit_string') or 's'}", TIME)
-    except ValueError as error:
-        raise RecordingError(f"{where}: {error}; expected a unit of time such as s or ms") from None
+    unit = str(channel.properties.get("unit_string") or name_and_unit(str(channel.name))[1])
+    seconds = seconds * time_scale(unit, where)
     return clock_of_times(seconds, 0.0, where)
 
 
@@ -123,6 +122,8 @@ def _signal(path: Path, number: int, channel: Any, has_several_groups: bool, clo
         raise RecordingError(
             f"{where} contains values of type {channel.dtype}; expected real numbers. Export it as real samples."
         )
+    if channel.dtype is not None and channel.dtype.kind in "iu":
+        warn_of_scale(where, properties)
     clock = clock or channel_clock
 
     def read(first: int, stop: int) -> Array:

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from daq.extras.importing.analyzer_heading import keyed_heading
-from daq.extras.importing.clock import GIVE_VALUE_OF_COUNT, TIME_NAMES, rate_of_interval, warn
+from daq.extras.importing.clock import TIME_NAMES, rate_of_interval, warn
+from daq.extras.importing.units import GIVE_VALUE_OF_COUNT
 from rig.core.base.errors import RecordingError
 from rig.core.base.escaping import unescape_cell
 from rig.core.settings.quantities import is_unit
@@ -372,11 +373,11 @@ def _names_and_units(rows_above: list[list[str]], column_count: int) -> tuple[li
     adjacent = takewhile(lambda row: len(row) == column_count, reversed(rows_above))
     rows = [_spaced_slashes([unescape_cell(cell.strip(" ,;")) for cell in row]) for row in adjacent]
     # Texts in the first cell alone are no names, and the lines above them may be other settings: ``Data:``.
-    is_named = [column_count == 1 or any(row[1:]) or _is_abscissa(*_name_and_unit(row[0])) for row in rows]
+    is_named = [column_count == 1 or any(row[1:]) or _is_abscissa(*name_and_unit(row[0])) for row in rows]
     names = rows[0] if rows and is_named[0] else [""] * column_count
     units = [""] * column_count
     for number, row in enumerate(rows):
-        row_names, row_units = map(list, zip(*map(_name_and_unit, row), strict=True))
+        row_names, row_units = map(list, zip(*map(name_and_unit, row), strict=True))
         above = rows[number + 1] if number + 1 < len(rows) else None
         if above is not None and _are_units(row, above):
             row_names, row_units = above, [_without_brackets(cell) for cell in row]
@@ -410,10 +411,10 @@ def _are_units(row: Sequence[str], above: Sequence[str]) -> bool:
     return in_brackets or not any(map(_UNIT_IN_BRACKETS.fullmatch, above))
 
 
-def _name_and_unit(cell: str) -> tuple[str, str]:
+def name_and_unit(cell: str) -> tuple[str, str]:
     """Split a name with a unit; the unit is empty if the name states none.
 
-    >>> _name_and_unit("tip (m/s²)"), _name_and_unit("force / N"), _name_and_unit("left / right")
+    >>> name_and_unit("tip (m/s²)"), name_and_unit("force / N"), name_and_unit("left / right")
     (('tip', 'm/s²'), ('force', 'N'), ('left / right', ''))
     """
     for pattern in (_UNIT_IN_BRACKETS, _UNIT_AFTER_UNDERSCORE, _UNIT_AFTER_SLASH):

@@ -18,6 +18,7 @@ from daq.extras.importing.clock import (
     rate_with_gaps,
     require_even,
     sample_numbers,
+    time_scale,
     warn,
     warn_used_as_times,
 )
@@ -46,7 +47,6 @@ from daq.extras.importing.text_layout import (
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 from rig.core.numerics.memory import require_memory_with_program
-from rig.core.settings.quantities import TIME, parse
 
 # Name of a further column of times: ``Time 2``, ``Time_B``.
 _FURTHER_TIMES = re.compile(r"(time|zeit|x_value)(stamp)?[\W_]*[\dA-Z]?", re.IGNORECASE)
@@ -288,10 +288,7 @@ class _Table:
     def estimate_clock(self, unit: str) -> Clock:
         """Estimate the clock from the first column, which contains times in `unit`."""
         where = f"{self._path}: the times in its first column"
-        try:
-            scale = parse(f"1 {re.sub('sec$', 's', unit.lower())}", TIME) if unit and not self.has_times_of_day else 1.0
-        except ValueError as error:
-            raise RecordingError(f"{where}: {error}; expected a unit of time such as s or ms") from None
+        scale = time_scale("" if self.has_times_of_day else unit, where)
         if self.rows < 2:
             raise RecordingError(
                 f"{where}: the number of time stamps is {self.rows}; expected at least 2. Export more samples."

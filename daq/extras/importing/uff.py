@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from daq.extras.importing.clock import Clock, clock_of_times, rate_of_interval
+from daq.extras.importing.clock import Clock, clock_of_times, rate_of_interval, time_scale
 from daq.extras.importing.signal import Signal
 from rig.core.base.errors import RecordingError, RunError
 from rig.core.numerics.memory import require_memory_with_program
 from rig.core.results.universal_file import FRF, GENERAL
-from rig.core.settings.quantities import TIME, parse
 
 # Function types of data set 58.
 TIME_RESPONSE, COHERENCE = 1, 6
@@ -159,8 +158,8 @@ def _signal(path: Path, number: int, name: str, data_set: Mapping[str, Any]) -> 
 def _time_unit(data_set: Mapping[str, Any]) -> float:
     """Return the SI value of the unit of the times [s]; 1 if the label of their axis states no unit of time."""
     try:
-        return parse(f"1 {label(data_set, 'abscissa')}", TIME)
-    except ValueError:
+        return time_scale(label(data_set, "abscissa"), "")
+    except RecordingError:
         return 1.0
 
 

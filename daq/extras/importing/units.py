@@ -1,9 +1,12 @@
 """Quantity and SI scale of a unit, in the notations of measurement programs."""
 
 import re
+from collections.abc import Mapping
 from itertools import product
+from typing import Any
 
 from daq.core.signal_chain.channel import Quantity
+from daq.extras.importing.clock import warn
 from rig.core.settings.quantities import ACCELERATION, FORCE, LENGTH, VELOCITY, VOLTAGE, Kind, parse
 
 KINDS: dict[Quantity, Kind] = {
@@ -18,6 +21,10 @@ _OTHER_QUANTITIES = {
     "pa": "sound pressure", "mpa": "sound pressure", "µm/m": "strain", "um/m": "strain", "mm/m": "strain",
     "°c": "temperature", "degc": "temperature", "rpm": "speed of rotation", "a": "current", "ma": "current",
 }  # fmt: skip
+# Names of settings that state the value of one count of a converter.
+_SCALE_NAMES = re.compile(r"(.*[._@])?(scal(e|ing)(_?factor)?|gain|factor|lsb|slope|cal\w*)", re.IGNORECASE)
+#: Remedy for integers that are counts of a converter.
+GIVE_VALUE_OF_COUNT = "Give the value of one count as the unit, such as unit: 0.0005 g, in the channel table."
 _SPELLINGS = {
     "volts": "V", "volt": "V", "v": "V", "millivolts": "mV", "mv": "mV",
     "newtons": "N", "newton": "N", "n": "N", "kn": "kN",
@@ -26,6 +33,13 @@ _SPELLINGS = {
     "meters/s^2": "m/s^2", "m/s/s": "m/s^2", "meters": "m", "inches": "inch", "in": "inch",
     "meters/s": "m/s", "inches/s": "inch/s", "in/s": "inch/s", "in/s^2": "inch/s^2",
 }  # fmt: skip
+
+
+def warn_of_scale(where: str, settings: Mapping[str, Any]) -> None:
+    """Warn about each setting that states a scale, which is not applied to the integers at `where`."""
+    for name, value in settings.items():
+        if _SCALE_NAMES.fullmatch(name) and value not in (1, 1.0):
+            warn(f"{where}: {name.replace('@', '.')} = {value} is not applied to the integers. {GIVE_VALUE_OF_COUNT}")
 
 
 def quantity_and_scale(unit: str) -> tuple[Quantity, float]:

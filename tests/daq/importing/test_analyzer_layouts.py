@@ -4,6 +4,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import h5py
+import nptdms
 import numpy as np
 import pytest
 import scipy
@@ -293,6 +294,7 @@ def test_columns_of_texts_are_omitted(heading: str, texts: list[str], before: in
         ("Time (s),tip (g)\n0,00,0,16\n0,01,0,25\n", "commas separate its columns, and seem to be decimal marks"),
         ("Time (s),tip (g)\n0,1,1,6\n0,2,2,5\n", "commas separate its columns, and seem to be decimal marks"),
         ("Time,tip (g)\n44321.500000000000,1\n44321.500011574074,2\n44321.500023148148,3\n", "a date in days"),
+        ("time,tip (g)\n1620208800000.0,1\n1620208800001.0,2\n", "is probably a date in ms"),
         ("0.0,0.1,0.2\n0.0,1.6,1.7\n", "3 unnamed columns of 2 numbers"),
     ],
 )
@@ -311,7 +313,7 @@ def test_text_above_numbers_is_no_name(tmp_path: Path) -> None:
         assert (signal.name, signal.rate) == ("column 2", 1024.0)
 
 
-@pytest.mark.parametrize("ending", [".h5", ".npz", ".csv"])
+@pytest.mark.parametrize("ending", [".h5", ".npz", ".tdms", ".csv"])
 def test_scale_of_integers_is_reported(ending: str, tmp_path: Path) -> None:
     path, counts = tmp_path / f"a{ending}", np.arange(-20, 20)
     if ending == ".h5":
@@ -320,6 +322,9 @@ def test_scale_of_integers_is_reported(ending: str, tmp_path: Path) -> None:
             file["tip"].attrs["scale_factor"] = 0.0005
     elif ending == ".npz":
         np.savez(path, tip=counts, gain=0.0005)
+    elif ending == ".tdms":
+        with nptdms.TdmsWriter(str(path)) as writer:
+            writer.write_segment([nptdms.ChannelObject("a", "tip", counts, {"gain": 0.0005})])
     else:
         path.write_text("Scale factor:,0.0005\ntime (s),tip\n" + "".join(f"{k},{n}\n" for k, n in enumerate(counts)))
     with ExitStack() as stack, pytest.warns(RunWarning, match="not applied to .* integers.* value of one count"):
@@ -448,3 +453,19 @@ def test_spectra_next_to_responses_are_left_out(tmp_path: Path) -> None:
     with pytest.warns(RunWarning, match="left out: Hf_Cross_Spec_chan_2"):
         [curve] = analysis.read_frfs(tmp_path / "a.mat", unit="m/s^2/N")
     np.testing.assert_allclose(curve.value, ACCELERANCE)
+
+
+@pytest.mark.parametrize("ending", [".h5", ".tdms"])
+def test_unit_of_times_is_read(ending: str, tmp_path: Path) -> None:
+    path = tmp_path / f"a{ending}"
+    if ending == ".h5":
+        with h5py.File(path, "w") as file:
+            file["time"], file["tip"] = 1e3 * TIME, SAMPLES[:, 2]
+            file["time"].attrs["unit"] = "ms"
+    else:
+        channels = [nptdms.ChannelObject("a", "Time (ms)", 1e3 * TIME), nptdms.ChannelObject("a", "tip", SAMPLES[:, 2])]
+        with nptdms.TdmsWriter(str(path)) as writer:
+            writer.write_segment(channels)
+    with ExitStack() as stack:
+        [signal] = signals_of(path, stack)
+        assert signal.rate == pytest.approx(1024.0)

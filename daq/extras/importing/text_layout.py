@@ -137,28 +137,26 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
         for delimiter in ("\t", ";", ",", None):
             cells = split_cells(line, delimiter)
             decimal_comma = any("," in cell for cell in cells)
-            counts = {_settings_count(split_cells(each, delimiter), decimal_comma) for each in lines[:2]}
-            first_cell = counts.pop() if number == 0 and len(counts) == 1 else 0
             if len(cells) < (1 if delimiter is None else 2):
                 continue
             layout = Layout(encoding, delimiter, decimal_comma, number, [], [])
-            if _are_numbers(cells[first_cell:], decimal_comma):
+            if _are_numbers(cells, decimal_comma):
                 _require_heading(path, number, lines[number - 1 : number], layout, len(cells))
-                if any(map(_SCALE.fullmatch, lines[:number])) and all(map(_INTEGER.fullmatch, cells[first_cell + 1 :])):
+                if any(map(_SCALE.fullmatch, lines[:number])) and all(map(_INTEGER.fullmatch, cells[1:])):
                     warn(
                         f"{path}: the scale factor of its heading is not applied to its integers. {GIVE_VALUE_OF_COUNT}"
                     )
                 _require_other_delimiter(path, lines[max(number - 1, 0) : number + _MAX_EXAMINED_ROWS], layout)
-                return _with_columns(layout, lines[:number], cells, first_cell)
+                return _with_columns(layout, lines[:number], cells)
             if delimiter is not None and (numbers := _number_positions(lines[number:], layout)):
                 plain_cells = [cell if k in numbers else "" for k, cell in enumerate(cells)]
-                return _without_texts(path, _with_columns(layout, lines[:number], plain_cells, 0), cells, numbers)
+                return _without_texts(path, _with_columns(layout, lines[:number], plain_cells), cells, numbers)
             complex_cells = _split_pairs(line, delimiter)
             parts = [complex_parts(cell) for cell in complex_cells]
             decimal_comma = any("," in part for part in chain(*parts))
             if max(map(len, parts)) > 1 and _are_numbers([*chain(*parts)], decimal_comma):
                 layout = layout._replace(decimal_comma=decimal_comma)
-                return _with_complex_columns(_with_columns(layout, lines[:number], complex_cells, 0), parts)
+                return _with_complex_columns(_with_columns(layout, lines[:number], complex_cells), parts)
     raise RecordingError(
         f"{path}: no line of numbers among the first {len(lines)} lines. Export the data as a table of numbers."
     )
@@ -189,23 +187,28 @@ def _require_other_delimiter(path: Path, lines: Sequence[str], layout: Layout) -
 def _number_positions(lines: Sequence[str], layout: Layout) -> set[int]:
     """Return the positions of the numbers in lines that contain texts, too; empty for other lines.
 
-    The numbers of all lines, or those to the left of the first texts, have the same positions: the first, or the second
-    with a time of day, and at least one other.
+    The numbers of all lines, those to the left of the first texts, or the last numbers next to each other have the same
+    positions. Oscilloscopes write their settings to the left or right of the first samples.
 
     >>> layout = Layout("utf-8", ",", False, 0, [], [])
     >>> _number_positions(["0.0,1.5,started", "0.1,1.6,"], layout)
     {0, 1}
     >>> _number_positions(["0.0,1.5,,Serial,17", "0.1,1.6"], layout), _number_positions(["0.0,OL", "0.1,1.5"], layout)
     ({0, 1}, set())
+    >>> sorted(_number_positions(["Length,300,,0.0,1.5", ",,,0.1,1.6"], layout))
+    [3, 4]
     """
     candidates: list[set[int]] = []
     for line in filter(str.strip, lines):
         row = split_cells(line, layout.delimiter)
         numbers = {k for k, cell in enumerate(row) if _is_number(cell, k, layout.decimal_comma)}
         first_text = next((k for k, cell in enumerate(row) if cell and k not in numbers), len(row))
-        # A date may precede the time of day.
-        is_first = min(numbers, default=2) == 0 or (min(numbers, default=2) == 1 and ":" in row[1])
-        found = [each for each in (numbers, {k for k in numbers if k < first_text}) if len(each) > 1 and is_first]
+        last = max(numbers, default=0)
+        adjacent = set(takewhile(numbers.__contains__, range(last, -1, -1)))
+        left = {k for k in numbers if k < first_text}
+        # A setting has a name and a value; a date may precede the time of day.
+        starts = {0, *(k for k in adjacent if k > 1 or ":" in row[k])}
+        found = [each for each in (numbers, left, adjacent) if len(each) > 1 and min(each) in starts]
         candidates = [each for each in candidates or found if each in found]
         if not candidates:
             break
@@ -224,6 +227,7 @@ def _without_texts(path: Path, layout: Layout, cells: Sequence[str], numbers: Co
     texts = [name for name, _, k in columns if k not in numbers and cells[k]]
     warn(f"{path}: columns with texts are not imported: {', '.join(texts)}")
     names, units, positions = map(list, zip(*kept, strict=True))
+    names = [UNNAMED.format(k) if name.startswith(_NO_NAME) else name for k, name in enumerate(names, 1)]
     return layout._replace(names=names, units=units, cells=tuple(positions))
 
 
@@ -263,20 +267,6 @@ def _with_complex_columns(layout: Layout, parts: Sequence[Sequence[str]]) -> Lay
     return layout._replace(names=names, units=units, cells=tuple(cells) if layout.cells else None, has_complex=True)
 
 
-def _settings_count(cells: Sequence[str], decimal_comma: bool) -> int:
-    """Return the number of cells to the left of the first samples, in which oscilloscopes write their settings.
-
-    >>> _settings_count(["Source", "CH1", "", "-0.1", "0.5", ""], False), _settings_count(["x", "1"], False)
-    (3, 0)
-    """
-    stop = len(cells) - (cells[-1:] == [""])
-    first = stop
-    while first and cells[first - 1] and parse_number(cells[first - 1], decimal_comma) is not None:
-        first -= 1
-    # A name and its value, then at least a time and a sample.
-    return first if 2 <= first <= stop - 2 else 0
-
-
 def _are_numbers(cells: Sequence[str], decimal_comma: bool) -> bool:
     """Return whether cells are numbers or empty; one of the first two of several cells may be a time of day."""
     values = [parse_number(cell, decimal_comma) for cell in cells]
@@ -287,7 +277,7 @@ def _are_numbers(cells: Sequence[str], decimal_comma: bool) -> bool:
     return None not in values and any(value == value for value in values)
 
 
-def _with_columns(layout: Layout, heading: Sequence[str], cells: Sequence[str], first_cell: int) -> Layout:
+def _with_columns(layout: Layout, heading: Sequence[str], cells: Sequence[str]) -> Layout:
     """Add the columns to a layout: their names, units and positions, from the heading and the first line of numbers."""
     lines = [line.lstrip("#%").strip() if line[:1] in "#%" else line for line in heading if line.strip()]
     rows_above = [split_cells(line, layout.delimiter) for line in lines]
@@ -295,12 +285,12 @@ def _with_columns(layout: Layout, heading: Sequence[str], cells: Sequence[str], 
         # A single blank separates a name from its unit.
         rows_above[-1] = re.split(r"\s{2,}", lines[-1].strip())
     rows_above, interval = _without_interval(rows_above)
-    stop = len(cells)
+    first_cell, stop = 0, len(cells)
     if stop > 2 and not cells[-1] and rows_above and not "".join(rows_above[-1][stop - 1 :]):
         # Each line ends with a delimiter.
         stop -= 1
         rows_above = [row[:stop] for row in rows_above]
-    names, units = _names_and_units(rows_above, stop - first_cell)
+    names, units = _names_and_units(rows_above, stop)
     if not any(units[1:]) and (keyed := keyed_heading(rows_above, stop)) is not None:
         if any(units):
             # A line of names states the unit of the abscissa only.

@@ -360,7 +360,7 @@ def test_columns_of_other_times_are_refused(changed: int, tmp_path: Path) -> Non
         text_signals(tmp_path / "a.csv", stack)[0].read(0, 300)
 
 
-@pytest.mark.filterwarnings("ignore:.*its first column rises evenly")
+@pytest.mark.filterwarnings("ignore:.*its first column rises evenly", "ignore:.*columns with texts")
 def test_settings_of_oscilloscope_are_omitted(tmp_path: Path) -> None:
     settings = ["Record Length,300,Points", "Source,CH1,", "Vertical Units,V,", *[",,"] * 297]
     rows = [f"{text},{time - 0.1:.8f},{tip:.6f},\n" for text, (time, _, tip) in zip(settings, SAMPLES, strict=True)]

@@ -21,8 +21,11 @@ _BLOCK = re.compile(r"(.*[._])?(npts|n_?fft|n_?samples|block(_?(size|length))?)"
 _SPACING = re.compile(r"(.*[._])?(df|delta_?f|resolution|x_values\.increment)", re.IGNORECASE)
 # Name of the frequency of the first line [Hz], in files of Testlab.
 _START = re.compile(r"(.*\.)?x_values\.start_value")
-# Name of an array of angular frequencies [rad/s].
-_ANGULAR = re.compile(r"(.*\.)?(w|om(ega)?)([_(].*)?", re.IGNORECASE)
+# Names of arrays of angular frequencies, or of frequencies in kHz, and their factors to Hz.
+_FREQUENCY_FACTORS = (
+    (re.compile(r"(.*\.)?(w|om(ega)?)([_(].*)?|.*_rad.*", re.IGNORECASE), 0.5 / np.pi),
+    (re.compile(r".*_khz", re.IGNORECASE), 1e3),
+)
 # Name of the unit of the values.
 _UNIT = re.compile(r"(?!(frequency|freq|x|time)[._@]?units?)(.*[._@])?(units?|y_values\.quantity\.label)")
 # Name of a cross spectrum.
@@ -97,7 +100,8 @@ def _frequencies(path: Path, arrays: Mapping[str, NDArray[Any]], lines: int) -> 
     candidates = named or rising
     if len(candidates) == 1:
         [(name, array)] = candidates.items()
-        return array / (2.0 * np.pi) if _ANGULAR.fullmatch(name) else array
+        factor = next((factor for names, factor in _FREQUENCY_FACTORS if names.fullmatch(name)), 1.0)
+        return factor * array
     if candidates:
         raise RecordingError(
             f"{path}: the frequencies may be {' or '.join(candidates)}. Name the array of frequencies in Hz "

@@ -44,7 +44,8 @@ _COMPONENT_OF_NAME = re.compile(r"^(re|im|abs|mag|phi|phase)\((.*)\)$", re.IGNOR
 _ANGLE = re.compile(r"deg(rees?)?|°|rad(ians?)?|grad", re.IGNORECASE)
 # Unit of a magnitude in decibels: a reference value, and its unit.
 _DECIBELS = re.compile(
-    r"dB\s*(?:\(?re\.?:?\s*|/\s*)?(?P<reference>\d[\d.]*(?:e[+-]?\d+)?)?\s*(?P<unit>[^\d\s].*?)?\)?", re.IGNORECASE
+    r"dB\s*(?:\(?re(?:f\w*)?\.?:?\s*|/\s*)?(?P<reference>\d[\d.]*(?:e[+-]?\d+)?)?\s*(?P<unit>[^\d\s].*?)?\)?",
+    re.IGNORECASE,
 )
 # Largest relative variation of the spacing of lines of a DFT, due to rounding in a table.
 _MAX_SPACING_SPREAD = 0.05
@@ -352,6 +353,8 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
             value = first_column + 1j * pair["imag"][1]
         else:
             phase_unit, phase = pair["phase"]
+            if phase_unit and not _ANGLE.fullmatch(phase_unit):
+                raise SceneError(f"{path}: {name}: its phase has the unit {phase_unit!r}. Export it in deg or rad.")
             if not phase_unit and abs(phase).max() <= _MAX_RADIANS:
                 raise SceneError(
                     f"{path}: {name}: its phase has no unit and is at most {abs(phase).max():.3g}: it may be in rad "

@@ -61,6 +61,7 @@ def write(path: Path, heading: str, rows: np.ndarray, comma: bool = False) -> Pa
         ("X-Axis\tH1,2\tH1,2\nHz\tdB re 1 m/s²/N\tdeg\n", DECIBELS, "H1,2"),
         ("Frequency (Hz)\ttip Magnitude (dB re 1 m/s²/N)\ttip Phase (deg)\n", DECIBELS, "tip"),
         ("Frequenz [Hz]\t|H1| [dB re 1 m/s²/N]\tPhase [°]\n", DECIBELS, "H1"),
+        ("Frequency [Hz]\tMag [dB ref. 1e-6 m/s²/N]\tPhase [°]\n", np.add(DECIBELS, [0.0, 120.0, 0.0]), "response"),
         ("f / kHz\tBetrag / m/s²/N\tPhase / Grad\n", POLAR * [1e-3, 1.0, 1.0], "response"),
         ("f/Hz\tRe/(m/s²/N)\tIm/(m/s²/N)\n", REAL_IMAG, "response"),
         ("Freq\tMag\tPhase\n(Hz)\t((m/s²)/N)\t(deg)\n", POLAR, "response"),
@@ -435,8 +436,9 @@ def test_exponents_of_fortran_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(curve.value, ACCELERANCE, rtol=1e-7)
 
 
-def test_angular_frequencies_are_converted(tmp_path: Path) -> None:
-    np.savez(tmp_path / "a.npz", omega=OMEGA, H=ACCELERANCE)
+@pytest.mark.parametrize(("name", "factor"), [("omega", 2 * np.pi), ("freq_rad_s", 2 * np.pi), ("f_kHz", 1e-3)])
+def test_unit_in_name_of_frequencies_is_read(name: str, factor: float, tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", H=ACCELERANCE, **{name: factor * FREQUENCY})
     [curve] = analysis.read_frfs(tmp_path / "a.npz", unit="m/s^2/N")
     np.testing.assert_allclose(curve.frequency, FREQUENCY)
 
@@ -469,3 +471,9 @@ def test_unit_of_times_is_read(ending: str, tmp_path: Path) -> None:
     with ExitStack() as stack:
         [signal] = signals_of(path, stack)
         assert signal.rate == pytest.approx(1024.0)
+
+
+def test_phase_in_other_units_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.txt", "f [Hz]\ttip mag [m/s²/N]\ttip phase [cycles]\n", POLAR / [1.0, 1.0, 360.0])
+    with pytest.raises(SceneError, match=r"'cycles'\. Export it in deg or rad"):
+        analysis.read_frfs(path)

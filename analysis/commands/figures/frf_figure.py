@@ -2,94 +2,59 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy
-from numpy.typing import NDArray
 
-from analysis.core.damper_motion.comparison import Peak, local_model, resonance_peaks
+from analysis.commands.figures.determined_lines import (
+    MAX_ERROR_RATIO,
+    MAX_POINTS,
+    determined_band,
+    exceeds_noise,
+    folds_back,
+    has_scatter,
+    is_determined,
+    is_smooth,
+)
+from analysis.commands.figures.peak_marks import (
+    PEAK_SYMBOLS,
+    PeakMark,
+    draw_marks,
+    label_peaks,
+    peak_marks,
+    with_local_models,
+    without_hidden_arrows,
+)
+from analysis.core.damper_motion.comparison import resonance_peaks
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
 from rig.core.base.palette import CurveStyle, faded, location_style, location_styles
-from rig.core.results.resonances import Resonance
-from rig.core.results.response import MOTIONS, Response
+from rig.core.results.response import Response
 from rig.core.results.uncertainty import CLOCK, SENSITIVITY, SYSTEMATIC
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Points over which the median roughness of a curve is computed: enough that one resonance does not determine it.
-_ROUGHNESS_POINTS = 25
-# A point with a smaller coherence is drawn as noise: more than half of its power does not depend on the force.
-_MIN_COHERENCE = 0.5
 # An interval below this fraction of the magnitude is narrower than the points, and is not explained.
 _MIN_VISIBLE_RATIO = 0.02
 # On a logarithmic axis, this fraction of the magnitude replaces zero, and the inverse replaces infinity.
 _ZERO_RATIO = 1e-9
-# Largest standard uncertainty of a point, relative to its magnitude: beyond it, the 95 % interval includes zero.
-_MAX_ERROR_RATIO = 0.5
-# A point of a curve without error bars is drawn as noise if its roughness exceeds this fraction of the magnitude.
-_MAX_ROUGHNESS = 0.35
-# Largest upper quartile of the phase steps between drawn points [rad]: beyond it, the line would show noise.
-_MAX_PHASE_STEP = 0.3
 # Upper ends of the phase axis [degrees], the preferred first: compliances of a driven body are from 0° to -180°, also
 # with scatter. A phase that passes through all angles wraps on the flank of a resonance, not at its center.
 _PHASE_TOPS = (30.0, 120.0, 210.0)
-# A line is undetermined if less than this fraction of the lines around it is determined.
-_MIN_DETERMINED = 0.75
-# A gap of fewer undetermined lines does not end a determined range; it is an antiresonance.
-_ANTIRESONANCE_LINES = 5
 # Height of the strip that marks undetermined points, relative to the axes.
 _STRIP_HEIGHT = 0.012
-# Curves with more lines than this are drawn without points, which would hide each other.
-MAX_POINTS = 600
 #: Curves with more lines than this are drawn as lines with some of their points: adjacent symbols would touch.
 MAX_MARKED = 160
 # Distance between the symbols of these curves, relative to the diagonal of the axes.
 _MARK_DISTANCE = 0.02
-# Only the highest of the arrows within this relative distance in frequency is drawn: they would hide the curves.
-_ARROW_RANGE = 0.02
-# A peak between points is marked if it exceeds the highest point by this fraction.
-_MIN_PEAK_EXCESS = 0.01
-# A drawn curve contains a peak if it reaches this fraction of the peak's height; the difference is not visible.
-_CONTAINING_RATIO = 0.99
-# A peak at a line with a smaller coherence is a peak of the noise, and is not marked.
-_MIN_PEAK_COHERENCE = 0.9
-# A peak is marked if it is the highest point within this relative distance in frequency, so labels do not overlap.
-_PEAK_RANGE = 0.05
 # Length of the dashes of a curve with many lines, relative to the dashes of other curves.
 _DASH_SCALE = 0.5
-#: Largest relative difference of the frequencies of one mode in two recordings: dampers shift the frequencies.
-MODE_SHIFT = 0.15
-#: Symbols of marked peaks, with their explanation.
-PEAK_SYMBOLS = {
-    "circles": "Circles: peaks of the local model between the points.",
-    "diamonds": "Diamonds: extrapolated peaks, more than 3 dB above the points on either side.",
-    "arrows": "Arrows: the peak may be higher.",
-}
-# Width of the label of a peak, relative to the axes.
-_LABEL_WIDTH = 0.06
-# Space above a marked value for an arrow and labels, relative to the height of the axes.
-_MARK_SPACE = 0.13
-_MARKERS = {"circles": "o", "diamonds": "D"}
 _LABEL_COLOR = "#555555"
-# Height of the label of a peak, and its distance from a label beside it [points].
-_LABEL_POINTS = 9.0
-_LABEL_SHIFT = 22.0
 _THEORY_COLOR = "#222222"
-
-
-class PeakMark(NamedTuple):
-    """A marked peak of a curve."""
-
-    symbol: str  # key of `PEAK_SYMBOLS`, "points" at a point that needs no symbol, or "undetermined"
-    frequency: float  # Hz
-    height: float  # in the SI unit of the curve
-    peak: Peak
 
 
 def frf_figure(
@@ -125,11 +90,11 @@ def frf_figure(
             magnitude_axes.plot([], [], color=_THEORY_COLOR, lw=0.9, ls=":", label=escape_figure(theory[0].label))
         marked_peaks = [peak_marks(measured, resonance_peaks(measured)) for measured in frfs]
         if not several:
-            marked_peaks = _without_hidden_arrows(marked_peaks)
+            marked_peaks = without_hidden_arrows(marked_peaks)
         heights = []
         for row, (measured, curve_style, marked) in enumerate(zip(frfs, styles, marked_peaks, strict=True)):
             _draw_curve(measured, curve_style, row, top, marked, magnitude_axes, phase_axes, coherence_axes)
-            heights += _draw_marks(marked, measured.shown_in[1], curve_style.color, magnitude_axes)
+            heights += draw_marks(marked, measured.shown_in[1], curve_style.color, magnitude_axes)
         for frequency, text in marks:
             magnitude_axes.axvline(frequency, color="#777777", lw=0.8, ls=":")
             magnitude_axes.annotate(
@@ -143,17 +108,17 @@ def frf_figure(
                 *(factor * abs(frf.value) for frf in theory),
                 *(factor * abs(frf.value[is_determined(frf)]) for frf in frfs if is_determined(frf).any()),
                 *(factor * _visible_edges(frf) for frf in frfs),
-                np.array(heights),
+                np.array([height for height, _ in heights]),
             ],
         )
         for axes, last in ((magnitude_axes, False), (phase_axes, False), (coherence_axes, True)):
             frequency_axis(axes, low, high, last)
         low_value, top_value = magnitude_axes.get_ylim()
-        space = (top_value / low_value) ** _MARK_SPACE
-        magnitude_axes.set_ylim(low_value, max([top_value, *(space * height for height in heights)]))
+        tops = [low_value * (height / low_value) ** (1.0 / (1.0 - space)) for height, space in heights]
+        magnitude_axes.set_ylim(low_value, max([top_value, *tops]))
         colors = [style.color if several else _LABEL_COLOR for style in styles]
         labels = [(mark, color) for marked, color in zip(marked_peaks, colors, strict=True) for mark in marked]
-        has_rings = _label_peaks(labels, frfs[0].shown_in[1], magnitude_axes)
+        has_rings = label_peaks(labels, frfs[0], magnitude_axes)
         name = escape_figure(frfs[0].name)
         magnitude_axes.set_ylabel(f"|{name}| / ({unit})" if "/" in unit else name)
         add_title(magnitude_axes, title)
@@ -166,7 +131,7 @@ def frf_figure(
         notes = []
         if not any(is_determined(frf).any() for frf in frfs):
             notes.append((phase_axes, "phase not determined at any line"))
-        if not any(_has_scatter(frf) for frf in frfs):
+        if not any(has_scatter(frf) for frf in frfs):
             text = "no coherence and no scatter: a single average, or not in the file"
             notes.append((coherence_axes, text))
         for axes, text in notes:
@@ -180,23 +145,13 @@ def frf_figure(
         return figure
 
 
-def determined_band(frfs: Sequence[Response]) -> tuple[float, float]:
-    """Return the band of curves [Hz]; for spectra with many lines, only of their determined ranges."""
-    columns = [column for frf in frfs for column in (frf.frequency, frf.omitted)]
-    lines = [frf.frequency[is_determined(frf)] for frf in frfs if frf.frequency.size > MAX_POINTS]
-    if len(lines) == len(frfs) and any(line.size for line in lines):
-        columns = lines
-    frequencies = np.concatenate(columns)
-    return float(frequencies.min()), float(frequencies.max())
-
-
 def _caption(frfs: Sequence[Response], symbols: set[str]) -> list[str]:
     """Explain bands and markers in sentences."""
     sentences = []
     causes = visible_systematic_errors(frfs)
     if has_scatter := any(_is_visible(frf, frf.expanded_random()) for frf in frfs):
         sentences.append("Dark band: scatter (type A, 95 %).")
-    elif not causes and any(_has_scatter(frf) for frf in frfs):
+    elif not causes and any(has_scatter(frf) for frf in frfs):
         sentences.append("95 % intervals: narrower than the points.")
     if causes:
         band = "Light band: also limits" if has_scatter else "Band: limits"
@@ -211,6 +166,7 @@ def _caption(frfs: Sequence[Response], symbols: set[str]) -> list[str]:
     if any(frf.frequency.size <= MAX_MARKED and not folds_back(frf.frequency) for frf in frfs):
         sentences.append("Thin curve: local model through the points, where they determine it.")
     sentences += [text for symbol, text in PEAK_SYMBOLS.items() if symbol in symbols]
+    sentences += ["Labels: peak frequencies."] * bool(symbols - {"undetermined"})
     if any(frf.omitted.size for frf in frfs):
         sentences.append("Gaps with a mark at the axis: omitted frequencies.")
     return sentences
@@ -298,14 +254,15 @@ def _draw_curve(
     has_phase = is_known & is_smooth(frf)
     angle = np.where(has_phase, phase_degrees(frf.value, top), np.nan)
     value = np.where(has_phase[np.searchsorted(frf.frequency, frequency).clip(0, has_phase.size - 1)], value, np.nan)
-    for half_width, opacity in () if is_folded else ((total, 0.13), (random, 0.25)):
-        phase_width = np.degrees(np.arcsin(np.minimum(half_width / np.maximum(magnitude, 1e-300), 1.0)))
-        band_frequency, center = break_at_wraps(frf.frequency, angle)
-        width = break_at_wraps(frf.frequency, angle, phase_width)[1]
+    drawn_angle = phase_degrees(value, top)
+    for half_width, opacity in ((total, 0.13), (random, 0.25)) if is_known.any() and not is_folded else ():
+        ratio = np.interp(frequency, frf.frequency[is_known], half_width[is_known] / magnitude[is_known])
+        width = break_at_wraps(frequency, drawn_angle, np.degrees(np.arcsin(np.minimum(ratio, 1.0))))[1]
+        band_frequency, center = break_at_wraps(frequency, drawn_angle)
         phase_axes.fill_between(band_frequency, center - width, center + width, color=color, alpha=opacity, lw=0)
-    phase_axes.plot(*break_at_wraps(frequency, phase_degrees(value, top)), **line)
+    phase_axes.plot(*break_at_wraps(frequency, drawn_angle), **line)
     phase_axes.plot(frf.frequency, angle, **points)
-    if _has_scatter(frf):
+    if has_scatter(frf):
         if is_unknown.any():
             coherence_axes.plot(frf.frequency, frf.coherence, color=faded(color), lw=0.7, zorder=2)
         coherence_axes.plot(
@@ -313,181 +270,11 @@ def _draw_curve(
         )
 
 
-def folds_back(frequency: Array) -> bool:
-    """Return whether the frequency of a sweep reverses, so there are several responses at one frequency."""
-    steps = np.diff(frequency)
-    return bool((steps > 0).any() and (steps < 0).any())
-
-
-def peak_marks(frf: Response, resonances: Iterable[tuple[Resonance, Peak]]) -> list[PeakMark]:
-    """Return the peaks of a curve with their symbols: between its points, and those that may be higher than its points.
-
-    Peaks in a rough range, and at an end of the band, are not marked. `resonances`: from `resonance_peaks`.
-    """
-    if frf.resolution > 0.0 or frf.reference != "force" or folds_back(frf.frequency):
-        return []
-    ordered, smooth, is_known = np.sort(frf.frequency), frf.frequency[is_smooth(frf)], is_determined(frf)
-    marks: list[PeakMark] = []
-    for resonance, peak in resonances:
-        line = resonance.line
-        if peak.at_end or frf.frequency[line] not in smooth:
-            continue
-        point, line_frequency = float(abs(frf.value[line])), float(frf.frequency[line])
-        if not is_known[line]:
-            marks.append(PeakMark("undetermined", line_frequency, point, peak))
-            continue
-        if not peak.is_determined:
-            marks.append(PeakMark("arrows", line_frequency, point, peak))
-            continue
-        height = peak.value * (2.0 * np.pi * peak.frequency) ** MOTIONS.index(frf.motion)
-        is_near = abs(np.searchsorted(ordered, peak.frequency) - np.searchsorted(ordered, line_frequency)) <= 1
-        is_noise = _has_scatter(frf) and frf.coherence[line] < _MIN_PEAK_COHERENCE
-        # A peak is not marked if a point near it is higher, as next to a jump or in a scattered range.
-        is_around = abs(frf.frequency / line_frequency - 1.0) < _PEAK_RANGE
-        is_around[max(line - 2, 0) : line + 3] = True
-        is_highest = height >= np.nanmax(abs(frf.value[is_around]))
-        if is_noise or not is_highest:
-            continue
-        if is_near and height > (1.0 + _MIN_PEAK_EXCESS) * point:
-            marks.append(PeakMark("diamonds" if peak.is_extrapolated else "circles", peak.frequency, height, peak))
-        else:
-            marks.append(PeakMark("points", line_frequency, point, peak))
-    return marks
-
-
-def _without_hidden_arrows(marked: Sequence[Sequence[PeakMark]]) -> list[list[PeakMark]]:
-    """Remove the arrows next to a higher marked peak of another curve."""
-    marks = [mark for of_curve in marked for mark in of_curve]
-
-    def is_highest(mark: PeakMark) -> bool:
-        return all(
-            other.height <= mark.height or abs(other.frequency / mark.frequency - 1.0) > _ARROW_RANGE for other in marks
-        )
-
-    return [[mark for mark in of_curve if mark.symbol != "arrows" or is_highest(mark)] for of_curve in marked]
-
-
-def _draw_marks(marks: Iterable[PeakMark], factor: float, color: str, axes: Axes) -> list[float]:
-    """Draw the marks of a curve; return the heights that the axis must include, in its unit."""
-    heights = []
-    for symbol, frequency, height, _ in marks:
-        heights.append(factor * height)
-        if symbol in _MARKERS:
-            style: dict[str, Any] = {"mfc": "white", "mec": color, "mew": 1.0, "ms": 4.5, "zorder": 5}
-            axes.plot(frequency, factor * height, _MARKERS[symbol], **style)
-        elif symbol == "arrows":
-            axes.annotate(
-                "", (frequency, factor * height), xytext=(0, 20), textcoords="offset points",
-                arrowprops={"arrowstyle": "<-", "color": color, "lw": 1.0, "shrinkB": 4}, zorder=5,
-            )  # fmt: skip
-    return heights
-
-
-def _label_peaks(marks: Sequence[tuple[PeakMark, str]], factor: float, axes: Axes) -> bool:
-    """Write the frequencies of peaks beside their marks, or beside a higher label; return whether points have rings."""
-    # Of several curves with the same color, the highest is labeled.
-    from matplotlib.patheffects import withStroke
-    from matplotlib.transforms import ScaledTranslation
-
-    to_axes = axes.transData + axes.transAxes.inverted()
-    # Position, peak, colors of the labels, and sides of the labels beside that of the peak.
-    groups: list[tuple[float, PeakMark, list[str], list[float]]] = []
-    taken: list[tuple[float, float]] = []
-    has_rings = False
-    for mark, color in sorted(marks, key=lambda pair: (pair[0].symbol == "points", -pair[0].height)):
-        point = mark.frequency, factor * mark.height
-        near = [group for group in groups if abs(to_axes.transform(point)[0] - group[0]) <= _LABEL_WIDTH]
-        is_close = bool(near)
-        if mark.symbol == "points":
-            # A peak at a point may be noise; it is labeled near a marked peak, for comparison.
-            near += [group for group in groups if abs(mark.frequency / group[1].frequency - 1.0) < MODE_SHIFT]
-        elif not near:
-            groups.append((to_axes.transform(point)[0], mark, [], []))
-            near = groups[-1:]
-        if not near:
-            continue
-        _, highest, labeled, beside = near[0]
-        sides = [side for side in ((1.0, -1.0) if labeled else (1.0,)) if _is_free(axes, point, side, taken)]
-        is_same = abs(mark.frequency / highest.frequency - 1.0) < MODE_SHIFT
-        if color in labeled or not is_same or not (sides or is_close or mark is highest):
-            continue
-        base = 22 if mark.symbol == "arrows" else 5
-        vertical: dict[str, Any] = {"va": "bottom"} if not sides or sides[0] > 0.0 else {"va": "top"}
-        offset = (0.0, base if vertical["va"] == "bottom" else -base)
-        style: dict[str, Any] = {"xytext": offset, "textcoords": "offset points", "ha": "center", **vertical}
-        if not sides and mark is not highest:
-            direction = 1.0 if mark.frequency >= highest.frequency else -1.0
-            up = (22 if highest.symbol == "arrows" else 5) + _LABEL_POINTS * beside.count(direction)
-            shift = ScaledTranslation(direction * _LABEL_SHIFT / 72.0, up / 72.0, axes.figure.dpi_scale_trans)
-            style = {"xytext": (highest.frequency, factor * highest.height), "textcoords": axes.transData + shift}
-            style |= {"ha": "left" if direction > 0.0 else "right", "va": "bottom"}
-            style["arrowprops"] = {"arrowstyle": "-", "color": color, "lw": 0.6, "shrinkA": 0, "shrinkB": 3}
-            beside.append(direction)
-        axes.annotate(
-            peak_label(mark), point, fontsize=7.5, color=color, zorder=5,
-            path_effects=[withStroke(linewidth=2.0, foreground="white")], **style,
-        )  # fmt: skip
-        if mark.symbol == "points":
-            axes.plot(*point, "o", mfc="none", mec=color, ms=6.5, mew=0.8, zorder=5)
-            has_rings = True
-        x, y = axes.transData.transform(point)
-        taken.append((x, y + (1.0 if vertical["va"] == "bottom" else -1.0) * _LABEL_POINTS * axes.figure.dpi / 72.0))
-        labeled.append(color)
-    return has_rings
-
-
-def peak_label(mark: PeakMark) -> str:
-    """Write the frequency of a marked peak, with more digits if it is interpolated."""
-    digits = 4 if mark.symbol in _MARKERS else 3
-    return "undetermined" if mark.symbol == "undetermined" else f"{mark.frequency:#.{digits}g} Hz"
-
-
-def _is_free(axes: Axes, point: tuple[float, float], side: float, taken: Iterable[tuple[float, float]]) -> bool:
-    """Return whether a label above (`side` 1) or below (-1) a point hides no curve and no label at `taken` [pixels]."""
-    x, y = axes.transData.transform(point)
-    width, height = _LABEL_WIDTH * axes.bbox.width, 2.0 * _LABEL_POINTS * axes.figure.dpi / 72.0
-    if any(abs(x - at) < width and abs(y + 0.5 * side * height - level) < 0.6 * height for at, level in taken):
-        return False
-    inside = x + np.linspace(-0.5, 0.5, 101) * width
-    for line in axes.get_lines():
-        drawn = axes.transData.transform(line.get_xydata())
-        drawn = drawn[np.isfinite(drawn).all(axis=1)]
-        if drawn.shape[0] > 1 and line.get_transform() == axes.transData:
-            horizontal, vertical = drawn[np.argsort(drawn[:, 0])].T
-            level = side * (np.interp(inside, horizontal, vertical, left=np.nan, right=np.nan) - y)
-            if ((level > 0.25 * height) & (level < height)).any():
-                return False
-    return True
-
-
-def with_local_models(
-    frf: Response, marks: Iterable[PeakMark], frequency: Array, magnitude: Array
-) -> tuple[Array, Array]:
-    """Replace a drawn curve (Hz, unit of `frf`) around each peak that it does not reach by the peak's local model."""
-    for mark in marks:
-        if mark.symbol not in _MARKERS:
-            continue
-        at, height = local_model(frf, mark.peak)
-        height = height * (2.0 * np.pi * at) ** MOTIONS.index(frf.motion)
-        is_near = (frequency >= at[0]) & (frequency <= at[-1])
-        if np.nanmax(magnitude[is_near], initial=0.0) < _CONTAINING_RATIO * height.max():
-            position = np.searchsorted(frequency, at[0])
-            frequency, magnitude = (
-                np.insert(column[~is_near], position, model) for column, model in ((frequency, at), (magnitude, height))
-            )
-    return frequency, magnitude
-
-
 def _omitted_ranges(frf: Response) -> list[tuple[float, float]]:
     """Return the first and last of the omitted frequencies in each gap between lines of a sorted curve [Hz]."""
     omitted = np.sort(frf.omitted)
     gap = np.searchsorted(frf.frequency[np.isfinite(frf.value)], omitted)
     return [(omitted[gap == number][0], omitted[gap == number][-1]) for number in np.unique(gap)]
-
-
-def _has_scatter(frf: Response) -> bool:
-    """Return whether a curve has a type A uncertainty: from several averages, or stated in its file."""
-    return bool(np.any((frf.degrees_of_freedom > 0) | (np.isfinite(frf.error) & (frf.error > 0))))
 
 
 def _is_visible(frf: Response, half_width: Array) -> bool:
@@ -514,7 +301,7 @@ def undetermined_text(frfs: Sequence[Response]) -> str:
         magnitude = np.maximum(abs(frf.value[is_bounded]), 1e-300)
         ratios = {name: float(np.max(limit[is_bounded] / magnitude, initial=0.0)) for name, limit in frf.limits.items()}
         largest = max(ratios, key=ratios.__getitem__, default="")
-        causes |= {largest} if ratios.get(largest, 0.0) > _MAX_ERROR_RATIO else set()
+        causes |= {largest} if ratios.get(largest, 0.0) > MAX_ERROR_RATIO else set()
     return "noise, or bound above 100 %" + f" due to {', '.join(sorted(causes))}" * bool(causes)
 
 
@@ -546,51 +333,6 @@ def _visible_edges(frf: Response) -> Array:
     upper = np.append(magnitude + total, np.nanmax(inside, initial=0.0))
     edges = np.concatenate([np.minimum(upper, 10.0 * magnitude.max()), magnitude - total])
     return np.asarray(edges[edges > 0.1 * magnitude.min()])
-
-
-def is_determined(frf: Response) -> NDArray[np.bool_]:
-    """Return whether each point exceeds its noise and its expanded uncertainty; isolated points do not count."""
-    known = exceeds_noise(frf) & ~(frf.expanded() >= abs(frf.value))
-    if known.size < _ROUGHNESS_POINTS:
-        return known
-    known &= scipy.ndimage.median_filter(known, 3, mode="nearest")
-    if known.size <= MAX_POINTS:
-        return known
-    # A few lines between gaps exceed the noise by chance. A gap of few lines is an antiresonance.
-    nearby = scipy.ndimage.uniform_filter1d(known.astype(float), 2 * _ROUGHNESS_POINTS + 1, mode="reflect")
-    without_gaps = scipy.ndimage.binary_closing(known, np.ones(_ANTIRESONANCE_LINES)) | known
-    is_long = scipy.ndimage.binary_opening(without_gaps & (nearby >= _MIN_DETERMINED), np.ones(2 * _ROUGHNESS_POINTS))
-    return np.asarray(known & is_long)
-
-
-def is_smooth(frf: Response) -> NDArray[np.bool_]:
-    """Return whether the phase of an ordered curve changes little from point to point, apart from single steps."""
-    if frf.frequency.size < 2 * _ROUGHNESS_POINTS:
-        return np.ones(frf.frequency.size, dtype=bool)
-    with np.errstate(invalid="ignore"):
-        step = np.nan_to_num(abs(np.angle(frf.value[1:] * frf.value[:-1].conj())))
-    step = np.append(step, step[-1])
-    smooth = scipy.ndimage.percentile_filter(step, 75, 2 * _ROUGHNESS_POINTS, mode="nearest") < _MAX_PHASE_STEP
-    if smooth.size <= MAX_POINTS:
-        return np.asarray(smooth)
-    # A few successive lines of noise have a smooth phase by chance.
-    return np.asarray(scipy.ndimage.binary_opening(smooth, np.ones(2 * _ROUGHNESS_POINTS)))
-
-
-def exceeds_noise(frf: Response) -> NDArray[np.bool_]:
-    """Return whether each point exceeds its noise, so its phase is determined.
-
-    The criterion is the standard uncertainty and the coherence if the curve has both, otherwise the roughness of the
-    curve from point to point.
-    """
-    magnitude = np.maximum(abs(frf.value), 1e-300)
-    if np.isfinite(frf.error).all():
-        return np.asarray((frf.error < _MAX_ERROR_RATIO * magnitude) & ~(frf.coherence <= _MIN_COHERENCE))
-    if magnitude.size < 2 * _ROUGHNESS_POINTS:
-        return np.ones(magnitude.size, dtype=bool)
-    roughness = abs(np.diff(frf.value, 2, prepend=frf.value[0], append=frf.value[-1])) / np.sqrt(6.0)
-    local_roughness = scipy.ndimage.median_filter(roughness / magnitude, _ROUGHNESS_POINTS, mode="nearest")
-    return np.asarray(local_roughness < _MAX_ROUGHNESS)
 
 
 def break_at_wraps(frequency: Array, angle: Array, values: Array | None = None) -> tuple[Array, Array]:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.commands.figures.frf_figure import determined_band, intervals_text, is_determined, unstated_tolerances
+from analysis.commands.figures.determined_lines import determined_band, is_determined
+from analysis.commands.figures.frf_figure import intervals_text, unstated_tolerances
 from analysis.core.modal.modes import Modes
 from rig.core.base.arrays import Array
 from rig.core.base.escaping import escape_figure

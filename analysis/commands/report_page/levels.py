@@ -8,7 +8,8 @@ from itertools import pairwise
 import numpy as np
 import scipy.signal
 
-from analysis.commands.figures.frf_figure import MODE_SHIFT, intervals_text
+from analysis.commands.figures.frf_figure import intervals_text
+from analysis.commands.figures.peak_marks import MODE_SHIFT
 from analysis.commands.report_page.measurements import Measurement, SweepResults, missing_tolerances
 from analysis.commands.report_page.tables import table
 from analysis.core.damper_motion.dampers import Dampers

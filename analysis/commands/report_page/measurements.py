@@ -12,7 +12,8 @@ from typing import NamedTuple, ParamSpec, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.commands.figures.frf_figure import PeakMark, peak_marks, unstated_tolerances
+from analysis.commands.figures.frf_figure import unstated_tolerances
+from analysis.commands.figures.peak_marks import PeakMark, peak_marks
 from analysis.commands.presentation.comparison import MeasurementPoints
 from analysis.commands.presentation.outputs import with_recording_name, with_sweep_name
 from analysis.core.damper_motion.comparison import (

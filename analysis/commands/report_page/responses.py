@@ -11,22 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.commands.figures.decay_figure import frequency_title, group_modes
+from analysis.commands.figures.determined_lines import folds_back, is_determined, is_smooth
 from analysis.commands.figures.frf_figure import (
     MAX_MARKED,
-    MODE_SHIFT,
-    PEAK_SYMBOLS,
-    PeakMark,
     break_at_wraps,
-    folds_back,
-    is_determined,
-    is_smooth,
-    peak_label,
     phase_degrees,
     phase_ticks,
     phase_top,
     undetermined_text,
-    with_local_models,
 )
+from analysis.commands.figures.peak_marks import MODE_SHIFT, PEAK_SYMBOLS, PeakMark, peak_label, with_local_models
 from analysis.commands.report_page.charts import (
     Chart,
     Curve,

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.commands.figures.frf_figure import MODE_SHIFT, includes_sensors, intervals_text
+from analysis.commands.figures.frf_figure import includes_sensors, intervals_text
+from analysis.commands.figures.peak_marks import MODE_SHIFT
 from analysis.commands.presentation.comparison import change_heading, change_rows
 from analysis.commands.presentation.decay_findings import DECAY_HEADING, decay_rows
 from analysis.commands.presentation.mode_findings import MIN_SAME_SHAPE_MAC

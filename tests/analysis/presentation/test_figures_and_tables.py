@@ -17,7 +17,8 @@ import daq
 import rig
 from analysis.commands.cli import app
 from analysis.commands.figures.decay_figure import decay_figure
-from analysis.commands.figures.frf_figure import determined_band, frf_figure, is_determined, is_smooth
+from analysis.commands.figures.determined_lines import determined_band, is_determined, is_smooth
+from analysis.commands.figures.frf_figure import frf_figure
 from analysis.commands.figures.modes_figure import modes_figure
 from analysis.commands.presentation.decay_findings import present_decay
 from analysis.commands.presentation.fit_findings import present_fit

@@ -17,7 +17,7 @@ import yaml
 import analysis
 import daq
 import rig
-from analysis.commands.figures.frf_figure import PEAK_SYMBOLS, PeakMark, peak_marks
+from analysis.commands.figures.peak_marks import PEAK_SYMBOLS, PeakMark, peak_marks
 from analysis.commands.presentation import frf_findings
 from analysis.commands.presentation.comparison import describe_changes
 from analysis.commands.presentation.damper_findings import describe_motions

@@ -1,0 +1,215 @@
+"""Peaks of frequency responses in figures: which are marked, by which symbol, and where their labels are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from analysis.commands.figures.determined_lines import MAX_POINTS, folds_back, has_scatter, is_determined, is_smooth
+from analysis.core.damper_motion.comparison import Peak, local_model
+from rig.core.base.arrays import Array
+from rig.core.results.resonances import Resonance
+from rig.core.results.response import MOTIONS, Response
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Only the highest of the arrows within this relative distance in frequency is drawn: they would hide the curves.
+_ARROW_RANGE = 0.02
+# A peak between points is marked if it exceeds the highest point by this fraction.
+_MIN_PEAK_EXCESS = 0.01
+# A drawn curve contains a peak if it reaches this fraction of the peak's height; the difference is not visible.
+_CONTAINING_RATIO = 0.99
+# A peak at a line with a smaller coherence is a peak of the noise, and is not marked.
+_MIN_PEAK_COHERENCE = 0.9
+# A peak is marked if it is the highest point within this relative distance in frequency, so labels do not overlap.
+_PEAK_RANGE = 0.05
+#: Largest relative difference of the frequencies of one mode in two recordings: dampers shift the frequencies.
+MODE_SHIFT = 0.15
+#: Symbols of marked peaks, with their explanation.
+PEAK_SYMBOLS = {
+    "circles": "Circles: peaks of the local model between the points.",
+    "diamonds": "Diamonds: extrapolated peaks, more than 3 dB above the points on either side.",
+    "arrows": "Arrows: the peak may be higher.",
+}
+# Width of the label of a peak, relative to the axes.
+_LABEL_WIDTH = 0.06
+# Space above a marked value for its labels, and for an arrow with its labels, relative to the height of the axes.
+_LABEL_SPACE, _ARROW_SPACE = 0.1, 0.18
+_MARKERS = {"circles": "o", "diamonds": "D"}
+# Height of the label of a peak, and its distance from a label beside it [points].
+_LABEL_POINTS = 9.0
+_LABEL_SHIFT = 22.0
+
+
+class PeakMark(NamedTuple):
+    """A marked peak of a curve."""
+
+    symbol: str  # key of `PEAK_SYMBOLS`, "points" at a point that needs no symbol, or "undetermined"
+    frequency: float  # Hz
+    height: float  # in the SI unit of the curve
+    peak: Peak
+
+
+def peak_marks(frf: Response, resonances: Iterable[tuple[Resonance, Peak]]) -> list[PeakMark]:
+    """Return the peaks of a curve with their symbols: between its points, and those that may be higher than its points.
+
+    Peaks in a rough range, and at an end of the band, are not marked. `resonances`: from `resonance_peaks`.
+    """
+    if frf.resolution > 0.0 or frf.reference != "force" or folds_back(frf.frequency):
+        return []
+    ordered, smooth, is_known = np.sort(frf.frequency), frf.frequency[is_smooth(frf)], is_determined(frf)
+    marks: list[PeakMark] = []
+    for resonance, peak in resonances:
+        line = resonance.line
+        if peak.at_end or frf.frequency[line] not in smooth:
+            continue
+        point, line_frequency = float(abs(frf.value[line])), float(frf.frequency[line])
+        if not is_known[line]:
+            marks.append(PeakMark("undetermined", line_frequency, point, peak))
+            continue
+        if not peak.is_determined:
+            marks.append(PeakMark("arrows", line_frequency, point, peak))
+            continue
+        height = peak.value * (2.0 * np.pi * peak.frequency) ** MOTIONS.index(frf.motion)
+        is_near = abs(np.searchsorted(ordered, peak.frequency) - np.searchsorted(ordered, line_frequency)) <= 1
+        is_noise = has_scatter(frf) and frf.coherence[line] < _MIN_PEAK_COHERENCE
+        # A peak is not marked if a point near it is higher, as next to a jump or in a scattered range.
+        is_around = abs(frf.frequency / line_frequency - 1.0) < _PEAK_RANGE
+        is_around[max(line - 2, 0) : line + 3] = True
+        is_highest = height >= np.nanmax(abs(frf.value[is_around]))
+        if is_noise or not is_highest:
+            continue
+        if is_near and height > (1.0 + _MIN_PEAK_EXCESS) * point:
+            marks.append(PeakMark("diamonds" if peak.is_extrapolated else "circles", peak.frequency, height, peak))
+        else:
+            marks.append(PeakMark("points", line_frequency, point, peak))
+    return marks
+
+
+def without_hidden_arrows(marked: Sequence[Sequence[PeakMark]]) -> list[list[PeakMark]]:
+    """Remove the arrows next to a higher marked peak of another curve."""
+    marks = [mark for of_curve in marked for mark in of_curve]
+
+    def is_highest(mark: PeakMark) -> bool:
+        return all(
+            other.height <= mark.height or abs(other.frequency / mark.frequency - 1.0) > _ARROW_RANGE for other in marks
+        )
+
+    return [[mark for mark in of_curve if mark.symbol != "arrows" or is_highest(mark)] for of_curve in marked]
+
+
+def draw_marks(marks: Iterable[PeakMark], factor: float, color: str, axes: Axes) -> list[tuple[float, float]]:
+    """Draw the marks of a curve; return their heights in the unit of the axis, with the space above them."""
+    heights = []
+    for symbol, frequency, height, _ in marks:
+        heights.append((factor * height, _ARROW_SPACE if symbol == "arrows" else _LABEL_SPACE))
+        if symbol in _MARKERS:
+            style: dict[str, Any] = {"mfc": "white", "mec": color, "mew": 1.0, "ms": 4.5, "zorder": 5}
+            axes.plot(frequency, factor * height, _MARKERS[symbol], **style)
+        elif symbol == "arrows":
+            axes.annotate(
+                "", (frequency, factor * height), xytext=(0, 20), textcoords="offset points",
+                arrowprops={"arrowstyle": "<-", "color": color, "lw": 1.0, "shrinkB": 4}, zorder=5,
+            )  # fmt: skip
+    return heights
+
+
+def label_peaks(marks: Sequence[tuple[PeakMark, str]], frf: Response, axes: Axes) -> bool:
+    """Write the frequencies of peaks beside their marks, or beside a higher label; return whether points have rings.
+
+    `frf`: one of the curves.
+    """
+    # Of several curves with the same color, the highest is labeled.
+    from matplotlib.patheffects import withStroke
+    from matplotlib.transforms import ScaledTranslation
+
+    factor, to_axes = frf.shown_in[1], axes.transData + axes.transAxes.inverted()
+    # Position, peak, colors of the labels, and sides of the labels beside that of the peak.
+    groups: list[tuple[float, PeakMark, list[str], list[float]]] = []
+    taken: list[tuple[float, float]] = []
+    has_rings = False
+    for mark, color in sorted(marks, key=lambda pair: (pair[0].symbol == "points", -pair[0].height)):
+        point = mark.frequency, factor * mark.height
+        near = [group for group in groups if abs(to_axes.transform(point)[0] - group[0]) <= _LABEL_WIDTH]
+        is_close = bool(near)
+        if mark.symbol == "points":
+            near += [group for group in groups if abs(mark.frequency / group[1].frequency - 1.0) < MODE_SHIFT]
+            if not near and frf.frequency.size > MAX_POINTS:
+                # In a spectrum it may be noise; it is labeled near a marked peak, for comparison.
+                continue
+        if not near:
+            groups.append((to_axes.transform(point)[0], mark, [], []))
+            near = groups[-1:]
+        _, highest, labeled, beside = near[0]
+        sides = [side for side in ((1.0, -1.0) if labeled else (1.0,)) if _is_free(axes, point, side, taken)]
+        is_same = abs(mark.frequency / highest.frequency - 1.0) < MODE_SHIFT
+        if color in labeled or not is_same or not (sides or is_close or mark is highest):
+            continue
+        base = 22 if mark.symbol == "arrows" else 5
+        vertical: dict[str, Any] = {"va": "bottom"} if not sides or sides[0] > 0.0 else {"va": "top"}
+        offset = (0.0, base if vertical["va"] == "bottom" else -base)
+        style: dict[str, Any] = {"xytext": offset, "textcoords": "offset points", "ha": "center", **vertical}
+        if not sides and mark is not highest:
+            direction = 1.0 if mark.frequency >= highest.frequency else -1.0
+            up = (22 if highest.symbol == "arrows" else 5) + _LABEL_POINTS * beside.count(direction)
+            shift = ScaledTranslation(direction * _LABEL_SHIFT / 72.0, up / 72.0, axes.figure.dpi_scale_trans)
+            style = {"xytext": (highest.frequency, factor * highest.height), "textcoords": axes.transData + shift}
+            style |= {"ha": "left" if direction > 0.0 else "right", "va": "bottom"}
+            style["arrowprops"] = {"arrowstyle": "-", "color": color, "lw": 0.6, "shrinkA": 0, "shrinkB": 3}
+            beside.append(direction)
+        axes.annotate(
+            peak_label(mark), point, fontsize=7.5, color=color, zorder=5,
+            path_effects=[withStroke(linewidth=2.0, foreground="white")], **style,
+        )  # fmt: skip
+        if mark.symbol == "points":
+            axes.plot(*point, "o", mfc="none", mec=color, ms=6.5, mew=0.8, zorder=5)
+            has_rings = True
+        x, y = axes.transData.transform(point)
+        taken.append((x, y + (1.0 if vertical["va"] == "bottom" else -1.0) * _LABEL_POINTS * axes.figure.dpi / 72.0))
+        labeled.append(color)
+    return has_rings
+
+
+def peak_label(mark: PeakMark) -> str:
+    """Write the frequency of a marked peak, with more digits if it is interpolated."""
+    digits = 4 if mark.symbol in _MARKERS else 3
+    return "undetermined" if mark.symbol == "undetermined" else f"{mark.frequency:#.{digits}g} Hz"
+
+
+def _is_free(axes: Axes, point: tuple[float, float], side: float, taken: Iterable[tuple[float, float]]) -> bool:
+    """Return whether a label above (`side` 1) or below (-1) a point hides no curve and no label at `taken` [pixels]."""
+    x, y = axes.transData.transform(point)
+    width, height = _LABEL_WIDTH * axes.bbox.width, 2.0 * _LABEL_POINTS * axes.figure.dpi / 72.0
+    if any(abs(x - at) < width and abs(y + 0.5 * side * height - level) < 0.6 * height for at, level in taken):
+        return False
+    inside = x + np.linspace(-0.5, 0.5, 101) * width
+    for line in axes.get_lines():
+        drawn = axes.transData.transform(line.get_xydata())
+        drawn = drawn[np.isfinite(drawn).all(axis=1)]
+        if drawn.shape[0] > 1 and line.get_transform() == axes.transData:
+            horizontal, vertical = drawn[np.argsort(drawn[:, 0])].T
+            level = side * (np.interp(inside, horizontal, vertical, left=np.nan, right=np.nan) - y)
+            if ((level > 0.25 * height) & (level < height)).any():
+                return False
+    return True
+
+
+def with_local_models(
+    frf: Response, marks: Iterable[PeakMark], frequency: Array, magnitude: Array
+) -> tuple[Array, Array]:
+    """Replace a drawn curve (Hz, unit of `frf`) around each peak that it does not reach by the peak's local model."""
+    for mark in marks:
+        if mark.symbol not in _MARKERS:
+            continue
+        at, height = local_model(frf, mark.peak)
+        height = height * (2.0 * np.pi * at) ** MOTIONS.index(frf.motion)
+        is_near = (frequency >= at[0]) & (frequency <= at[-1])
+        if np.nanmax(magnitude[is_near], initial=0.0) < _CONTAINING_RATIO * height.max():
+            position = np.searchsorted(frequency, at[0])
+            frequency, magnitude = (
+                np.insert(column[~is_near], position, model) for column, model in ((frequency, at), (magnitude, height))
+            )
+    return frequency, magnitude

@@ -165,7 +165,7 @@ def change_heading(shown_in: tuple[str, float]) -> tuple[str, ...]:
     """Return the heading of the rows of `change_rows`."""
     unit = shown_in[0]
     return (
-        "response", "mode / Hz", f"before {unit}", f"after {unit}", "change / dB", "95 % interval", "shift / Hz",
+        "response", "mode / Hz", f"before {unit}", f"after {unit}", "change / dB", "95 % interval", "peak shift / Hz",
         "95 % interval", "equivalent ζ / %",
     )  # fmt: skip
 

@@ -40,6 +40,8 @@ _NO_BREAK = re.compile(
 _CODE = re.compile("`([^`]+)`")
 # Overloads or gaps that are listed individually; a longer list would hide the other rows.
 _MAX_LISTED = 5
+# Smaller contributions to a combined uncertainty, relative to it, are listed as an upper limit.
+_NEGLIGIBLE_RATIO = 1e-3
 
 
 def typeset(text: str) -> str:
@@ -189,10 +191,14 @@ def budget(curve: Response, highest: Peak) -> str:
         point = curve.peak_line()
     result = curve.budget(curve.response, float(curve.frequency[point]))
     factor = result.expanded / result.combined if result.combined else 2.0
+    least = float(f"{_NEGLIGIBLE_RATIO * result.combined:.1g}")
     rows = [
-        (name, evaluation, format_number(float(f"{standard:.2g}")), f"{100 * share:.0f} %" if isfinite(share) else "–")
+        (
+            name, evaluation, f"< {least:g}" if standard < least else format_number(float(f"{standard:.2g}")),
+            f"{100 * share:.0f} %" if isfinite(share) else "–",
+        )
         for name, evaluation, standard, share in result.rows
-    ]
+    ]  # fmt: skip
     return table(
         f"Uncertainty budget of {curve.label}, {result.title}: {format_interval(result.value, result.expanded)} "
         f"{result.unit} (95 %)",

@@ -1,8 +1,13 @@
-"""Peaks of a live response with their half-power damping: a quick view without uncertainty."""
+"""Peaks of a live response with their half-power damping: a quick view.
+
+The interval of a damping ratio contains the scatter of H1 at the peak and at both half-power points, and the spacing of
+the lines as the limit of error of the half-power width: the window widens a peak by less. The scatter of n averages is
+var |H| = |H|² (1 - γ²) / (2 n γ²) (Bendat and Piersol, Random Data, 9.1).
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import scipy
@@ -25,41 +30,54 @@ _SCATTER_LINES = 25
 _MIN_WIDTH_LINES = 3.0
 # A peak with a smaller coherence has no damping: the sweep is too fast for it, or it is noise.
 _MIN_COHERENCE = 0.7
+# Coverage factor of 95 % intervals.
+_COVERAGE_FACTOR = 2.0
 # Peaks belong to one resonance if their frequencies differ by less than this fraction; dampers split its peak.
 _SAME_PEAK = 0.08
 
 
-def largest_peaks(curves: LiveCurves, count: int) -> list[tuple[str, float, float, float | None, str]]:
-    """Return the highest peaks: channel with the highest peak, frequency (Hz), magnitude, damping, relation.
+class LivePeak(NamedTuple):
+    """A peak of a live response."""
 
-    A single average has no peaks. The relation is one of `RELATIONS`. A clipped peak has no damping.
-    """
+    frequency: float  # Hz
+    value: float  # magnitude
+    damping: float | None  # half-power damping ratio; None if the width is not resolved, clipped or incoherent
+    expanded: float  # half of the 95 % interval of the damping ratio
+    name: str = ""  # channel
+    relation: str = ""  # one of `RELATIONS`
+
+
+def largest_peaks(curves: LiveCurves, count: int) -> list[LivePeak]:
+    """Return the highest peaks, each of the channel with the highest peak; a single average has no peaks."""
     candidates = []
     for name, response, coherence, relation in zip(
         curves.names, curves.value, curves.coherence, curves.relation, strict=True
     ):
-        for frequency, value, damping in live_peaks(curves.frequency, response):
-            k = np.searchsorted(curves.frequency, frequency)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            error = np.sqrt((1.0 - coherence) / (2.0 * curves.count * coherence))
+        for peak in live_peaks(curves.frequency, response, error):
+            k = np.searchsorted(curves.frequency, peak.frequency)
             if np.isfinite(coherence[k]):
-                damping = None if relation[k] or coherence[k] < _MIN_COHERENCE else damping
-                candidates.append((name, frequency, value, damping, RELATIONS[relation[k]]))
-    largest: list[tuple[str, float, float, float | None, str]] = []
-    for peak in sorted(candidates, key=lambda peak: -peak[2]):
-        if all(abs(peak[1] / other[1] - 1.0) > _SAME_PEAK for other in largest):
+                if relation[k] or coherence[k] < _MIN_COHERENCE or not np.isfinite(peak.expanded):
+                    peak = peak._replace(damping=None, expanded=0.0)
+                candidates.append(peak._replace(name=name, relation=RELATIONS[relation[k]]))
+    largest: list[LivePeak] = []
+    for peak in sorted(candidates, key=lambda peak: -peak.value):
+        if all(abs(peak.frequency / other.frequency - 1.0) > _SAME_PEAK for other in largest):
             largest.append(peak)
-    return sorted(largest[:count], key=lambda peak: peak[1])
+    return sorted(largest[:count])
 
 
-def live_peaks(frequency: Array, response: ComplexArray) -> list[tuple[float, float, float | None]]:
-    """Return frequency (Hz), magnitude and damping ratio of the peaks of a curve, which may have gaps (NaN).
+def live_peaks(frequency: Array, response: ComplexArray, error: Array) -> list[LivePeak]:
+    """Return the peaks of a curve, which may have gaps (NaN); `error`: relative standard uncertainty of each line.
 
     The damping ratio is the half-power width over twice the frequency (Ewins, Modal Testing, 4.2); None if the width is
     not resolved or not measured on both sides.
 
     >>> f = np.linspace(1.0, 20.0, 1901)
-    >>> [(f0, value, damping)] = live_peaks(f, 1.0 / (100.0 - f**2 + 2j * 0.01 * 10.0 * f))
-    >>> round(f0, 2), round(value, 3), round(damping, 4)
-    (10.0, 0.5, 0.01)
+    >>> [peak] = live_peaks(f, 1.0 / (100.0 - f**2 + 2j * 0.01 * 10.0 * f), np.full(f.size, 0.01))
+    >>> round(peak.frequency, 2), round(peak.value, 3), round(peak.damping, 4), round(peak.expanded, 4)
+    (10.0, 0.5, 0.01, 0.0008)
     """
     peaks = []
     magnitude, scatter = np.abs(response), _scatter(response)
@@ -69,11 +87,17 @@ def live_peaks(frequency: Array, response: ComplexArray) -> list[tuple[float, fl
         left, right = _crossing(magnitude, k, -1), _crossing(magnitude, k, 1)
         if not _is_prominent(bounded, k, min(bounded[k] / _MIN_RATIO, bounded[k] - _MIN_SCATTERS * scatter[k])):
             continue
-        damping = None
+        damping, expanded = None, 0.0
         if left is not None and right is not None and right - left >= _MIN_WIDTH_LINES:
-            low, high = np.interp([left, right], np.arange(frequency.size), frequency)
+            (low, high), spacing = np.interp([left, right], np.arange(frequency.size), frequency), np.diff(frequency)[k]
             damping = float((high - low) / (2.0 * frequency[k]))
-        peaks.append((float(frequency[k]), float(magnitude[k]), damping))
+            # Change of each half-power frequency per relative change of the magnitude there, or of the peak.
+            flanks = [int(left), int(right)]
+            shift = spacing * magnitude[k] / np.sqrt(2.0) / np.abs(np.diff(magnitude)[flanks])
+            standard = np.hypot(np.linalg.norm(shift * error[flanks]), shift.sum() * error[k])
+            standard = np.hypot(standard, spacing / np.sqrt(3.0))
+            expanded = float(_COVERAGE_FACTOR * standard / (2.0 * frequency[k]))
+        peaks.append(LivePeak(float(frequency[k]), float(magnitude[k]), damping, expanded))
     return peaks
 
 

@@ -110,7 +110,9 @@ class TestController:
         )
         self.message = "ready" if self.forms else _NO_FORCE if self._scene.shakers else _NO_INPUT
         self.frf_unavailable_reason = ""
-        self.progress, self.is_aborted, self.tests, self.target = 0.0, False, 0, 0.0
+        self.progress, self.is_aborted, self.tests = 0.0, False, 0
+        # Level of the last test; None if NI clients drive the outputs.
+        self.target: float | None = 0.0
         # Time at which the measurement began, s since power-on; None while the test settles.
         self._measures_from: float | None = None
         self._test: tuple[Procedure[Any], Any] | None = None
@@ -331,6 +333,7 @@ class TestController:
             self.frf_unavailable_reason = str(error)
             return
         self.tests += 1
+        self._test, self.target, self.message = None, None, "NI clients drive the outputs"
         self._monitor.start_estimate(frf, None, lambda: band)
 
     def _on_mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:

@@ -47,7 +47,12 @@ class LiveCurves:
     coherence: Array  # (channels, frequencies)
     relation: NDArray[np.intp]  # Index in `RELATIONS`; (channels, frequencies)
     force: Array  # rms of the force in the blocks that excited a line [N]; NaN for impacts; (frequencies,)
-    averages: int  # largest number of averaged blocks or impacts of a line
+    count: NDArray[np.intp]  # averaged blocks or impacts of each line; (frequencies,)
+
+    @property
+    def averages(self) -> int:
+        """Largest number of averaged blocks or impacts of a line."""
+        return int(self.count.max())
 
 
 class _SpectrumSums:
@@ -170,8 +175,7 @@ class LiveFrf:
             value = np.asarray(sums.cross / force, dtype=complex)
         coherence[:, sums.count < _MIN_COHERENCE_AVERAGES] = np.nan
         rms = np.sqrt(np.where(excited, sums.force_power, np.nan) / np.maximum(sums.count, 1))
-        averages = int(sums.count.max())
-        return LiveCurves(self.names, self.frequency, value, coherence, sums.relation, rms, averages)
+        return LiveCurves(self.names, self.frequency, value, coherence, sums.relation, rms, sums.count)
 
     def _drop(self, samples: int) -> None:
         """Remove the oldest pending samples."""

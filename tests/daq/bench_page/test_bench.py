@@ -268,6 +268,8 @@ def test_clients_see_a_frequency_response(bench):
         bench.chassis.outputs["task"] = None
         bench._follow_clients(None, None)
         assert bench.monitor.is_estimating and bench.monitor.frf is not None
+        # Level and rate are those of a test, not of a client.
+        assert bench.controller.target is None and bench.controller.details == ""
         del bench.chassis.outputs["task"]
         bench._follow_clients(None, None)
     assert not bench.monitor.is_estimating
@@ -277,8 +279,28 @@ def test_live_peak_next_to_a_gap_has_no_damping():
     f = np.linspace(1.0, 20.0, 1901)
     response = 1.0 / (100.0 - f**2 + 2j * 0.01 * 10.0 * f)
     response[(f > 10.05) & (f < 10.5)] = np.nan
-    ((frequency, _, damping),) = live_peaks(f, response)
-    assert frequency == pytest.approx(10.0) and damping is None
+    (peak,) = live_peaks(f, response, np.zeros(f.size))
+    assert peak.frequency == pytest.approx(10.0) and peak.damping is None
+
+
+def test_damping_interval_contains_the_true_value():
+    rng, rate, ratio, averages = np.random.default_rng(1), 256.0, 0.03, 8
+    for _ in range(20):
+        force = rng.standard_normal(round(200 * rate))
+        f = np.fft.rfftfreq(force.size, 1.0 / rate)
+        system = 1.0 / (34.0**2 - f**2 + 2j * ratio * 34.0 * f)
+        motion = np.fft.irfft(system * np.fft.rfft(force)) + 2e-4 * rng.standard_normal(force.size)
+        blocks = np.array([[x[k * 512 : k * 512 + 1024] for k in range(averages)] for x in (force, motion)])
+        force, motion = np.fft.rfft(np.hanning(1024) * blocks, axis=2)
+        cross, power = (motion * force.conj()).sum(axis=0), (abs(force) ** 2).sum(axis=0)
+        coherence = abs(cross) ** 2 / power / (abs(motion) ** 2).sum(axis=0)
+        count = np.full(power.size, averages)
+        curves = LiveCurves(
+            ["a"], np.fft.rfftfreq(1024, 1.0 / rate), (cross / power)[None], coherence[None],
+            np.zeros((1, power.size), int), np.ones(power.size), count,
+        )  # fmt: skip
+        (peak,) = largest_peaks(curves, 1)
+        assert abs(peak.damping - ratio) < peak.expanded < 0.5 * ratio
 
 
 @pytest.mark.parametrize("bench", ["sweep"], indirect=True)
@@ -299,10 +321,12 @@ def test_peak_list_names_highest_determined_channel():
     f = np.linspace(1.0, 20.0, 1901)
     low, high = (1.0 / (f0**2 - f**2 + 2j * 0.01 * f0 * f) for f0 in (5.0, 12.0))
     values = np.array([low + 0.1 * high, 0.1 * low + high])
-    curves = LiveCurves(["a", "b"], f, values, np.ones(values.shape), np.zeros(values.shape, int), np.ones(f.size), 3)
-    assert [(name, round(f0, 1)) for name, f0, *_ in largest_peaks(curves, 4)] == [("a", 5.0), ("b", 12.0)]
+    curves = LiveCurves(
+        ["a", "b"], f, values, np.ones(values.shape), np.zeros(values.shape, int), np.ones(f.size), np.full(f.size, 3)
+    )
+    assert [(peak.name, round(peak.frequency, 1)) for peak in largest_peaks(curves, 4)] == [("a", 5.0), ("b", 12.0)]
     curves.coherence[:, f > 10.0] = np.nan
-    assert [name for name, *_ in largest_peaks(curves, 4)] == ["a"]
+    assert [peak.name for peak in largest_peaks(curves, 4)] == ["a"]
 
 
 @pytest.mark.parametrize("bench", ["hammer"], indirect=True)
@@ -387,7 +411,7 @@ def test_clipped_block_bounds_its_lines(bench):
     clipped = curves.frequency[curves.relation[1] == RELATIONS.index("≥")]
     assert clipped[0] > 55.0 and clipped[-1] < 70.0
     (peak,) = largest_peaks(curves, 1)
-    assert peak[3:] == (None, "≥") and peak[1] == pytest.approx(62.0, abs=1.0)
+    assert (peak.damping, peak.relation) == (None, "≥") and peak.frequency == pytest.approx(62.0, abs=1.0)
     pass_time(bench, 1.0)
     assert bench.monitor.overloads and not bench.monitor.overloaded_rows()
 

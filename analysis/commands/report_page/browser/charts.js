@@ -279,7 +279,7 @@
         label: curve.label, stroke: () => shade(curve.color) + (curve.draw === "pale" ? "80" : ""), spanGaps: false,
         ...(curve.draw === "line" ? { dash: curve.dash.map((length) => 1.5 * length), width: 1.5 } : { width: 1 }),
         ...(curve.draw === "points" ? { paths: () => null } : {}),
-        points: { show: curve.draw === "points", size: 4, fill: () => shade(curve.color) },
+        points: { show: curve.draw === "points", size: 5, fill: () => shade(curve.color) },
       });
       if (!curve.low) continue;
       for (const edge of ["low", "high"]) {

@@ -75,7 +75,7 @@ const response = {
     const showsLast = previous && $("last").checked;
     if (showsLast) for (const row of previous.rows) magnitude.push({ x: previous.frequency, y: micro(row.magnitude), color: LAST, width: 1 });
     const isClipped = curves?.rows.some((row) => row.relation.some(Boolean));
-    setText("thin", [curves ? [curves.level == null ? "" : `${digits(curves.level, 3)} N`, `Δf ${digits(curves.frequency[1] - curves.frequency[0], 2)} Hz`, this.details].filter(Boolean).join(", ") : "", isClipped ? "dashed: clipped; arrow: side of the true value" : "", curves ? "thin: uncertain (γ² < 0.7, or phase scatters)" : "", showsLast ? `gray: last test, ${digits(previous.level, 3)} N` : ""].filter(Boolean).join("; "));
+    setText("thin", [curves ? [curves.level == null ? "" : `${digits(curves.level, 3)} N`, `Δf ${digits(curves.frequency[1] - curves.frequency[0], 2)} Hz`, this.details].filter(Boolean).join(", ") : "", isClipped ? "dashed: clipped; arrow: side of the true value" : "", curves ? "thin: uncertain (γ² < 0.7, or phase scatters)" : "", showsLast ? `gray: last test${previous.level == null ? "" : `, ${digits(previous.level, 3)} N`}` : ""].filter(Boolean).join("; "));
     if (theory && $("theory").checked) {
       theory.rows.forEach((row, k) => magnitude.push({ x: theory.frequency, y: micro(row), color: this.channels[k].color, dash: [7, 4], width: 1 }));
     }
@@ -112,7 +112,7 @@ const response = {
     if (force.every(isNaN)) return [];
     const required = level == null ? [] : [{ x: [frequency[0], frequency[frequency.length - 1]], y: Float32Array.of(level, level), color: LAST, dash: [5, 4], width: 1 }];
     const largest = roundUp(Math.max(level ?? 0, ...force.filter(isFinite)));
-    return [{ name: "force / N", range: [0, largest], ticks: [[0, true], [largest / 2, false], [largest, true]], share: 0.7, curves: [...required, { x: frequency, y: force, color: "#ffffff" }] }];
+    return [{ name: level == null ? "force rms / N" : "force / N", range: [0, largest], ticks: [[0, true], [largest / 2, false], [largest, true]], share: 0.7, curves: [...required, { x: frequency, y: force, color: "#ffffff" }] }];
   },
 
   nearest(frequency) {
@@ -121,7 +121,7 @@ const response = {
   },
 
   // Return whether the curve is thin at a peak.
-  isUncertain([name, frequency]) {
+  isUncertain([frequency, , , , name]) {
     const row = this.curves?.rows.find((each) => each.name === name);
     return row !== undefined && !row.determined[this.curves.frequency.indexOf(Math.fround(frequency))];
   },
@@ -139,9 +139,10 @@ const response = {
     const peaks = this.head?.peaks ?? [];
     if (!peaks.length) return $("peaks").replaceChildren();
     const uncertain = peaks.map((peak) => this.isUncertain(peak));
-    fillTable($("peaks"), [["peak", "f / Hz", "value", "≈ damping"], ...peaks.map(([name, f, value, damping, relation], k) => [
-      name, digits(f, 5), relation === "?" ? "clipped" : `${relation || (uncertain[k] ? "~" : damping == null ? "≥ " : "")}${withUnit(value, "m/N")}`, damping == null || uncertain[k] ? "–" : `${digits(100 * damping, 2)} %`])]);
-    peaks.forEach(([, , , damping, relation], k) => {
+    fillTable($("peaks"), [["peak", "f / Hz", "µm/N", "ζ / %"], ...peaks.map(([f, value, damping, expanded, name, relation], k) => [
+      name, digits(f, 5), relation === "?" ? "clipped" : `${relation || (uncertain[k] ? "~" : damping == null ? "≥ " : "")}${digits(1e6 * value, 3)}`,
+      damping == null || uncertain[k] ? "–" : `${digits(100 * damping, 2)} ± ${digits(100 * expanded, 1)}`])]);
+    peaks.forEach(([, , damping, , , relation], k) => {
       const row = $("peaks").rows[k + 1];
       row.classList.toggle("bound", relation !== "");
       row.classList.toggle("uncertain", uncertain[k]);

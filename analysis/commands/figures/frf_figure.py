@@ -149,12 +149,12 @@ def _caption(frfs: Sequence[Response], symbols: set[str]) -> list[str]:
     """Explain bands and markers in sentences."""
     sentences = []
     causes = visible_systematic_errors(frfs)
-    if has_scatter := any(_is_visible(frf, frf.expanded_random()) for frf in frfs):
+    if is_scattered := any(_is_visible(frf, frf.expanded_random()) for frf in frfs):
         sentences.append("Dark band: scatter (type A, 95 %).")
     elif not causes and any(has_scatter(frf) for frf in frfs):
         sentences.append("95 % intervals: narrower than the points.")
     if causes:
-        band = "Light band: also limits" if has_scatter else "Band: limits"
+        band = "Light band: also limits" if is_scattered else "Band: limits"
         sentences.append(f"{band} of error (type B): {', '.join(causes)}.")
     if not all(is_determined(frf).all() for frf in frfs):
         text = undetermined_text(frfs)

@@ -310,6 +310,18 @@ def test_peak_between_tones_has_a_marker():
     assert np.nanmax(drawn.get_ydata()) == pytest.approx(50.0, rel=0.01)
 
 
+def test_peak_at_a_tone_has_a_label_below_the_title():
+    f = np.linspace(10.0, 30.0, 41)
+    curve = Response.curve(
+        f, 1e-6 / (1.0 - (f / 20.0) ** 2 + 0.2j), "body1", error=1e-12 * np.ones(41), coherence=np.ones(41)
+    )
+    figure = frf_figure([curve], "Compliance")
+    figure.draw_without_rendering()
+    axes = figure.axes[0]
+    [label] = [text for text in axes.texts if text.get_text().endswith(" Hz")]
+    assert label.get_text() == "20.0 Hz" and label.get_window_extent().y1 < axes.bbox.y1
+
+
 def test_compared_peaks_have_labels_in_their_colors():
     f = np.linspace(10.0, 30.0, 41)
     exact = {"error": 1e-12 * np.ones(41), "coherence": np.ones(41)}

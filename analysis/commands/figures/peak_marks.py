@@ -79,7 +79,7 @@ def peak_marks(frf: Response, resonances: Iterable[tuple[Resonance, Peak]]) -> l
         # A peak is not marked if a point near it is higher, as next to a jump or in a scattered range.
         is_around = abs(frf.frequency / line_frequency - 1.0) < _PEAK_RANGE
         is_around[max(line - 2, 0) : line + 3] = True
-        is_highest = height >= np.nanmax(abs(frf.value[is_around]))
+        is_highest = max(height, point) >= np.nanmax(abs(frf.value[is_around]))
         if is_noise or not is_highest:
             continue
         if is_near and height > (1.0 + _MIN_PEAK_EXCESS) * point:

@@ -27,7 +27,7 @@ def open_browser(width: int = 1280, height: int = 800, scale: float = 1.0) -> we
 
 
 def draw_bench(picture: str) -> None:
-    """Draw the bench near the end of a sweep."""
+    """Draw the bench at the last resonance of a sweep."""
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "daq", "bench", "fig8-three-dampers", "--no-browser", "--port", "0"]
         command += ["--device-port", "0", "-o", str(Path(folder) / "sweep.mcap")]
@@ -42,7 +42,7 @@ def draw_bench(picture: str) -> None:
                 # A busy machine delays the bench, which a picture should not show.
                 waiting.until(
                     lambda page: (
-                        re.match(r"9\d %", page.find_element(By.ID, "progress").text)
+                        re.match(r"8\d %", page.find_element(By.ID, "progress").text)
                         and page.find_element(By.ID, "lag").text == ""
                     )
                 )

@@ -25,8 +25,9 @@ PICTURES = {
         "report.png",
     ),
     "replay.png": (
-        "daq record fig10b-three-dampers --set test.repeats=1 --set recording.truth=true -o OUT/hit.mcap; "
-        "daq replay OUT/hit.mcap --at 0.3 --screenshot OUT/replay.png",
+        "daq record fig10b-three-dampers --set test.repeats=1 --set test.interval=1s --set recording.truth=true "
+        "-o OUT/hit.mcap; "
+        "daq replay OUT/hit.mcap --at 0.36 --screenshot OUT/replay.png",
         "replay.png",
     ),
 }

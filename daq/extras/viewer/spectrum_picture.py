@@ -139,7 +139,7 @@ def spectrum_picture(recording: Recording, start: int, stop: int) -> bytes:
     test = recording.scene.test
     level = "" if test is None else f"{test.level_text(recording.scene.driven_shaker)}, "
     panels[0].set_title(
-        f"{level}{estimate.title}, lines of {frequency[0]:.2g} Hz; dotted: modes without dampers",
+        f"{level}{estimate.title}, Δf {frequency[0]:.2g} Hz; dotted: modes without dampers",
         color=_FOREGROUND, fontsize="medium", loc="left",
     )  # fmt: skip
     picture = io.BytesIO()

@@ -222,6 +222,7 @@ def test_texts_and_scales_suit_the_values(bench, browser):
     value = functools.partial(value_of, browser)
     # Noise at ±180° does not cross the chart.
     assert value("Array.from(wrapped(Float32Array.of(180, 0, -170)))") == [-180, 0, -170]
+    assert value("withInterval(4.276, 1.96)") == "4.3 ± 2.0"
     assert value("levelText({target: 200, level_kind: 'peak', force: null})") == "200 N peak"
     note = "response.note({hits: [], running: true, frf_reason: ''})"
     assert "1 average: no γ²" in value(f"(response.head = {{averages: 1}}, {note})")

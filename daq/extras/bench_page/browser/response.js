@@ -141,7 +141,7 @@ const response = {
     const uncertain = peaks.map((peak) => this.isUncertain(peak));
     fillTable($("peaks"), [["peak", "f / Hz", "µm/N", "ζ / %"], ...peaks.map(([f, value, damping, expanded, name, relation], k) => [
       name, digits(f, 5), relation === "?" ? "clipped" : `${relation || (uncertain[k] ? "~" : damping == null ? "≥ " : "")}${digits(1e6 * value, 3)}`,
-      damping == null || uncertain[k] ? "–" : `${digits(100 * damping, 2)} ± ${digits(100 * expanded, 1)}`])]);
+      damping == null || uncertain[k] ? "–" : withInterval(100 * damping, 100 * expanded)])]);
     peaks.forEach(([, , damping, , , relation], k) => {
       const row = $("peaks").rows[k + 1];
       row.classList.toggle("bound", relation !== "");

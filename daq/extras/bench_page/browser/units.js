@@ -33,6 +33,12 @@ function withUnit(value, unit, count = 3) {
     ? `${digits(scaled / 1000, count)} ${name.replace("µm", "mm")}` : `${digits(scaled, count)} ${name}`;
 }
 
+// A value with its expanded uncertainty, which has two digits.
+function withInterval(value, expanded) {
+  const decimals = Math.max(0, 1 - Math.floor(Math.log10(expanded)));
+  return `${value.toFixed(decimals)} ± ${expanded.toFixed(decimals)}`;
+}
+
 // The smallest of 1, 2, 5, 10, ... that is at least a value.
 function roundUp(value) {
   const power = 10 ** Math.floor(Math.log10(value));

@@ -11,7 +11,6 @@ import daq
 import rig
 from analysis.core.recordings import slices
 from analysis.core.recordings.slices import Slice
-from analysis.extras.formats import uff
 from analysis.extras.formats.export import export as export_segment
 from daq.core.recording import channel_series
 from daq.core.recording.recorder import Recorder
@@ -49,7 +48,6 @@ def short_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     """Read recordings in pieces that are much shorter than they are."""
     monkeypatch.setattr(channel_series, "_MAX_CACHE_BYTES", 1 << 18)
     monkeypatch.setattr(slices, "PIECE_SAMPLES", 1 << 12)
-    monkeypatch.setattr(uff, "_PIECE_SAMPLES", 1 << 12)
 
 
 @pytest.mark.parametrize(

@@ -3,14 +3,12 @@
 File names are derived from the names of the inputs.
 """
 
-import hashlib
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from analysis.core.recordings.names import require_file, sweep_name
-from rig.core.base.output_files import prepare_outputs
+from rig.core.base.output_files import name_digest, prepare_outputs
 
 # Characters of a channel name in a file name; file systems allow 255 bytes for the whole name.
 _MAX_CHANNEL_LENGTH = 40
@@ -86,7 +84,7 @@ def join_names(names: Sequence[str]) -> str:
     if len(name) <= _MAX_NAME_LENGTH:
         return name
     # The digest distinguishes lists with the same first name and length.
-    digest = _digest(name)[:4]
+    digest = name_digest(name)[:4]
     return f"{names[0]}+{len(names) - 1}-more-{digest}" if len(names) > 1 else name
 
 
@@ -97,7 +95,7 @@ def with_channel_name(stem: Path, channel: str) -> Path:
     ('run-frf-body1', 'run-frf-.._.._etc_passwd-3754')
     """
     safe = "".join(letter if letter.isalnum() or letter in " -_.+" else "_" for letter in channel)[:_MAX_CHANNEL_LENGTH]
-    return stem.with_name(f"{stem.name}-{safe}" + ("" if safe == channel else f"-{_digest(channel)[:4]}"))
+    return stem.with_name(f"{stem.name}-{safe}" + ("" if safe == channel else f"-{name_digest(channel)[:4]}"))
 
 
 def with_ending(stem: Path, extension: str) -> Path:
@@ -107,8 +105,3 @@ def with_ending(stem: Path, extension: str) -> Path:
     'a0.5-report.html'
     """
     return stem.with_name(f"{stem.name}.{extension}")
-
-
-def _digest(names: str) -> str:
-    # File names are not necessarily valid UTF-8.
-    return hashlib.sha256(os.fsencode(names)).hexdigest()

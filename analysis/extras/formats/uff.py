@@ -15,8 +15,6 @@ from rig.core.results.universal_file import QUANTITY_NUMBERS, text_line, univers
 
 # Most samples of a channel: 340 MB of text.
 MAX_TEXT_SAMPLES = 1 << 24
-# Samples of a channel in memory at a time, at 200 bytes per sample; a multiple of 4, because a line has four samples.
-_PIECE_SAMPLES = 1 << 14
 
 
 def write_uff(segment: Slice, path: Path) -> None:
@@ -39,7 +37,7 @@ def write_uff(segment: Slice, path: Path) -> None:
     universal_file(path, recording.scene.name, [info.body for info in segment.infos])
     with path.open("ab") as file:
         for number, info in enumerate(segment.infos, start=1):
-            pieces = _pieces(segment, info.name)
+            pieces = (np.nan_to_num(rows[0]) for _, rows in segment.pieces([info.name]))
             fields = {
                 "type": 58, "binary": 0, "func_type": 1, "func_id": number,
                 "id1": text_line(f"{info.name}: {info.quantity} at {info.at}"),
@@ -55,14 +53,6 @@ def write_uff(segment: Slice, path: Path) -> None:
                 "x": np.arange(segment.start, segment.start + 2) / recording.rate,
             }  # fmt: skip
             _write_pieces(file, fields, count, pieces)
-
-
-def _pieces(segment: Slice, name: str) -> Iterator[Array]:
-    """Yield the samples of a channel in pieces."""
-    for first in range(segment.start, segment.stop, _PIECE_SAMPLES):
-        stop = min(first + _PIECE_SAMPLES, segment.stop)
-        yield np.nan_to_num(segment.recording.read(name, first, stop))
-        segment.on_read(stop - first)
 
 
 def _write_pieces(file: BinaryIO, fields: dict[str, Any], count: int, pieces: Iterator[Array]) -> None:

@@ -157,7 +157,7 @@ def atomic_write(path: Path, overwrite: bool = False) -> Iterator[Path]:
 
 def _new_temporary(file: Path) -> Path:
     """Return the name of a temporary file for an output; remove temporary files of killed processes."""
-    prefix = _remove_leftovers(file.parent, _digest(file.name))
+    prefix = _remove_leftovers(file.parent, name_digest(file.name))
     return file.with_name(f"{prefix}{os.urandom(4).hex()}{file.suffix}")
 
 
@@ -176,7 +176,7 @@ def _remove_leftovers(folder: Path, label: str) -> str:
     import shutil
 
     # The name contains the host and the process that writes.
-    prefix = f".{label}-{_digest(platform.node())}-"
+    prefix = f".{label}-{name_digest(platform.node())}-"
     for other in folder.glob(f"{prefix}*"):
         process = other.name.removeprefix(prefix).partition("-")[0]
         if process.isdecimal() and not _is_running(int(process)):
@@ -188,7 +188,8 @@ def _remove_leftovers(folder: Path, label: str) -> str:
     return f"{prefix}{os.getpid()}-"
 
 
-def _digest(text: str) -> str:
+def name_digest(text: str) -> str:
+    """Return six digits of a digest of a name, which is not necessarily valid UTF-8."""
     from hashlib import sha256
 
     return sha256(os.fsencode(text)).hexdigest()[:6]

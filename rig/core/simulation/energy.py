@@ -22,6 +22,7 @@ from rig.core.laws.events import CEILING, FLIGHT
 from rig.core.laws.law import Row
 from rig.core.numerics.bernstein import N_COEFFICIENTS
 from rig.core.system.hybrid_system import FORCE_OF_BED, Element, HybridSystem
+from rig.core.system.structural_model import symmetric
 
 #: Gauss-Legendre nodes and weights on [0, 1]: 8 nodes suffice in a step for a product of two solutions.
 _GAUSS_RULE = tuple(0.5 * row for row in np.polynomial.legendre.leggauss(8) + np.array([[1.0], [0.0]]))
@@ -105,12 +106,7 @@ def quadratic_forms(system: HybridSystem, output: Array) -> QuadraticForms:
     dissipated = np.zeros((size, size))
     dissipated[n : 2 * n, n : 2 * n] = damping
     dissipated[further, further] = system.state_loss
-    return QuadraticForms(0.5 * _symmetric(stored), _symmetric(dissipated), _symmetric(power), _symmetric(to_grains))
-
-
-def _symmetric(matrix: Array) -> Array:
-    """Return the symmetric part of a matrix, which has the same quadratic form."""
-    return 0.5 * (matrix + matrix.T)
+    return QuadraticForms(0.5 * symmetric(stored), symmetric(dissipated), symmetric(power), symmetric(to_grains))
 
 
 def _quadratic(form: Array, states: Array) -> Array:

@@ -287,7 +287,7 @@ def structure_matrices(structure: Structure) -> tuple[Array, Array, Array]:
     """
     mass = mass_matrix(structure)
     if structure.matrices is not None:
-        stiffness = _symmetric(np.array(structure.matrices.stiffness))
+        stiffness = symmetric(np.array(structure.matrices.stiffness))
     else:
         stiffness = chain_matrix(structure.springs or ())
     return mass, _damping(structure, mass, stiffness), stiffness
@@ -308,7 +308,7 @@ def ground_connection(structure: Structure, model: StructuralModel) -> Ground:
 def mass_matrix(structure: Structure) -> Array:
     """Return the mass matrix of the structure without beds [kg], shape (bodies, bodies)."""
     if structure.matrices is not None:
-        return _symmetric(np.array(structure.matrices.mass))
+        return symmetric(np.array(structure.matrices.mass))
     return np.diag(np.array(structure.masses or ()))
 
 
@@ -386,10 +386,10 @@ def _damping(structure: Structure, mass: Array, stiffness: Array) -> Array:
         modal_masses = np.einsum("ji,jk,ki->i", shapes, mass, shapes)
         # C = M shapes diag(2 ratio omega / modal mass) shapes^T M
         mass_times_shapes = mass @ shapes
-        return _symmetric((mass_times_shapes * (2.0 * ratios * omega / modal_masses)) @ mass_times_shapes.T)
+        return symmetric((mass_times_shapes * (2.0 * ratios * omega / modal_masses)) @ mass_times_shapes.T)
     return np.zeros_like(mass)
 
 
-def _symmetric(matrix: Array) -> Array:
-    """Return the symmetric part of a matrix, which removes asymmetric rounding errors."""
+def symmetric(matrix: Array) -> Array:
+    """Return the symmetric part of a matrix: it has the same quadratic form, without asymmetric rounding errors."""
     return (matrix + matrix.T) / 2.0

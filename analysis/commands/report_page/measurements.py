@@ -191,7 +191,7 @@ class Measurements:
                 free_decay = relabel(free_decay, rec.scene.name, label)
                 self._warn(path, free_decay.warnings)
         check = None
-        if rec.scene.test is not None and rec.scene.test.prescription is not None:
+        if rec.scene.test is not None and rec.scene.test.profile_control is not None:
             check = self._attempt(path, "Profile", profile, rec)
         if check is not None:
             check = replace(check, label=f"“{label}”")

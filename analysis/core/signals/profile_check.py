@@ -6,7 +6,7 @@ Electroacoust. 15 (1967) 70), with chi-square intervals.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from daq.core.recording.recording import Recording
     from daq.core.signal_chain.channel import ChannelInfo
-    from rig.core.scene.excitation.profile import Prescription
+    from rig.core.scene.excitation.profile_control import ProfileControl
 
 # Distance from its limit below which a channel limits the drive [dB], if the control is below the profile.
 _NOTCH_DB = 1.5
@@ -252,32 +252,32 @@ def profile(rec: Recording) -> ProfileCheck:
     RecordingError
         If the test has no profile, or did not reach its full level.
     """
-    prescription = None if rec.scene.test is None else rec.scene.test.prescription
+    test = None if rec.scene.test is None else rec.scene.test.profile_control
     measured = [mark for mark in rec.markers if mark.kind == "measure"]
-    if prescription is None:
+    if test is None:
         raise RecordingError(f"{rec.path}: {rec.test.name} has no profile. Use `analysis frf` or `analysis srs`.")
     if not measured:
         raise RecordingError(f"{rec.path}: the test did not reach its full level. `daq info` gives the reason.")
     start, stop = measured[-1].first_sample, measured[-1].end + 1
-    has_lines = prescription.resolution is not None
-    frequency, rows, freedom = (_densities if has_lines else _amplitudes)(rec, prescription, start, stop)
+    has_lines = test.resolution is not None
+    frequency, rows, freedom = (_densities if has_lines else _amplitudes)(rec, test, start, stop)
     warnings = (
-        *(line_warnings(prescription, rec.scene, rec.channels.values()) if has_lines else ()),
+        *(line_warnings(test, rec.scene, rec.channels.values()) if has_lines else ()),
         *_early_overloads(rec, start),
     )
-    bound = prescription.profile.at(frequency)
-    channels = [_level(rec, name, bound, rows[name], start, stop) for name in prescription.control.channels]
+    bound = test.profile.at(frequency)
+    channels = [_level(rec, name, bound, rows[name], start, stop) for name in test.control.channels]
     limited = [_level(rec, each.channel, each.at(frequency), rows[each.channel], start, stop)
-               for each in prescription.limits]  # fmt: skip
-    unit = "m/s²" if prescription.resolution is None else "(m/s²)²/Hz"
-    if prescription.resolution is not None:
+               for each in test.limits]  # fmt: skip
+    unit = "m/s²" if test.resolution is None else "(m/s²)²/Hz"
+    if test.resolution is not None:
         channels, limited = (
             [replace(level, rms=_rms(level.values, frequency)) for level in levels] for levels in (channels, limited)
         )
-    control = prescription.control.combined(np.array([level.values for level in channels]))
+    control = test.control.combined(np.array([level.values for level in channels]))
     return ProfileCheck(
         rec.scene.name, unit, frequency, control, bound, tuple(channels), tuple(limited),
-        prescription.tolerance, prescription.abort, freedom, warnings,
+        test.tolerance, test.abort, freedom, warnings,
     )  # fmt: skip
 
 
@@ -298,19 +298,19 @@ def _early_overloads(rec: Recording, start: int) -> list[str]:
 
 
 def _densities(
-    rec: Recording, prescription: Prescription, start: int, stop: int
+    rec: Recording, test: ProfileControl, start: int, stop: int
 ) -> tuple[Array, dict[str, tuple[Array, Array, Array]], float]:
     """Return frequencies, the density of each channel with its 95 % interval, and the degrees of freedom."""
-    assert prescription.resolution is not None
-    size = min(2 * max(2, round(rec.rate / prescription.resolution / 2.0)), stop - start)
-    low, high = prescription.profile.frequencies[0], prescription.profile.frequencies[-1]
+    assert test.resolution is not None
+    size = min(2 * max(2, round(rec.rate / test.resolution / 2.0)), stop - start)
+    low, high = test.profile.frequencies[0], test.profile.frequencies[-1]
     rows: dict[str, tuple[Array, Array, Array]] = {}
     lines = np.asarray(np.fft.rfftfreq(size, 1.0 / rec.rate), dtype=np.float64)
     inside = (lines >= low - 1e-9 * high) & (lines <= high * (1.0 + 1e-9))
     segments = max(1, (stop - start) // (size // 2) - 1)
     freedom = 2.0 * max(1.0, _INDEPENDENT_RATIO * segments)
     quantiles = freedom / stats.chi2.ppf([0.975, 0.025], freedom)
-    for name in _names(prescription):
+    for _, name in test.named_channels:
         density = signal.welch(_finite(rec, name, start, stop), rec.rate, "hann", size, size // 2)[1][inside]
         values = density * _power_factor(rec.channels[name], lines[inside])
         rows[name] = values, values * quantiles[0], values * quantiles[1]
@@ -318,7 +318,7 @@ def _densities(
 
 
 def _amplitudes(
-    rec: Recording, prescription: Prescription, start: int, stop: int
+    rec: Recording, test: ProfileControl, start: int, stop: int
 ) -> tuple[Array, dict[str, tuple[Array, Array, Array]], float]:
     """Return frequencies, the amplitude of each channel in windows of some periods without an interval, and 0."""
     # The phase of the tone is computed from the sweep except for a constant, which does not change the amplitude.
@@ -335,7 +335,7 @@ def _amplitudes(
         bounds.append((start + first, start + first + length))
         frequency.append(float(phase.frequency[first + length // 2]))
         first += length
-    names, middle = list(_names(prescription)), np.array(frequency)
+    names, middle = list(dict.fromkeys(name for _, name in test.named_channels)), np.array(frequency)
     if not bounds:
         raise RecordingError(f"{rec.path}: the sweep is shorter than {_PERIODS:g} periods. Record a longer sweep.")
     values = np.empty((len(names), middle.size))
@@ -354,10 +354,6 @@ def _amplitudes(
 def _rms(density: Array, frequency: Array) -> float:
     """Return the root mean square of a density over a band."""
     return float(np.sqrt(np.trapezoid(density, frequency)))
-
-
-def _names(prescription: Prescription) -> Iterable[str]:
-    return dict.fromkeys((*prescription.control.channels, *(limit.channel for limit in prescription.limits)))
 
 
 def _finite(rec: Recording, name: str, start: int, stop: int) -> Array:

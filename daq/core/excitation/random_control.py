@@ -91,7 +91,7 @@ class SpectrumControl:
     def assess(self, density: Array, level: float) -> float:
         """Give up if too many lines are above the abort line; return the fraction of lines within the tolerance."""
         test, margin = self.test, _SIGMAS * SCATTER_DB / np.sqrt(self.spectra.count)
-        required = test.prescription.decibels(test.prescription.required(density, self.frequency))
+        required = test.decibels(test.required(density, self.frequency))
         deviation = -required[0]
         above = deviation > test.abort + margin
         worst = int(np.argmax(deviation))
@@ -116,7 +116,7 @@ class SpectrumControl:
         """Return the required change of the drive density."""
         # Limits are reduced by the standard deviation of densities averaged over the test: few lines then exceed them.
         spectra = max(2.0 * self.test.duration * self.station.rate / self.period, 1.0)
-        required = self.test.prescription.required(density, self.frequency)
+        required = self.test.required(density, self.frequency)
         required[1:] *= 10.0 ** (-SCATTER_DB / np.sqrt(spectra) / 10.0)
         return np.asarray(required.min(axis=0))
 
@@ -141,7 +141,7 @@ class RandomControlProcedure(Procedure["RandomControl"]):
 
     def excite(self, station: Station, test: RandomControl) -> Excitation:
         """Run the levels of the ramp (marked `ramp`), and the full level (marked `measure` and `tolerance`)."""
-        for message in line_warnings(test.prescription, station.scene, station.channels):
+        for message in line_warnings(test, station.scene, station.channels):
             station.warn(message)
         control = SpectrumControl(station, test)
         yield from control.identify()
@@ -186,7 +186,7 @@ class RandomControlProcedure(Procedure["RandomControl"]):
 
     def check(self, test: RandomControl, scene: Scene, channels: Sequence[ChannelInfo]) -> Iterable[str]:
         """Name lines that are too coarse, limits that end early, and what precedes the full level."""
-        yield from line_warnings(test.prescription, scene, channels)
+        yield from line_warnings(test, scene, channels)
         levels = ", ".join(f"{level:g}" for level in test.ramp)
         yield f"{test.duration:g} s at full level, after the identification and levels of {levels} dB"
 

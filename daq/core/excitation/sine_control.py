@@ -107,7 +107,6 @@ class SineSweep:
     def __init__(self, station: Station, test: SineControl) -> None:
         self.station, self.test = station, test
         self.rows = [station.row_of(name) for _, name in test.named_channels]
-        self.prescription = test.prescription
         self.total, self.completed = station.samples(test.duration), 0
         self.drive, self.phase = 0.0, 0.0
         self.observations: list[Observation] = []
@@ -161,7 +160,7 @@ class SineSweep:
         amplitudes = self.observe(frequency)
         drive, observation = self.drive, None
         if amplitudes is not None:
-            ratios = self.prescription.required(amplitudes[:, None], np.array([frequency]))[:, 0]
+            ratios = self.test.required(amplitudes[:, None], np.array([frequency]))[:, 0]
             delay = loop_delay(frequency, self.station.latency / self.station.rate)
             required = self.drive * float(ratios.min())
             sidebands = sideband_amplification(required, frequency, self._required[ratios.argmin()], self._frequencies)

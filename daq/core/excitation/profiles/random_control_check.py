@@ -12,7 +12,7 @@ from rig.core.system.open_loop_drive import accelerations_per_drive
 
 if TYPE_CHECKING:
     from daq.core.signal_chain.channel import ChannelInfo
-    from rig.core.scene.excitation.profile import Prescription
+    from rig.core.scene.excitation.profile_control import ProfileControl
     from rig.core.scene.scene import Scene
 
 # Largest change of the drive density from line to line [dB]: the largest slope at a resonance, 20 / ln(10) dB over half
@@ -24,15 +24,14 @@ _OVERSAMPLING = 8
 _MAX_END_DB = 3.0
 
 
-def line_warnings(prescription: Prescription, scene: Scene, channels: Iterable[ChannelInfo]) -> Iterable[str]:
-    """Yield warnings from the linear response with resting dampers; `prescription`: densities and resolution in Hz."""
-    assert prescription.resolution is not None
-    low, high = prescription.profile.frequencies[0], prescription.profile.frequencies[-1]
-    count = round((high - low) / prescription.resolution)
+def line_warnings(test: ProfileControl, scene: Scene, channels: Iterable[ChannelInfo]) -> Iterable[str]:
+    """Yield warnings from the linear response with resting dampers; `test`: one with densities."""
+    assert test.resolution is not None
+    low, high = test.profile.frequencies[0], test.profile.frequencies[-1]
+    count = round((high - low) / test.resolution)
     frequency, places = np.linspace(low, high, _OVERSAMPLING * count + 1), {info.name: info.at for info in channels}
-    names = (*prescription.control.channels, *(limit.channel for limit in prescription.limits))
-    amplitudes = accelerations_per_drive(scene, [places[name] for name in names], 2.0 * pi * frequency)
-    required = prescription.decibels(prescription.required(amplitudes**2, frequency))
+    amplitudes = accelerations_per_drive(scene, [places[name] for _, name in test.named_channels], 2.0 * pi * frequency)
+    required = test.decibels(test.required(amplitudes**2, frequency))
     # Where another channel begins to determine the drive, its density may jump.
     determining, drive = required.argmin(axis=0), required.min(axis=0)
     steps = _OVERSAMPLING * np.where(np.diff(determining) == 0, abs(np.diff(drive)), 0.0)
@@ -43,7 +42,7 @@ def line_warnings(prescription: Prescription, scene: Scene, channels: Iterable[C
             "lines do not resolve the response, and channels deviate between them. Give test.lines of "
             f"{ceil(count * steps[worst] / _MAX_STEP_DB)} or more."
         )
-    for limit, row in zip(prescription.limits, required[1:], strict=True):
+    for limit, row in zip(test.limits, required[1:], strict=True):
         inside = np.flatnonzero(np.isfinite(row))
         for end in (int(inside[0]), int(inside[-1])) if inside.size else ():
             reduction = float(required[0, end] - row[end])

@@ -95,7 +95,7 @@ def required_drives(test: SineControl, motion: Array, frequency: Array) -> Array
     Outside the band, the drives are those at its ends. `motion`: amplitudes of the channels per unit of drive, m/s^2,
     shape (channels, n); `frequency`: Hz, shape (n,).
     """
-    return test.prescription.required(motion, np.clip(frequency, *test.band))
+    return test.required(motion, np.clip(frequency, *test.band))
 
 
 def loop_delay(frequency: float, latency: float) -> float:

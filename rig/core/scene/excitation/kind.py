@@ -13,7 +13,8 @@ from pydantic import Field
 
 from rig.core.base.arrays import Array
 from rig.core.scene.body_names import body_problems
-from rig.core.scene.excitation.profile import Prescription, range_text
+from rig.core.scene.excitation.profile import range_text
+from rig.core.scene.excitation.profile_control import ProfileControl
 from rig.core.scene.shaker import Shaker, as_tuple
 from rig.core.settings.problems import KeyPath, Problem
 from rig.core.settings.quantities import ACCELERATION, FORCE, FREQUENCY, LENGTH, RATIO, TIME, VOLTAGE
@@ -301,8 +302,8 @@ class KindOfTest(Settings):
         return None
 
     @property
-    def prescription(self) -> Prescription | None:
-        """Profile and limits of the motion of channels; None without profile control."""
+    def profile_control(self) -> ProfileControl | None:
+        """The test as a test with profile control, or None."""
         return None
 
     def references(self, valid: Mapping[str, Any]) -> Iterable[Problem]:

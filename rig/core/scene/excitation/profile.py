@@ -1,7 +1,7 @@
 """Prescribed spectra of tests with profile control: breakpoints that are joined by straight lines in log-log axes."""
 
 from collections.abc import Iterable, Sequence
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,36 +134,10 @@ def range_text(values: Sequence[float], unit: str) -> str:
     return f"{' to '.join(ends)} {unit}"
 
 
-class Prescription(NamedTuple):
-    """Prescription of a test with profile control: densities with a resolution in Hz, or amplitudes."""
-
-    control: Control
-    profile: Breakpoints
-    limits: tuple[DensityLimit | MotionLimit, ...]
-    tolerance: float  # dB
-    abort: float  # dB
-    resolution: float | None
-
-    def required(self, values: Array, frequency: Array) -> Array:
-        """Return required over measured values, for the control and for each limited channel; infinite without a limit.
-
-        The drive follows the smallest of these ratios. `values`: densities or amplitudes of the channels as in
-        `KindOfTest.named_channels`, shape (channels, n); `frequency`: Hz, shape (n,). Returns shape (1 + limits, n).
-        """
-        count = len(self.control.channels)
-        bounds = np.array([each.at(frequency) for each in (self.profile, *self.limits)])
-        measured = np.concatenate([self.control.combined(values[:count])[None], values[count:]])
-        return np.where(np.isfinite(bounds), bounds / np.maximum(measured, 1e-12 * bounds[0]), np.inf)
-
-    def decibels(self, ratio: Array) -> Array:
-        """Return ratios of the values in dB."""
-        return np.asarray((20.0 if self.resolution is None else 10.0) * np.log10(ratio))
-
-
 def limits_drive(control: Array, limited: Array, margin: float) -> NDArray[np.bool_]:
     """Return where a channel limits the drive (notching): it is near its limit, and the control below the profile.
 
-    `control`, `limited`: required over measured values [dB] as `Prescription.required`; `margin`: distance of the
+    `control`, `limited`: required over measured values [dB] as `ProfileControl.required`; `margin`: distance of the
     channel to its limit that counts as near [dB].
 
     >>> limits_drive(np.array([2.0, -1.0, 3.0]), np.array([0.1, 0.1, 9.0]), 1.5).tolist()

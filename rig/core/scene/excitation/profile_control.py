@@ -1,22 +1,26 @@
 """Common part of tests with profile control: control and limited channels, tolerance and abort line."""
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
-from rig.core.scene.excitation.profile import Control, DensityLimit, MotionLimit, limit_texts
+import numpy as np
+
+from rig.core.base.arrays import Array
+from rig.core.scene.excitation.profile import Breakpoints, Control, DensityLimit, MotionLimit, limit_texts
 from rig.core.settings.problems import KeyPath, Problem
 
 
 class ProfileControl:
-    """Control of channels at a profile; the subclasses define the keys."""
+    """Control of channels at a profile of densities or amplitudes; the subclasses define the keys."""
 
     if TYPE_CHECKING:
         control: Control
+        profile: Breakpoints
         limits: tuple[DensityLimit | MotionLimit, ...]
         tolerance: float
         abort: float
 
-    def check_abort(self) -> Iterable[Problem]:
+    def check_consistency(self) -> Iterable[Problem]:
         """Check that the abort line lies above the tolerance."""
         if self.abort <= self.tolerance:
             message = f"got {self.abort:g} dB, which is not above the tolerance, {self.tolerance:g} dB. Increase it."
@@ -34,3 +38,28 @@ class ProfileControl:
             yield ("control", "channels", k), name
         for k, limit in enumerate(self.limits):
             yield ("limits", k, "channel"), limit.channel
+
+    @property
+    def profile_control(self) -> Self:
+        """The test itself."""
+        return self
+
+    @property
+    def resolution(self) -> float | None:
+        """Distance of the lines of a density [Hz]; None for amplitudes."""
+        return None
+
+    def required(self, values: Array, frequency: Array) -> Array:
+        """Return required over measured values, for the control and for each limited channel; infinite without a limit.
+
+        The drive follows the smallest of these ratios. `values`: densities or amplitudes of the channels as in
+        `named_channels`, shape (channels, n); `frequency`: Hz, shape (n,). Returns shape (1 + limits, n).
+        """
+        count = len(self.control.channels)
+        bounds = np.array([each.at(frequency) for each in (self.profile, *self.limits)])
+        measured = np.concatenate([self.control.combined(values[:count])[None], values[count:]])
+        return np.where(np.isfinite(bounds), bounds / np.maximum(measured, 1e-12 * bounds[0]), np.inf)
+
+    def decibels(self, ratio: Array) -> Array:
+        """Return ratios of the values in dB."""
+        return np.asarray((20.0 if self.resolution is None else 10.0) * np.log10(ratio))

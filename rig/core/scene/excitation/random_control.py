@@ -1,6 +1,5 @@
 """Gaussian noise whose power spectral density at control channels is held at a profile."""
 
-from collections.abc import Iterable
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -12,14 +11,13 @@ from rig.core.scene.excitation.profile import (
     Decibels,
     DensityLimit,
     DensityProfile,
-    Prescription,
     Ramp,
     Share,
     from_decibels,
 )
 from rig.core.scene.excitation.profile_control import ProfileControl
 from rig.core.scene.shaker import Shaker
-from rig.core.settings.problems import KeyPath, Problem
+from rig.core.settings.problems import KeyPath
 from rig.core.settings.quantities import RATIO
 from rig.core.settings.quantity_field import Quantity
 
@@ -59,10 +57,6 @@ class RandomControl(ProfileControl, KindOfTest):
     """The test is aborted if more than this fraction of all lines exceeds the profile by more than `abort`."""
     shaker: DrivenShaker = None
 
-    def check_consistency(self) -> Iterable[Problem]:
-        """Check that the abort line lies above the tolerance."""
-        yield from self.check_abort()
-
     @property
     def title(self) -> str:
         """Name of the kind in sentences."""
@@ -86,11 +80,6 @@ class RandomControl(ProfileControl, KindOfTest):
     def shortest(self) -> float:
         """Duration of the ramp and of the test at full level [s]."""
         return len(self.ramp) * self.hold + self.duration
-
-    @property
-    def prescription(self) -> Prescription:
-        """Profile and limits of the densities."""
-        return Prescription(self.control, self.profile, self.limits, self.tolerance, self.abort, self.resolution)
 
     @property
     def resolution(self) -> float:

@@ -6,7 +6,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field
 
 from rig.core.scene.excitation.kind import DrivenShaker, Duration, Frequency, KindOfTest, Spacing, Start
-from rig.core.scene.excitation.profile import Control, Decibels, MotionLimit, MotionProfile, Prescription
+from rig.core.scene.excitation.profile import Control, Decibels, MotionLimit, MotionProfile
 from rig.core.scene.excitation.profile_control import ProfileControl
 from rig.core.scene.excitation.swept_sine import FrequencySweep
 from rig.core.scene.shaker import Shaker
@@ -54,7 +54,7 @@ class SineControl(FrequencySweep, ProfileControl, KindOfTest):
             ends = f"{self.profile.frequencies[0]:g} to {self.profile.frequencies[-1]:g} Hz"
             message = f"the profile from {ends} does not contain the sweep. Give breakpoints at from and to."
             yield Problem(("profile", "frequencies"), message)
-        yield from self.check_abort()
+        yield from super().check_consistency()
 
     @property
     def title(self) -> str:
@@ -69,11 +69,6 @@ class SineControl(FrequencySweep, ProfileControl, KindOfTest):
     def details(self) -> tuple[str, ...]:
         """Rate of the sweep, and the limits."""
         return self.rate_text, *super().details
-
-    @property
-    def prescription(self) -> Prescription:
-        """Profile and limits of the amplitudes."""
-        return Prescription(self.control, self.profile, self.limits, self.tolerance, self.abort, None)
 
     def rate_at(self, frequency: float) -> float:
         """Return the relative change of the frequency per second [1/s] at a frequency in Hz."""

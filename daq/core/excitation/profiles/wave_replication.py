@@ -6,8 +6,6 @@ with a prescribed shock response spectrum is a sum of wavelets, which end with z
 Smallwood, A. R. Nord, Shock Vib. Bull. 44 (1974) 43).
 """
 
-from typing import Protocol
-
 import numpy as np
 
 from daq.core.dsp.shock_response import shock_response
@@ -55,18 +53,6 @@ class Replication:
     def correct(self, response: ComplexArray, level: float) -> None:
         """Correct the drive after a pulse at a level; `response`: accelerations at the lines, m/s^2."""
         self._drive = self._drive + _CORRECTION * (self._target - response / level) * self._inverse
-
-
-class Pulse(Protocol):
-    """A pulse to replicate."""
-
-    target: Array  # acceleration of one period [m/s^2], shape (period,)
-    band: tuple[float, float]  # lowest and highest frequency of the drive [Hz]
-    tolerance: float  # largest permitted deviation
-    unit: str  # unit of the deviation
-
-    def deviation(self, wave: Array) -> tuple[float, str]:
-        """Return the deviation of an acceleration of one period, scaled to full level, and describe it."""
 
 
 class HalfSinePulse:
@@ -126,6 +112,10 @@ class SpectrumPulse:
         side = "above" if difference[index] > 0.0 else "below"
         text = f"the spectrum at {self._lines[index]:.3g} Hz is {abs(difference[index]):.1f} dB {side}"
         return float(abs(difference[index])), text
+
+
+# A pulse to replicate: `target` is the acceleration of one period [m/s^2], `band` that of the drive [Hz].
+Pulse = HalfSinePulse | SpectrumPulse
 
 
 def _time(period: int, rate: float) -> Array:

@@ -62,7 +62,7 @@ def test_folds_behind_irregular_motion_have_a_named_reason() -> None:
     # Up to a fifth of the band, no motion of this scene is periodic.
     results = {result.check: result for result in run_trial(SEED, 9, FOLDS)}
     assert results["folds"].outcome == "warned"
-    assert "missed" in results["folds"].note and "no periodic motion" in results["folds"].note
+    assert "missed" in results["folds"].note and "the motion is irregular" in results["folds"].note
 
 
 @pytest.mark.thorough

@@ -152,9 +152,11 @@ class _Curve:
                 return
             if limitation := self._limitation():
                 raise Lost(limitation)
+        cause, remedy = f"no steady state within {test.settle.longest:g} s", "increase test.settle.longest"
+        if self.irregular:
+            cause, remedy = "the motion is irregular", "choose another level"
         raise Lost(
-            f"no periodic motion within {test.settle.longest:g} s from {test.from_:.5g} to {frequency:.5g} Hz. "
-            "Start farther from the resonance, or increase test.settle.longest"
+            f"{cause} from {test.from_:.5g} to {frequency:.5g} Hz. Start farther from the resonance, or {remedy}"
         )
 
     @property

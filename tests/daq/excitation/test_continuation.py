@@ -15,7 +15,7 @@ from analysis.commands.cli import app
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, RunError, SceneError
 from tests.daq.excitation.virtual_device import run_device
-from tests.daq.measurement.bench_run import run
+from tests.daq.measurement.bench_run import BenchRun, run
 
 # The lower, stable part of the curve at 1.2 N, its fold at 50.52 Hz, and the unstable part up to 51 Hz.
 FOLDED = {"force": 1.2, "from": "51 Hz", "to": "50 Hz"}
@@ -265,17 +265,26 @@ def test_irregular_motion_leaves_zero_drive() -> None:
     assert abs(bench_run.drive[0]).max() > 5.0 and not bench_run.drive[:, -1].any()
 
 
-def test_motion_with_several_periods_is_named() -> None:
-    scene = rig.load({
+def run_past_doublings(first: float, last: float) -> BenchRun:
+    """Run a test in a band in which motions repeat after several periods, or not at all."""
+    return run(rig.load({
         "structure": {"masses": [0.89973], "springs": [85335.54219696348], "damping": {"modal": 0.0044327}},
         "dampers": [{"body": 1, "mass_ratio": 0.044105, "clearance": 0.0014164190450585282}],
         "shaker": {"kind": "force", "body": 1},
         "test": {"kind": "continuation", "at": "body 1", "force": 1.5500553489433753}
-        | {"from": 49.82, "to": 49.7, "points": 3},
+        | {"from": first, "to": last, "points": 3},
         **BODY_1_AND_FORCE,
         "seed": 316449,
-    })  # fmt: skip
-    bench_run = run(scene)
+    }))  # fmt: skip
+
+
+def test_irregular_start_requires_another_level() -> None:
+    reason = run_past_doublings(49.9, 49.75).reason
+    assert "the motion is irregular from 49.9 to 49.87 Hz." in reason and "choose another level" in reason
+
+
+def test_motion_with_several_periods_is_named() -> None:
+    bench_run = run_past_doublings(49.82, 49.7)
     assert [fields["repetition"] for *_, fields in bench_run.marks_of("measure")] == [4, 4, 4]
     assert "after 4 periods at 49.82 Hz" in " ".join(bench_run.warnings)
 

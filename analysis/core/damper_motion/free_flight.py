@@ -18,7 +18,7 @@ import numpy as np
 from analysis.core.damper_motion.impact_detection import Impacts, band, detect_impacts
 from analysis.core.damper_motion.landing_pulse import landing_pulse
 from analysis.core.damper_motion.matching_pursuit import RESIDUAL_RATIO
-from analysis.core.decays.sensor_correction import CorrectedMotion
+from analysis.core.decays.sensor_correction import correct_motion
 from analysis.core.responses.errors.systematic import tolerance
 from daq.core.recording.recording import Recording
 from daq.core.signal_chain.channel import ChannelInfo
@@ -52,7 +52,6 @@ class BodyMotion:
         self.rec, self.start = rec, start
         self.info: ChannelInfo = rec.channels[channel]
         self.samples = rec.read(self.info.name, start, stop)
-        self._motion = CorrectedMotion(self.info, self.samples, *band(rec.rate))
 
     @cached_property
     def impacts(self) -> Impacts:
@@ -74,6 +73,9 @@ class BodyMotion:
     def acceleration(self) -> Array:
         """Acceleration [m/s²]; shape (n,)."""
         return self._motion("acceleration")
+
+    def _motion(self, motion: str) -> Array:
+        return correct_motion(self.info, self.samples, motion, *band(self.rec.rate))
 
     @property
     def tolerance(self) -> float:

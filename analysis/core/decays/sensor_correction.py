@@ -4,12 +4,15 @@ import numpy as np
 from scipy import fft
 
 from daq.core.signal_chain.channel import ChannelInfo
-from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.arrays import Array
 from rig.core.results.response import MOTIONS
 
+# Number of spectral lines that are corrected at a time, to limit the memory.
+_BLOCK_LINES = 1 << 16
 
-class CorrectedMotion:
-    """Band-limited true motion of a segment of samples, as displacement, velocity or acceleration.
+
+def correct_motion(info: ChannelInfo, samples: Array, motion: str, low: float, high: float) -> Array:
+    """Return the band-limited true displacement, velocity or acceleration of a segment in SI; force channels: force.
 
     The samples are mirrored at both ends before the Fourier transform, so the periodic continuation has no step
     between the last sample and the first. If the samples are differentiated, the mirror image is also inverted (odd
@@ -19,59 +22,47 @@ class CorrectedMotion:
     `samples`, shape (n,): uncorrected samples in the channel's unit, evenly spaced; `low`, `high`: limits of the
     pass band [Hz]. The correction is exact inside the pass band, and fades out over half an octave outside.
     """
-
-    def __init__(self, info: ChannelInfo, samples: Array, low: float, high: float) -> None:
-        self.info, self.samples = info, samples
-        fade_length = samples.size // 2
-        self._fade_in = np.hanning(2 * fade_length + 1)[:fade_length]
-        size = fft.next_fast_len(3 * samples.size - 2, real=True)
-        frequency = fft.rfftfreq(size, 1.0 / info.rate)
+    count, quantity = samples.size, info.quantity
+    # Number of differentiations; negative for integrations.
+    order = MOTIONS.index(motion) - MOTIONS.index(quantity) if quantity in MOTIONS else 0
+    size = fft.next_fast_len(3 * count - 2, real=True)
+    spectrum = fft.rfft(_extended(samples, size, is_odd=order > 0))
+    step = 1.0 / (size * (1.0 / info.rate))
+    for first in range(0, spectrum.size, _BLOCK_LINES):
+        block = spectrum[first : first + _BLOCK_LINES]
+        frequency = np.arange(first, first + block.size) * step
         weights = _band_weights(frequency, low, high)
-        nonzero = np.flatnonzero(weights)
-        # The pass band is one contiguous interval of frequencies.
-        self._pass_band = slice(int(nonzero[0]), int(nonzero[-1]) + 1) if nonzero.size else slice(0, 0)
-        self._size, self._j_omega = size, 2j * np.pi * frequency[self._pass_band]
-        self._factor = weights[self._pass_band] / info.response(frequency[self._pass_band])
-        self._spectra: dict[bool, ComplexArray] = {}
-
-    def __call__(self, motion: str) -> Array:
-        """Return displacement, velocity or acceleration, shape (n,), in SI; for a force channel the force in N."""
-        quantity, count = self.info.quantity, self.samples.size
-        # Number of differentiations; negative for integrations.
-        order = MOTIONS.index(motion) - MOTIONS.index(quantity) if quantity in MOTIONS else 0
-        factor = self._factor if order == 0 else self._factor * self._j_omega**order
-        spectrum = np.zeros(self._size // 2 + 1, dtype=complex)
-        spectrum[self._pass_band] = self._spectrum(order > 0) * factor
-        return fft.irfft(spectrum, self._size)[count - 1 : 2 * count - 1]
-
-    def _spectrum(self, odd: bool) -> ComplexArray:
-        """Return the spectrum of the samples with even or odd extension, in the pass band."""
-        if odd not in self._spectra:
-            samples, fade_in = self.samples, self._fade_in
-            before, after = samples[:0:-1], samples[-2::-1]
-            if odd:
-                before, after = 2.0 * samples[0] - before, 2.0 * samples[-1] - after
-            extended = np.concatenate([before, samples, after])
-            extended[: fade_in.size] *= fade_in
-            extended[extended.size - fade_in.size :] *= fade_in[::-1]
-            self._spectra[odd] = fft.rfft(extended, self._size)[self._pass_band]
-        return self._spectra[odd]
+        is_passed = weights != 0.0
+        frequency = frequency[is_passed]
+        factor = weights[is_passed] / info.response(frequency)
+        factor = factor if order == 0 else factor * (2j * np.pi * frequency) ** order
+        block[is_passed] *= factor
+        block[~is_passed] = 0.0
+    return fft.irfft(spectrum, size)[count - 1 : 2 * count - 1].copy()
 
 
-def correct_motion(info: ChannelInfo, samples: Array, motion: str, low: float, high: float) -> Array:
-    """Return the band-limited true motion of a segment of samples (see `CorrectedMotion`)."""
-    return CorrectedMotion(info, samples, low, high)(motion)
+def _extended(samples: Array, size: int, is_odd: bool) -> Array:
+    """Return the samples between their mirror images, which fade in and out, with zeros up to `size`."""
+    count, extended = samples.size, np.zeros(size)
+    before, after = extended[: count - 1], extended[2 * count - 1 : 3 * count - 2]
+    before[:], extended[count - 1 : 2 * count - 1], after[:] = samples[:0:-1], samples, samples[-2::-1]
+    if is_odd:
+        before[:], after[:] = 2.0 * samples[0] - before, 2.0 * samples[-1] - after
+    fade_length = count // 2
+    fade_in = np.hanning(2 * fade_length + 1)[:fade_length]
+    before[:fade_length] *= fade_in
+    after[after.size - fade_length :] *= fade_in[::-1]
+    return extended
 
 
 def _band_weights(frequency: Array, low: float, high: float) -> Array:
     """Return weights: 1 from `low` to `high`, cosine tapers of half an octave, and 0 at zero frequency if `low` > 0."""
     weights = np.ones(frequency.size)
     if low > 0:
-        below = slice(1, int(np.searchsorted(frequency, low)))
-        taper = np.clip(np.log2(frequency[below] / low) * 2.0 + 1.0, 0.0, 1.0)
+        below = frequency < low
+        taper = np.clip(np.log2(np.maximum(frequency[below], 1e-300) / low) * 2.0 + 1.0, 0.0, 1.0)
         weights[below] = 0.5 - 0.5 * np.cos(np.pi * taper)
-        weights[0] = 0.0
-    above = slice(int(np.searchsorted(frequency, high)), None)
+    above = frequency >= high
     taper = np.clip(np.log2(np.maximum(frequency[above], 1e-300) / high) * 2.0, 0.0, 1.0)
     weights[above] *= 0.5 + 0.5 * np.cos(np.pi * taper)
     return weights

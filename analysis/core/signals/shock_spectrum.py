@@ -20,7 +20,7 @@ from daq.core.dsp.shock_response import shock_response
 from daq.core.recording.recorded_test import shocks_of
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, SceneError
-from rig.core.numerics.memory import require_memory
+from rig.core.numerics.memory import require_memory_with_program
 from rig.core.results import Result, complete_style, format_percent
 
 if TYPE_CHECKING:
@@ -43,8 +43,8 @@ _BAND_RATIO = 0.4
 _CORRECTED_RATIO = 0.1
 # Lost samples are interpolated if they are at most this fraction; more would change the peak of the spectrum.
 _MAX_LOST_FRACTION = 0.01
-# Memory of the computation, in multiples of the memory of the samples.
-_COPIES = 12.0
+# Memory of the computation, in multiples of the memory of the samples (measured): half of it is inside the transform.
+_COPIES = 15.0
 # Largest number of natural frequencies.
 _MAX_FREQUENCIES = 10_000
 
@@ -174,7 +174,9 @@ def srs(
     if shock is not None and from_s is None and to_s is None:
         from_s, to_s = shock.first_sample / rec.rate, (shock.end + 1) / rec.rate
     segment = Slice.of(rec, [info.name], from_s, to_s)
-    require_memory(8.0 * _COPIES * (segment.stop - segment.start), "a shock response spectrum of this segment")
+    require_memory_with_program(
+        8.0 * _COPIES * (segment.stop - segment.start), "a shock response spectrum of this segment"
+    )
     samples, warnings = _finite(rec, segment.read_channel(info.name))
     # The oscillators are at rest before the segment, so an offset would be a step.
     samples = samples - np.median(samples)

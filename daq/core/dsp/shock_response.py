@@ -5,6 +5,7 @@ filter joins samples by straight lines, which attenuate the frequency f by sinc^
 compensates for the attenuation.
 """
 
+from collections.abc import Iterator
 from math import ceil
 
 import numpy as np
@@ -21,6 +22,8 @@ _FILTER_SAMPLES, _FILTER_SHAPE = 40, 8.0
 # Taps of the filter that compensates for the attenuation by straight lines, 1 + s^2 / 12 + s^4 / 90 with s = 2 sin(pi f
 # / rate). Its error is below 0.01 % at a tenth of the sample rate.
 _COMPENSATION = np.array([1.0, -11.5, 111.0, -11.5, 1.0]) / 90.0
+# Number of samples of the motion that are filtered at a time, to limit the memory.
+_PIECE_SAMPLES = 1 << 16
 
 
 def shock_response(acceleration: Array, rate: float, frequency: Array, q: float) -> tuple[Array, Array]:
@@ -36,24 +39,50 @@ def shock_response(acceleration: Array, rate: float, frequency: Array, q: float)
     # After the motion, the extremes of an oscillator occur within one period.
     acceleration = np.append(acceleration, np.zeros(ceil(rate / float(np.min(frequency))) + 4))
     highest = float(np.max(frequency))
-    if (factor := ceil(_SAMPLES_PER_PERIOD * highest / rate)) > 1:
-        taps = signal.firwin(2 * _FILTER_SAMPLES * factor + 1, 1.0 / factor, window=("kaiser", _FILTER_SHAPE))
-        # A shorter motion is reflected as a whole; zeros before its reflection are outside the range of the filter.
-        count = min(_FILTER_SAMPLES, acceleration.size - 1)
-        extended = _reflected(acceleration, count)
-        acceleration = signal.resample_poly(extended, factor, 1, window=taps)[count * factor :]
-        rate *= factor
-    acceleration = np.convolve(_reflected(acceleration, _COMPENSATION.size // 2), _COMPENSATION, "valid")
+    factor = max(ceil(_SAMPLES_PER_PERIOD * highest / rate), 1)
     damping = 0.5 / q
-    extremes = []
-    for omega in 2.0 * np.pi * np.asarray(frequency) / rate:  # rad per sample
+    oscillators = []
+    for omega in 2.0 * np.pi * np.asarray(frequency) / (rate * factor):  # rad per sample
         damped = omega * np.sqrt(1.0 - damping**2)
         e = np.exp(-damping * omega)
         c, s = e * np.cos(damped), e * np.sin(damped) / damped
-        response = signal.lfilter([1.0 - s, 2.0 * (s - c), e**2 - s], [1.0, -2.0 * c, e**2], acceleration)
-        extremes.append((_largest(response), -_largest(-response)))
-    largest, smallest = np.array(extremes).T
-    return largest, smallest
+        oscillators.append(([1.0 - s, 2.0 * (s - c), e**2 - s], [1.0, -2.0 * c, e**2]))
+    states, last = [np.zeros(2)] * len(oscillators), [np.zeros(0)] * len(oscillators)
+    extremes = np.full((len(oscillators), 2, 2), -np.inf)  # largest and smallest: sample, vertex
+    for piece in _compensated(_upsampled(acceleration, factor)):
+        for k, (numerator, denominator) in enumerate(oscillators):
+            response, states[k] = signal.lfilter(numerator, denominator, piece, zi=states[k])
+            # The last sample of the piece before is compared again, now with both neighbors.
+            response = np.concatenate([last[k], response])
+            last[k] = response[-2:]
+            extremes[k] = [
+                max(pair) for pair in zip(extremes[k].tolist(), map(_largest, (response, -response)), strict=True)
+            ]
+    return extremes[:, 0, 1], -extremes[:, 1, 1]
+
+
+def _upsampled(motion: Array, factor: int) -> Iterator[Array]:
+    """Yield pieces of a motion with `factor` times the sample rate."""
+    if factor == 1:
+        yield from (motion[first : first + _PIECE_SAMPLES] for first in range(0, motion.size, _PIECE_SAMPLES))
+        return
+    taps = signal.firwin(2 * _FILTER_SAMPLES * factor + 1, 1.0 / factor, window=("kaiser", _FILTER_SHAPE))
+    # A shorter motion is reflected as a whole; zeros before its reflection are outside the range of the filter.
+    count = min(_FILTER_SAMPLES, motion.size - 1)
+    extended = _reflected(motion, count)
+    for first in range(count, extended.size, _PIECE_SAMPLES):
+        begin, stop = max(first - _FILTER_SAMPLES, 0), min(first + _PIECE_SAMPLES, extended.size)
+        samples = signal.resample_poly(extended[begin : stop + _FILTER_SAMPLES], factor, 1, window=taps)
+        yield samples[(first - begin) * factor : (stop - begin) * factor]
+
+
+def _compensated(pieces: Iterator[Array]) -> Iterator[Array]:
+    """Yield pieces with the compensation of the attenuation by straight lines."""
+    before = None
+    for piece in pieces:
+        samples = _reflected(piece, _COMPENSATION.size // 2) if before is None else np.concatenate([before, piece])
+        before = samples[1 - _COMPENSATION.size :]
+        yield np.convolve(samples, _COMPENSATION, "valid")
 
 
 def _reflected(values: Array, count: int) -> Array:
@@ -61,11 +90,11 @@ def _reflected(values: Array, count: int) -> Array:
     return np.concatenate([2.0 * values[0] - values[count:0:-1], values])
 
 
-def _largest(values: Array) -> float:
-    """Return the largest value, at the vertex of the parabola through the largest sample and its neighbors."""
+def _largest(values: Array) -> list[float]:
+    """Return the largest value, and the vertex of the parabola through it and its neighbors."""
     index = int(np.argmax(values))
     if not 0 < index < values.size - 1:
-        return float(values[index])
+        return [float(values[index])] * 2
     before, here, after = values[index - 1 : index + 2]
     curvature = 2.0 * here - before - after
-    return float(here + ((after - before) ** 2 / (8.0 * curvature) if curvature > 0.0 else 0.0))
+    return [float(here), float(here + ((after - before) ** 2 / (8.0 * curvature) if curvature > 0.0 else 0.0))]

@@ -8,8 +8,10 @@ import pytest
 import analysis
 import daq
 import rig
+from analysis.core.decays.sensor_correction import correct_motion
 from daq.core.dsp.shock_response import shock_response
 from rig.core.base.errors import SceneError
+from tests.peak_memory import peak_memory
 
 HIT = Path(__file__).parents[3] / "recordings" / "demo-impulse-no-damper.mcap"
 
@@ -44,6 +46,14 @@ def test_spectrum_is_that_of_samples(hits: Path) -> None:
         expected = shock_response(rec.read("hammer"), rec.rate, spectrum.frequency, 20.0)
     assert spectrum.unit == "N"
     assert spectrum.positive == pytest.approx(expected[0], rel=0.02)
+
+
+def test_memory_of_correction_is_seven_copies(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("analysis.core.decays.sensor_correction._BLOCK_LINES", 1 << 10)
+    with daq.open(HIT) as rec:
+        info, samples = rec.channels["body3"], rec.read("body3")
+        peak, _ = peak_memory(correct_motion, info, samples, "acceleration", 1.0, 1000.0)
+    assert peak < 7.5 * samples.nbytes
 
 
 def test_segment_without_hit_has_small_spectrum(hits: Path) -> None:

@@ -83,6 +83,15 @@ def test_impacts_agree_with_finely_sampled_motion() -> None:
     assert computed[1] == pytest.approx(fine[1], rel=2e-3)
 
 
+def test_pieces_give_same_spectrum(monkeypatch: pytest.MonkeyPatch) -> None:
+    motion, frequency = np.random.default_rng(1).standard_normal(3000), np.geomspace(5.0, 300.0, 10)
+    for rate in (1000.0, 20_000.0):
+        whole = shock_response(motion, rate, frequency, 10.0)
+        with monkeypatch.context() as patch:
+            patch.setattr("daq.core.dsp.shock_response._PIECE_SAMPLES", 200)
+            assert np.array_equal(shock_response(motion, rate, frequency, 10.0), whole)
+
+
 @pytest.mark.parametrize("samples", [6, 20, 30])
 def test_short_motion_is_complete(samples: int) -> None:
     motion = np.zeros(100)

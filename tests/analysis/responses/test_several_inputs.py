@@ -151,6 +151,16 @@ def test_error_bars_exist_without_overloaded_realisation(multisine_path):
     assert np.isfinite(response.error).all() and "Realization 2 omitted" in " ".join(response.warnings)
 
 
+@pytest.mark.parametrize("channel", ["f1", "a2"])
+def test_channel_that_becomes_late_is_named(multisine_path, channel):
+    with daq.open(multisine_path) as rec:
+        read, samples, first = rec.read, rec.read(channel), rec.samples // 2
+        samples[first:] = samples[first - 4 : -4]
+        rec.read = lambda name, start=0, stop=None: (samples if name == channel else read(name))[start:stop]
+        [warning] = [text for text in analysis.frfs(rec).warnings if " on, in contrast" in text]
+    assert warning.startswith(f"{channel} seems to be 2 ms late from about")
+
+
 def test_missing_experiment_omits_realisation(multisine_path):
     with daq.open(multisine_path) as rec:
         last = [marker for marker in rec.markers if marker.kind == "measure"][-1]

@@ -118,6 +118,11 @@ def change_warnings(rec: Recording, parts: Parts, channels: Sequence[str]) -> li
         return []
     compared = _Compared.of(spectra[:, : len(inputs)], spectra[:, len(inputs) :], frequency)
     delayed = _delay_warnings(compared, clean, rec.rate, inputs, outputs, parts.is_steady)
+    if not delayed and 1 < len(inputs) <= len(outputs):
+        # As many responses as inputs determine the inputs, of which a late one differs from the others.
+        used = len(inputs)
+        exchanged = _Compared.of(spectra[:, used : 2 * used], spectra[:, :used], frequency)
+        delayed = _delay_warnings(exchanged, clean, rec.rate, outputs[:used], inputs, parts.is_steady)
     has_one_steady_input = parts.is_steady and len(inputs) == 1
     if delayed or len(clean) < (_MIN_PERIODS if has_one_steady_input else max(_MIN_PARTS, len(inputs) + _MIN_SIDE + 1)):
         return delayed

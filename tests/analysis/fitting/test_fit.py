@@ -13,7 +13,7 @@ import daq
 import rig
 from analysis.commands.figures.fit_figure import fit_figure
 from analysis.commands.presentation.fit_findings import describe
-from analysis.core.fitting.diagnosis import _start_from_modes, _try_channels, find_cause
+from analysis.core.fitting.diagnosis import _solve_from_both, _start_from_modes, _try_channels, find_cause
 from analysis.core.fitting.estimate import Estimate, estimate_structure
 from analysis.core.fitting.fit import Comparison, Fit, Fitted, Mode, _misfit, _missing_clock_tolerance
 from analysis.core.fitting.identifiability import LevelDamping, describe_coupled_values
@@ -185,6 +185,17 @@ def test_factor_is_named_among_two_responses(name, noisy_sweep):
     problem = Problem(model, free_parameters(model), curves)
     _, text = find_cause(problem, estimate_structure(problem, problem.groups))
     assert f"{name} reads 9.807 times what the scene predicts (m/s² read as g)" in text
+
+
+def test_better_fit_counts_not_smaller_initial_cost(monkeypatch):
+    # The uncorrected fit starts nearer, but leads to a local minimum.
+    local, best = SimpleNamespace(square=9.0), SimpleNamespace(square=1.0)
+    restarted = SimpleNamespace(problem=None, cost=2.0, solved=lambda: local)
+    monkeypatch.setattr(
+        "analysis.core.fitting.diagnosis._start_from_modes",
+        lambda problem: SimpleNamespace(cost=3.0, solved=lambda: best),
+    )
+    assert _solve_from_both(SimpleNamespace(with_curves=lambda curves: restarted), []) is best
 
 
 def test_unit_of_force_is_named(tmp_path):

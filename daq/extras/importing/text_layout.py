@@ -177,8 +177,11 @@ def _require_other_delimiter(path: Path, lines: Sequence[str], layout: Layout) -
     names, *rows = ([cell.strip() for cell in line.split(",")] for line in lines)
     if layout.delimiter != "," or not all(_INTEGER.fullmatch(cell) for row in rows for cell in row):
         return
-    has_zeros = any(re.match(r"0\d", cell) for row in rows for cell in row)
-    if has_zeros or (rows and not _INTEGER.fullmatch(names[0]) and 1 < len(names) < len(rows[0])):
+    count = sum(map(bool, rows[0])) if rows else 0
+    has_names = not _INTEGER.fullmatch(names[0])
+    has_zeros = any(re.match(r"0\d", cell) for row in rows for cell in row[1:])
+    has_other_count = has_names and 1 < len(names) < count
+    if has_other_count or (has_zeros and (len(names) != count or not has_names)):
         raise RecordingError(
             f"{path}: commas separate its columns, and seem to be decimal marks, too. Export it with semicolons."
         )

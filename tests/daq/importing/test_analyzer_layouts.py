@@ -305,6 +305,14 @@ def test_ambiguous_numbers_are_refused(text: str, message: str, tmp_path: Path) 
         [signal.read(0, signal.samples) for signal in signals_of(tmp_path / "a.csv", stack)]
 
 
+@pytest.mark.parametrize("rows", ["0,5,\n1,6,\n2,7,\n", "00,5\n01,6\n02,7\n", "0,05\n1,06\n2,07\n"])
+def test_integers_are_no_decimals(rows: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("Time (s),tip (g)\n" + rows)
+    with ExitStack() as stack:
+        [signal] = signals_of(tmp_path / "a.csv", stack)
+        assert (signal.name, signal.read(0, 3).tolist()) == ("tip", [5.0, 6.0, 7.0])
+
+
 @pytest.mark.filterwarnings("ignore:.*has no heading; its first column rises evenly")
 def test_text_above_numbers_is_no_name(tmp_path: Path) -> None:
     rows = "".join(f"{time:.8f},{tip:.6f}\n" for time, _, tip in SAMPLES)

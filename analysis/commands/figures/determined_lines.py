@@ -19,10 +19,8 @@ _MIN_COHERENCE = 0.5
 MAX_ERROR_RATIO = 0.5
 # A point of a curve without error bars is drawn as noise if its roughness exceeds this fraction of the magnitude.
 _MAX_ROUGHNESS = 0.35
-# Largest percentile of the phase steps between drawn points [rad]: beyond it, the line would show noise. A resonance
-# has more of the points of a stepped sine than of the lines of a spectrum.
+# Largest upper quartile of the phase steps between drawn points [rad]: beyond it, the line would show noise.
 _MAX_PHASE_STEP = 0.3
-_STEP_PERCENTILE, _SPECTRUM_PERCENTILE = 75, 90
 # A line is undetermined if less than this fraction of the lines around it is determined.
 _MIN_DETERMINED = 0.75
 # A gap of fewer undetermined lines does not end a determined range; it is an antiresonance.
@@ -63,8 +61,7 @@ def is_smooth(frf: Response) -> NDArray[np.bool_]:
     with np.errstate(invalid="ignore"):
         step = np.nan_to_num(abs(np.angle(frf.value[1:] * frf.value[:-1].conj())))
     step = np.append(step, step[-1])
-    percentile = _STEP_PERCENTILE if step.size <= MAX_POINTS else _SPECTRUM_PERCENTILE
-    smooth = scipy.ndimage.percentile_filter(step, percentile, 2 * _ROUGHNESS_POINTS, mode="nearest") < _MAX_PHASE_STEP
+    smooth = scipy.ndimage.percentile_filter(step, 75, 2 * _ROUGHNESS_POINTS, mode="nearest") < _MAX_PHASE_STEP
     if smooth.size <= MAX_POINTS:
         return np.asarray(smooth)
     # A few successive lines of noise have a smooth phase by chance.

@@ -52,6 +52,10 @@ _MAX_COMMON = 0.25
 # A channel is searched in a block if its readings span more than this number of counts of the converter. A smaller
 # tone, as at an antiresonance, appears suddenly when it exceeds half a count.
 _MIN_COUNTS = 8.0
+# Smallest rms residual over rms reading without drift that a step of `_MIN_CHANGE` in the searched part of a block
+# leaves in the model without a step. The amplitudes of the model are quadratic: they fit a step at 15 % of a block
+# worst, except for 0.18 of the step (0.25 in the middle). Readings below half of this value have no step.
+_MIN_RESIDUAL = 0.5 * 0.18 * _MIN_CHANGE
 # Largest rms residual of another channel with the same step in its model, relative to that without the step.
 _MAX_FRACTION_OF_STEP = 0.7
 
@@ -136,6 +140,8 @@ def _steps_of_block(block: Array, phase: Array) -> dict[int, tuple[int, complex]
     # The offset is removed, because a large offset would hide the tone.
     rows = [row - row.mean() for row in block]
     steps: dict[int, tuple[int, complex]] = {}
+    if max(_residual(row, model) for row in rows) < _MIN_RESIDUAL:
+        return steps
     added = _added_tones(model, terms, positions)
     for fits in (
         [_Fits.of(row, model, positions) for row in rows],
@@ -151,6 +157,14 @@ def _steps_of_block(block: Array, phase: Array) -> dict[int, tuple[int, complex]
             if max(others) < _MAX_COMMON * abs(log_ratio):
                 steps[number] = int(positions[best]), log_ratio
     return steps
+
+
+def _residual(readings: Array, model: Array) -> float:
+    """Return the rms residual without a step, relative to the readings without their drift."""
+    coefficients = readings @ model
+    drift = model[:, :_DRIFT_TERMS] @ coefficients[:_DRIFT_TERMS]
+    scale = max(float(np.sum((readings - drift) ** 2)), 1e-300)
+    return float(np.linalg.norm(readings - model @ coefficients)) / math.sqrt(scale)
 
 
 def _added_tones(model: Array, terms: Array, positions: Array) -> tuple[Array, Array, Array]:

@@ -17,6 +17,7 @@ import inspect
 import os
 import re
 import shutil
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -171,17 +172,41 @@ class _Compiling(Listener):
 register("numba:compile", _Compiling())
 
 
+class _Kernel:
+    """A compiled function whose dispatcher of numba is created at its first use.
+
+    Most kernels are used only in the stored code of other kernels. Their dispatchers would take 2 % of the CPU time of
+    `rig explain`.
+    """
+
+    _lock = threading.Lock()  # for the configuration of numba
+
+    def __init__(self, function: Callable[..., object], options: dict[str, Any]) -> None:
+        functools.update_wrapper(self, function)
+        self._function, self._options = function, options
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self._dispatcher(*arguments)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._dispatcher, name)
+
+    @functools.cached_property
+    def _dispatcher(self) -> Any:
+        """Compiler of the function; the machine code is stored in `code_folder` if this can be written."""
+        folder = code_folder(_source_folder(self._function))
+        compiler = numba.njit if callees is None or _CONFIG.DISABLE_JIT else callees.njit
+        with self._lock:
+            previous, _CONFIG.CACHE_LOCATOR_CLASSES = _CONFIG.CACHE_LOCATOR_CLASSES, "rig.core.numerics.jit.CodeFolder"
+            try:
+                return compiler(self._function, cache=folder is not None, **self._options)
+            finally:
+                _CONFIG.CACHE_LOCATOR_CLASSES = previous
+
+
 def _njit(function: F, is_kernel: bool, **options: Any) -> F:
-    """Compile a function with numba; the machine code is stored in `code_folder` if this can be written."""
-    folder = code_folder(_source_folder(function))
     # Without the numba runtime, kernels do not count references to their arrays, which would take most of their time.
-    options |= {"_nrt": False} if is_kernel else {}
-    compiler = numba.njit if callees is None or _CONFIG.DISABLE_JIT else callees.njit
-    previous, _CONFIG.CACHE_LOCATOR_CLASSES = _CONFIG.CACHE_LOCATOR_CLASSES, "rig.core.numerics.jit.CodeFolder"
-    try:
-        return cast(F, compiler(function, cache=folder is not None, **options))
-    finally:
-        _CONFIG.CACHE_LOCATOR_CLASSES = previous
+    return cast(F, _Kernel(function, options | ({"_nrt": False} if is_kernel else {})))
 
 
 def cached_njit(function: F) -> F:

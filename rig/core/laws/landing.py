@@ -23,6 +23,8 @@ from __future__ import annotations
 
 import math
 
+from rig.core.base.roots import bracketed_root
+
 #: Time constant c / k of a wall of restitution 0, s; at least the contact duration is used. After the separation, the
 #: compression of the wall decays with this time constant. A contact without adhesion cannot reach restitution 0
 #: exactly, because its dashpot would be infinitely strong. With 5 ms the restitution is 5 % for a contact of 2 ms, and
@@ -44,16 +46,13 @@ def damping_ratio(duration: float, restitution: float) -> float:
     >>> damping_ratio(2e-3, 1.0), round(damping_ratio(2e-3, math.exp(-2.0)), 12), damping_ratio(RECOVERY_TIME_S, 0.0)
     (0.0, 1.0, 1.0)
     """
-    # This import is slow and few scenes need it.
-    from scipy.optimize import brentq
-
     if restitution == 0.0:
         # With z for zeta, c / k = 2 z / omega tends to 2 z T / pi for small z and to z^2 T / log(2 z) for large z.
         target = max(RECOVERY_TIME_S / duration, 1.0)
-        return float(brentq(lambda z: z / _half_phase(z) - target, 0.5, 2.0 * target, xtol=1e-15))
+        return bracketed_root(lambda z: z / _half_phase(z) - target, 0.5, 2.0 * target, 1e-15)
     target = -math.log(restitution)
     # zeta omega T tends to z pi for small z and to 2 log(2 z) for large z.
-    return float(brentq(lambda z: 2.0 * z * _half_phase(z) - target, 0.0, 1.0 + math.exp(0.5 * target), xtol=1e-15))
+    return bracketed_root(lambda z: 2.0 * z * _half_phase(z) - target, 0.0, 1.0 + math.exp(0.5 * target), 1e-15)
 
 
 def dashpot(stiffness: float, restitution: float, mass: float) -> float:

@@ -242,7 +242,7 @@ class _PredictedTone(SteadyTone):
         self.phase = (self.phase + math.pi * (self.frequency + frequency) * seconds) % (2.0 * math.pi)
         self.frequency, self.amplitude = frequency, amplitude
         self._transient = end - self._steady_coordinates()
-        return np.broadcast_to(0.0, samples)
+        return np.zeros(samples)
 
     def _drive(self, waves: Sequence[Array]) -> Array:
         """Return a drive of the length of the waves, without samples."""

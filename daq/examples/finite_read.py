@@ -18,7 +18,7 @@ def main() -> None:
         nidaqmx.Task(grpc_options=bench) as inputs,
         nidaqmx.Task(grpc_options=bench) as output,
     ):
-        # The sensors of this scene are ideal, with 1 V per m/s^2; NI expects mV per g.
+        # The sensors of this scene are ideal, with 1 V per m/s²; NI expects mV per g.
         inputs.ai_channels.add_ai_accel_chan(
             "cDAQ1Mod1/ai0:3",
             min_val=-500.0,

@@ -11,7 +11,7 @@ import daq
 
 PRETRIGGER = 256  # samples before the trigger
 SAMPLES = 5120  # samples per channel, pretrigger included
-LEVEL = 10.0  # trigger level of the force, N
+LEVEL = 10.0  # trigger level of the force [N]
 
 
 def main() -> None:

@@ -13,13 +13,13 @@ import daq
 RATE = 5120.0  # samples per second
 BLOCK = 512  # samples
 FREQUENCY = 20.0  # Hz
-TARGET = 0.5  # acceleration amplitude, m/s^2
+TARGET = 0.5  # acceleration amplitude [m/s²]
 
 
 def main(blocks: int = 60) -> float:
-    """Run the loop over a number of blocks; return the final acceleration amplitude, m/s^2."""
+    """Run the loop over a number of blocks; return the final acceleration amplitude [m/s²]."""
     carrier = np.exp(2j * np.pi * FREQUENCY * np.arange(BLOCK) / RATE)
-    # Drive in V (1 V: table displacement of 1 mm); amplitude in m/s^2 (1 V of the ideal sensor: 1 m/s^2).
+    # Drive in V (1 V: table displacement of 1 mm); amplitude in m/s² (1 V of the ideal sensor: 1 m/s²).
     drive, amplitude = 0.005, 0.0
     with (
         daq.connect("bare-structure", clock="fast") as bench,

@@ -180,7 +180,7 @@ def cost(
         A scene, or an argument of `rig.load`.
     frequency : float or str, optional
         Excitation frequency, such as ``"49 Hz"``. Default: in the range of the test, the frequency of the largest
-        acceleration with riding dampers.
+        acceleration with resting dampers.
     periods : int, at least 2
         Number of drive periods to simulate.
     say : callable, optional

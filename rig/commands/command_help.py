@@ -29,7 +29,7 @@ _GROUPS = {
 _GROUP_OF = {name: group for group, names in _GROUPS.items() for name in names}
 # Title of options without a group.
 _OTHER = "Options"
-# Options that are listed without groups; the heads of groups would be longer than the list.
+# Maximum number of options that are listed without groups; the heads of groups would be longer than the list.
 _MAX_UNGROUPED = 5
 
 

@@ -19,7 +19,7 @@ class Ground(NamedTuple):
     """Connection of the bodies with the ground."""
 
     influence: Array  # r, shape (bodies,)
-    damping: Array  # C r, N s/m, shape (bodies,)
+    damping: Array  # C r [N s/m], shape (bodies,)
     stiffness: Array  # K r [N/m], shape (bodies,)
 
 

@@ -1,4 +1,4 @@
-"""Figure of a fit: measured curves, curves of the fitted scene, and the residuals in standard deviations."""
+"""Figure of a fit: measured curves, curves of the fitted scene, and the normalized residuals."""
 
 from __future__ import annotations
 

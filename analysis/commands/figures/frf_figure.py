@@ -43,7 +43,7 @@ _MIN_VISIBLE_RATIO = 0.02
 # On a logarithmic axis, this fraction of the magnitude replaces zero, and the inverse replaces infinity.
 _ZERO_RATIO = 1e-9
 # Upper ends of the phase axis [degrees], the preferred first: compliances of a driven body are from 0° to -180°, also
-# with scatter. A phase that passes through all angles wraps on the flank of a resonance, not at its center.
+# with scatter. A phase that passes through all angles wraps on a side of a resonance, not at its center.
 _PHASE_TOPS = (30.0, 120.0, 210.0)
 # Height of the strip that marks undetermined points, relative to the axes.
 _STRIP_HEIGHT = 0.012

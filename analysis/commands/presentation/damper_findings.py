@@ -124,7 +124,7 @@ def detection_limits(bodies: Sequence[list[DamperMotion]]) -> str:
 
 
 def _motion_rows(motions: list[DamperMotion], omitted: Sequence[float]) -> list[tuple[str, str, str]]:
-    """Return the rows of one body: each type of motion with its frequencies; riding dampers come last."""
+    """Return the rows of one body: each type of motion with its frequencies; resting dampers come last."""
     kind_at_frequency = [(motion.frequency, _kind(motion)) for motion in motions] + [(f, "") for f in omitted]
     kinds = dict.fromkeys(kind for _, kind in kind_at_frequency if kind)
     if len(kinds) - (_AT_REST in kinds) > _MAX_KINDS:

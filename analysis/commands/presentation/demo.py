@@ -26,7 +26,7 @@ IMPACT_TESTS = ("fig10b-no-damper", "fig10b-three-dampers")
 
 # Coarse frequency grid over the band [Hz].
 _COARSE_HZ = np.linspace(8.0, 60.0, 34)
-# Fine grids [Hz] around the resonances, wide enough for the resonances that riding dampers lower by their mass.
+# Fine grids [Hz] around the resonances, wide enough for the resonances that resting dampers lower by their mass.
 _FINE_HZ = (np.linspace(11.8, 13.6, 14), np.linspace(32.0, 35.6, 13), np.linspace(45.5, 51.0, 12))
 
 

@@ -49,7 +49,7 @@ from rig.core.scene.presets import preset_note
 if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
-# Resonances that are listed individually; a longer list would hide the other lines.
+# Maximum number of resonances that are listed individually; a longer list would hide the other lines.
 _MAX_LISTED = 8
 # The interpolated peak is reported if it exceeds the highest point by more than this fraction.
 _MAX_PEAK_DEVIATION = 0.01

@@ -107,6 +107,6 @@ def check_inputs(
             without_effect[name].append(f"{path.name}: {reason if name != 'unit' else 'a recording states its units'}")
     for name, files in without_effect.items():
         if len(files) == len(paths):
-            raise SceneError(f"--{name} has no effect on {files[0]}. Leave it out.")
+            raise SceneError(f"--{name} has no effect on {files[0]}. Omit it.")
     unused_options = [f"--{name} has no effect on {text}" for name, files in without_effect.items() for text in files]
     return [*duplicate_warnings(paths), *unused_options]

@@ -42,9 +42,9 @@ if TYPE_CHECKING:
 
 #: Two mode shapes with at least this modal assurance criterion (MAC) are usually considered the same.
 MIN_SAME_SHAPE_MAC = 0.9
-# A mode is compared with the nearest mode of the scene, and with all modes whose frequency ratio to it is below this
-# value: with the nearest mode alone, two close modes could be exchanged, because their spacing may be smaller than the
-# error of the scene's values. Distant modes are left out, because a channel of wrong sign can resemble their shapes.
+# An identified mode is compared with the nearest model mode, and with all model modes within this frequency ratio: with
+# the nearest one alone, two close modes could be interchanged, because their spacing may be smaller than the error of
+# the model frequencies. Distant modes are omitted, because a channel of wrong sign can resemble their shapes.
 _MAX_FREQUENCY_RATIO = 1.25
 # The scene does not describe the structure if all frequencies differ by more than this factor: a stiffness by four.
 _MAX_THEORY_RATIO = 2.0

@@ -10,9 +10,9 @@ from pathlib import Path
 from analysis.core.recordings.names import require_file, sweep_name
 from rig.core.base.output_files import name_digest, prepare_outputs
 
-# Characters of a channel name in a file name; file systems allow 255 bytes for the whole name.
+# Maximum number of characters of a channel name in a file name; file systems allow 255 bytes for the whole name.
 _MAX_CHANNEL_LENGTH = 40
-# Characters of the combined names of several recordings; file systems allow 255 bytes for the whole name.
+# Maximum number of characters of the combined names of recordings; file systems allow 255 bytes for the whole name.
 _MAX_NAME_LENGTH = 60
 
 

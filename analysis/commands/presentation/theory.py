@@ -22,7 +22,7 @@ from rig.core.system.assembly import assemble, matrices_without_free_beds
 from rig.core.system.open_loop_drive import riding_response
 from rig.core.system.structural_model import natural_modes
 
-# Points of a theoretical curve: its resonances remain smooth when a reader enlarges the figure.
+# Number of points of a theoretical curve: its resonances remain smooth when a reader enlarges the figure.
 _POINTS = 3000
 # Elements of the matrices that are solved in one call; the limit keeps the memory at 16 MB.
 _MAX_ELEMENTS = 1_000_000

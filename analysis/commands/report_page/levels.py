@@ -106,7 +106,7 @@ def _mode_point(
     measurement: Measurement, sweep: SweepResults, level: str, band: tuple[float, float], ratio: str
 ) -> LevelPoint:
     """Return natural frequency and damping of the mode in a `band` [Hz], and the highest measured point of its peak."""
-    # The flank of the peak of another mode may be higher in the band; `sweep.found` contains no flanks.
+    # The side of the peak of another mode may be higher in the band; `sweep.found` contains no such points.
     modes, test = sweep.modes, measurement.rec.scene.test
     assert modes is not None
     inside = np.flatnonzero((band[0] < modes.frequency) & (modes.frequency < band[1])).tolist()

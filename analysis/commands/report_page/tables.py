@@ -38,7 +38,7 @@ _NO_BREAK = re.compile(
     r"|(?<=\bat) (?=\d)|(?<=ζ) (?==)|(?<=ζ =) | (?=at [\d.]+ \w+(?: →|$))|(?<=\bbody) (?=\d)"
 )
 _CODE = re.compile("`([^`]+)`")
-# Overloads or gaps that are listed individually; a longer list would hide the other rows.
+# Maximum number of overloads or gaps that are listed individually; a longer list would hide the other rows.
 _MAX_LISTED = 5
 # Smaller contributions to a combined uncertainty, relative to it, are listed as an upper limit.
 _NEGLIGIBLE_RATIO = 1e-3
@@ -178,7 +178,7 @@ def decays(measurements: Sequence[Measurement]) -> str:
             rows += [(f"{measurement.label}, {measurement.decay.channel}",), *decay_rows(measurement.decay)]
     caption = (
         "Free decay of each mode, with 95 % intervals. The frequency is that at the best determined amplitude. "
-        "Riding dampers add mass and lower the frequency; dampers in flight do not. The frequency therefore depends "
+        "Resting dampers add mass and lower the frequency; dampers in flight do not. The frequency therefore depends "
         "on amplitude and differs from the resonance frequency of the response"
     )
     return table(caption, DECAY_HEADING, rows, numbers=5) if rows else ""

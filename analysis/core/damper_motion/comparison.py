@@ -24,7 +24,7 @@ _BAND_BELOW_RATIO = 0.15
 _MAX_LEAVE_ONE_OUT_ERROR = 0.2
 # Frequencies of the interpolated curve between the neighbors of the highest point, so its maximum needs no refinement.
 _GRID_POINTS = 801
-# Frequencies of the interpolated curve that are drawn: enough for a smooth line.
+# Number of drawn frequencies of the interpolated curve: enough for a smooth line.
 _DRAWN_POINTS = 41
 # Tolerances at different frequencies are equal if their relative difference is at most this value (rounding).
 _SAME_TOLERANCE = 1e-6
@@ -34,7 +34,7 @@ _CLOCK_ERRORS_IN_HEIGHT = 2.0
 _MAX_PEAK_UNCERTAINTY = 0.5
 # Smallest ratio of lower to upper part of an interval that is stated as ±, which would otherwise be misleading.
 _MIN_SYMMETRY = 0.9
-# A peak above its highest measured point by more than half-power is extrapolated: the points are on its flanks.
+# A peak above its highest measured point by more than half-power is extrapolated: the points are on its sides.
 _HALF_POWER = sqrt(2.0)
 # Represents an unbounded uncertainty [m/N]: products with infinity are undefined, the largest float overflows.
 _UNBOUNDED = 1e100
@@ -58,7 +58,7 @@ class Peak:
     lower_limit: float = 0.0  # lower end of the 95 % interval of the highest measured point [m/N]
     interpolation_expanded: float = 0.0  # part of `own_expanded` due to interpolation between the points [m/N]
     step: float = 0.0  # largest frequency step next to the highest point [Hz]; 0 if there is no interpolation
-    at_end: bool = False  # whether the highest point is at an end of the band, on the flank of another peak
+    at_end: bool = False  # whether the highest point is at an end of the band, on the side of another peak
     # tolerances of the sensors, relative to the height; they are common to all frequencies and included in `expanded`
     tolerances: tuple[float, ...] = ()
     clock: float = (
@@ -241,9 +241,9 @@ def resonance_peak(frf: Response, band_low: float, band_high: float) -> Peak | N
     """Estimate a peak as `peak`, with the tolerances of the sensors as a common scale of the height.
 
     If the effect of the tolerances depends on frequency, as with a reference of several channels, it shifts the peak in
-    frequency rather than in height: it resembles an error of stiffness. The scale is then taken from the highest point
-    with a small uncertainty, or from the median over all points if this is larger, because errors of several channels
-    may cancel on one flank of the peak.
+    frequency rather than in height: it resembles an error of stiffness. The scale is then the larger of that of the
+    highest point with a small uncertainty and the median over all points, because errors of several channels may cancel
+    on one side of the peak.
     """
     if SYSTEMATIC in frf.limits:
         # Tolerances are usually the largest part of the systematic errors, whose sum is all that a file contains.
@@ -548,7 +548,7 @@ def uncompared_highest_peaks(modes: Modes, bare: Sequence[Response]) -> list[str
 def coarse_step_warnings(peaks: Sequence[tuple[float, str, Peak]]) -> list[str]:
     """Return a message for each peak with too large a frequency step, with the step that is needed.
 
-    `peaks`: natural frequency of the mode, Hz, name of the response, and the peak.
+    `peaks`: natural frequency of the mode [Hz], name of the response, and the peak.
     """
     coarse: dict[float, dict[str, Peak]] = {}
     for mode, response, response_peak in peaks:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
     from rig.core.scene.damper import Damper
 
-#: Reason why no impacts of a mass that does not fall freely are reported, by whether the mass can hit a wall.
+#: Sentence on the impacts of a mass that does not fall freely: without walls, and with walls.
 _IMPACT_TEXTS = (
     "{} has no impacts.",
     "channels cannot show the impacts of {} in this body, because it does not fall freely.",
@@ -134,8 +134,8 @@ def dampers_in(rec: Recording, label: str | None = None, progress: CountProgress
         bodies, warnings = [], list(sweep.lines.warnings)
         missing = [
             f"joint {number}, {joint.text(rec.scene.structure.label)}: the channels do not determine when it acts, "
-            "because its force is not measured. It changes the motion of its bodies as impacts of dampers do, so "
-            "these are not detected. The energy into the dampers includes its loss."
+            "because its force is not measured. The force resembles impacts of dampers, so impacts on its bodies are "
+            "not detected. The energy into the dampers includes its loss."
             for number, joint in enumerate(rec.scene.joints, 1)
         ]
         missing += [

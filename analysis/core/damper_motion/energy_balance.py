@@ -50,8 +50,8 @@ def energy_per_period(rec: Recording, sweep: Sweep) -> EnergyBalance:
 
     if rec.scene.reference == "table":
         raise RecordingError(
-            "the structure stands on a shaker table, whose force on it is not measured. Compare the peaks with those "
-            "of a test without dampers (`analysis compare`)."
+            "the structure is mounted on a shaker table, and no channel measures the force between them. Compare the "
+            "peaks with those of a test without dampers (`analysis compare`)."
         )
     names = sweep.lines.channels
     damping = structural_model(rec.scene).damping

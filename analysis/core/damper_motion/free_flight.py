@@ -292,9 +292,9 @@ class _FloorMotion:
 
     position: Array  # m
     speed: Array  # m/s
-    apparent_gravity: Array  # acceleration plus g, m/s²
+    apparent_gravity: Array  # acceleration plus g [m/s²]
     rate: float  # samples per second
-    gravity: float  # g, m/s²
+    gravity: float  # g [m/s²]
 
     def height_from_rest(self, sample: int, last: int) -> float:
         """Return the maximum height [m], until sample `last`, of a damper at rest at `sample` that does not rebound."""

@@ -16,7 +16,7 @@ from analysis.core.damper_motion.joint_fit import ITERATIONS, Jump
 _BEAM_WIDTH = 3
 # Candidates for the further jump of a set that are fitted completely; complete fits take most of the time.
 _EXTENSIONS = 4
-# Largest number of jumps in a set; the computing time increases with its cube.
+# Maximum number of jumps in a set; the computing time increases with its cube.
 MAX_GROUP = 8
 # An additional jump must reduce the residual sum of squares by this factor, more than noise does by chance.
 _MIN_REDUCTION = 5.0

@@ -45,7 +45,7 @@ _CONTACT_JUMP_UNCERTAINTY = 0.03
 _CONTACT_TIME_UNCERTAINTY = 0.04
 # Additional standard uncertainty of the time due to the same impact, relative to a sample interval.
 _CONTACT_SAMPLE_UNCERTAINTY = 0.05
-# Samples until 90 % of an impact pulse; faster samples are averaged, because more do not improve the fit.
+# Number of samples until 90 % of an impact pulse; faster samples are averaged, because more do not improve the fit.
 _PULSE_SAMPLES = 8
 # Lowest frequency of the band in which the motion of a body is determined, below the modes of most structures.
 _LOW_HZ = 2.0
@@ -53,7 +53,7 @@ _LOW_HZ = 2.0
 _HIGH_RATE_RATIO = 0.4
 # Time on either side of an impact whose samples determine the polynomial for the acceleration at the impact.
 _SIDE_TIME_S = 2e-3
-# Fewest samples on either side: two for each coefficient of the polynomial.
+# Minimum number of samples on either side: two for each coefficient of the polynomial.
 _MIN_SIDE_SAMPLES = 8
 # Order of the polynomial.
 _SIDE_ORDER = 3

@@ -25,13 +25,13 @@ from rig.core.results.response import MOTIONS
 MAX_SHIFT = 4
 # Polynomial orders of the smooth acceleration around a jump.
 ORDERS = (2, 4, 6, 8)
-# Fewest samples on either side of a jump: they must outnumber the coefficients of the smooth motion.
+# Minimum number of samples on either side of a jump: they must outnumber the coefficients of the smooth motion.
 _SIDE_SAMPLES = 6
 # Shortest duration of these samples in velocity and displacement channels, whose noise is large in derivatives.
 _SIDE_TIME_S = 1e-3
 # Largest phase change [rad] of a resonance between two sub-sample times; the interpolation is then accurate.
 _MAX_PHASE_STEP = 0.5
-# Fewest sub-sample times in a sample interval, for channels without a fast resonance.
+# Minimum number of sub-sample times in a sample interval, for channels without a fast resonance.
 _MIN_INSTANTS_PER_SAMPLE = 8
 # The search uses every eighth sub-sample time if the sensor has a resonance.
 _RESONANCE_STRIDE = 8

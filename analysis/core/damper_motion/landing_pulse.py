@@ -113,7 +113,7 @@ def landing_pulse(scene: Scene, location: str, rate: float) -> Pulse | None:
 
 
 def transmissibility(scene: Scene, number: int, frequency: Array) -> NDArray[np.complex128]:
-    """Return the transmissibility from the body to a riding damper, shape (frequencies,).
+    """Return the transmissibility from the body to a resting damper, shape (frequencies,).
 
     `number`: number of the damper, from 1; `frequency`: Hz. The damper leaves the floor when its own acceleration falls
     below -g. On a compliant floor this differs from the acceleration of the body.

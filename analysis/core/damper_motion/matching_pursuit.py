@@ -73,7 +73,7 @@ _UNRESOLVED_JUMP_RATIO = 0.5
 _HIGHER_ORDERS = (2, 4, 6)
 # A higher order must reduce the residual variance by this factor, more than its additional coefficients do by chance.
 _MIN_VARIANCE_REDUCTION = 2.0
-# A filter of higher order is used if the noise of the jumps is below this fraction of that with the present filter.
+# A filter of higher order is used if the noise of the jumps is below this fraction of that with the current filter.
 NOISE_REDUCTION = 0.7
 # Jumps in a joint fit; the computing time increases with the cube of this number.
 _MAX_JOINT_JUMPS = 5
@@ -93,7 +93,7 @@ _MAX_STEP_SIGMAS = 3.0
 _MIN_JUMP_STEP_RATIO = 0.02
 # The noise is assumed to be constant over this number of windows.
 _NOISE_WINDOWS = 8
-# Quantile of the jump filter's output from which the noise is estimated: impacts hardly affect the median.
+# Quantile of the jump filter's output from which the noise is estimated: the median is insensitive to impacts.
 NOISE_QUANTILE = 0.5
 # Number of samples in one matrix product: small enough for the cache, and for BLAS to use a single thread.
 _BLOCK_SAMPLES = 256
@@ -265,14 +265,14 @@ class MatchingPursuit:
         return self.detection_limit(self.jump_noise, max((abs(jump.velocity_jump) for jump in self.jumps), default=0.0))
 
     def detection_limit(self, noise: float, largest: float) -> float:
-        """Return the smallest jump that is reliably detected, m/s, except next to a larger jump."""
+        """Return the smallest jump that is reliably detected [m/s], except next to a larger jump."""
         duration = self.model.contact_samples / self.rate
         model_error = _CONTACT_MODEL_ERROR if duration else MODEL_ERROR
         sigmas = DETECTION_SIGMAS + DETECTION_MARGIN_SIGMAS
         return max(sigmas * noise, model_error * largest, _MIN_JUMP_STEP_RATIO * self.prior[0] * duration)
 
     def resolution(self) -> int:
-        """Return the distance beyond which a second jump hardly increases the error of a jump [samples]."""
+        """Return the distance beyond which a second jump has a negligible effect on the error of a jump [samples]."""
         noise = Deviations(float(_quantile(self.noise(), 0.5)), *self.prior)
         max_error = _MAX_RESOLVED_ERROR_RATIO * jump_std(self.window_model, None, noise)
         distance = MIN_RESOLVED_SAMPLES

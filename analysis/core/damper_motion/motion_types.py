@@ -233,7 +233,7 @@ def _push_time(acceleration: Array, amplitude: float, gravity: float, frequency:
 
 
 def _min_acceleration(motion: BodyMotion, numbers: list[int], frequency: float) -> float:
-    """Return a lower bound of the acceleration of a body and of its riding dampers [m/s²] including the tolerance."""
+    """Return a lower bound of the acceleration of a body and of its resting dampers [m/s²] including the tolerance."""
     scene, rows = motion.rec.scene, [motion.acceleration]
     count = rows[0].size
     for number in numbers:

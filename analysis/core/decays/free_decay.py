@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 LOWEST_MODE_HZ = 2.0
 # Upper limit of this range [Hz], raised if the structure of the scene has higher modes; higher modes decay at once.
 HIGHEST_MODE_HZ = 200.0
-# Fewest samples of a decay from which a natural frequency and a slope can be estimated.
+# Minimum number of samples of a decay from which a natural frequency and a slope can be estimated.
 _MIN_SAMPLES = 256
 # If the energy no longer decays in the last tenth of a record, this tenth counts as noise, provided that it contains at
 # most this fraction of the energy. Otherwise the motion is not a free decay.

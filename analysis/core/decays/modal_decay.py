@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _SAME_MODE_RATIO = 0.1
 # Largest relative standard uncertainty, due to noise, of a reported damping ratio: 10 % expanded is still useful.
 MAX_RELATIVE_UNCERTAINTY = 0.05
-# The damping ratio at an amplitude is the slope of the logarithmic envelope over a fall by 6 dB around this amplitude.
+# The damping ratio at an amplitude is proportional to the slope of the log envelope over 6 dB around this amplitude.
 # This constant is half of the fall, in nepers. The amplitudes are 1.5 dB apart.
 _HALF_FALL_NEPERS = 3.0 / 20.0 * np.log(10.0)
 # The band-pass and the fit over 6 dB average a damping ratio that depends on amplitude. The bias is estimated by two
@@ -92,7 +92,7 @@ class ModalDecay(Result):
 
     @property
     def percent(self) -> tuple[Array, Array]:
-        """Damping ratio at each amplitude and its expanded uncertainty, %."""
+        """Damping ratio at each amplitude and its expanded uncertainty [%]."""
         return 100.0 * self.damping, 100.0 * expand(self.damping_std)
 
     def frequency_text(self) -> str:
@@ -201,7 +201,7 @@ def modal_decay(
     kink_limit = np.sqrt(np.maximum(kink_limit**2 - kink_of_noise**2, 0.0))
     bias = _bias_limit(damping, damping_narrower, damping_larger_fall, kink_limit)
     uncertainty = np.hypot(noise_uncertainty * damping, 0.5 * bias)
-    # Phase (rad) and logarithm of the envelope have the same uncertainty, but the phase changes much more in a decay.
+    # Phase [rad] and logarithm of the envelope have the same uncertainty, but the phase changes much more in a decay.
     natural_bias = np.full(natural.size, np.nan)
     # The bias is determined only if both fits are determined.
     if np.isfinite(natural_narrower - natural).any() and np.isfinite(natural_larger_fall - natural).any():

@@ -62,13 +62,13 @@ _DERIVATIVE_MISTAKES = {
 _MAX_FITTED_MISTAKES = 4
 # Model error in the initial cost, relative to the local peak: initial values do not fit the curves yet.
 _MODEL_ERROR = 0.1
-# Limit of a squared residual in the initial cost, 30 standard deviations: a few outliers must not decide.
+# Limit of a squared normalized residual (30²) in the initial cost: a few outliers must not decide.
 _MAX_SQUARE = 900.0
 # The structure is fitted with each of these model errors in turn: larger errors smooth the cost far from the solution.
 _MODEL_ERRORS = (0.1, 0.01, 0.0)
-# An explanation is nearly as likely as the best one if its sum of squares exceeds the smallest by at most this number
-# of mean squares: a likelihood ratio of 90. A free factor adds an unknown, so it is preferred only if its sum of
-# squares is smaller by more than this number of mean squares.
+# Two explanations are not distinguished if their sums of squares differ by at most this multiple of the mean square
+# (likelihood ratio 90). A free factor adds an unknown, so it is preferred only if its sum of squares is smaller by
+# more.
 _CLOSE_SQUARE = 9.0
 # Largest ratio of the factor of the masses to that of a unit error: people estimate the mean mass so well.
 _UNIT_TOLERANCE = 1.25
@@ -79,7 +79,7 @@ _NO_UNIT_ERROR = (
 _TRIAL_DELAYS = np.arange(-5e-3, 5.01e-3, 2e-5)
 # Radius of the interval in which a delay is searched [s]: the estimate is uncertain with few points off resonance.
 _SEARCH_RADIUS = 1e-4
-# Largest number of these intervals.
+# Maximum number of these intervals.
 _MAX_SEARCHES = 3
 # Tolerance of a delay [s]: it turns a phase at 1 kHz by 6e-5 rad.
 _DELAY_TOLERANCE = 1e-8
@@ -89,14 +89,14 @@ _MIN_DELAY = 5e-6
 _FREE_TOLERANCE = 1e4
 # Largest plausible ratio of fitted to initial masses: people estimate masses better; beyond it, a unit is wrong.
 _MAX_MASS_RATIO = 2.5
-# Largest number of pairs of channels tested for a swap: all pairs of six channels; each pair takes a fit.
+# Maximum number of pairs of channels tested for a swap: all pairs of six channels; each pair takes a fit.
 _MAX_PAIRS = 15
 # At least this number of responses must remain without the omitted sensor, because a fit to fewer always succeeds.
 _MIN_RESPONSES = 2
 
 
 def find_cause(problem: Problem, x: Array) -> tuple[bool, str]:
-    """Return whether a single mistake explains the misfit, and a text with this mistake or with the next steps.
+    """Return whether a single mistake is the cause of the misfit, and a text with this mistake or with the next steps.
 
     Only the recordings without moving dampers are searched. `x`: the fitted unknowns.
     """
@@ -131,8 +131,8 @@ def find_cause(problem: Problem, x: Array) -> tuple[bool, str]:
             "that differs from the scene. Without this channel, the scene fits. Check its mounting and settings."
         )
     return False, (
-        "No single mistake explains the misfit: neither the sign, the unit or the delay of a channel, nor two swapped "
-        "channels, nor the form of damping. Check the number of bodies, the driven body and the springs of the scene. "
+        "The cause is unknown: it is not the sign, the unit or the delay of a single channel, two swapped channels, or "
+        "the form of damping. Check the number of bodies, the driven body and the springs of the scene. "
         "The figure shows the frequencies with the largest residuals."
     )
 
@@ -430,7 +430,7 @@ class _Refit:
 
     @property
     def residual(self) -> Array:
-        """Residuals, then deviations from the priors, in standard deviations."""
+        """Normalized residuals, then normalized deviations from the priors."""
         return self.problem.residual(self.x, self.problem.groups)
 
     @property

@@ -33,7 +33,7 @@ _RANDOM_SD = 0.15
 _RANDOM_STARTS = 8
 # The structure is fitted from random initial values if the mean square of the residuals exceeds this value.
 _MAX_STRUCTURE_VARIANCE = 4.0
-# The residuals enlarge the intervals if the mean square of the residuals exceeds this value.
+# Mean square of the normalized residuals above which the residuals enlarge the intervals.
 _MIN_INFLATED_VARIANCE = 1.3
 # The first fits of the dampers use these model errors in turn.
 _DAMPER_MODEL_ERRORS = (0.2, 0.05)
@@ -44,7 +44,7 @@ _MASS_FACTORS = (1.0, 0.7, 0.4, 1.5)
 _CLEARANCE_FACTORS = (0.6, 1.7, 0.3)
 # With clearances multiplied by this factor, no damper reaches its ceiling.
 _UNREACHED_CLEARANCE_FACTOR = 30.0
-# Largest mean square of the residuals if the orbits explain the curves; noise alone gives slightly below 1.
+# Largest mean square of the normalized residuals of a good fit; noise alone gives slightly below 1.
 _MAX_EXPLAINED_SQUARE = 1.5
 # In the robust cost, each squared residual is limited to this value.
 _MAX_SQUARE = 9.0
@@ -65,7 +65,7 @@ class Estimate:
     x: Array  # estimated unknowns of `Problem`, shape (unknowns,)
     # F of the covariance ``F F^T``, (unknowns, columns), from stated uncertainties or larger residuals
     factor: Array
-    # mean square of the residuals in standard deviations; 1 if the stated uncertainties explain them
+    # mean square of the normalized residuals; 1 if they are consistent with the stated uncertainties
     variance: float
     # number of columns of `factor` for random errors; the others belong to errors with limits
     n_random: int
@@ -131,7 +131,7 @@ def _estimate_dampers(
             for model_error in _DAMPER_MODEL_ERRORS:
                 x = solve(problem, x, damper_groups, model_error, first_active, max_evaluations=6)
             problem.residual(x, damper_groups)
-        # If ceiling impacts explain the curves, a trial without them that fails at half of the points is not refined.
+        # If ceiling impacts fit the curves, a trial without them that has no orbit at half of the points is abandoned.
         is_refuted = lowest_cost < _MAX_EXPLAINED_SQUARE and _robust_cost(problem, x, damper_groups) > _HALF_FAILED_COST
         for round_number in range(0 if is_refuted else _MAX_ROUNDS):
             scene = problem.scene(x)
@@ -226,7 +226,7 @@ def solve(
 
 
 def mean_square(problem: Problem, x: Array, groups: Sequence[Group]) -> float:
-    """Compute the mean square of the residuals of groups, in standard deviations."""
+    """Compute the mean square of the normalized residuals of groups."""
     residuals = problem.residual(x, groups)[: -problem.size]
     return float(np.mean(residuals**2)) if residuals.size else 0.0
 
@@ -283,7 +283,7 @@ def _covariance(problem: Problem, x: Array) -> tuple[Array, float, int]:
 
 
 def _systematic_errors(group: Group) -> Iterator[Array]:
-    """Yield the effects on the residuals, in standard deviations, of errors that are correlated over all lines."""
+    """Yield the effects on the normalized residuals of errors that are correlated over all lines."""
     curves, is_fitted = group.curves, group.is_fitted
 
     def whiten(errors: ComplexArray) -> ComplexArray:

@@ -40,7 +40,7 @@ _USUAL_CLOCK_TOLERANCE = 20e-6
 _MAX_RELATIVE_EXPANDED = 0.5
 # Smallest clearance of a damper that does not reach its ceiling, relative to its largest gap to the floor.
 _UNREACHED_RATIO = 1.2
-# Largest mean square of normalized residuals that the uncertainties of the curves explain.
+# Largest mean square of normalized residuals that is consistent with the uncertainties of the curves.
 _MAX_NOISE_VARIANCE = 4.0
 # The scene does not describe the measured structure if the relative residual exceeds this value.
 _MAX_RESIDUAL_RATIO = 0.02
@@ -94,7 +94,7 @@ class Comparison:
     # Predicted readings of the response, shape (responses, n); NaN where the model has no steady-state motion.
     predicted: ComplexArray
     is_fitted: NDArray[np.bool_]  # fitted points, shape (n,)
-    normalized_residuals: Array  # residuals in standard deviations, shape (responses, n)
+    normalized_residuals: Array  # residuals over their standard deviations, shape (responses, n)
     # rms residual / rms of the curve, both weighted by the inverse standard uncertainty; the largest over the responses
     relative: float
 
@@ -120,8 +120,7 @@ class Fit(Result):
     compared : tuple of Comparison
         Measured and predicted curves of each sweep or test.
     variance : float
-        Mean square of the residuals in standard deviations: at most about 1 where the stated uncertainties explain
-        them.
+        Mean square of the normalized residuals: at most about 1 if they are consistent with the stated uncertainties.
     misfit : str
         Reason why the scene does not fit the recordings and no value is determined; "" if it fits.
     together : tuple of str
@@ -167,7 +166,7 @@ class Fit(Result):
         return {name: np.array([getattr(parameter, name) for parameter in self.parameters]) for name in names}
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the largest residual against frequency, in standard deviations."""
+        """Draw the largest normalized residual against frequency."""
         for compared in self.compared:
             order = np.argsort(compared.curves.frequency, kind="stable")
             largest = np.where(compared.is_fitted, compared.normalized_residuals.max(axis=0), np.nan)[order]

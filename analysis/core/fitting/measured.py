@@ -37,7 +37,7 @@ _REFERENCE_NOISE_UNCERTAINTY = 0.5
 _FITTED_ERRORS = (SENSITIVITY, CLOCK)
 # Systematic errors that `Curves.correlated_limit` does not include.
 _EXCLUDED_FROM_CORRELATED = (*_FITTED_ERRORS, REFERENCE_NOISE, *IRREGULAR)
-# Fewest points of a fit, with two real values each: a single mode has four unknowns.
+# Minimum number of points of a fit, with two real values each: a single mode has four unknowns.
 _MIN_POINTS = 8
 
 
@@ -139,14 +139,14 @@ def measured_curves(rec: Recording, name: str) -> list[Curves]:
 
 
 def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str) -> Curves:
-    """Return the curves of one sweep or test, without dead channels and without points that cannot be fitted."""
+    """Return the curves of one sweep or test, without failed channels and without points that cannot be fitted."""
     zero_responses = [frf.response for frf in frfs if not np.any(frf.value != 0.0)]
     if len(zero_responses) == len(frfs):
         raise RecordingError(
-            f"{label}: all responses read zero throughout: dead or not connected ({', '.join(zero_responses)}). Check "
+            f"{label}: all responses read zero throughout: disconnected or failed ({', '.join(zero_responses)}). Check "
             "the sensors and cables."
         )
-    notes = [f"{name} is omitted: it reads zero throughout (dead or not connected)." for name in zero_responses]
+    notes = [f"{name} is omitted: it reads zero throughout (disconnected or failed)." for name in zero_responses]
     frfs = [frf for frf in frfs if frf.response not in zero_responses]
     value = np.stack([frf.value for frf in frfs])
     limits = np.vstack([_limits(frfs, without=_EXCLUDED_FROM_CORRELATED), _limits(frfs, IRREGULAR)])
@@ -212,7 +212,7 @@ def _reference_noise(frfs: Sequence[Response], errors: Covariance) -> tuple[Arra
 
 
 def _whitening(frfs: Sequence[Response], errors: Covariance) -> ComplexArray:
-    """Return the inverse square root of the covariance of the real or imaginary part, as in `Curves.whitening`."""
+    """Return the inverse square root of the covariance of the real or the imaginary part, as in `Curves.whitening`."""
     quadrature_covariance = errors.lines / 2.0
     variance = np.einsum("nii->ni", quadrature_covariance).real.copy()
     magnitude = np.stack([abs(frf.value) for frf in frfs], axis=1)

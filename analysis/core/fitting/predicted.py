@@ -1,6 +1,6 @@
-"""Response that a scene predicts for the test of a recording, in closed form, with *riding* dampers.
+"""Response that a scene predicts for the test of a recording, in closed form, with *resting* dampers.
 
-A riding damper rests on the floor of its cavity, and moves with its body.
+A resting damper lies on the floor of its cavity, and moves with its body.
 """
 
 from collections.abc import Sequence
@@ -65,8 +65,8 @@ def linear_derivatives(
     """Return the sensitivities of displacement / reference to the parameters of a scene, and to the frequency.
 
     The sensitivities are computed from the derivatives of the matrices, which are linear in masses and springs. Finite
-    differences of the response would be too inaccurate: near a narrow resonance, some combinations of parameters hardly
-    change the response.
+    differences of the response would be too inaccurate: near a narrow resonance, some combinations of parameters have a
+    negligible effect on the response.
 
     `changed_scenes`: for each parameter, the scene with a slightly larger parameter, and the change of the parameter.
     Shapes: (parameters, bodies, frequencies), and (bodies, frequencies) for the derivative per Hz.

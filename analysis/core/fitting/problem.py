@@ -31,9 +31,9 @@ _MAX_CHANGE = 6.0
 _UNKNOWN_STEP = 1e-6
 # Relative step of a parameter for derivatives of the matrices, in which only modal damping is nonlinear.
 _PARAMETER_STEP = 1e-6
-# Residual of a point where the scene has no periodic solution, in standard deviations: far above the limit of outliers.
+# Normalized residual of a point where the scene has no periodic solution: far above the limit of outliers.
 _FAILED_RESIDUAL = 30.0
-# A point is an outlier above this residual, in standard deviations or, if larger, in medians of the residuals.
+# A point is an outlier above this normalized residual, or above this multiple of the median residual if it is larger.
 _OUTLIER_LIMIT = 6.0
 # Largest plausible deviation of a fitted sensitivity from its data sheet, in tolerances, which may be optimistic.
 _MAX_SENSOR_DEVIATION = 2.0
@@ -215,7 +215,7 @@ class Problem:
     def normalized_residuals(
         self, x: Array, group: Group, scene: Scene, model_error: float = 0.0, search: bool = True
     ) -> ComplexArray:
-        """Return residuals of fitted points in standard deviations with the `model_error`; (fitted, responses)."""
+        """Return normalized residuals of fitted points with the `model_error`; (fitted, responses)."""
         curves, is_fitted = group.curves, group.is_fitted
         residual = self.predicted(x, group, scene, search)[:, is_fitted] - curves.value[:, is_fitted]
         whitened = np.einsum("nij,jn->ni", curves.whitening[is_fitted], residual)
@@ -223,7 +223,7 @@ class Problem:
         return np.where(np.isfinite(whitened), whitened, _FAILED_RESIDUAL * (1 + 1j))
 
     def residual(self, x: Array, groups: Sequence[Group], model_error: float = 0.0, search: bool = True) -> Array:
-        """Return residuals in standard deviations: real parts, imaginary parts, deviations of unknowns from priors."""
+        """Return normalized residuals: real parts, imaginary parts, deviations of unknowns from priors."""
         scene = self.scene(x)
         residuals = [self.normalized_residuals(x, group, scene, model_error, search).ravel() for group in groups]
         flat = np.concatenate([np.zeros(0, dtype=complex), *residuals])
@@ -281,7 +281,7 @@ class Problem:
     ) -> ComplexArray:
         """Differentiate the residuals of a group in which no damper moves; shape (fitted, responses, indices)."""
         curves, is_fitted, count = group.curves, group.is_fitted, len(self.parameters)
-        # With no damper in flight the response depends only on the mass of a riding damper, and on mass, spring and
+        # With no damper in flight the response depends only on the mass of a resting damper, and on mass, spring and
         # damping of a tuned mass damper; the derivatives by all other keys of dampers are 0.
         linear_damper_keys = ("mass", "mass_ratio", "spring", "damping")
         effective = [

@@ -31,17 +31,17 @@ _DAMPING_SD = 0.05
 _CONSTANT_SD = 0.05
 # Maximum number of ranked assignments of identified modes to model modes.
 _MAX_RANKED = 2000
-# Assignments that are fitted: those that rank best; each takes a fit.
+# Maximum number of assignments that are fitted, in the order of their ranks; each requires a fit.
 _MAX_FITTED = 4
 # Assignments are compared with this assumed model error, relative to the local peak.
 _MODEL_ERROR = 0.1
-# Limit of residuals [standard deviations] in the comparison of assignments: one wrong mode must not decide.
+# Limit of normalized residuals in the comparison of assignments: one wrong mode must not decide.
 _MAX_RESIDUAL = 30.0
 # The distance of an identified mode from a model mode is the difference of their ln(frequency) in units of this value.
 _LOG_FREQUENCY_SCALE = 0.1
 # In the squared distance, 1 - MAC (modal assurance criterion, `mac`) has this weight.
 _MAC_WEIGHT = 4.0
-# Largest number of evaluations of the model in the fit to the modes.
+# Maximum number of evaluations of the model in the fit to the modes.
 _MAX_EVALUATIONS = 60
 # The fit to the modes ends when the relative decrease of the cost is smaller.
 _COST_TOLERANCE = 1e-3

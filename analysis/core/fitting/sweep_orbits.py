@@ -35,17 +35,17 @@ from rig.core.system.structural_model import driven_bodies, structural_model
 _MAX_CORRECTIONS = 8
 # The motion must become periodic within this number of simulated periods.
 _MAX_PERIODS = 1500
-# Steps of the continuation from a neighboring point.
+# Number of steps of the continuation from a neighboring point.
 _CONTINUATION_STEPS = 8
 # Corrections of the level in each of these steps.
 _LEVEL_CORRECTIONS = 2
-# Largest number of secant steps to the drive that gives the level.
+# Maximum number of secant steps to the drive that gives the level.
 _MAX_SECANT_STEPS = 8
 # Smallest relative secant step.
 _MIN_RELATIVE_STEP = 1e-6
 # Largest relative error of the level after the secant steps; the rest is corrected linearly.
 _LEVEL_TOLERANCE = 1e-5
-# Drives at which an orbit is searched. Each gives a level closer to the required level, so few suffice.
+# Maximum number of drives at which an orbit is searched. Each gives a level closer to the required one.
 _MAX_SEARCHES = 5
 
 
@@ -67,7 +67,7 @@ OrbitResponse = tuple[StoredOrbit, ComplexArray]
 class SweepOrbits:
     """Orbits at the points of a stepped-sine sweep; each is refined from the orbit stored at its point.
 
-    Where all dampers are *riding* (at rest on their floors), the rig is linear and no orbit is needed.
+    Where all dampers are at rest on their floors, the rig is linear and no orbit is needed.
     """
 
     def __init__(self, curves: Curves) -> None:
@@ -77,7 +77,7 @@ class SweepOrbits:
                 "recordings with a single shaker."
             )
         self.curves = curves
-        # orbit at each point; None if all dampers are riding, or if the motion is irregular
+        # orbit at each point; None if all dampers are at rest, or if the motion is irregular
         self.current: list[StoredOrbit | None] = [None] * curves.frequency.size
         self.earlier = list(self.current)  # previous orbits, from which a later trial may start again
         self.failed: set[int] = set()  # points without an orbit, which are not searched again until this is cleared
@@ -112,7 +112,7 @@ class SweepOrbits:
         return response
 
     def alternatives(self, test_scene: Scene, level: Array, frequency: Array, k: int) -> Iterator[OrbitResponse]:
-        """Yield the stable orbits at point k that are reached from neighboring orbits, riding dampers, and rest."""
+        """Yield the stable orbits at point k that are reached from neighboring orbits, resting dampers, and rest."""
         solver = _OrbitSolver(test_scene)
         for neighbor in (k - 1, k + 1):
             if 0 <= neighbor < frequency.size and (orbit := self.current[neighbor]) is not None:
@@ -135,7 +135,7 @@ class SweepOrbits:
         return max(gaps, default=0.0)
 
     def _recover(self, solver: _OrbitSolver, frequency: Array, level: Array, k: int) -> OrbitResponse | None:
-        """Refine the earlier orbit of point k or the orbit of a neighbor; if all fail, search from riding dampers."""
+        """Refine the earlier orbit of point k or the orbit of a neighbor; if all fail, search from resting dampers."""
         neighbors = [self.current[j] for j in (k - 1, k + 1) if 0 <= j < len(self.current)]
         for orbit in (self.earlier[k], *neighbors):
             if orbit is not None and (refined := solver.refine(orbit, frequency[k], level[k])) is not None:
@@ -187,7 +187,7 @@ class _OrbitSolver:
     def search(self, frequency: float, level: float, from_riding: bool) -> OrbitResponse | None:
         """Search the orbit to which the motion settles.
 
-        The motion starts from the steady state with riding dampers if `from_riding` is set, otherwise from rest.
+        The motion starts from the steady state with resting dampers if `from_riding` is set, otherwise from rest.
 
         Returns None if no stable orbit is reached. Raises `UncoveredMotionError` if the motion settles to a kind for
         which orbits are not computed.

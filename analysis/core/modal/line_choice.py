@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import Response
 
-# Lines up to which all are fitted; of more, those of peaks and about half this number of evenly spaced others.
+# Maximum number of lines that are all fitted; of more, the lines around peaks and about half this number evenly spaced.
 MAX_LINES = 2000
 # All lines around this number of the highest peaks are selected: twice the largest number of modes.
 _MAX_PEAKS = 24
-# Number of adjacent lines selected around each peak, and at equal distances between its flanks.
+# Number of adjacent lines selected around each peak, and at equal distances between its ends.
 _LINES_PER_PEAK = 41
-# The flanks of a peak end where the magnitude is this fraction of the peak.
+# The sides of a peak end where the magnitude is this fraction of the peak.
 _FLANK_RATIO = 0.1
 # A peak exceeds the magnitude of its neighborhood by at least this factor.
 _MIN_PEAK_RATIO = 2.0
@@ -49,7 +49,7 @@ def reduce_lines(curves: Sequence[Response]) -> list[Response]:
 
 
 def scatter(value: ComplexArray) -> Array:
-    """Estimate the standard deviation of real and imaginary part of each line from third differences.
+    """Estimate the standard deviation of the real and of the imaginary part of each line from third differences.
 
     The median over many lines is insensitive to the few lines of a narrow peak.
 
@@ -68,9 +68,9 @@ def scatter(value: ComplexArray) -> Array:
 
 
 def are_in_gaps(frequency: Array, poles: ComplexArray) -> NDArray[np.bool_]:
-    """Return whether poles, rad/s, lie in gaps between lines and no line is within their half-power widths.
+    """Return whether poles [rad/s] lie in gaps between lines and no line is within their half-power widths.
 
-    The flanks of a peak determine its pole only for an isolated mode and a complete model of all other modes.
+    The sides of a peak determine its pole only for an isolated mode and a complete model of all other modes.
 
     >>> lines = np.r_[10.0:12.0:0.1, 15.0:20.0:0.1]
     >>> are_in_gaps(lines, 2 * np.pi * np.array([-0.1 + 11.05j, -0.1 + 13.0j, -2.0 + 13.0j, -0.1 + 30.0j]))

@@ -34,11 +34,11 @@ MIN_RELATIVE_ERROR = 1e-4
 _CHART_ERROR = 0.03
 # Maximum number of initial poles.
 _MAX_INITIAL_POLES = 15
-# Candidates for a further pole; each takes a linear fit.
+# Maximum number of candidates for a further pole; each requires a linear fit.
 _MAX_CANDIDATES = 40
-# Noise explains a misfit up to this multiple of its expected value. For a larger misfit, a model error is assumed.
+# A misfit up to this multiple of its expected value is noise. For a larger misfit, a model error is assumed.
 _MAX_NOISE_RATIO = 4.0
-# Model errors relative to the highest neighboring magnitude, tried in this order until the misfit is explained.
+# Model errors relative to the highest neighboring magnitude, tried in this order until the misfit is that of noise.
 MODEL_ERRORS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
 # Lines are neighbors up to this frequency ratio: wider than a resonance, narrower than the spacing of most modes.
 _NEIGHBOR_FREQUENCY_RATIO = 1.15
@@ -53,7 +53,7 @@ class FittedModes(NamedTuple):
     weighted: Curves  # curves with the weights of the fit
     model: ModalModel
     chart: list[ChartPole]  # stabilization diagram with equal weights
-    # Root mean square of the residual over the highest neighboring magnitude; 0 if noise explains it.
+    # Root mean square of the residual over the highest neighboring magnitude; 0 if it is consistent with noise.
     model_error: float
     assumed_error: float  # model error in the weights
     rejected: list[float]  # frequencies of poles that are not modes [Hz]
@@ -62,7 +62,7 @@ class FittedModes(NamedTuple):
 def fit_modes(
     curves: Sequence[Response], count: int | None = None, assumed_errors: Sequence[float] = MODEL_ERRORS
 ) -> FittedModes:
-    """Fit the model of significant poles to curves, with the smallest model error that explains the misfit."""
+    """Fit the model of significant poles to curves, with the smallest model error that the misfit requires."""
     measured, sigma = measured_curves(curves)
     magnitude = abs(measured.value)
     weighted_chart = stabilization_diagram(
@@ -146,8 +146,8 @@ def _best_model(
 ) -> tuple[Curves, ModalModel, float, float]:
     """Return the curves with the weights of the best fit, its model, the model's relative error and the assumed error.
 
-    The relative error is the root mean square of the residual over the highest neighboring magnitude; 0 if noise
-    explains the residual.
+    The relative error is the root mean square of the residual over the highest neighboring magnitude; 0 if the residual
+    is consistent with noise.
     """
     # Errors due to nonlinearity are proportional to the peaks, not to the curve between the peaks.
     local_peak = neighboring_maxima(measured.frequency, np.abs(measured.value))
@@ -188,8 +188,8 @@ def _remove_computational_poles(
     """Remove poles that are not modes; return the new model, and the frequencies of the removed poles [Hz].
 
     A pole is not a mode if its damping is undetermined. A pole is not a mode either if its peak is small relative to
-    the systematic uncertainty of every curve, because residual transients and aliasing cause similar peaks. A distinct
-    peak that is narrower than the resolution is accepted although its damping is undetermined.
+    the limit of the systematic error of every curve, because residual transients and aliasing cause similar peaks. A
+    distinct peak that is narrower than the resolution is accepted although its damping is undetermined.
     """
     rejected: list[float] = []
     while model.poles.size:
@@ -212,7 +212,7 @@ def _remove_computational_poles(
 
 
 def _systematic_ratio(model: ModalModel, frfs: Sequence[Response]) -> Array:
-    """Return the ratio of systematic uncertainty to peak height at each pole, in the curve with the smallest ratio."""
+    """Return the smallest ratio of the systematic limit of a curve to the peak height at each pole."""
     frequency: Array = np.asarray(abs(model.poles) / (2 * np.pi), dtype=float)
     bounds = [
         bound[nearest_lines(frf, frequency, np.isfinite(frf.value + bound))]
@@ -229,7 +229,7 @@ def nearest_lines(curve: Response, frequency: Array, selected: NDArray[np.bool_]
 
 
 def _standard_deviations(curves: Sequence[Response]) -> Array:
-    """Return the standard deviation of real and imaginary part of each line, shape (responses, lines)."""
+    """Return the standard deviation of the real and of the imaginary part of each line, shape (responses, lines)."""
     magnitude = np.stack([abs(curve.value) for curve in curves])
     error = np.stack([curve.error for curve in curves])
     for row, curve in zip(error, curves, strict=True):

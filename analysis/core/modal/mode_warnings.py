@@ -50,9 +50,9 @@ def mode_warnings(
         )
         if modes.model_error > MAX_LINEAR_RESIDUAL:
             yield (
-                f"The modes do not explain the response: {residual_text}, more than the {expected}. Either the "
-                "structure is nonlinear, as with dampers in flight, and these modes are its linear equivalent at this "
-                "force level; or it also has a heavily damped mode, such as that of a shaker's armature."
+                f"The modes do not explain the response: {residual_text}, more than the {expected}. The "
+                "structure may be nonlinear, as with dampers in flight; the modes are then its linear equivalent at "
+                "this force level. Or it has a heavily damped mode, such as that of a shaker's armature."
             )
         else:
             yield (
@@ -120,7 +120,7 @@ def mode_warnings(
 
 
 def extrapolates_damping(modes: Modes, curves: Sequence[Response]) -> NDArray[np.bool_]:
-    """Return whether each damping ratio is extrapolated from the flanks: the lines do not resolve the peak."""
+    """Return whether each damping ratio is extrapolated from the sides: the lines do not resolve the peak."""
     half_widths = modes.damping * modes.frequency
     # Lines within the half-power width on either side of the resonance.
     distance = abs(curves[0].frequency - modes.frequency[:, None])

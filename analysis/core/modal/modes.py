@@ -105,8 +105,8 @@ class Modes(Result):
     upper : ndarray, shape (responses, 3)
         Contribution of modes above the band: upper[0] + upper[1] s + upper[2] s², m/N.
     model_error : float
-        Residual of the modal model, relative to the neighboring peaks; 0 if the uncertainties of the curves explain the
-        residual.
+        Residual of the modal model, relative to the neighboring peaks; 0 if the residual is consistent with the
+        uncertainties of the curves.
     label : str
         Scene and setting.
     warnings : tuple of str

@@ -22,7 +22,7 @@ _WINDOW_HALF_WIDTHS = 6.0
 # Smallest such distance, in lines.
 _MIN_WINDOW_LINES = 20
 # Neighboring peaks belong to the same group if their distance is at most this multiple of the smaller half-width.
-# Residual terms represent the flank of a wide peak in the window of a narrow peak.
+# Residual terms represent the side of a wide peak in the window of a narrow peak.
 _GROUP_HALF_WIDTHS = 6.0
 
 
@@ -75,8 +75,8 @@ def peak_windows(frequency: Array, values: Sequence[ComplexArray]) -> list[Windo
 
 
 def _half_width(frequency: Array, log_magnitude: Array, peak: int, drop: float) -> float:
-    """Return half of the half-power width of a peak [Hz] from its steeper flank, where the logarithm has fallen."""
-    # The flank of another mode raises the curve on one side of the peak.
+    """Return half of the half-power width of a peak [Hz] from its steeper side, where the logarithm has fallen."""
+    # The side of the peak of another mode raises the curve on one side of the peak.
     below = log_magnitude < log_magnitude[peak] - drop
     distances = [
         abs(frequency[peak + int(np.argmax(below[peak::step])) * step] - frequency[peak])

@@ -144,7 +144,7 @@ def _covariance_factors(curves: Curves, model: ModalModel) -> tuple[Array, Array
     """Return factors F of the covariance ``F F^T`` of the parameters for the three estimates of `pole_errors`.
 
     Errors of the reference cause equal relative errors of all responses at a line. The fitted poles adapt to these
-    errors, so the misfit hardly increases. The errors of the reference are at most as large as the errors of the most
+    errors, so the misfit increases little. The errors of the reference are at most as large as the errors of the most
     precise response. The factors have the shape (parameters, columns).
     """
     # A line of zero weight in all responses has no error of the reference.

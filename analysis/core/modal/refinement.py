@@ -21,13 +21,13 @@ from rig.core.results.uncertainty import Covariance, standard_of_limit
 
 # Gauss-Newton steps: the start is near the minimum, so the limit is reached only without convergence.
 _MAX_STEPS = 12
-# Halvings of a step that would increase the misfit: a step of 1/64 that still increases it is an error of rounding.
+# Maximum number of halvings of a step that increases the misfit; a step of 1/64 increases it only by rounding.
 _MAX_HALVINGS = 6
 # The iteration has converged if its step is at most this value, in standard deviations of the unknowns.
 _MAX_FINAL_STEP = 1e-3
 # Array elements in memory for a block of lines: 16 MB of complex values.
 _MAX_ELEMENTS = 1 << 20
-# Multiplications in a step, which take some ten seconds; larger problems are not refined.
+# Maximum number of multiplications in a step, some ten seconds; larger problems are not refined.
 _MAX_MULTIPLICATIONS = 5e10
 
 
@@ -101,7 +101,7 @@ class Likelihood:
         return np.asarray(self.curves.value.T - predicted)
 
     def misfit(self, model: ModalModel) -> float:
-        """Compute the sum of squares in standard deviations."""
+        """Compute the sum of squares of the normalized residuals."""
         residual = self.residual(model)
         return float(np.einsum("ka,kab,kb->", residual.conj(), self.information, residual, optimize=True).real)
 

@@ -14,7 +14,7 @@ from rig.core.base.errors import RecordingError, SceneError
 from rig.core.results.points import Point, body_number
 from rig.core.results.response import Response, stack
 
-# Fewest common lines, with two real values each: a single mode has four unknowns.
+# Minimum number of common lines, with two real values each: a single mode has four unknowns.
 _MIN_LINES = 8
 
 

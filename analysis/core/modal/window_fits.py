@@ -51,7 +51,7 @@ class IdentifiedPoles(NamedTuple):
     residue: ComplexArray  # shape (responses, modes)
     frequency_std: Array  # standard uncertainties [Hz]
     damping_std: Array  # standard uncertainties
-    model_error: float  # largest model error of the windows; 0 if noise explains the residuals
+    model_error: float  # largest model error of the windows; 0 if the residuals are consistent with noise
     rejected: list[float]  # frequencies of poles whose damping or height is not determined [Hz]
     uncertain: list[UncertainMode]  # poles that parts of the lines do not confirm
     value: ComplexArray  # fitted or measured curves [m/N], shape (responses, lines)

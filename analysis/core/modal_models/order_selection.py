@@ -23,7 +23,7 @@ from analysis.core.modal_models.pole_residue import (
 )
 from rig.core.base.arrays import Array, ComplexArray
 
-# Largest number of modes inside the band; the time of a fit increases with its cube.
+# Maximum number of modes inside the band; the time of a fit increases with its cube.
 MAX_MODES = 12
 # The residuals need at least this number of degrees of freedom; with fewer, a model fits any data.
 _MIN_DEGREES = 8
@@ -146,8 +146,8 @@ def _with_best_added_pole(curves: Curves, current: ModalModel, candidates: Compl
 
 
 def _best_pair(curves: Curves, empty: ModalModel, candidates: ComplexArray) -> ModalModel | None:
-    """Return a model with two poles that are significant together; None if there is none or if noise explains all."""
-    # Next to the flank of another mode, a single pole reduces the misfit too little to be significant.
+    """Return a model with two poles that are significant together; None if there is none or if all is noise."""
+    # On the side of the peak of another mode, a single pole reduces the misfit too little to be significant.
     if empty.misfit <= _MAX_NOISE_RATIO * curves.degrees_of_freedom(0):
         return None
     single = fit(curves, candidates[[np.argmin(misfits_with(curves, empty.poles, candidates))]])
@@ -156,7 +156,7 @@ def _best_pair(curves: Curves, empty: ModalModel, candidates: ComplexArray) -> M
 
 
 def is_significant(curves: Curves, smaller: ModalModel, larger: ModalModel) -> bool:
-    """Return whether the additional poles of the larger model reduce the misfit by more than noise explains."""
+    """Return whether the additional poles of the larger model reduce the misfit by more than noise does."""
     return smaller.misfit - larger.misfit > _reduction_by_noise(curves, larger, smaller.poles.size)
 
 

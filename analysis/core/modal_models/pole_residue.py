@@ -23,7 +23,7 @@ MAX_EVALUATIONS = 25
 UPPER_TERMS = 3
 # At least this number of lines is needed for all terms of the series; fewer lines determine only the first term.
 _MIN_LINES = 20
-# Elements of the weighted terms of the responses in memory at a time: 64 MB of complex values.
+# Maximum number of elements of the weighted terms in memory at a time: 64 MB of complex values.
 _MAX_ELEMENTS = 1 << 22
 # The remainder of a unit column after orthogonalization is a rounding error if its squared norm is below this value.
 _ROUNDING = 1e-20
@@ -35,7 +35,7 @@ class Curves:
 
     frequency: Array  # Hz, ascending, shape (n,)
     value: ComplexArray  # compliances [m/N], shape (responses, n)
-    weight: Array  # inverse standard deviations of real and imaginary part, shape (responses, n)
+    weight: Array  # inverse standard deviations of the real and of the imaginary part, shape (responses, n)
     shared: float = 1.0  # number of neighboring lines with a common error
     resolution: float = 0.0  # noise bandwidth of each line [Hz]; 0 without leakage
     references: int = 1  # number of inputs of the responses
@@ -122,7 +122,7 @@ def residual_terms(s: NDArray[np.complexfloating]) -> list[NDArray[np.complexflo
     """Return the residual terms, each with a real factor in the model: the first terms of series in 1/s and in s.
 
     Below its natural frequency w, a mode ``R / (s² + 2 ζ w s + w²)`` changes by about ``(s/w)²``, and its damping
-    rotates the phase by ``2 ζ s/w``. Fewer terms would bias the damping of a peak that is measured only on its flank or
+    rotates the phase by ``2 ζ s/w``. Fewer terms would bias the damping of a peak that is measured only on one side or
     with much noise.
     """
     return [1.0 / s**2, *(s**power for power in range(UPPER_TERMS))]

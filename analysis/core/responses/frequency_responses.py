@@ -70,12 +70,12 @@ def frequency_responses(
     if unused:
         has_responses = kind.drives and kind is not TestKind.NONE
         method = own_estimator.method if has_responses else rec.test.name
-        raise SceneError(f"{rec.path}: {unused} has no effect ({method}). Leave it out.")
+        raise SceneError(f"{rec.path}: {unused} has no effect ({method}). Omit it.")
     measured = [marker for marker in rec.markers if marker.kind == "measure"]
     if kind.marked and not measured:
         raise RecordingError(f"{rec.path}: the test ended before its first measurement. Record it again.")
     if (level is not None or direction is not None) and not kind.steady and kind is not TestKind.NONE:
-        raise SceneError(f"{rec.path}: no sweeps of steady tones to choose from. Leave out level and direction.")
+        raise SceneError(f"{rec.path}: no sweeps of steady tones to choose from. Omit level and direction.")
     reference = reference or default_reference(rec)
     relative = relative_forces(rec) if reference == "force" else []
     forces = strong_forces(relative)

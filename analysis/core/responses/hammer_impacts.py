@@ -29,7 +29,7 @@ _MAX_REST_RATIO = 2e-3
 _DETECTION_SIGMAS = 4.0
 # Smallest accepted ratio of the largest force within an impact's marker to the largest force until the next impact.
 _MIN_MARKED_RATIO = 0.5
-# Smallest detected rebound, relative to the force within the marker; smaller ones hardly change the spectrum.
+# Smallest detected rebound, relative to the force within the marker; smaller ones are negligible in the spectrum.
 _MIN_REBOUND_RATIO = 0.05
 # The force of a rebound must also be at least this multiple of the noise, the median change between samples.
 _REBOUND_SIGMAS = 8.0
@@ -155,7 +155,7 @@ class HammerImpacts:
         return isolated
 
     def highest_frequency(self, rec: Recording) -> float:
-        """Compute the highest frequency that the impacts excite, Hz, but at most 40 % of the sample rate."""
+        """Compute the highest frequency that the impacts excite [Hz], but at most 40 % of the sample rate."""
         size = fft.next_fast_len(int(0.2 * rec.rate) + 64, real=True)
         power = np.zeros(size // 2 + 1)
         for begin, end in self.arrivals:

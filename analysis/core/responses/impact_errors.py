@@ -19,8 +19,8 @@ from rig.core.base.arrays import Array, ComplexArray
 
 # Number of parts of the force window with independent noise.
 _NOISE_PARTS = 16
-# Coarser converters, as which the readings are rounded again: step in counts, and mean square of the change that this
-# causes, relative to the mean square of the original rounding error (1/12).
+# The readings are rounded again to coarser steps, to estimate the effect of rounding: step in counts, and mean square
+# of the change, relative to that of the original rounding error (1/12 count²).
 _COARSER_CONVERTERS = ((2.0, 6.0), (3.0, 8.0))
 # Signals below this number of counts are rounded again only if they contain noise, which acts as dither.
 _MIN_COUNTS = 6.0

@@ -17,7 +17,7 @@ from rig.core.base.errors import RecordingError
 
 # A window is divided into at most this number of parts; their scatter determines the uncertainty of the mean.
 PARTS = 20
-# Samples per matrix product, so few that they and the terms of the fit are cached in a processor core.
+# Number of samples per matrix product: they and the terms of the fit are cached in a processor core.
 _SAMPLES_PER_PRODUCT = 2048
 
 

@@ -2,8 +2,8 @@
 
 A *realization* is a measurement of several periods with one set of random phases. *Distortion* is the difference
 between the response of a nonlinear structure and its best linear approximation. With several inputs, a realization
-consists of as many *experiments*, with mutually orthogonal phases, so the matrix of inputs can be inverted at each
-line [1]_: a sum of the experiments is due to each input alone.
+consists of as many *experiments*, with mutually orthogonal phases. The matrix of inputs is then invertible at each line
+[1]_, which separates the contributions of the inputs.
 
 References
 ----------
@@ -52,8 +52,8 @@ ONE_REALIZATION = (
     "Measure several realizations (test: realisations)."
 )
 LIFTED = (
-    "Dampers may leave the floor at this level, although the realizations scatter no more than noise: the uncertainty "
-    "excludes distortion that is equal in every realization. Use stepped sine for the response to steady tones."
+    "Dampers may leave the floor at this level. The realizations scatter no more than noise, but the uncertainty does "
+    "not include distortion that is equal in every realization. Use stepped sine for the response to steady tones."
 )
 # Assumed crest factor of a sum of tones, limited by the sum of their amplitudes.
 _CREST_FACTOR = 4.0

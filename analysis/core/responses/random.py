@@ -105,7 +105,7 @@ def averaged_spectra(
     if burst_block is None:
         notes.append(
             f"Blocks of {block_s:.3g} s resolve {resolution:.3g} Hz: narrower peaks appear wider and lower, within "
-            "the stated leakage. Leave out `estimator`, `block`, `overlap` and `window` for a response without leakage."
+            "the stated leakage. Omit `estimator`, `block`, `overlap` and `window` for a response without leakage."
         )
     elif has_leakage:
         notes.append(

@@ -333,7 +333,7 @@ def _with_motion_before(frf: Response, prior_motion: Sequence[float]) -> Respons
         "curve. Hit the structure at rest, start recording earlier, or record several impacts in a row."
     )
     # The spectrum of a free decay has the shape of a resonance. Every line is therefore treated as a resonance with the
-    # magnitude of the response at this line, whose flanks decrease with the distance from the line.
+    # magnitude of the response at this line, whose sides decrease with the distance from the line.
     to_acceleration = (2.0 * np.pi * frf.frequency) ** {"displacement": 2, "velocity": 1, "acceleration": 0}[frf.motion]
     skirt = 1.0 / (np.pi * (np.abs(np.arange(1 - frf.value.size, frf.value.size)) + 1.0))
     accelerance = abs(frf.value) * to_acceleration

@@ -199,7 +199,7 @@ def _terms(frequencies: Sequence[float], rate: float, window: tuple[int, int], f
 
 
 def sweep_name(rec: Recording, key: _SweepKey) -> str:
-    """Describe level and direction of a sweep; a level of the drive is stated without its unit (V, m or N)."""
+    """Describe level and direction of a sweep; a level of the drive is stated without its unit [V, m or N]."""
     level, direction = key
     test = rec.scene.test
     if test is None or test.held_motion is None:

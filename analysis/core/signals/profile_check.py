@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 _NOTCH_DB = 1.5
 # An excess below this value [dB] is noise.
 _SMALLEST_EXCESS_DB = 0.05
-# Periods of a window for the amplitude of a sweep: fewer do not separate harmonics, more blur the sweep.
+# Number of periods of a window for the amplitude of a sweep: fewer do not separate harmonics, more blur the sweep.
 _PERIODS = 4.0
 _OUTSIDE_COLOR = "#222222"
 # Independent averages per segment, for half-overlapping segments with a Hann window.

@@ -45,7 +45,7 @@ _CORRECTED_RATIO = 0.1
 _MAX_LOST_FRACTION = 0.01
 # Memory of the computation, in multiples of the memory of the samples (measured): half of it is inside the transform.
 _COPIES = 15.0
-# Largest number of natural frequencies.
+# Maximum number of natural frequencies.
 _MAX_FREQUENCIES = 10_000
 
 
@@ -206,7 +206,7 @@ def scatter_text(spectra: Sequence[Sequence[ShockSpectrum]]) -> str:
     """Write by how much the spectra of several shocks differ at most; `spectra`: those of each channel."""
     if len(spectra[0]) < 2:
         return "a single shock"
-    # A dead channel has a spectrum of zeros, which does not differ.
+    # A failed channel has a spectrum of zeros, which does not differ.
     smallest = np.finfo(float).tiny
     ratios = [
         np.ptp([each.maximax for each in shocks], axis=0) / np.maximum(shocks[0].maximax, smallest)
@@ -216,7 +216,7 @@ def scatter_text(spectra: Sequence[Sequence[ShockSpectrum]]) -> str:
 
 
 def prescribed_spectrum(rec: Recording, q: float, frequency: Array) -> tuple[Array, Array] | None:
-    """Return natural frequencies (Hz) and maximax spectrum (m/s²) of the pulse of the test; None without a pulse."""
+    """Return natural frequencies [Hz] and maximax spectrum [m/s²] of the pulse of the test; None without a pulse."""
     test = rec.scene.test
     span = 0.0 if test is None else test.shortest
     time = np.asarray((np.arange(ceil(span * rec.rate)) / rec.rate) - 0.5 * span, dtype=np.float64)

@@ -250,7 +250,7 @@ def continuation(rec: Recording) -> AmplitudeCurve:
         drive_is_force = rec.scene.driven_shaker is not None and rec.scene.driven_shaker.drive_is_force
         uncertain = response.without(SENSITIVITY) if drive_is_force else response
         force_error = uncertain.expanded()[:, motion.output, 0] / abs(compliance) + FORCE_TOLERANCE
-        # Change of the frequency per relative change of the force at constant amplitude, as on the flank of a mode.
+        # Change of the frequency per relative change of the force at constant amplitude, as on the side of a resonance.
         decay_rate = np.array([float(fields[FOLLOWED_CURVE.field]) for fields in points]) / (2.0 * np.pi)
         per_force = decay_rate * abs(compliance) / np.maximum(abs(compliance.real), 1e-3 * abs(compliance))
         bound = force_error * per_force

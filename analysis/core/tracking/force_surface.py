@@ -2,8 +2,8 @@
 
 At one frequency the force is a single-valued function of the amplitude, even if several amplitudes belong to one force.
 Curves of constant force, with their unstable parts, follow from this function. (T. Karaagacli, H. N. Ozguven, Vibration
-3 (2020) 266.) Real and imaginary part of the dynamic stiffness are interpolated over the amplitude, because they are
-smoother than the force.
+3 (2020) 266.) The real and imaginary parts of the dynamic stiffness are interpolated over the amplitude, because they
+are smoother than the force.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from daq.core.recording.recording import Recording
 
-# Fewest amplitudes at one frequency for interpolation by a curve instead of a straight line.
+# Minimum number of amplitudes at one frequency for interpolation by a curve instead of a straight line.
 _MIN_AMPLITUDES = 3
 # Successive amplitudes belong to the same held level if they differ by less than this fraction.
 _LEVEL_STEP = 0.02
@@ -124,7 +124,7 @@ class ForceSurface(Result):
         return {name: np.array(column) for name, column in zip(names, columns, strict=True)}
 
     def folds(self, force: float) -> list[tuple[float, float]]:
-        """Return frequency (Hz) and amplitude (m) of the folds of the response at constant force.
+        """Return frequency [Hz] and amplitude [m] of the folds of the response at constant force.
 
         At a fold the force has a maximum or minimum with respect to the amplitude. Maxima and minima are interpolated
         linearly from one measured frequency to the next.

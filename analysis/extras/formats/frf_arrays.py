@@ -30,7 +30,7 @@ _FREQUENCY_FACTORS = (
 _UNIT = re.compile(r"(?!(frequency|freq|x|time)[._@]?units?)(.*[._@])?(units?|y_values\.quantity\.label)")
 # Name of a cross spectrum.
 _SPECTRUM = re.compile(r"spec|csd|cpsd", re.IGNORECASE)
-# Fewest complex values of a response; a shorter array is more likely a setting than a response.
+# Minimum number of complex values of a response; a shorter array is more likely a setting than a response.
 _MIN_LINES = 4
 
 
@@ -66,7 +66,7 @@ def response_arrays(path: Path) -> ResponseArrays:
     if len(spectra) < len(complex_arrays):
         complex_arrays = {name: array for name, array in complex_arrays.items() if name not in spectra}
         if spectra:
-            warn(f"{path}: cross spectra are left out: {', '.join(spectra)}")
+            warn(f"{path}: cross spectra are omitted: {', '.join(spectra)}")
     lengths = {max(array.shape) for array in complex_arrays.values()}
     if len(lengths) > 1:
         raise RecordingError(

@@ -117,7 +117,7 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
     if file.suffix.lower() in (".uff", ".unv"):
         return _checked(_from_uff(file, reference, unit))
     if reference is not None:
-        raise SceneError(f"{file}: this file has no references to choose from. Leave out the reference {reference!r}.")
+        raise SceneError(f"{file}: this file has no references to choose from. Omit the reference {reference!r}.")
     if file.suffix.lower() in _ARRAY_ENDINGS:
         return _checked(_from_arrays(file, unit))
     try:
@@ -170,7 +170,7 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
         if not np.iscomplexobj(data) or data.size != frequency.size:
             raise RecordingError(
                 f"{path}: {name} is not a complex value for each frequency. Export the response as complex values "
-                "(real and imaginary part)."
+                "(real and imaginary parts)."
             )
         # The unit of the ratio follows from the axis labels.
         numerator, denominator = uff.label(data_set, "ordinate"), uff.label(data_set, "orddenom")
@@ -365,7 +365,7 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
     missing = f"{'; '.join(incomplete)}; expected real and imag, or magnitude and phase. Export both."
     if not curves:
         raise RecordingError(f"{path}: {missing}")
-    return [curve.warn(f"A response is left out: {missing}") for curve in curves] if incomplete else curves
+    return [curve.warn(f"A response is omitted: {missing}") for curve in curves] if incomplete else curves
 
 
 def _linear_magnitude(where: str, unit: str, magnitude: Array) -> tuple[str, Array]:

@@ -13,7 +13,7 @@ from rig.core.base.errors import SceneError
 from rig.core.base.output_files import temporary_folder
 from rig.core.results.universal_file import QUANTITY_NUMBERS, text_line, universal_file, write_set
 
-# Most samples of a channel: 340 MB of text.
+# Maximum number of samples of a channel: 340 MB of text.
 MAX_TEXT_SAMPLES = 1 << 24
 
 

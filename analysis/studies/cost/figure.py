@@ -55,7 +55,7 @@ def table(study: ChainStudy) -> str:
 
 
 def _milliseconds(point: Measurement) -> str:
-    """Format the CPU time per second of test, ms."""
+    """Format the CPU time per second of test [ms]."""
     return f"{1e3 * point.cpu / point.duration:.3g}"
 
 

@@ -41,7 +41,7 @@ MAX_WAIT_DECAY_TIMES = 10.0
 MIN_TIMEOUT_S = 20.0
 #: The wait for steady state ends after this time [s].
 MAX_TIMEOUT_S = 60.0
-#: Periods in a measurement.
+#: Number of periods in a measurement.
 PERIODS = 50
 #: Each recording is repeated this many times; the shortest time is reported.
 REPEATS = 2

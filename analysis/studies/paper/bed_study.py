@@ -63,11 +63,11 @@ SHAKEN_MASS_RATIO = 1e-3
 DAMPING = 0.005
 #: Ratio of the mass of the bed to the mass of the body whose compliance is reported.
 DAMPED_MASS_RATIO = 0.1
-#: Periods in a block without a ceiling; the last two of three blocks are averaged.
+#: Number of periods in a block without a ceiling; the last two of three blocks are averaged.
 BLOCK_PERIODS = 6
-#: Periods in a block below a ceiling. Grains that hit a ceiling rearrange for tens of periods, most of all in deep
-#: beds. At 7 g and 2 mm, six layers dissipated per period 10 times the bed's weight times 1 mm in the first 18 periods,
-#: but 7 times in the first 60 periods.
+#: Number of periods in a block below a ceiling. Grains that hit a ceiling rearrange for tens of periods, most of all in
+#: deep beds. At 7 g and 2 mm, six layers dissipated per period 10 times the bed's weight times 1 mm in the first 18
+#: periods, but 7 times in the first 60 periods.
 BLOCK_PERIODS_WITH_CEILING = 20
 #: Young's modulus of the grains [Pa].
 MODULUS_PA = 1e8

@@ -42,7 +42,7 @@ SHARES = tuple(np.round(np.arange(0.5, 1.001, 0.05), 2).tolist())
 _SETTLING_PERIODS = 40
 #: Number of periods over which results are averaged.
 _AVERAGED_PERIODS = 40
-#: Samples in a period.
+#: Number of samples in a period.
 _SAMPLES_PER_PERIOD = 128
 TABLE = Table(
     ("level", "clearance_m", "restitution", "duration_s", "energy", "ceiling_impulse"),

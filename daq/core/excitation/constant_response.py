@@ -33,7 +33,7 @@ _AMPLITUDE_WAIT_S = 15.0
 _MIN_WAIT_S = 1.0
 # A drive above this fraction of the amplifier's limit counts as limited: the control needs some reserve.
 AT_LIMIT_RATIO = 0.99
-# Points of a test on the bench page: a form has no list of frequencies.
+# Number of points of a test on the bench page: a form has no list of frequencies.
 _FORM_POINTS = 40
 
 
@@ -47,7 +47,7 @@ class HeldMotion(EnvelopeTone):
         self._order, self._level, self.target = test.held_motion[1], 0.0, 0.0
         # Frequencies [Hz] with the amplifier at its limit, and the largest amplitude there relative to the level.
         self.limited: dict[float, float] = {}
-        # Open-loop growth rate (1/s) and dead time (s) of the orbits that the control lost.
+        # Open-loop growth rate [1/s] and dead time [s] of each orbit that the control failed to stabilize.
         self.lost: list[tuple[float, float]] = []
 
     def start(self, level: float) -> float:

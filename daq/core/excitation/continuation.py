@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 _BEGIN_RATIO = 0.8
 # Largest relative deviation of the force from the level: small against the change of force along the curve.
 _TOLERANCE = 0.002
-# Holds that correct a point; more are needed only where the curve is lost.
+# Maximum number of holds that correct a point; more are needed only if the control has lost the curve.
 _MAX_CORRECTIONS = 8
 # Smallest assumed slope of ln(force) along the normal; it limits the distance to the next hold.
 _MIN_SLOPE = 0.05
@@ -55,9 +55,9 @@ _MIN_SLOPE = 0.05
 # correction converges from a closer start.
 _SHORTER = 0.5
 _SHORTEST = 1.0 / 16.0
-# A step with feedback whose direction differs by more than this angle [rad] from that of the last step is repeated with
-# a shorter length, down to this fraction: the direction of shorter steps is determined by noise.
+# A step with feedback that turns the curve by more than this angle [rad] is repeated with a shorter length.
 _MAX_TURN = 0.25
+# Smallest length of such a step, as a fraction of `test.step`: noise determines the direction of shorter steps.
 _SHORTEST_TURN = 0.125
 # The frequency changes in a step by at most this fraction of the band, and by half of the fraction before the mode is
 # known.
@@ -72,13 +72,13 @@ _JUMP_RATIO = 2.0
 _MAX_RETURN_DEVIATION = 0.05
 # Lengths of the steps over a gap in the curve, in units of the length of a step.
 _LEAPS = 1.0, 2.0, 4.0
-# Behind a corner of the curve, the frequency changes by this fraction of a step at a time: the motion behind the corner
-# is not known.
+# Beyond a corner of the curve (grazing impacts), the frequency changes by this fraction of a step at a time, because
+# the response there cannot be extrapolated.
 _CORNER_RATIO = 0.25
-# Changes of this kind in succession; more occur only where the curve is lost.
+# Maximum number of such changes in succession; more occur only if the curve is lost.
 _MAX_CORNER_STEPS = 12
-# Duration of these changes, in units of 1 / |l|: their transients hardly leave the motion, which is stable only in the
-# vicinity of a corner.
+# Duration of each of these changes, in units of 1 / |l|: the transients of slow changes are small, and the motion near
+# a corner is stable only against small transients.
 _CORNER_DURATION = 20.0
 # Feedback that changes the drive by more than this fraction (rms) indicates a motion that does not repeat; noise
 # changes the drive less.

@@ -1,4 +1,4 @@
-"""The force (N) or displacement (m) that a controller keeps at its level, computed from channels.
+"""The force [N] or displacement [m] that a controller keeps at its level, computed from channels.
 
 Few benches measure the force of a coil spring. It is computed as k0 (x0 - x1) from the displacements x0 of the table
 and x1 of the structure. In general, a controlled quantity is therefore a weighted sum of channels.
@@ -20,7 +20,7 @@ _MOTION = "the motion", "a test of kind stepped_sine"
 
 @dataclass(frozen=True)
 class Controlled:
-    """A force (N) or displacement (m) as the weighted sum of channels."""
+    """A force [N] or displacement [m] as the weighted sum of channels."""
 
     station: Station
     rows: tuple[int, ...]  # rows of the readings

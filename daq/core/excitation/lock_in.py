@@ -69,7 +69,7 @@ def whole_periods(frequency: float, rate: float, shortest_s: float) -> int:
 # Cached, because a test uses only a few window lengths per frequency.
 @lru_cache(maxsize=8)
 def lock_in_weights(frequencies: tuple[float, ...], rate: float, samples: int) -> Array:
-    """Return the least-squares weights of the samples for real and imaginary part of each amplitude.
+    """Return the least-squares weights of the samples for the real and imaginary parts of each amplitude.
 
     The result has the shape (2 tones, samples).
     """
@@ -84,7 +84,7 @@ def lock_in_of_signals(frequency: float, rate: float, signals: ComplexArray) -> 
     """Return the amplitudes of one tone that the lock-in estimates in a window of complex signals, and its noise gain.
 
     `signals`: shape (samples, signals). The noise gain is the ratio of the standard deviation of the amplitude to that
-    of white noise in each sample, where the variance of the amplitude is the sum over real and imaginary part.
+    of white noise in each sample, where the variance of the amplitude is the sum over the real and imaginary parts.
     """
     n_samples = len(signals)
     model = _model((frequency,), rate, n_samples, 0, n_samples)
@@ -129,7 +129,7 @@ def _model(frequencies: Sequence[float], rate: float, samples: int, first: int, 
 
 
 def _amplitude_parts(samples: Array, frequencies: Sequence[float], rate: float) -> Array:
-    """Return real and imaginary part of each amplitude in a long window, read in pieces; (channels, 2 tones)."""
+    """Return the real and imaginary parts of each amplitude in a long window, read in pieces; (channels, 2 tones)."""
     n_samples = samples.shape[1]
     normal, projection = 0.0, 0.0
     for first in range(0, n_samples, _PIECE_SAMPLES):

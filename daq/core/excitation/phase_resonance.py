@@ -26,13 +26,13 @@ if TYPE_CHECKING:
     from rig.core.scene.excitation.kind import KindOfTest
     from rig.core.scene.scene import Scene
 
-# Successive windows within the tolerance if the phase is locked; the frequency is averaged over them.
+# Number of successive windows within the tolerance that lock the phase; the frequency is averaged over them.
 _LOCKED_WINDOWS = 8
 # Largest mean deviation of a locked phase, relative to the tolerance, which its own scatter must not reach.
 _LOCKED_RATIO = 0.7
-# Largest number of locks at a level: the phase can leave the tolerance again while the frequency is constant.
+# Maximum number of locks at a level: the phase can leave the tolerance again while the frequency is constant.
 _MAX_LOCKS = 4
-# Changes of the drive at a level; more are needed only if the force jumps.
+# Maximum number of changes of the drive at a level; more are needed only if the force jumps.
 _MAX_DRIVES = 12
 # Smallest force [counts of the converter] whose phase is determined, above the steps of quantization.
 _MIN_COUNTS = 2.0

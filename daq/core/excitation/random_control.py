@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _FIRST_AVERAGES = 16
 # Fraction of lines within the tolerance that continues the ramp: few averages put the others outside by chance.
 _MIN_WITHIN = 0.9
-# Updates at a level of the ramp; more are needed only if the spectrum cannot be reached.
+# Maximum number of updates at a level of the ramp; more are needed only if the spectrum cannot be reached.
 _MAX_UPDATES = 12
 # Fraction of the drive samples that the output may clip.
 _MAX_CLIPPED = 0.01

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _MAX_PRACTICE = 3
 # Highest frequency of the drive relative to the sample rate, below the transition band of the converter.
 _BAND_RATIO = 0.4
-# Fewest samples in a half sine; with fewer, its peak lies between two samples.
+# Minimum number of samples in a half sine; with fewer, its peak lies between two samples.
 _MIN_SAMPLES = 6
 # Deviations that grow by this factor do not converge: the drive does not compensate vibration of earlier pulses.
 _GROWTH = 1.2

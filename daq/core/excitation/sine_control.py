@@ -94,8 +94,8 @@ class Caution:
         """Return the factor of the gain for the next error."""
         is_oscillating = error * self._swing < 0.0 and abs(error - self._swing) > _OSCILLATION
         self._factor = max(self._factor * _REDUCTION, _SMALLEST) if is_oscillating else self._factor**_RECOVERY
-        # The error after a swing is the next swing, however small: otherwise a large first error would be compared with
-        # all later errors, and the gain would remain at its smallest value.
+        # After a change of sign, the error is the new reference, however small: if all errors were compared with a
+        # large first error, the gain would remain at its smallest value.
         if is_oscillating or abs(error) > _MIN_SWING * abs(self._swing):
             self._swing = error
         return self._factor
@@ -143,7 +143,7 @@ class SineSweep:
         self._phases = np.concatenate([self._phases, phase[:-1]])[-length:]
 
     def observe(self, frequency: float) -> Array | None:
-        """Return the accelerations' amplitudes in the last periods, m/s^2; None before enough periods."""
+        """Return the accelerations' amplitudes in the last periods [m/s²]; None before enough periods."""
         length, latency = _observation_samples(frequency, self.station.rate), self.station.latency
         if self._phases.size < length + latency:
             return None
@@ -156,7 +156,7 @@ class SineSweep:
         ])  # fmt: skip
 
     def step(self, frequency: float, samples: int) -> Generator[Array, Array, Observation | None]:
-        """Output a window with the present drive, observe, and update the drive of the next window."""
+        """Output a window with the current drive, observe, and update the drive of the next window."""
         amplitudes = self.observe(frequency)
         drive, observation = self.drive, None
         if amplitudes is not None:

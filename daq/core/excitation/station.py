@@ -72,7 +72,7 @@ class Station:
 
     @property
     def drive_level(self) -> float:
-        """Level of a test without a controller, in the unit of the drive (V, m or N)."""
+        """Level of a test without a controller, in the unit of the drive [V, m or N]."""
         assert not self.is_controlled, "the level is not a drive: control it, or set level_keys = ('drive',)"
         return self.level
 
@@ -141,7 +141,7 @@ class Station:
 
     @property
     def output_limit(self) -> float:
-        """Largest drive within the ranges of the amplifier and of the output; V, m, N or m/s^2."""
+        """Largest drive within the ranges of the amplifier and of the output; V, m, N or m/s²."""
         shaker = self.scene.driven_shaker
         volts = None if shaker is None else complete_from_preset(shaker.output).range
         if shaker is None or volts is None:
@@ -164,7 +164,7 @@ class Station:
         return next(row for row, info in enumerate(self.channels) if info.name == channel)
 
     def acceleration_factor(self, row: int, frequency: Array | float) -> ComplexArray:
-        """Return the factor from a channel's complex amplitude to its acceleration in m/s^2, at frequencies in Hz."""
+        """Return the factor from a channel's complex amplitude to its acceleration in m/s², at frequencies in Hz."""
         omega = 2j * np.pi * np.asarray(frequency, dtype=float)
         return np.asarray(self.displacement_factor(row, frequency) * omega**2)
 

@@ -97,7 +97,7 @@ def expected_wait(scene: Scene, longest: float) -> float:
 def extrapolate_drive(last_drives: Sequence[tuple[float, float]], frequency: float) -> float:
     """Extrapolate the drive to a frequency in Hz by a parabola through the logarithms of the last three drives.
 
-    `last_drives`: pairs of frequency (Hz) and drive. Returns the last drive if the extrapolated change is large.
+    `last_drives`: pairs of frequency [Hz] and drive. Returns the last drive if the extrapolated change is large.
 
     >>> round(extrapolate_drive([(10.0, 1.0), (11.0, 1.1), (12.0, 1.2)], 13.0), 3)
     1.298

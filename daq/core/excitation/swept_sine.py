@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from rig.core.scene.excitation.kind import KindOfTest
 
 
-# Periods between updates of the drive for a controlled force; fewer do not determine the amplitude.
+# Number of periods between updates of the drive for a controlled force; fewer do not determine the amplitude.
 _WINDOW_PERIODS = 0.5
 # The drive is updated after at least this number of samples, from which an amplitude and a phase can be estimated.
 _MIN_WINDOW_SAMPLES = 4
@@ -102,7 +102,7 @@ class LevelMonitor:
     def __init__(self, station: Station, level: float) -> None:
         self._station, self._level = station, level
         self.lowest = self.highest = 1.0
-        # Present interval: first sample, sample after the last, largest force / level, and its frequency [Hz].
+        # Current interval: first sample, sample after the last, largest force / level, and its frequency [Hz].
         self._interval: tuple[int, int, float, float] | None = None
         self._worst = (1.0, 0.0)  # largest deviation of all intervals as force / level, and its frequency [Hz]
         self._samples = self._intervals = 0  # total length and number of the marked intervals
@@ -138,7 +138,7 @@ class LevelMonitor:
             )
 
     def _end_interval(self) -> None:
-        """Mark the present interval."""
+        """Mark the current interval."""
         assert self._interval is not None
         first, stop, worst, worst_frequency = self._interval
         self._station.mark("level", first, stop, worst=worst, frequency=worst_frequency, level=self._level)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 # This level compresses messages as much as zstd's default level 3, in 60 % of the time.
 _LEVEL = 1
 # Sizes of the hash tables, log2. A table that fits into the first-level cache of a processor is faster than the default
-# table of the level. Noisy counts and float32 samples hardly contain repeated sequences of bytes. A short search for
+# table of the level. Noisy counts and float32 samples rarely contain repeated sequences of bytes. A short search for
 # long sequences takes half the time and compresses 24-bit counts to 61 % instead of 57 %. Unpacking takes 75 % of the
 # time.
 _HASH_LOG = 12

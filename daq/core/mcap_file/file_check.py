@@ -58,7 +58,7 @@ class _Check:
     """The check of one file."""
 
     def __init__(self, container: Container) -> None:
-        self.position = 0  # position of the first byte of the present record
+        self.position = 0  # position of the first byte of the current record
         self._file = container
         # Files of shotrig have a checksum for every record and a complete summary; those of other programs may not.
         self._is_own_file = container.checksums_needed

@@ -24,7 +24,7 @@ _CHECK_INTERVAL_S = 0.1
 _CONTROL_CHECK_INTERVAL_S = 0.5
 # A test ends if a control channel is overloaded for longer than this value [s].
 _MAX_OVERLOAD_S = 1.0
-# Longest time from an overload to a test that gives up because of it [s]: tests wait some seconds before.
+# Maximum time between an overload and an abort that it may have caused [s]: tests wait some seconds before.
 _RECENT_S = 10.0
 # The settling of a sensor is simulated for at most this time; afterwards, the bias is assumed to be constant [s].
 _MAX_SETTLING_S = 60.0
@@ -142,12 +142,12 @@ class Limits:
 
 
 class ControlLoss:
-    """Monitors the overloads of the channels whose readings a controller uses: a clipped channel does not measure."""
+    """Detects a control channel that is overloaded for too long: the controller then has no valid feedback."""
 
     def __init__(self, scene: Scene, channels: Sequence[ChannelInfo]) -> None:
         self._rows = [row for row, info in enumerate(channels) if info.at in scene.controlled_terms]
         self._scene, self._channels = scene, channels
-        self._overload_start: int | None = None  # first sample of the present overload
+        self._overload_start: int | None = None  # first sample of the current overload
         self._latest: dict[int, int] = {}  # sample after the last overload, by row
 
     def watch(self, first: int, flags: NDArray[np.bool_]) -> str | None:
@@ -168,7 +168,7 @@ class ControlLoss:
         )
 
     def describe(self, reason: str, now: int) -> str:
-        """Return the reason why a test gave up, behind a recent overload, which can be its cause; `now`: sample."""
+        """Return the reason of an abort, preceded by a recent overload, which may be its cause; `now`: sample."""
         rows = [row for row, stop in self._latest.items() if now - stop < _RECENT_S * self._channels[row].rate]
         if not rows:
             return reason
@@ -186,7 +186,7 @@ class ControlLoss:
 
 
 def bias_overload(scene: Scene, row: int, seconds: float) -> str | None:
-    """Return a message if the bias of the sensor in a `row` overloads its resting input after `seconds`; else None."""
+    """Return a message if the sensor bias of a channel overloads its input after `seconds` at rest; otherwise None."""
     channel = None if scene.channels is None else scene.channels[row]
     if channel is None or channel.accelerometer is None:
         return None

@@ -19,7 +19,7 @@ from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.open_loop_drive import accelerations_per_level
 from rig.core.system.structural_model import structural_model
 
-# Modes that a text lists; a longer list would hide the remedy.
+# Maximum number of modes that a text lists; a longer list would hide the remedy.
 _MAX_LISTED_MODES = 5
 
 
@@ -32,7 +32,7 @@ def onset_level(scene: Scene, system: HybridSystem) -> float:
 
 
 def _acceleration_per_level(scene: Scene, system: HybridSystem, frequencies: Array) -> Array:
-    """Return the acceleration amplitude under resting dampers per level, m/s^2; (dampers, frequencies) or empty."""
+    """Return the acceleration amplitude under resting dampers per level [m/s²]; (dampers, frequencies) or empty."""
     if not system.dampers or scene.test is None or not scene.test.single_tone:
         return np.zeros((0, 0))
     try:
@@ -42,7 +42,7 @@ def _acceleration_per_level(scene: Scene, system: HybridSystem, frequencies: Arr
 
 
 def flying_tones(scene: Scene, system: HybridSystem, level: float, tones: Array) -> NDArray[np.bool_]:
-    """Return for each tone, Hz, whether the linear response makes a damper fly; `level`: level of the tones."""
+    """Return for each tone [Hz] whether the linear response makes a damper fly; `level`: level of the tones."""
     accelerations = level * _acceleration_per_level(scene, system, tones)
     if not accelerations.size:
         return np.zeros(tones.size, dtype=bool)

@@ -22,7 +22,7 @@ from rig.core.system.structural_model import structural_model
 
 # Largest limit of error of a resolved force, relative to it: beyond it, the 95 % interval nearly includes zero.
 _MAX_ERROR_RATIO = 0.5
-# Frequencies that a warning lists; a longer list would hide the remedy.
+# Maximum number of frequencies that a warning lists; a longer list would hide the remedy.
 _MAX_LISTED = 8
 
 

@@ -50,8 +50,8 @@ _MAX_TIME_RATIO = 1.5
 _LIMITED_DRIVE_RATIO = 0.999
 # If the amplifier clips the drive, the level is reduced by this factor, at most this number of times.
 _LEVEL_REDUCTION, _MAX_LEVEL_REDUCTIONS = 0.1, 3
-# Predicted waits of tones at which dampers ride have a limit of error of this fraction, plus this number of standard
-# deviations of their scatter. Complete rehearsals of 12 scenes differed by 5.5 % on average, at most by 15 %.
+# Limit of error of the predicted settling time of the tones that are not rehearsed: this fraction of it, plus this
+# multiple of its standard deviation. Complete rehearsals of 12 scenes differed by 5.5 %, at most by 15 %.
 _LINEAR_WAIT_ERROR = 0.15
 _WAIT_SIGMAS = 2.5
 # Smallest completed fraction of a test with feedback for an extrapolation of its duration, to ten times.
@@ -137,7 +137,7 @@ class RehearsedTest:
         return next((part.aborted for part in self.parts if part.aborted is not None), None)
 
     def largest(self, quantity: str, row: int) -> tuple[float, float | None, float | None]:
-        """Return the largest magnitude of a quantity in a row, with its frequency (Hz) or else its time (s).
+        """Return the largest magnitude of a quantity in a row, with its frequency [Hz] or else its time [s].
 
         `quantity`: attribute of `Rehearsal`, such as ``readings``; `row`: row of the channel, input or point.
         """
@@ -291,7 +291,7 @@ class _Assessment:
                 )
 
     def _limited_sensors(self) -> Iterable[tuple[Channel, float, float]]:
-        """Yield each channel of an accelerometer with a limit, this limit, and the largest damper impact, m/s^2."""
+        """Yield each channel of an accelerometer with a limit, this limit, and the largest damper impact [m/s²]."""
         closing_speeds = np.max([part.closing_speed for part in self.unlimited_test.parts], axis=0)
         speeds = closing_speeds[self.system.damper_number - 1].tolist()
         for channel in self.scene.channels or ():
@@ -399,7 +399,7 @@ class _Assessment:
         errors = linear.scatter * waits
         flies = [flying_tones(self.scene, self.system, level, order) for level in test.levels] & ~rehearsed
         if flights:
-            # Tones with flying dampers that were not rehearsed are off the peaks, and rarely need the longest waits.
+            # Tones with flying dampers that were not rehearsed are away from the peaks, so few settle slowly.
             expected = np.array([wait.expected for wait in flights])
             waits[flies] = np.maximum(waits[flies], np.exp(np.log(expected).mean()))
             errors[flies] = expected.std()

@@ -1,4 +1,4 @@
-"""Predict the waits of a stepped sine by running its own procedure on the linear response, with all dampers riding.
+"""Predict the waits of a stepped sine by running its own procedure on the linear response, with all dampers at rest.
 
 The procedure, its detector of the steady state and its control of the force are those of the test. Only the tone is
 replaced: between changes of the drive, the transient of each mode decays freely, so the amplitudes in a window are
@@ -36,12 +36,12 @@ _POINTS_PER_PERIOD = 16
 _MAX_CONDITION = 1e13
 # A prediction ends after this number of measuring windows, about 1 s of CPU time.
 _MAX_WINDOWS = 20000
-# A second run with other noise ends when both runs have `_REPEATED_WINDOWS` in total, but has at least
-# `_MIN_REPEATED_WINDOWS`. A mean of four runs would be only 9 % closer to the test, because the test itself has noise,
-# and would take twice the time.
+# The prediction is repeated with other noise until both runs have `_REPEATED_WINDOWS` in total; the second run has at
+# least `_MIN_REPEATED_WINDOWS`. A mean of four runs would be only 9 % closer to the test, because the test itself has
+# noise, and would take twice the time.
 _REPEATED_WINDOWS = 2000
 _MIN_REPEATED_WINDOWS = 500
-# Windows whose noise is drawn at once, to save calls.
+# Number of windows whose noise is drawn at once, to save calls.
 _DRAWN_AT_ONCE = 256
 # Number of windows whose amplitudes are computed at once: about as many as between two changes of the drive.
 _WINDOWS_AT_ONCE = 16
@@ -138,7 +138,7 @@ class _Window(NamedTuple):
 
 @dataclass(frozen=True)
 class _RidingModes:
-    """Modes of the linear system with all dampers riding, and the steady states of the tones of a test."""
+    """Modes of the linear system with all dampers at rest, and the steady states of the tones of a test."""
 
     poles: ComplexArray  # 1/s, (modes,)
     shapes: ComplexArray  # (states, modes)
@@ -199,11 +199,11 @@ class _PredictedTone(SteadyTone):
         # Windows and transitions have the samples of the test, but their response is computed at fewer points.
         self.rate = min(station.rate, _POINTS_PER_PERIOD * max(modes.rows))
         self._modes, self._random = modes, station.generator(f"predicted noise {number}")
-        # Modal coordinates of the transient, relative to the steady state of the present tone: after the last change of
-        # the drive, or before the computed windows if that is later.
+        # Modal coordinates of the transient (deviation from the steady state of the tone): after the last change of the
+        # drive or before the computed windows, whichever is later.
         self._transient = np.zeros(modes.poles.size, dtype=complex)
         self._decay = np.zeros((0, modes.poles.size), dtype=complex)
-        self._window_s = 0.0  # duration of the present windows [s]
+        self._window_s = 0.0  # duration of the current windows [s]
         # Amplitudes in the windows that are computed but not yet observed, the last window first, and the number of
         # windows that have been observed since they were computed.
         self._computed: list[ComplexArray] = []
@@ -259,7 +259,7 @@ class _PredictedTone(SteadyTone):
         return self._decay[: points + 1]
 
     def _steady_coordinates(self) -> ComplexArray:
-        """Return the modal coordinates of the steady state at the present phase."""
+        """Return the modal coordinates of the steady state at the current phase."""
         if self.amplitude == 0.0:
             return np.zeros(self._modes.poles.size, dtype=complex)
         row = self._modes.rows[self.frequency]
@@ -303,7 +303,7 @@ class _PredictedTone(SteadyTone):
         self._computed, self._n_observed = [], 0
 
     def _window(self, samples: int) -> _Window:
-        """Return windows of a given number of samples at the present frequency."""
+        """Return windows of a given number of samples at the current frequency."""
         seconds, row = samples / self.station.rate, self._modes.rows[self.frequency]
         lock_in_gain, noise_gain = lock_in_of_signals(
             self.frequency, self.rate, self._decay_over(self._points(samples))[:-1]

@@ -85,7 +85,7 @@ class Rehearsal(BenchLoop):
     """A test on the bench that is not recorded; only the extremes of each quantity are stored.
 
     The first `excluded_dwells` dwells are run but not evaluated. Each quantity has a row for each channel (`readings`,
-    in its unit), input (`drives`), body and table (`accelerations`, m/s^2), or load of a shaker (`loads`).
+    in its unit), input (`drives`), body and table (`accelerations`, m/s²), or load of a shaker (`loads`).
     """
 
     def __init__(self, scene: Scene, excluded_dwells: int = 0, bench: Bench | None = None) -> None:

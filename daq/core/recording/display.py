@@ -99,7 +99,7 @@ def display_step(rate: float) -> int:
 
 
 class DisplayDecimator:
-    """Filters signals by a low pass, and outputs the samples whose numbers are multiples of `step`.
+    """Filters signals by a low-pass filter, and outputs the samples whose numbers are multiples of `step`.
 
     The filter has linear phase, and its delay is removed: an output is available half a filter length later. Before the
     first and after the last sample, the signal is continued as a constant. `stop` is the index of the next sample,

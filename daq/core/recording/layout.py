@@ -45,7 +45,7 @@ BLOCK_S = 0.1
 MIN_BLOCK_SAMPLES = 256
 # Approximate time between commits to the disk [s]: a killed process loses less.
 FLUSH_S = 0.5
-# Maximum number of groups (samples of `FLUSH_S`) converted for display together; more hardly save time.
+# Maximum number of groups (samples of `FLUSH_S`) converted for display together; more save little time.
 MAX_DISPLAY_GROUPS = 8
 # Largest product of channels and groups converted together: it limits the memory for the display.
 MAX_DISPLAY_CHANNELS = 64

@@ -32,20 +32,20 @@ class TestKind(StrEnum):
 
     TONES = "tones"
     """Tones in steady state, one at a time or simultaneously: sine, stepped sine, and the manually set tone of `daq
-    bench`. Markers `measure`, one for each tone (for simultaneous tones, over the same samples): frequency (Hz),
+    bench`. Markers `measure`, one for each tone (for simultaneous tones, over the same samples): frequency [Hz],
     level, drive, settled; with several sweeps also direction."""
     SWEEP = "sweep"
-    """One tone whose frequency changes slowly and steadily. Markers `measure`: from and to (Hz), spacing, duration,
+    """One tone whose frequency changes slowly and steadily. Markers `measure`: from and to [Hz], spacing, duration,
     level."""
     MULTISINE = "multisine"
     """Periods that repeat exactly, at least two in steady state.
 
-    Markers `measure`: realisation (from 1), period (samples), periods, lines (first and last driven spectral line),
+    Markers `measure`: realisation (from 1), period [samples], periods, lines (first and last driven spectral line),
     level, settled.
     """
     RANDOM = "random"
-    """Stationary noise, or bursts of it, in a band. Markers `measure`: from and to (Hz), level; of bursts also
-    burst (driven share of a block) and block (samples)."""
+    """Stationary noise, or bursts of it, in a band. Markers `measure`: from and to [Hz], level; of bursts also
+    burst (driven share of a block) and block [samples]."""
     HITS = "hits"
     """Pulses, such as those of a hammer, that end long before the next pulse. Markers `hit`: no fields are required."""
     FREE = "free"

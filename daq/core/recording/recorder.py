@@ -121,7 +121,7 @@ class Recorder:
 
     @property
     def current_path(self) -> Path:
-        """Path of the file at present; it differs from `path` until the file replaces another."""
+        """Path of the file now; it differs from `path` until the file replaces another."""
         return self._disk.current_path
 
     @property

@@ -207,7 +207,7 @@ class Recording(Result):
         Returns
         -------
         ndarray, (stop - start,)
-            In the channel's unit (m, m/s, m/s^2 or N); NaN where samples were lost, see `gaps`.
+            In the channel's unit [m, m/s, m/s² or N]; NaN where samples were lost, see `gaps`.
 
         Raises
         ------

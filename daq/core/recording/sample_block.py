@@ -113,7 +113,7 @@ def times_agree(clock: Timebase, first_sample: int, stop: int, t0_ns: int, log_t
 
 
 def check_block(block: SampleBlock, log_time: int, clock: Timebase) -> None:
-    """Raise `RecordingError` if the sample numbers of a block contradict the clock, its times or its log time (ns)."""
+    """Raise `RecordingError` if the sample numbers of a block contradict the clock, its times or its log time [ns]."""
     if block.stop > MAX_SAMPLES:
         raise RecordingError(f"a block ends at sample {block.stop}; expected at most {MAX_SAMPLES}. {WRITER_REMEDY}")
     if block.rate != clock.rate:

@@ -21,9 +21,9 @@ class MotionAtRate:
     and displacement. The drive is interpolated linearly.
 
     The plant does not output the exact motion at the instants: beds of grains cannot. The error of the cubic is smaller
-    than the noise of any sensor. Measured with three dampers, 159 impacts and 5000 instants from 5120 ticks per second,
-    relative to the root mean square: at most 5e-11 (displacement), 1e-8 (velocity) and 1e-5 (acceleration); 1e-4 of the
-    acceleration at single instants of contacts of 2 ms.
+    than the noise of any sensor. Errors relative to the rms value with three dampers (159 impacts, 5000 instants, 5120
+    ticks per second): at most 5e-11 (displacement), 1e-8 (velocity) and 1e-5 (acceleration). In contacts of 2 ms,
+    single accelerations have errors of 1e-4.
     """
 
     def __init__(self, rate: Fraction, group: int, tick: float, first: int) -> None:

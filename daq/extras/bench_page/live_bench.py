@@ -34,7 +34,7 @@ _NO_FORCE = "the page controls forces, but the shaker exerts none; record the te
 _DEFAULT_FORM = "sweep"
 # Band of the tests [Hz], if the scene's test has none.
 _DEFAULT_BAND = 5.0, 100.0
-# Fewest samples per period of a sine: the shape of a faster sine is not displayed. It limits the frequency.
+# Minimum number of samples per period of a sine: the shape of a faster sine is not displayed. It limits the frequency.
 _MIN_SAMPLES_PER_PERIOD = 10.0
 # Limits of the block length of the live frequency response [s]. Within these limits, a block is a tenth of the test.
 _MIN_BLOCK_S = 1.0
@@ -118,7 +118,7 @@ class TestController:
         self._test: tuple[Procedure[Any], Any] | None = None
         self._background_test: BackgroundTest | None = None
         self._controls: ToneControls | None = None
-        # Level and interval of the impacts in the present average, and the message shown during a single impact.
+        # Level and interval of the impacts in the current average, and the message shown during a single impact.
         self._series: tuple[float, float] | None = None
         self._single_impact = ""
         # First sample, stop and marker fields of each impact of the test.
@@ -193,8 +193,8 @@ class TestController:
         scene, shaker = self._scene, self._scene.driven_shaker
         if scene.shakers and (scene.hammer is not None or shaker is None or shaker.carries_structure):
             raise SceneError(
-                "the page shows no theoretical compliance if a shaker stays attached in an impact test (remove the "
-                "shaker), if several shakers are driven (drive one), or if the structure stands on a table."
+                "no theoretical compliance: it is not computed in an impact test with an attached shaker (remove the "
+                "shaker), for several driven shakers (drive one), or for a structure on a shaker table."
             )
         force = np.zeros(scene.structure.bodies)
         force[[body - 1 for body in scene.force_on]] = 1.0
@@ -222,7 +222,7 @@ class TestController:
         return (self._chassis.elapsed - self._measures_from) * (1.0 / self.progress - 1.0)
 
     def excited_band(self) -> tuple[float, float] | None:
-        """Return the lowest and highest frequency [Hz] that the test excites at present; None while it settles."""
+        """Return the lowest and highest frequency [Hz] that the test excites now; None while it settles."""
         if self._controls is not None:
             frequency = self._controls.settings[0]
             return frequency, frequency
@@ -269,7 +269,7 @@ class TestController:
             self.message = str(error)
 
     def stop(self) -> None:
-        """End the test after the present window of its drive."""
+        """End the test after the current window of its drive."""
         if self._background_test is not None and self.running:
             # A manually set tone runs until it is stopped.
             self.is_aborted = self._controls is None

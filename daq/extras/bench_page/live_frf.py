@@ -153,7 +153,7 @@ class LiveFrf:
         return int(self._block_sums.count.sum()), [impact.accepted for impact, _ in self._impacts]
 
     def curves(self) -> LiveCurves | None:
-        """Return the present estimate; None before the first block."""
+        """Return the current estimate; None before the first block."""
         sums = self._block_sums
         if self._impacts:
             sums = _SpectrumSums(len(self._rows), self._line_indices.size)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from daq.extras.ni_device.chassis import Chassis
 
 
-# Blocks in the queue of the page; further blocks are not shown, because acquisition never waits for the page.
+# Maximum number of blocks in the queue of the page; more are not shown, because acquisition never waits for the page.
 _MAX_WAITING_BLOCKS = 256
 # Duration of the stored time histories [s].
 _HISTORY_S = 10.0
@@ -126,7 +126,7 @@ class Monitor:
     ) -> None:
         """Start the estimate of a test; `detector` is None for a continuous test.
 
-        `excited_band` returns the band that the test excites at present; see `LiveFrf.add`.
+        `excited_band` returns the band that the test excites now; see `LiveFrf.add`.
         """
         with self._lock:
             self.frf, self.detector, self.is_estimating = frf, detector, detector is None
@@ -148,7 +148,7 @@ class Monitor:
         return [row for row, stop in self._last_overloads.copy().items() if stop > since]
 
     def spectra(self) -> tuple[NDArray[Any], Array]:
-        """Return frequencies (Hz) and amplitude spectra (Hann window, shape (channels, lines)) of all channels."""
+        """Return frequencies [Hz] and amplitude spectra (Hann window, shape (channels, lines)) of all channels."""
         samples = self.history.last(round(_SPECTRUM_S * self.rate))
         window = np.hanning(samples.shape[1])
         samples = (samples - samples.mean(axis=1, keepdims=True)) * window
@@ -156,7 +156,7 @@ class Monitor:
         return np.asarray(np.fft.rfftfreq(samples.shape[1], 1.0 / self.rate)), spectra
 
     def drive_levels(self) -> list[tuple[float, float]]:
-        """Return peak (in the unit of the drive) and frequency (Hz) of the drive at each input of the rig.
+        """Return peak (in the unit of the drive) and frequency [Hz] of the drive at each input of the rig.
 
         The frequency is that of the newest period between upward zero crossings; 0 with fewer than two crossings.
         """

@@ -34,15 +34,15 @@ _REFRESHES_PER_RESPONSE = 10
 # Duration of the animation [s]. It shows the last `MOTION_S` seconds in slow motion.
 _ANIMATION_S = 2.0
 _REFRESHES_PER_ANIMATION = round(_ANIMATION_S / REFRESH_S)
-# Fewest columns of a time history; each shows the minimum and the maximum in it, so no peak is lost.
+# Minimum number of columns of a time history; each shows the minimum and the maximum in it, so no peak is lost.
 _HISTORY_COLUMNS = 300
 # Frequency bands of a drawn spectrum, about one a pixel; each band shows its largest line.
 _SPECTRUM_BANDS = 400
-# Listed impacts, and tasks of clients; more do not fit beside the charts.
+# Maximum number of listed impacts, and of listed tasks of clients; more do not fit beside the charts.
 _MAX_LISTED = 6
-# Listed peaks of a response.
+# Maximum number of listed peaks of a response.
 _MAX_PEAKS = 4
-# Points of the theoretical curve, about one a pixel.
+# Number of points of the theoretical curve, about one per pixel.
 _THEORY_POINTS = 400
 
 

@@ -38,7 +38,7 @@ _UNITS = (
 _ABSCISSA_UNITS = ("xaxisunits", "xaxisunit", "xeinheit")
 # Keywords of the kind of data. Complex data have two columns for each function.
 _KINDS = ("datatype", "yaxistype", "functionclass", "measurementtype")
-# Texts of the kind of complex data stored as pairs of real and imaginary part.
+# Texts of the kind of complex data stored as pairs of real and imaginary parts.
 _COMPLEX = re.compile(r"complex|real|frf|frequency response", re.IGNORECASE)
 # Texts of the kind of complex data stored as pairs of magnitude and phase.
 _POLAR = re.compile(r"magnitude|amplitude|phase", re.IGNORECASE)

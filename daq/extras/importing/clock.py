@@ -44,7 +44,7 @@ _SECONDS_PER_DAY = 86400.0
 _MAX_DATE = 1e11
 # Relative deviation of a rate from a number of two digits, or a power of two, that still is this number.
 _ROUNDNESS = 1e-4
-# Gaps in the times of a clock; a file with more gaps has no clock.
+# Maximum number of gaps in the times of a clock; a file with more gaps has no clock.
 _MAX_GAPS = 10_000
 
 #: Row before which rows are missing, and their number.
@@ -72,7 +72,7 @@ def time_scale(unit: str, where: str) -> float:
 
 
 def rate_of_interval(interval: float, max_error: float = 0.0) -> float:
-    """Return the rate (Hz) with the fewest digits that agrees with a sample interval (s) within `max_error` (s).
+    """Return the rate [Hz] with the fewest digits that agrees with a sample interval [s] within `max_error` [s].
 
     If the interval has fewer digits than this rate, the interval is exact, and the rate is 1 / interval.
 
@@ -110,7 +110,7 @@ def _shortest_number(low: float, high: float) -> tuple[float, int]:
 
 
 def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
-    """Estimate the clock from times (s), rounded to `resolution` (s); warn about missing rows and jitter.
+    """Estimate the clock from times [s], rounded to `resolution` [s]; warn about missing rows and jitter.
 
     Raises `RecordingError` if the times are not evenly spaced. `where` names the times in messages.
     """
@@ -149,7 +149,7 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
 def missing_rows(times: Iterable[Array], resolution: float) -> list[MissingRows]:
     """Return (row, number of rows missing before it) for each gap in times.
 
-    `times` are blocks of times in s, rounded to `resolution` (s). The list is empty if the other times are unevenly
+    `times` are blocks of times in s, rounded to `resolution` [s]. The list is empty if the other times are unevenly
     spaced (the size of a gap is then unknown), or if more rows are missing than present.
 
     >>> missing_rows([np.array([0.0, 0.1, 0.2, 0.5, 0.6])], 0.0)
@@ -202,7 +202,7 @@ def sample_numbers(rows: NDArray[np.int64], missing: Sequence[MissingRows]) -> N
 def rate_with_gaps(
     first: float, last: float, rows: int, missing: Sequence[MissingRows], resolution: float, where: str
 ) -> float:
-    """Estimate the rate (Hz) from the first and last time (s) and the missing rows; warn about the missing rows."""
+    """Estimate the rate [Hz] from the first and last time [s] and the missing rows; warn about the missing rows."""
     if not last > first:
         raise RecordingError(f"{where} do not increase: from {first!r} s to {last!r} s. Sort the rows by time.")
     lost_total = sum(count for _, count in missing)
@@ -221,7 +221,7 @@ def rate_with_gaps(
 def require_even(
     times: Array, numbers: NDArray[np.int64], start: float, rate: float, resolution: float, where: str
 ) -> None:
-    """Raise `RecordingError` if a time (s) differs from the time of its sample index by more than half an interval.
+    """Raise `RecordingError` if a time [s] differs from the time of its sample index by more than half an interval.
 
     Also raise it if the times are probably dates in other units than s. Dates in days have a round number of samples
     per second only if a day is taken for a second.

@@ -128,7 +128,7 @@ def _refined_frequency(tone: Dwell, block_samples: int, samples: Iterator[Array]
     """Return the frequency from the advance of the phase from block to block, periods per sample."""
     starts = np.arange(tone.first, tone.stop - block_samples + 1, block_samples)
     phases = np.array([lock_in(next(samples)[None], [tone.frequency * rate], rate)[0, 0] for _ in starts])
-    # Phase advance that the present frequency does not explain.
+    # Phase advance that the current frequency does not explain.
     residual = np.unwrap(np.angle(phases * np.exp(-2j * np.pi * np.fmod(tone.frequency * (starts - starts[0]), 1.0))))
     residual, starts = residual[np.isfinite(residual)], starts[np.isfinite(residual)]
     if residual.size < 2:

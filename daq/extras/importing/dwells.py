@@ -144,7 +144,7 @@ class _Segment:
 
 
 def _unwrapped(track: Track, begin: int, end: int) -> Array:
-    """Return the phase of blocks (rad), unwrapped by their frequency (`Track.frequency`, periods per hop)."""
+    """Return the phase of blocks [rad], unwrapped by their frequency (`Track.frequency`, periods per hop)."""
     phase = track.phase[begin:end]
     frequency = track.frequency[begin:end]
     expected_advance = 2.0 * np.pi * (frequency[1:] + frequency[:-1]) / 2.0
@@ -194,7 +194,7 @@ def _is_linear(phase: Array, tolerance: float) -> bool:
 
 
 def _scatter(phase: Array) -> float:
-    """Return the standard deviation of phases (rad), from third differences, which are zero for tones and sweeps."""
+    """Return the standard deviation of phases [rad], from third differences, which are zero for tones and sweeps."""
     third = np.diff(phase[::_INDEPENDENT_BLOCKS], 3)
     # Normal distribution: the median magnitude is 0.6745 sigma. A third difference has (1 + 9 + 9 + 1) sigma^2.
     return float(np.median(abs(third))) / (0.6745 * 20**0.5) if third.size else 0.0

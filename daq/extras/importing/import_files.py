@@ -37,7 +37,7 @@ from rig.core.scene.loading import SceneLike, load
 from rig.core.scene.scene import Scene
 from rig.core.system.structural_model import structural_model
 
-# Samples of each channel in memory at a time: half a megabyte, which the cache holds.
+# Number of samples of each channel in memory at a time: half a megabyte, which the cache holds.
 _BLOCK_SAMPLES = 1 << 16
 # Two sample rates are equal if they differ by less than this fraction, because files round sample rates.
 _RATE_TOLERANCE = 2e-5
@@ -456,7 +456,7 @@ class _RecordingWriter:
 
 
 def _implausible_readings(where: str, assignment: AssignedSignal, overloads: ClippingDetector) -> Iterator[str]:
-    """Yield warnings about readings that suggest a dead sensor, or a wrong unit, sensitivity or range."""
+    """Yield warnings about readings that suggest a failed sensor, or a wrong unit, sensitivity or range."""
     peak, unit = overloads.peak / abs(assignment.info.sensitivity), assignment.info.unit
     if not np.isfinite(peak):
         yield f"{where} contains no numbers. Check the file."

@@ -67,7 +67,7 @@ def matlab_arrays(path: Path) -> dict[str, Any]:
     if isinstance(content, str):
         raise RecordingError(f"{path} {content}")
     if unreadable := content.pop(_UNREADABLE, None):
-        warn(f"{path}: items of a type that is not read are left out: {', '.join(unreadable):.200}")
+        warn(f"{path}: items of a type that is not read are omitted: {', '.join(unreadable):.200}")
     return content
 
 

@@ -15,7 +15,7 @@ from rig.core.base.errors import RecordingError
 from rig.core.base.escaping import unescape_cell
 from rig.core.settings.quantities import is_unit
 
-# Lines before the first line of numbers; a text without numbers must not be searched completely.
+# Maximum number of lines before the first line of numbers; a text without numbers must not be searched completely.
 _MAX_HEADING_LINES = 200
 # A unit in brackets after a name; the unit may contain parentheses. A number before the unit is a range or a scale:
 # ``X (100g)`` is the 100 g sensor of a logger.
@@ -43,7 +43,7 @@ _NO_NAME = UNNAMED.format("")
 # before a negative imaginary part.
 _NUMBER = r"\d[\d.,]*(?:e[-+]?\d+)?"
 _COMPLEX_CELL = re.compile(rf"\(?\s*([-+]?{_NUMBER})\s*\+?([-+])\s*({_NUMBER})\s*\*?\s*[ij]\s*\)?", re.IGNORECASE)
-# A pair of real and imaginary part, as C++ and Fortran write it: ``(1.2,3.4)``.
+# A pair of real and imaginary parts, as C++ and Fortran write it: ``(1.2,3.4)``.
 _COMPLEX_PAIR = re.compile(r"\(([^(),]+),([^(),]+)\)")
 # An exponent of Fortran's double precision.
 _FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[-+]\d+$)")
@@ -51,7 +51,7 @@ _FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[-+]\d+$)")
 _GROUPED_NUMBER = re.compile(r"[-+]?\d{1,3}(?:\.\d{3})+,\d*")
 # A number with marks or blanks between thousands, in a heading.
 _GROUPED_RATE = re.compile(r"\d{1,3}(?:([., ])\d{3})(?:\1\d{3})*")
-# Lines of numbers that are examined for decimal commas.
+# Maximum number of lines of numbers that are examined for decimal commas.
 _MAX_EXAMINED_ROWS = 50
 # A part of a number that a decimal comma separates.
 _INTEGER = re.compile(r"[-+]?\d+(?:e[-+]?\d+)?|", re.IGNORECASE)
@@ -235,7 +235,7 @@ def _without_texts(path: Path, layout: Layout, cells: Sequence[str], numbers: Co
 
 
 def complex_parts(cell: str) -> list[str]:
-    """Split a complex number into its real and imaginary part; another cell is returned alone.
+    """Split a complex number into its real and imaginary parts; another cell is returned alone.
 
     >>> complex_parts("(1.2+3.4j)"), complex_parts("1.2E-1 -3 i"), complex_parts("1.2+-3j"), complex_parts("1.5")
     (['1.2', '3.4'], ['1.2E-1', '-3'], ['1.2', '-3'], ['1.5'])
@@ -256,7 +256,7 @@ def expand_complex(line: str, delimiter: str | None) -> str:
 
 
 def _with_complex_columns(layout: Layout, parts: Sequence[Sequence[str]]) -> Layout:
-    """Replace each column of complex numbers by two: real and imaginary part."""
+    """Replace each column of complex numbers by two: the real and imaginary parts."""
     included = layout.cells or tuple(range(len(parts)))
     starts = [0, *accumulate(map(len, parts))]
     names, units, cells = [], [], list[int]()

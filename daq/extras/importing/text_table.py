@@ -50,19 +50,19 @@ from rig.core.numerics.memory import require_memory_with_program
 
 # Name of a further column of times: ``Time 2``, ``Time_B``.
 _FURTHER_TIMES = re.compile(r"(time|zeit|x_value)(stamp)?[\W_]*[\dA-Z]?", re.IGNORECASE)
-# Characters in a line; longer lines are not read, because a binary file has no line ends.
+# Maximum number of characters in a line; longer lines are not read, because a binary file has no line ends.
 _MAX_LINE = 1 << 20
 # The rounding error of a sample rate is reported above this fraction of the rate, the tolerance of a usual sample
 # clock.
 _MAX_RATE_UNCERTAINTY = 2e-5
-# Lines at the beginning that are examined for the digits of times; the digits do not change later.
+# Maximum number of first lines that are examined for the digits of times; the digits do not change later.
 _MAX_EXAMINED_LINES = 50
 # The usual length of the last number in a line is determined from at least this number of lines: trailing zeros shorten
 # single numbers.
 _MIN_LINES = 10
-# Largest number of segments of a LabVIEW file, each of which is read with an open file.
+# Maximum number of segments of a LabVIEW file, each of which is read with an open file.
 _MAX_SEGMENTS = 200
-# Segments whose times deviate less from those of consecutive samples have no gap [samples].
+# Maximum deviation of the times of a segment without a gap from those of consecutive samples [samples].
 _MAX_DEVIATION = 0.5
 # Lines in a block, to limit the memory.
 BLOCK_LINES = 1 << 16

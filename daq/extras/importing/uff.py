@@ -164,7 +164,7 @@ def _time_unit(data_set: Mapping[str, Any]) -> float:
 
 
 def _stated_rate(data_set: Mapping[str, Any]) -> float | None:
-    """Return the exact sample rate (Hz) that `analysis export` writes in the fourth line; None without it."""
+    """Return the exact sample rate [Hz] that `analysis export` writes in the fourth line; None without it."""
     words = str(data_set.get("id4", "")).split()
     if len(words) == 4 and words[:2] == ["sample", "rate"] and words[3] == "Hz":
         try:

@@ -39,7 +39,7 @@ class BackgroundTest:
         self._interpolator = DriveInterpolator(len(station.inputs), ticks_per_sample)
         self._is_stopping = False
         self._reason = ""  # reason why the test gave up
-        self._position = 0  # position in the drive of the current block, ticks
+        self._position = 0  # position in the drive of the current block [ticks]
         self._readings: list[Array] = []  # readings of the current block
         self._drive = np.zeros((len(station.inputs), 0))  # drive of the current block at every tick
         # Whether no test runs: the scene has no test, the test has ended or failed, or a task drives its output.

@@ -265,7 +265,7 @@ def _keep_time(reference: weakref.ref[Timeline], running: weakref.WeakSet[Timeli
     """Keep a bench at wall-clock time while it is in use."""
     raise_priority()
     pause, delay_report = threading.Event(), _DelayReport()
-    # Wall-clock time (ns), position and tick rate at one instant, from which the due position is computed.
+    # Wall-clock time [ns], position and tick rate at one instant, from which the due position is computed.
     origin: tuple[int, int, float] | None = None
     n_compilations, last_ns = 0, time.monotonic_ns()  # wall-clock time of the last step
     while True:

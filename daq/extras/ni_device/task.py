@@ -115,7 +115,7 @@ class Task:
         return STOPPED_BEFORE_DONE if is_early else 0
 
     def end(self) -> None:
-        """End the present run, if any; release its modules unless the task is committed."""
+        """End the current run, if any; release its modules unless the task is committed."""
         with self.chassis.changed:
             self.running = False
             if self._is_committed:
@@ -164,12 +164,12 @@ class Task:
 
     @property
     def run(self) -> Acquisition | Generation | None:
-        """The present run, or the last run; None before the first."""
+        """The current run, or the last run; None before the first."""
         return self._active_part.run
 
     @property
     def finished(self) -> bool:
-        """Whether the present or last run is complete, or was ended by an error."""
+        """Whether the current or last run is complete, or was ended by an error."""
         return self.run is not None and self.run.done
 
     @property
@@ -191,7 +191,7 @@ class Task:
 
     @property
     def failure(self) -> DaqError | None:
-        """Error that ended the present or last run; None without an error."""
+        """Error that ended the current or last run; None without an error."""
         return None if self.run is None else self.run.error
 
     def raise_failure(self) -> None:

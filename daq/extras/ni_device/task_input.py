@@ -41,8 +41,8 @@ class TaskInput:
 
     def __init__(self, chassis: Chassis, settings: TaskSettings, task: Runner) -> None:
         self._chassis, self._settings, self._task = chassis, settings, task
-        self.run: Acquisition | None = None  # present or last acquisition
-        self.log: TaskLog | None = None  # log of the present acquisition
+        self.run: Acquisition | None = None  # current or last acquisition
+        self.log: TaskLog | None = None  # log of the current acquisition
         self._overloaded_names: list[str] | None = None  # overloaded channels; None before a query
 
     # States
@@ -130,7 +130,7 @@ class TaskInput:
             self.log.start_new_file(path, self.run)
 
     def time_of_sample(self, sample: int) -> int:
-        """Return the time of a sample of the last acquisition [ns]; without an acquisition the present time."""
+        """Return the time of a sample of the last acquisition [ns]; without an acquisition the current time."""
         run, chassis = self.run, self._chassis
         if run is None:
             return chassis.time_ns(chassis.position)
@@ -216,7 +216,7 @@ class TaskInput:
     def _collect(
         self, run: Acquisition, indices: Sequence[int], out: NDArray[Any], timeout: float, raw: bool
     ) -> ReadResult:
-        """Read from the present position into `out`, shape (len(indices), n), and return the filled part.
+        """Read from the current position into `out`, shape (len(indices), n), and return the filled part.
 
         `indices` are the indices of the channels in the task. `raw` reads counts of the converter. See `Task.read` for
         `timeout` and errors. The caller holds the lock of the chassis.

@@ -28,7 +28,7 @@ class TaskOutput:
 
     def __init__(self, chassis: Chassis, settings: TaskSettings, task: Runner) -> None:
         self._chassis, self._settings, self._task = chassis, settings, task
-        self.run: Generation | None = None  # present or last generation
+        self.run: Generation | None = None  # current or last generation
         self.buffer: OutputBuffer | None = None  # written samples
         self._is_running = False
         self._has_played = False  # whether the samples of the buffer were output

@@ -160,7 +160,7 @@ def _seconds_of(task: Task, event: TimestampEvent) -> float:
 
 
 def _of_input_run(task: Task, value: Callable[[Any], int]) -> int:
-    """Return a value of the present or last acquisition; 0 before the first acquisition."""
+    """Return a value of the current or last acquisition; 0 before the first acquisition."""
     return 0 if task.input.run is None else value(task.input.run)
 
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
 
-# Ticks in one step of the bench: enough to make the overhead of a step negligible, and few enough for quick responses.
+# Maximum number of ticks in a step of the bench: the overhead of a step is negligible, and responses are quick.
 _MAX_BLOCK_TICKS = 4096
 
 
@@ -65,7 +65,7 @@ class Terminals:
         self.dtype: type[np.generic] = np.int32 if has_counts else np.float64  # type of the samples: counts or volts
         # Indices of the outputs among the inputs of the rig, to which the hammer also belongs.
         self._outputs = [index for index, name in enumerate(bench.inputs) if name != "hammer"]
-        # Factor from output voltage to drive (N, m or V), shape (outputs,).
+        # Factor from output voltage to drive [N, m or V], shape (outputs,).
         self.drive_per_volt = np.array([DRIVE_PER_VOLT[bench.drive_units[index]] for index in self._outputs])
         self._converter = complete_from_preset(scene.converter)
         station = Station(scene, bench.channels, bench.inputs, bench.rate, mark=lambda *arguments, **fields: None)

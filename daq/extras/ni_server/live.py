@@ -24,7 +24,7 @@ def end_display(blocks: queue.Queue[Any], thread: threading.Thread) -> None:
     try:
         blocks.put(None, timeout=MAX_CLOSING_S)
     except queue.Full:
-        # The block that the thread is showing at present is no longer in the queue.
+        # The block that the thread is showing now is no longer in the queue.
         n_blocks = blocks.qsize() + 1
     else:
         thread.join(MAX_CLOSING_S)
@@ -55,7 +55,7 @@ class LiveRecording:
     def __init__(self, chassis: Chassis, path: Path, overwrite: bool = False) -> None:
         create_folder(path.parent, RecordingError)
         self._chassis, self._path, self._overwrite = chassis, path, overwrite
-        self._recorded_channels: Any = None  # descriptions of the channels in the present file
+        self._recorded_channels: Any = None  # descriptions of the channels in the current file
         self._recording: MarkedRecording | None = None
         self._has_failed = False
         self.paths: list[Path] = []

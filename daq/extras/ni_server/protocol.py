@@ -23,7 +23,7 @@ DEFAULT_NUMBER_OF_SAMPLES = 0x31E8
 # The service of NI's server for the devices of all drivers.
 _SESSION_FILE = next(file for file in nidaqmx_pb2.DESCRIPTOR.dependencies if file.name.endswith("session.proto"))
 SESSION_SERVICE = _SESSION_FILE.services_by_name["SessionUtilities"]
-# Entries of a list other than samples, so a client cannot exhaust the memory.
+# Maximum number of entries of a list other than samples, so a client cannot exhaust the memory.
 _MAX_ENTRIES = 10_000
 # Maximum length of a string [characters]; a string may name thousands of channels.
 _MAX_CHARACTERS = 1 << 16

@@ -11,7 +11,7 @@ from daq.extras.ni_server.sessions import Reservations, Sessions
 
 # Maximum length of an error message, which is sent in a header of limited size.
 _MAX_MESSAGE_BYTES = 3000
-# Bytes of the name of a task in an error message; most of the message remains for the cause.
+# Maximum number of bytes of the name of a task in an error message; most of the message remains for the cause.
 _MAX_NAME_BYTES = 200
 # All stored error messages are removed at this number, because some clients never request their messages.
 _MAX_STORED_MESSAGES = 1000

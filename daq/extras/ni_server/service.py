@@ -28,7 +28,7 @@ from rig.core.base.errors import unexpected_text
 
 # Default port of the protocol.
 PORT = 31763
-# Largest number of connections.
+# Maximum number of connections.
 _MAX_CONNECTIONS = 200
 # Longest time until the first exchange on a connection [ms].
 _MAX_HANDSHAKE_MS = 5000

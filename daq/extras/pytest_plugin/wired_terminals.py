@@ -110,7 +110,7 @@ class WiredTerminals:
         return Block(first, limited.astype(np.int32), limited != counts)
 
     def _remove_offset(self, index: int, rate: float, first: int, volts: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Apply the first-order high pass of AC coupling to samples from number `first` on.
+        """Apply the first-order high-pass filter of AC coupling to samples from number `first` on.
 
         If the previous sample is unknown, the input is assumed to have settled at the first voltage.
         """

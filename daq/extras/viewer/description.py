@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from daq.core.drawing.rig_view import RigView
     from daq.extras.viewer.recorded_motion import RecordedMotion
 
-# Listed segments of lost samples; a longer list would hide the other lines.
+# Maximum number of listed segments of lost samples; a longer list would hide the other lines.
 _MAX_LISTED_SEGMENTS = 10
 _SAMPLING_TEXTS = {
     "point": "instantaneous samples",

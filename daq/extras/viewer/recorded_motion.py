@@ -15,7 +15,7 @@ from daq.core.recording.truth import points_of
 if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
-# Samples in a block: half a megabyte a channel, which the cache holds.
+# Number of samples in a block: half a megabyte a channel, which the cache holds.
 BLOCK_SAMPLES = 1 << 16
 
 

@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 
     from daq.core.recording.recording import Recording
 
-# Largest number of drawn positions per second of the recording: enough for 50 Hz in slow motion.
+# Maximum number of drawn positions per second of the recording: enough for 50 Hz in slow motion.
 _MAX_FRAMES_PER_S = 1000.0
 # Smallest number of frames per second of the recording.
 _MIN_FRAMES_PER_S = 100.0
-# Modes below this frequency, Hz, such as rigid-body modes, do not determine the time range of the plots.
+# Modes below this frequency [Hz], such as rigid-body modes, do not determine the time range of the plots.
 _MIN_MODE_HZ = 1.0
 # A column is a few pixels wide; the envelopes of noise do not hide each other.
 _ENVELOPE_COLUMNS = 300

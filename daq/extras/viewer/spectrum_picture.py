@@ -69,9 +69,9 @@ def channel_spectrum(recording: Recording, channel: str, start: int, stop: int) 
     """Return frequencies (Hz, without 0) and the spectrum of a channel that suits the test, in the channel's unit.
 
     Tones: largest amplitude of all segments. Noise: one-sided power spectral density, unit²/Hz, mean of all segments.
-    Pulses: magnitude of the Fourier transform from the begin of a pulse, unit times s, largest of all pulses; of the
-    force it is the impulse at low frequencies. Segments last up to 4 s, and overlap by half if they have a window; at
-    most `_MAX_SEGMENTS`, evenly spread, are used. The values are NaN if every segment has lost samples.
+    Pulses: magnitude of the Fourier transform from the start of a pulse, unit times s, maximum of all pulses; for the
+    force, the value at low frequencies is the impulse. Segments last up to 4 s, and overlap by half if they have a
+    window; at most `_MAX_SEGMENTS`, evenly spread, are used. The values are NaN if every segment has lost samples.
     """
     estimate = _ESTIMATES[recording.test.kind.spectrum]
     pulses = [

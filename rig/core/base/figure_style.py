@@ -138,8 +138,8 @@ def save_figure(figure: Figure, stem: Path) -> list[Path]:
         with atomic_write(png) as temporary_png, atomic_write(svg) as temporary_svg:
             compression = {"compress_level": _PNG_COMPRESSION}
             figure.savefig(temporary_png, dpi=_DPI, metadata={"Software": None}, pil_kwargs=compression)
-            # Drawing places the axis labels, so the second file need not measure all tick labels again. The layout
-            # engine also places them, but before its last change of the axes.
+            # The positions of the axis labels are fixed once drawn, so the second file needs no layout pass. The layout
+            # engine fixes them too early, before its last change of the axes.
             for axes in figure.axes:
                 for axis in (axes.xaxis, axes.yaxis):
                     to_axes = axis.label.get_transform() - axes.transAxes

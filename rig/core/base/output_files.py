@@ -15,7 +15,7 @@ from pathlib import Path
 from rig.core.base.errors import RunError, SceneError, ShotrigError
 from rig.core.base.escaping import escape_cell
 
-#: Characters of a scene's name in a file name; file systems allow 255 bytes for the whole name.
+#: Maximum number of characters of a scene's name in a file name; file systems allow 255 bytes for the whole name.
 _MAX_SCENE_LENGTH = 80
 #: Suffixes of output files, which are not accepted for folders.
 _FILE_SUFFIXES = (".png", ".svg", ".csv", ".html", ".mcap", ".npz", ".yaml", ".pdf")

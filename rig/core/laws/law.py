@@ -146,7 +146,7 @@ class Law(NamedTuple):
         return any(force is not None and force.memory for force in self.forces)
 
     def mode_for(self, gap: float, speed: float) -> str:
-        """Return the first mode that contains a gap [m] and a speed, m/s, or the mode at the start if none does."""
+        """Return the first mode that contains a gap [m] and a speed [m/s], or the mode at the start if none does."""
         fitting = [
             name
             for name, mode in self.modes.items()

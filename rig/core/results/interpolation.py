@@ -22,7 +22,7 @@ from rig.core.results.uncertainty import Contribution, UncertaintyBudget
 
 #: Contribution of the spacing of the lines to the uncertainty of interpolated values.
 SPACING = "spacing of the lines"
-# Lines of each rational function: of type (2, 2), or (1, 1) if there are few lines.
+# Number of lines of each rational function: of type (2, 2), or (1, 1) if there are few lines.
 _LINES = 5
 _FEW_LINES = 3
 # Limit of error as a multiple of the difference of the two functions, whose errors may have the same sign.
@@ -33,7 +33,7 @@ _MAX_ERROR_RATIO = 0.1
 _MAX_ERROR_IN_UNCERTAINTIES = 3.0
 # Relative error of interpolation with the recommended spacing.
 _GOOD_ERROR_RATIO = 0.01
-# Smallest recommended spacing, relative to the present one; estimates of smaller ones are too uncertain.
+# Smallest recommended spacing, relative to the current one; estimates of smaller ones are too uncertain.
 _MIN_SPACING_RATIO = 0.02
 # A frequency differs from the frequency of a line if their relative difference exceeds this value.
 _SAME_FREQUENCY = 1e-9

@@ -9,13 +9,13 @@ from rig.core.results.interpolation import interpolate_curve
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import UncertaintyBudget
 
-# Frequencies between two lines at which a peak is sought, in each of two passes: to 1/3600 of the distance.
+# Number of frequencies between two lines at which a peak is sought, in each of two passes: to 1/3600 of the distance.
 _STEPS = 60
 # Smallest depth of the minima on both sides of a peak, relative to it; smaller ripples are not resonances.
 _MIN_DEPTH = 0.05
 # Relative rounding error of an interpolated value.
 _ROUNDING = 1e-6
-# Lines on either side of a peak within which its half-power width is measured; others belong to other modes.
+# Number of lines on either side of a peak within which its half-power width is measured; others belong to other modes.
 _FLANK_LINES = 4
 #: Minimum number of lines within the half-power width of a resolved peak.
 MIN_LINES = 3

@@ -19,9 +19,9 @@ from rig.core.settings.quantities import FREQUENCY, number, positive_values
 MAX_PEAK_UNCERTAINTY_RATIO = 0.5
 # Largest relative step between neighboring lines that is drawn as a straight line without visible error.
 _MAX_STEP = 0.1
-# Intervals into which interpolated points divide the distance between two lines: the drawn curve looks smooth.
+# Number of intervals into which interpolated points divide the distance of two lines: the drawn curve looks smooth.
 _POINTS_BETWEEN = 16
-# Fewest lines for interpolation by a model; fewer lines are joined by straight lines.
+# Minimum number of lines for interpolation by a model; fewer lines are joined by straight lines.
 _MIN_CONTINUED = 12
 
 

@@ -160,7 +160,7 @@ class ResponseValues(Result):
 
     @property
     def error(self) -> Array:
-        """Standard uncertainty of real and imaginary part from the scatter; shape of `value`."""
+        """Standard uncertainty of the real and of the imaginary part from the scatter; shape of `value`."""
         scatter = self.uncertainty.scatter
         return np.zeros(self.value.shape) if scatter is None else scatter.deviation
 

@@ -7,9 +7,9 @@ import numpy as np
 
 from rig.core.numerics.runs import runs_of
 
-# Listed ranges; more are summarized by a count, so a message stays readable.
+# Maximum number of listed ranges; more are summarized by a count, so a message stays readable.
 _MAX_RANGES = 8
-# Digits of a value with an interval; further digits are finer than the tolerances of sample clocks.
+# Maximum number of digits of a value with an interval; further digits are finer than the tolerances of sample clocks.
 _MAX_DIGITS = 6
 
 

@@ -105,18 +105,18 @@ class RandomErrors(Protocol):
 class Contribution:
     """One cause of uncertainty.
 
-    `deviation`, with the shape of the values, is the standard uncertainty of real and imaginary part for type A (NaN
-    where there is a single average, without scatter), and the limit of error a for type B (infinite where it is
-    unbounded).
+    `deviation`, with the shape of the values, is the standard uncertainty of the real and of the imaginary part for
+    type A (NaN where there is a single average, without scatter), and the limit of error a for type B (infinite where
+    it is unbounded).
     """
 
     name: str
     evaluation: Literal["A", "B"]  # by statistics of the readings, or by other knowledge (GUM 4.2, 4.3)
     deviation: Array
     degrees_of_freedom: Array | None = None  # degrees of freedom of type A
-    # Only type B, for each element in C order: change of its value if a source (sensor or clock) is at its limit, by
-    # the identity of the source; complex, shape (lines,). Other responses may have the same source. Empty: the source
-    # is unknown.
+    # Type B only: for each element in C order, the change of its value if the error of a source (sensor or clock)
+    # equals its limit; complex, shape (lines,). The key identifies the source, because other responses may have the
+    # same source. Empty: the source is unknown.
     sources: tuple[Sources, ...] = ()
 
     def standard(self) -> Array:
@@ -198,7 +198,7 @@ class UncertaintyBudget:
         return next((cause for cause in self.contributions if cause.evaluation == "A"), None)
 
     def combined(self) -> Array | float:
-        """Return the combined standard uncertainty u_c of real and imaginary part (GUM 5.1.2)."""
+        """Return the combined standard uncertainty u_c of the real and of the imaginary part (GUM 5.1.2)."""
         standard = [cause.standard() for cause in self.contributions]
         return np.asarray(np.linalg.norm(standard, axis=0)) if standard else 0.0
 
@@ -215,7 +215,7 @@ class UncertaintyBudget:
     def random_bound(self, confidence: float = 0.95) -> Array | float:
         """Return the radius of the circle that contains the errors of type A.
 
-        Real and imaginary part have equal, independent errors, so the squared deviation of a complex mean is
+        The real and imaginary parts have equal, independent errors, so the squared deviation of a complex mean is
         F-distributed with 2 and `degrees_of_freedom` degrees of freedom.
         """
         scatter = self.scatter

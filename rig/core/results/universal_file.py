@@ -37,8 +37,8 @@ def write_curve(
 
     `number`: number of the function in the file. `output_node`, `force_node`: nodes of the output and of the force,
     both in the direction +Z. `title`, `labels`: text lines 1, and 2 and 3, of the data set. `motion`: quantity of the
-    response. `resolution`: bandwidth of each frequency [Hz]. `error`: standard uncertainty of real and imaginary part.
-    `bound`: bound of the systematic errors; not written if it is unknown.
+    response. `resolution`: bandwidth of each frequency [Hz]. `error`: standard uncertainty of the real and of the
+    imaginary part. `bound`: bound of the systematic errors; not written if it is unknown.
     """
     steps = np.diff(frequency)
     fields = {

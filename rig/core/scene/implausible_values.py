@@ -27,7 +27,7 @@ _MAX_MASS_RATIO_WITH_UNIT = 50.0
 _MIN_MASS_RATIO = 1e-4
 # Lowest resonance [Hz] of a body on its spring in real rigs; a lower one indicates a wrong unit.
 _MIN_RESONANCE_HZ = 0.1
-# Lowest plausible resonance [Hz] of a mass and a stiffness of which one has no unit, as if it were in SI.
+# Lowest plausible natural frequency [Hz] if the mass or the stiffness has no unit and is read in SI.
 _MIN_BARE_RESONANCE_HZ = 1.0
 
 

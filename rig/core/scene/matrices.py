@@ -13,7 +13,7 @@ from rig.core.settings.problems import Problem
 from rig.core.settings.quantity_field import format_value, validation_error
 from rig.core.settings.settings import Settings
 
-# Bodies of a structure: a matrix then has 32 MB.
+# Maximum number of bodies of a structure: a matrix then has 32 MB.
 MAX_BODIES = 2000
 # Largest asymmetry of matrices from other programs (rounding error), relative to the largest element.
 MAX_ASYMMETRY = 1e-9

@@ -52,7 +52,7 @@ class Accelerometer(Settings):
     preset: Preset | None = None
     """Name of a part whose data sheet supplies the values not given here."""
     sensitivity: Annotated[float, Quantity(ACCELERATION_SENSITIVITY, above=0.0)] | None = None
-    """Nominal sensitivity [V per m/s^2]; None: 1."""
+    """Nominal sensitivity [V per m/s²]; None: 1."""
     sensitivity_tolerance: Tolerance | None = None
     """Largest relative deviation of the true sensitivity from nominal; the deviation is random (`seed`)."""
     resonance: Corner | None = None
@@ -60,9 +60,9 @@ class Accelerometer(Settings):
     q: Annotated[float, Quantity(RATIO, above=0.0)] | None = None
     """Quality factor of the resonance; None: 30."""
     low_cutoff: Corner | None = None
-    """Corner frequency of the first-order high pass [Hz]."""
+    """Corner frequency of the first-order high-pass filter [Hz]."""
     noise: Annotated[float, Quantity(ACCELERATION_NOISE, at_least=0.0)] | None = None
-    """White noise density [m/s^2/sqrt(Hz)]."""
+    """White noise density [m/s²/sqrt(Hz)]."""
     noise_corner: Corner | None = None
     """Frequency below which the noise density rises as 1/f in power [Hz]; needs `noise`."""
     bias: Annotated[float, Quantity(VOLTAGE)] | None = None
@@ -75,7 +75,7 @@ class Accelerometer(Settings):
     """Ratio of the lateral to the vertical acceleration of the mounting point (10 % if only `transverse` is given); the
     model of the structure has only vertical motion."""
     saturation: Annotated[float, Quantity(ACCELERATION, above=0.0)] | None = None
-    """Largest acceleration that the output of the sensor follows [m/s^2]; samples above it are marked as overloaded. A
+    """Largest acceleration that the output of the sensor follows [m/s²]; samples above it are marked as overloaded. A
     jump of the velocity by dv (impact of a damper) gives a peak of 2 pi f dv at the resonance f; without `resonance`,
     every impact overloads the sensor. The limit does not depend on the sample rate."""
     overload_recovery: Annotated[float, Quantity(TIME, above=0.0)] | None = None
@@ -110,10 +110,10 @@ class Integrator(Settings):
     order: Annotated[int, Field(ge=1, le=2)]
     """1: the output is proportional to velocity, 2: to displacement."""
     corner: Annotated[float, Quantity(FREQUENCY, at_least=0.0)] = 0.0
-    """Frequency below which the amplifier does not integrate [Hz], a first-order high pass per order; 0: it integrates
-    at all frequencies."""
+    """Frequency below which the amplifier does not integrate [Hz], a first-order high-pass filter per order; 0: it
+    integrates at all frequencies."""
     low_cutoff: Corner | None = None
-    """Corner frequency of the first-order high pass at its input [Hz], which removes the sensor's bias."""
+    """Corner frequency of the first-order high-pass filter at its input [Hz], which removes the sensor's bias."""
     gain: Annotated[float, Quantity(RATIO, above=0.0)] = 1.0
     """Output per integral of the input [1/s for order 1, 1/s^2 for order 2]."""
     noise: Annotated[float, Quantity(VOLTAGE_NOISE, at_least=0.0)] | None = None
@@ -135,7 +135,7 @@ class Hammer(Settings):
     noise: Annotated[float, Quantity(FORCE_NOISE, at_least=0.0)] | None = None
     """White noise density [N/sqrt(Hz)]."""
     low_cutoff: Corner | None = None
-    """Corner frequency of the first-order high pass [Hz]."""
+    """Corner frequency of the first-order high-pass filter [Hz]."""
     saturation: Annotated[float, Quantity(FORCE, above=0.0)] | None = None
     """Largest force that the output of the sensor follows [N]; samples above it are marked as overloaded."""
     iepe: bool | None = None
@@ -173,9 +173,9 @@ class Channel(Settings):
     """Force sensor, at the hammer or the shaker."""
     alarm: Limit | None = None
     """Limit of the measured quantity, in the channel's unit, above which the recording is marked [m, m/s,
-    m/s^2, N or V]."""
+    m/s², N or V]."""
     abort: Limit | None = None
-    """Limit of the measured quantity, in the channel's unit, above which the test ends [m, m/s, m/s^2, N or V]."""
+    """Limit of the measured quantity, in the channel's unit, above which the test ends [m, m/s, m/s², N or V]."""
     coupling: Literal["AC", "DC"] | None = None
     """Coupling of this input, AC or DC; None: as the converter."""
     excitation: Supply | None = None
@@ -257,9 +257,9 @@ class Converter(Settings):
     noise: Annotated[float, Quantity(VOLTAGE_NOISE, at_least=0.0)] | None = None
     """White noise density at the input [V/sqrt(Hz)]."""
     coupling: Literal["AC", "DC"] | None = None
-    """Coupling of the inputs; AC: a first-order high pass. None: DC."""
+    """Coupling of the inputs; AC: a first-order high-pass filter. None: DC."""
     ac_corner: Corner | None = None
-    """Corner frequency of the high pass of AC coupling [Hz]; None: 0.5."""
+    """Corner frequency of the high-pass filter of AC coupling [Hz]; None: 0.5."""
     excitation: Supply | None = None
     """Constant supply current of IEPE sensors [A]; 0: none, None: an external supply."""
     filter: Literal["delta_sigma"] | None = None

@@ -18,7 +18,7 @@ from rig.core.settings.quantities import ACCELERATION, Kind
 from rig.core.settings.quantity_field import Quantity, printable
 from rig.core.settings.settings import Settings, value_at
 
-STANDARD_GRAVITY = 9.80665  # m/s^2
+STANDARD_GRAVITY = 9.80665  # m/s²
 # A recording has at most 65 535 topics, and a channel uses four.
 MAX_CHANNELS = 16_000
 
@@ -31,7 +31,7 @@ class Scene(Settings):
     structure: Structure
     """Keys masses and springs, or matrices."""
     gravity: Annotated[float, Quantity(ACCELERATION, at_least=0.0)] = STANDARD_GRAVITY
-    """Downward acceleration [m/s^2]."""
+    """Downward acceleration [m/s²]."""
     dampers: tuple[Annotated[Damper, consistency.DAMPER], ...] = ()
     """Particle dampers; a body may have several."""
     joints: tuple[Annotated[Joint, consistency.JOINT], ...] = ()

@@ -17,7 +17,7 @@ from rig.core.settings.problems import KeyPath, Problem
 # Text after a decimal comma. In a list, where a comma may also separate two numbers, this text must have a unit.
 _FRACTION = re.compile(r"\d+(\s*[^\d\s.,].*)?")
 _FRACTION_WITH_UNIT = re.compile(r"\d+\s*[^\d\s.,eE].*")
-# Characters of a scene file, so a wrong file does not exhaust the memory.
+# Maximum number of characters of a scene file, so a wrong file does not exhaust the memory.
 MAX_CHARACTERS = 64_000_000
 # Largest nesting depth.
 MAX_DEPTH = 20

@@ -26,7 +26,7 @@ from rig.core.system.structural_model import symmetric
 
 #: Gauss-Legendre nodes and weights on [0, 1]: 8 nodes suffice in a step for a product of two solutions.
 _GAUSS_RULE = tuple(0.5 * row for row in np.polynomial.legendre.leggauss(8) + np.array([[1.0], [0.0]]))
-# Values of power series in memory at a time: 16 MB.
+# Maximum number of values of power series in memory at a time: 16 MB.
 _MAX_VALUES = 1 << 21
 
 

@@ -152,7 +152,7 @@ def simulate(
     -----
     Without `drive` and `frequency` the scene's test is run open loop: a sine unchanged, a stepped sine at
     its first frequency, a swept sine, hammer impacts, or free vibration. If the test controls the amplitude of a
-    spring force, the drive produces that amplitude in the linear structure with riding dampers.
+    spring force, the drive produces that amplitude in the linear structure with resting dampers.
 
     Examples
     --------

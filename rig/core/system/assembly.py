@@ -1,6 +1,6 @@
 """Assembly of the hybrid linear system of a scene, which the engine simulates.
 
-A damper's *bed* is its particles, modeled as one mass in a cavity of a body. The bed *rides* while it is at rest on a
+A damper's *bed* is its particles, modeled as one mass in a cavity of a body. The bed *rests* while it lies on a
 wall of the cavity; otherwise it *flies*.
 """
 
@@ -225,7 +225,7 @@ def _wall_stiffness_and_damping(wall: Wall, restitution: float, mass: float) -> 
 
 
 def _initial_state(scene: Scene, system: HybridSystem) -> Array:
-    """Return the state at t = 0 without drive, with riding dampers."""
+    """Return the state at t = 0 without drive, with resting dampers."""
     state = np.zeros(system.states)
     n = system.coordinates
     test = scene.test

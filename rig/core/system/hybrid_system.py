@@ -1,6 +1,6 @@
 """The hybrid system of a scene and its drive, which the engine simulates: linear between contact events.
 
-A damper's *bed* is its particles, modeled as one mass. A damper *rides* while its bed is at rest on a wall of its
+A damper's *bed* is its particles, modeled as one mass. A damper *rests* while its bed lies on a wall of its
 cavity. An *element* is a contact law at one place (`rig.core.laws`): a damper, or a *joint* between two bodies or a
 body and the ground. A *configuration* specifies for each element which of the forces of its law acts. It determines the
 equations of motion.
@@ -91,7 +91,7 @@ class HybridSystem:
     """The hybrid linear system of a scene, in SI units.
 
     The state x is (coordinates q, velocities q', further states r such as the coil current), and u are the inputs. In
-    every contact configuration (M + riding damper masses) q'' = F_x x + F_u u + F_1 - (riding dampers' weight) and
+    every contact configuration (M + resting damper masses) q'' = F_x x + F_u u + F_1 - (resting dampers' weight) and
     r' = R_x x + R_u u.
 
     `inputs`, `drive_units`, `drive_limit`: names, units and largest values of the inputs. `gravity`: m/s². `mass`: M,
@@ -103,7 +103,7 @@ class HybridSystem:
     (prescribed, states) whose product with the state is the force of their actuator [N]. `elements`: the dampers that
     can move in their cavities, then the joints. A bed of grains is here one mass at rest; `rig.extras.grains` computes
     its motion. Arrays with one value for each damper do not include the joints. `initial`: state at t = 0 without
-    drive, with riding dampers.
+    drive, with resting dampers.
     """
 
     # names of the coordinates: "body 1" ... "body n", then "table" if the scene has one
@@ -335,7 +335,7 @@ class HybridSystem:
 
     @property
     def start(self) -> int:
-        """Configuration in which every element is in the mode at its start: all dampers ride."""
+        """Configuration in which every element is in the mode at its start: all dampers rest."""
         return self.configuration([element.law.start for element in self.elements])
 
     def joint_modes(self, state: np.ndarray) -> list[int]:

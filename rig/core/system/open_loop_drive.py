@@ -1,7 +1,7 @@
 """The drive of a scene's test without a controller (open loop), and the validation of a sampled drive.
 
 The *level* of a test is its force, or its drive in the unit of the shaker's input. The drive per level is computed for
-the linear structure with all dampers *riding*: the particles are at rest in their cavities, and act as an added mass.
+the linear structure with all dampers *at rest*: the particles are at rest in their cavities, and act as an added mass.
 """
 
 from collections.abc import Sequence
@@ -86,7 +86,7 @@ def level_of(scene: Scene) -> float:
 
 
 def drive_per_level(scene: Scene, system: HybridSystem, omega: float | Array) -> Any:
-    """Return the complex drive amplitude per unit of level at omega (rad/s), in the shape of omega, or 1."""
+    """Return the complex drive amplitude per unit of level at omega [rad/s], in the shape of omega, or 1."""
     shaker = scene.driven_shaker
     assert shaker is not None
     held_motion = None if scene.test is None else scene.test.held_motion
@@ -100,19 +100,19 @@ def drive_per_level(scene: Scene, system: HybridSystem, omega: float | Array) ->
 
 
 def force_per_drive(scene: Scene, system: HybridSystem, omega: float | Array) -> Any:
-    """Return the complex amplitude of the coil spring's force per unit of drive at omega (rad/s), in N."""
+    """Return the complex amplitude of the coil spring's force per unit of drive at omega [rad/s], in N."""
     return force_row(scene, system) @ riding_response(system, scene.at_driven("shaker"), omega)
 
 
 def accelerations_per_drive(scene: Scene, places: Sequence[str], omega: Array) -> Array:
-    """Return accelerations at places per drive [m/s²] with riding dampers; (places,) + omega.shape, rad/s."""
+    """Return accelerations at places per drive [m/s²] with resting dampers; (places,) + omega.shape, rad/s."""
     system = assemble(scene)
     rows = [system.points.index(place) for place in places]
     return np.asarray(omega**2 * np.abs(riding_response(system, scene.at_driven("shaker"), omega)[rows]))
 
 
 def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float | Array) -> Array:
-    """Return accelerations of bodies per level [m/s²] with riding dampers; (bodies,) + omega.shape, rad/s."""
+    """Return accelerations of bodies per level [m/s²] with resting dampers; (bodies,) + omega.shape, rad/s."""
     response = riding_response(system, scene.at_driven("shaker"), omega) * drive_per_level(scene, system, omega)
     return omega**2 * np.abs(response[: scene.structure.bodies])
 
@@ -145,7 +145,7 @@ def with_ideal_force(scene: Scene) -> Scene:
 
 
 def riding_equations(system: HybridSystem, name: str) -> tuple[Array, Array, Array]:
-    """Return E, G and b of the equations E dx/dt = G x + b u with all dampers riding; `name`: name of the input u.
+    """Return E, G and b of the equations E dx/dt = G x + b u with all dampers at rest; `name`: name of the input u.
 
     E and G have the shape (states, states), b the shape (states,). E is the identity, except for the mass matrix in the
     rows of the velocities.
@@ -170,7 +170,7 @@ def riding_equations(system: HybridSystem, name: str) -> tuple[Array, Array, Arr
 
 
 def riding_response(system: HybridSystem, name: str, omega: float | Array) -> ComplexArray:
-    """Return the complex amplitudes of the states per unit of drive, all dampers riding; shape (states,) + omega.shape.
+    """Return the complex amplitudes of the states per unit of drive, dampers at rest; shape (states,) + omega.shape.
 
     `name`: name of the driven input; `omega`: rad/s. Raises `SceneError` at the resonance of an undamped system.
     """
@@ -222,7 +222,7 @@ def _chirp_drive(scene: Scene, system: HybridSystem, chirp: Chirp) -> Array:
 
 
 def _tabulate_gain(scene: Scene, system: HybridSystem, low: float, high: float) -> tuple[Array, ComplexArray]:
-    """Return frequencies (Hz), closely spaced at resonances and antiresonances, and the drive per level at each."""
+    """Return frequencies [Hz], closely spaced at resonances and antiresonances, and the drive per level at each."""
 
     def gain_at(frequency: Array) -> ComplexArray:
         gain = drive_per_level(scene, system, 2.0 * np.pi * frequency)

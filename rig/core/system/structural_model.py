@@ -1,6 +1,6 @@
 """The structure as matrices M, C, K with its dampers' masses: natural modes and the linear frequency response.
 
-A damper's *bed* is its particles, modeled as one mass. A bed that *rides* is at rest in its cavity: an added
+A damper's *bed* is its particles, modeled as one mass. A *resting* bed lies in its cavity: an added
 mass of its body.
 
 Convention: x(t) = Re(X e^{i w t}), so a phase lag is negative.
@@ -102,9 +102,9 @@ class StructuralModel:
         return NaturalModes(omega, shapes, mass, damping)
 
     def with_bed_masses(self, riding: Iterable[int] = ()) -> StructuralModel:
-        """Return the model with the masses of the locked and of the riding beds added to their bodies.
+        """Return the model with the masses of the locked and of the resting beds added to their bodies.
 
-        `riding`: numbers of the dampers that ride, from 1. Raises `SceneError` if a damper does not exist.
+        `riding`: numbers of the dampers that rest, from 1. Raises `SceneError` if a damper does not exist.
         """
         count = self.locked.size
         numbers = list(riding)
@@ -121,13 +121,13 @@ class StructuralModel:
         return replace(self, mass=mass)
 
     def with_ground_springs(self, bodies: Iterable[int], spring: float) -> StructuralModel:
-        """Return the model with a ground spring, N/m, on each of the given bodies (indices from 0)."""
+        """Return the model with a ground spring [N/m] on each of the given bodies (indices from 0)."""
         stiffness, supported = self.stiffness.copy(), list(bodies)
         stiffness[supported, supported] += spring
         return replace(self, stiffness=stiffness)
 
     def response(self, frequencies_hz: Array, force: Array | ComplexArray) -> ComplexArray:
-        """Compute the complex displacement amplitude of each body under harmonic forces, m, (bodies, frequencies).
+        """Compute the complex displacement amplitude of each body under harmonic forces [m], (bodies, frequencies).
 
         `frequencies_hz`: shape (frequencies,); `force`: amplitudes [N], shape (bodies,) or (bodies, frequencies).
         Raises `SceneError` if a frequency is exactly an undamped resonance, or 0 for a structure without support.
@@ -186,7 +186,7 @@ def bed_masses(scene: Scene, mass: Array) -> Array:
 def receptance(scene: Scene, frequencies_hz: ArrayLike, riding: Iterable[int] = ()) -> ComplexArray:
     """Compute the compliance of each body for the force of the shaker or, without shaker, of the hammer.
 
-    `frequencies_hz`: shape (frequencies,); `riding`: numbers of the dampers that ride, from 1. Their masses are added
+    `frequencies_hz`: shape (frequencies,); `riding`: numbers of the dampers that rest, from 1. Their masses are added
     to their bodies. The masses of dampers that are locked or have no clearance are always added. Masses on springs are
     included with their springs and dashpots.
 

@@ -145,7 +145,7 @@ class CoupledPropagator:
         return _join(self.structure.current_state(), samples, event_logs), BedStates(forces, gap)
 
     def _read_beds(self) -> None:
-        """Read the beds' present forces, and the velocities and accelerations of their bodies under these forces."""
+        """Read the beds' current forces, and the velocities and accelerations of their bodies under these forces."""
         self._force = np.array([bed.forces() for bed in self.beds])
         current = self.structure.current_state()
         first_bed_input = self.structure.system.states + len(self.system.inputs)
@@ -170,7 +170,7 @@ class CoupledPropagator:
         return displacement, velocity, acceleration, rows[3 * n :]
 
     def store_present_motion(self, samples: MotionSamples, column: int) -> None:
-        """Write the present motion into one column of the samples."""
+        """Write the current motion into one column of the samples."""
         gap = np.array([[bed.gap] for bed in self.beds])
         self._fill_columns(
             samples, slice(column, column + 1), self.structure.current_state(), self._force[:, :, None], gap

@@ -40,11 +40,11 @@ _REST_FORCE_RATIO = 3e-4
 _REST_ENERGY_RATIO = 1e-6
 #: Speed of the ceiling that flattens the bed [m/s]: slow against the fall of a grain over its own diameter.
 _CEILING_SPEED = 5e-3
-#: Steps between checks of a falling bed; the fall takes many thousands of steps.
+#: Number of steps between checks of a falling bed; the fall takes many thousands of steps.
 _FALL_STEPS = 500
 #: Limit of the checks of a falling bed: an error is better than a simulation without end.
 _MAX_FALL_CHECKS = 400
-#: Steps between checks of a bed that comes to rest: much shorter than the time between peaks of its kinetic energy.
+#: Number of steps between checks of a bed that comes to rest: few between two peaks of its kinetic energy.
 _REST_STEPS = 20
 #: Limit of the checks of a bed that comes to rest: an error is better than a simulation without end.
 _MAX_REST_CHECKS = 40_000

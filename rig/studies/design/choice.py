@@ -255,7 +255,7 @@ class Objective:
         return max(peaks)
 
     def frequencies(self, scene: Scene) -> Array:
-        """Return frequencies, dense between the resonances without dampers and with riding dampers."""
+        """Return frequencies, dense between the resonances without dampers and with resting dampers."""
         low, high = self.band
         natural = natural_frequencies(scene, low, high)
         if not len(natural):

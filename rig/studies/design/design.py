@@ -184,8 +184,8 @@ def design(
     dampers : int, at least 1
         Largest number of dampers; fewer are chosen if they are as effective.
     clearance : (float, float) or (str, str), optional
-        Range of clearances to search, such as ``0.2mm,3mm``. Default: dampers hardly move at the smallest clearance
-        and hardly reach the ceiling at the largest; designs without a ceiling are then included.
+        Range of clearances to search, such as ``0.2mm,3mm``. Default: dampers move little at the smallest clearance and
+        rarely reach the ceiling at the largest; designs without a ceiling are then included.
     levels : sequence of float or str, optional
         Force amplitudes for which dampers are designed, such as ``1N,3N``. Default: 0.5, 1 and 2 times the force of
         the test.

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 BLUE, RED = COLORS[:2]
 #: Colors of the responses with dampers, for successive levels.
 LEVEL_COLORS = RED, "#E69F00", "#8C2D04"
-# Frequencies of the drawn response without dampers: about one a pixel.
+# Number of frequencies of the drawn response without dampers: about one per pixel.
 _RESPONSE_POINTS = 800
 #: A clearance is at a limit of the search if it differs from the limit by at most this fraction.
 LIMIT_TOLERANCE = 0.02

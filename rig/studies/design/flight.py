@@ -19,7 +19,7 @@ from rig.studies.motion_map.grid import damper_accelerations, natural_frequencie
 EFFECTIVE_DB = 1.0
 #: Frequencies over the band, in addition to natural frequencies and peaks, where the acceleration is largest.
 _BAND_POINTS = 20
-#: Acceleration of the body [g], with riding dampers, above which dampers are usually effective.
+#: Acceleration of the body [g], with resting dampers, above which dampers are usually effective.
 _EFFECTIVE_G = 3.0
 
 
@@ -36,7 +36,7 @@ class Flight:
     height: float
 
     def acceleration_g(self, level: float) -> float:
-        """Return the largest acceleration [g] of a damper's body at a level while all dampers ride."""
+        """Return the largest acceleration [g] of a damper's body at a level while all dampers rest."""
         return level / self.take_off
 
 
@@ -78,7 +78,7 @@ def _frequencies(objective: Objective, trial: Trial) -> np.ndarray:
 
 
 def ineffective_levels(trial: Trial, bare: Peak, flight: Flight) -> list[float]:
-    """Return the levels at which the dampers do not fly, or hardly reduce the peak (resolution of the search)."""
+    """Return the levels at which dampers do not fly, or change the peak by less than the resolution of the search."""
     return sorted(
         peak.level
         for peak in trial.peaks

@@ -15,9 +15,9 @@ from rig.studies.design.worst_peak import Peak
 
 #: A peak is assigned to a mode up to this relative distance from the natural frequency.
 MAX_PEAK_OFFSET = 0.15
-#: Evaluated modes: those nearest to the band. Each takes a response.
+#: Maximum number of evaluated modes: those nearest to the band. Each requires a frequency response.
 _MAX_MODES = 6
-#: Equally good designs that are compared outside the band. Each takes a response.
+#: Maximum number of equally good designs that are compared outside the band. Each requires a frequency response.
 _MAX_COMPARED = 5
 
 
@@ -32,7 +32,7 @@ class ModePeaks:
 
 
 def mode_objectives(objective: Objective) -> list[tuple[float, Objective]]:
-    """Return natural frequencies in and next to the band, Hz, each with the objective restricted to its mode."""
+    """Return natural frequencies in and next to the band [Hz], each with the objective restricted to its mode."""
     nominal = objective.scenes[0]
     natural = structural_model(nominal).with_bed_masses().modes.frequency
     natural = natural[natural > 0.0]

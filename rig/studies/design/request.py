@@ -69,7 +69,7 @@ def _bodies(requested: Sequence[int | str] | None, scene: Scene, name: str) -> t
 
 
 def _with_controlled_force(scene: Scene, levels: Sequence[float | str] | None) -> Scene:
-    """Replace a drive level of the test (V or m) with a controlled force if the reference is a force."""
+    """Replace a drive level of the test [V or m] with a controlled force if the reference is a force."""
     if scene.level_key != "drive" or scene.reference == "table":
         return scene
     if levels is None:

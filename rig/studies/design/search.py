@@ -28,9 +28,9 @@ GRID_CLEARANCES = 10
 TYPICAL_COMPLETED_SHARE = 0.4
 #: Choices of each mass that are computed concurrently; more would be wasted when the search turns elsewhere.
 LOOKAHEAD = 3
-#: Trials around the best clearance of a location and mass; the peak is flat there.
+#: Maximum number of trials around the best clearance of a location and mass; the peak is flat there.
 MAX_REFINEMENT_TRIALS = 8
-#: Trials per unknown of the simplex search, where mass and clearance of each damper are unknown. A trial takes seconds.
+#: Number of trials per unknown (mass and clearance of each damper) of the simplex search. A trial takes seconds.
 SIMPLEX_TRIALS_PER_UNKNOWN = 25
 #: Locations that the simplex search refines at the largest mass: the best and its competitor.
 MAX_SIMPLEX_LOCATIONS = 2
@@ -40,7 +40,7 @@ MAX_MASS_RATIO = 300.0
 MAX_REFINED_PEAK_RATIO = 1.4
 #: The same limit for smaller masses, and for locations with several different dampers.
 MAX_LIGHT_PEAK_RATIO = 1.25
-#: Locations that are refined for each smaller mass: the best and its competitor.
+#: Number of locations that are refined for each smaller mass: the best and its competitor.
 MAX_REFINED_LOCATIONS = 2
 #: Two sums of masses are equal if they differ by less than this fraction, which exceeds rounding errors.
 MASS_ROUNDING = 1e-9

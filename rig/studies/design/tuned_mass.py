@@ -71,7 +71,7 @@ def _starts(objective: Objective, bodies: Iterable[int], mass: float) -> Iterato
 
 
 def _searched_band(objective: Objective) -> tuple[float, float]:
-    """Return the band of the objective, Hz, extended as described above."""
+    """Return the band of the objective [Hz], extended as described above."""
     low, high = objective.band
     natural = structural_model(objective.scenes[0]).modes.frequency
     inside, below, above = (

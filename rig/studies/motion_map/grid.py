@@ -78,7 +78,7 @@ def select_frequencies(
 
 
 def natural_frequencies(scene: Scene, low: float, high: float) -> Array:
-    """Compute the natural frequencies [Hz] in a range: without moving dampers, and with riding dampers."""
+    """Compute the natural frequencies [Hz] in a range: without moving dampers, and with resting dampers."""
     # With dampers in motion, each resonance is between these two values.
     model = structural_model(scene)
     models = [model.with_bed_masses(), model.with_bed_masses(range(1, len(scene.dampers) + 1))]
@@ -95,7 +95,7 @@ def _test_range(scene: Scene) -> tuple[float, float]:
 
 
 def take_off_levels(scene: Scene, frequency: Array) -> Array:
-    """Compute the level at which the linear motion with riding dampers ends.
+    """Compute the level at which the linear motion with resting dampers ends.
 
     At this level a bed reaches 1 g, a mass on a spring its wall, friction its limit, or the first joint closes or
     slips. `frequency`, shape (frequencies,): Hz. Returns shape (frequencies,), N, or the unit of the drive.
@@ -128,8 +128,8 @@ def select_row_values(
     """Select levels or clearances, evenly spaced in the logarithm.
 
     `over`: "force", "drive" or "clearance"; `frequency`: Hz; `lowest`, `highest`: ends of the range. The default
-    range of levels contains the lowest take-off level. In the default range of clearances, a damper hardly moves at the
-    smallest and hardly reaches its ceiling at the largest. Unless both ends are given, one row is the scene's value.
+    range of levels contains the lowest take-off level. In the default range of clearances, a damper moves little at the
+    smallest and rarely reaches its ceiling at the largest. Unless both ends are given, one row is the scene's value.
     Raises `SceneError` if the ends are not a valid range.
     """
     scene_value, default = (_clearances if over == "clearance" else _levels)(scene, frequency)

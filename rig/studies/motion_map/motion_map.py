@@ -77,7 +77,7 @@ class MotionMap(Result):
     cpu : ndarray, shape (rows, frequencies)
         CPU time [s]; excluded from tables and figures, so these do not depend on the machine.
     take_off : ndarray, shape (frequencies,)
-        Level below which the motion is linear: all dampers ride. At this level the first damper starts to move
+        Level below which the motion is linear: all dampers rest. At this level the first damper starts to move
         in its body (1 g for a bed) or hits a wall, or the first joint closes or slips.
     """
 

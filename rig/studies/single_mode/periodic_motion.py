@@ -140,7 +140,7 @@ class PeriodicMotion:
         """Compute the state at time `t` after the start of a phase of the motion, in closed form."""
         inertia, decay, stiffness_per_inertia = self._oscillator(phase)
         # As in the paper (A_p, beta), the response q_c cos(t) + q_s sin(t) is singular at an undamped resonance.
-        d_r, d_i = stiffness_per_inertia - 1, 2 * decay  # real and imaginary part of the dynamic stiffness per inertia
+        d_r, d_i = stiffness_per_inertia - 1, 2 * decay  # real and imaginary parts of the dynamic stiffness per inertia
         squared = inertia * (d_r * d_r + d_i * d_i)
         sin_part, cos_part = self._local_force(phase.start_time)
         q_c, q_s = (cos_part * d_r - sin_part * d_i) / squared, (sin_part * d_r + cos_part * d_i) / squared

@@ -39,7 +39,7 @@ class SingleMode:
     force: float  # Amplitude of the force [N]
     mass_ratio: float  # mu_i, the equivalent damper's mass over M_i
     clearance: float  # Clearance of the damper's cavity [m]; inf without a ceiling
-    gravity: float  # [m/s^2]
+    gravity: float  # [m/s²]
 
     @property
     def frequency(self) -> float:

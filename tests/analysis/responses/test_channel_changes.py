@@ -200,7 +200,7 @@ def test_dead_channel_is_named_and_omitted(request, tmp_path, kind, channel):
         middle, time = rec.samples // 2, rec.samples // 2 / rec.rate
     [intact] = analysis.frequency_responses(path)
     [response] = responses_with_gain(path, tmp_path, [channel], 1e-6, middle)
-    assert any(text.startswith(f"{channel}: dead or disconnected from {time:.4g} s") for text in response.warnings)
+    assert any(text.startswith(f"{channel}: disconnected or failed from {time:.4g} s") for text in response.warnings)
     assert not any("its gain" in text for text in response.warnings)
     # What is measured before is right.
     value = np.array([np.interp(response.frequency, intact.frequency, row) for row in intact.value[:, :, 0].T])
@@ -291,5 +291,5 @@ def test_channel_that_becomes_late_is_named(request, kind, row):
 
 def test_dead_hammer_is_named(impulses, tmp_path):
     [response] = responses_with_gain(impulses, tmp_path, ["hammer"], 1e-5, 640 + 3 * round(6.0 * synthetic.RATE) - 400)
-    assert any(text.startswith("hammer: dead or disconnected") for text in response.warnings)
+    assert any(text.startswith("hammer: disconnected or failed") for text in response.warnings)
     assert not any("marker" in text for text in response.warnings)

@@ -197,7 +197,7 @@ def test_magnitude_of_reference_is_left_out(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(heading + rows)
     [curve] = analysis.read_frfs(tmp_path / "a.csv", unit="m/s^2/N")
     assert curve.response == "Channel 2"
-    assert any("left out: Channel 1 has columns for magnitude;" in warning for warning in curve.warnings)
+    assert any("omitted: Channel 1 has columns for magnitude;" in warning for warning in curve.warnings)
     np.testing.assert_allclose(curve.value, ACCELERANCE, rtol=1e-6)
 
 
@@ -411,7 +411,7 @@ def test_other_items_of_hdf5_are_omitted(tmp_path: Path) -> None:
             file[name].attrs.update({"unit": "N" if name == "force" else "g", "sample_rate": 1024.0})
         file["comment"], file["empty"], file["none"] = "first hit", h5py.Empty("f"), np.zeros((0, 3))
         file.create_dataset("ragged", (2,), h5py.vlen_dtype(np.float64))[0] = [1.0, 2.0]
-    with ExitStack() as stack, pytest.warns(RunWarning, match="left out: /ragged"):
+    with ExitStack() as stack, pytest.warns(RunWarning, match="omitted: /ragged"):
         signals = signals_of(tmp_path / "a.h5", stack)
     assert [(signal.name, signal.unit, signal.rate) for signal in signals] == [
         ("force", "N", 1024.0),
@@ -460,7 +460,7 @@ def test_phase_needs_unit_below_pi(tmp_path: Path) -> None:
 def test_spectra_next_to_responses_are_left_out(tmp_path: Path) -> None:
     spectrum = np.full(FREQUENCY.size, 1.0 + 1.0j)
     scipy.io.savemat(tmp_path / "a.mat", {"f": FREQUENCY, "Hf_chan_2": ACCELERANCE, "Hf_Cross_Spec_chan_2": spectrum})
-    with pytest.warns(RunWarning, match="left out: Hf_Cross_Spec_chan_2"):
+    with pytest.warns(RunWarning, match="omitted: Hf_Cross_Spec_chan_2"):
         [curve] = analysis.read_frfs(tmp_path / "a.mat", unit="m/s^2/N")
     np.testing.assert_allclose(curve.value, ACCELERANCE)
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
 
 # Parts of the warnings that blame a channel for a step of its gain, for a break, for a delay, or for its sign.
-_BLAMES = ("its gain", "dead or disconnected", "seems to be", "indicates a reversed channel")
+_BLAMES = ("its gain", "disconnected or failed", "seems to be", "indicates a reversed channel")
 
 
 def check(case: Case, kind: str) -> list[CheckResult]:

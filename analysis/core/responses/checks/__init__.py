@@ -1,4 +1,4 @@
-"""Checks of channels and of response curves: dead channels, steps of gain, flaws, implausible phases, jumps.
+"""Checks of channels and of response curves: failed channels, steps of gain, flaws, implausible phases, jumps.
 
 Start with `clean_segments`, which omits the flawed parts of a recording. Each check is independent of the estimators.
 """

@@ -26,9 +26,9 @@ from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results import format_number
 
-# Fewest parts without flaws.
+# Minimum number of parts without flaws.
 _MIN_PARTS = 4
-# Fewest parts on either side of a step: a scatter needs several values.
+# Minimum number of parts on either side of a step: a scatter needs several values.
 _MIN_SIDE = 2
 # Minimum number of periods of a steady response to one input: without a change, the periods are equal except for noise.
 _MIN_PERIODS = 2
@@ -62,7 +62,7 @@ _TURNS_SPACING = 0.1
 _MIN_UNIFORMITY = 2.0
 # Largest change of the other channels' gains at a step, relative to it, unless they change by the same factor.
 _MAX_COMMON = 0.25
-# A channel whose gain falls below this fraction is dead: only noise and crosstalk remain.
+# A channel whose gain falls below this fraction has failed: only noise and crosstalk remain.
 _DEAD_RATIO = 0.05
 # Smallest power of the largest input at an evaluated line, relative to the mean; at other lines, noise dominates.
 _MIN_POWER = 1e-3
@@ -151,7 +151,7 @@ def _gain_warnings(
         elif len(inputs) == 1 and all(
             abs(other.ratio - step.ratio) <= _MAX_COMMON * abs(step.ratio) for other in others
         ):
-            # If all responses change equally, the input has changed; a dead input predicts zero for all responses.
+            # If all responses change equally, the input has changed; a failed input predicts zero for all responses.
             warnings.append(describe_change(inputs[0], 1.0 / step.ratio if step.ratio else 0.0, time))
             break
     return warnings
@@ -207,7 +207,7 @@ def describe_change(name: str, ratio: float, place: str) -> str:
     factor = format_number(float(f"{ratio:.2g}"))
     change = "or its delay changes" if np.isnan(ratio) else f"changes by a factor of {factor}"
     if abs(ratio) < _DEAD_RATIO:
-        change = "drops to zero (dead or disconnected)"
+        change = "drops to zero (disconnected or failed)"
     return (
         f"{name}: its gain {change} at about {place}, in contrast to the other channels. Check mounting, cable and "
         "range, and record again; until then, the responses of this channel are wrong."
@@ -265,7 +265,7 @@ class _Compared:
         weight = 1.0 / np.maximum((abs(y) ** 2 + abs(predicted) ** 2).mean(axis=1, keepdims=True), 1e-300)
         predicted_power = np.maximum(np.sum(weight * abs(predicted) ** 2, axis=0), 1e-300)
         gains = np.sum(weight * (predicted.conj() * y).real, axis=0) / predicted_power
-        # Noise of real and imaginary part of each line is independent.
+        # Noise of the real and of the imaginary part of each line is independent.
         lines = len(y)
         deviation = np.sqrt(np.sum(weight * abs(y - gains * predicted) ** 2, axis=0) / predicted_power / self.freedom)
         factor = max(_MIN_UNIFORMITY, scipy.stats.t.isf(_SCATTER_PROBABILITY, 2 * lines - 1) / np.sqrt(lines))

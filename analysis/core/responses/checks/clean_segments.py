@@ -1,4 +1,4 @@
-"""Segments of a recording without *flaws*: overloads, lost samples, settling and dead sensors of selected channels."""
+"""Segments of a recording without *flaws*: overloads, lost samples, settling and failed sensors of some channels."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -15,8 +15,8 @@ from rig.core.settings.quantities import ACCELERATION, FORCE, parse
 OVERLOADED = "overloaded"
 LOST = "lost"
 SETTLING = "settling"
-DEAD = "dead or disconnected"
-# Blocks (periods of the lowest frequency) in the second half that determine mean and scatter after settling.
+DEAD = "disconnected or failed"
+# Number of blocks (periods of the lowest frequency) at the end that determine mean and scatter after settling.
 _SETTLED_BLOCKS = 32
 # The second half of a test with at least this number of blocks is assumed to be settled.
 _MIN_BLOCKS = 16
@@ -42,7 +42,7 @@ class Flaw:
 
 
 def find_flaws(rec: Recording, channels: Collection[str], first: int, stop: int) -> list[Flaw]:
-    """Return overloads, lost samples and dead channels between two samples, sorted by their first sample."""
+    """Return overloads, lost samples and failed channels between two samples, sorted by their first sample."""
     all_flaws = [
         Flaw(marker.first_sample, marker.stop, str(marker.fields.get("channel", "")), OVERLOADED)
         for marker in rec.overloads

@@ -1,8 +1,8 @@
-"""Channels that die during a test, for example due to a broken cable: from an instant on, their signal is nearly zero.
+"""Detection of channels that fail during a test, for example because a cable breaks: their signal drops to noise.
 
-Blocks at equal distances over the test contain every part of its excitation. A channel is dead if its signal is far
-smaller in all blocks up to the end than in the blocks just before, while the motion continues. It is dead from the
-first of these last blocks on.
+Blocks at equal distances over the test contain every part of its excitation. A channel has failed if its signal is far
+smaller in all blocks up to the end than in the blocks just before, while the motion continues. The failure begins in
+the first of these last blocks.
 """
 
 from collections.abc import Sequence
@@ -20,37 +20,37 @@ _BLOCKS = 64
 _MIN_SAMPLES = 1024
 # Shortest block, in periods of the lowest frequency.
 _MIN_PERIODS = 4.0
-# Fewest dead blocks at the end.
+# Minimum number of failed blocks at the end.
 _MIN_DEAD = 2
-# Largest number of blocks before the dead ones with which they are compared.
+# Maximum number of blocks before the failed ones with which they are compared.
 _COMPARED = 8
-# Fewest blocks, or impacts, without which the live part cannot be compared with the dead part.
+# Minimum number of blocks, or of impacts, in a test that is checked: parts of fewer cannot be compared.
 _MIN_BLOCKS = 4
-# A signal is dead if it is below this fraction of the previous signal: only noise and crosstalk remain.
+# A signal has failed if it is below this fraction of the previous signal: only noise and crosstalk remain.
 _DEAD_RATIO = 0.01
-# A signal that falls by more than this factor in several steps has settled; one that dies falls in one step, or in two
+# A signal that falls by more than this factor in several steps has settled; one that fails falls in one step, or in two
 # at the beginning of a block.
 _MAX_FALL = 10.0
 # Smallest standard deviation before [counts of the converter]; a smaller signal falls below half a count.
 _MIN_COUNTS = 3.0
-# Smallest ratio of a dead channel's fall to that of some other motion channel: the excitation has not ended.
+# Minimum ratio of the fall of a failed channel to that of another channel; otherwise, the excitation ended.
 _MIN_CONTRAST = 10.0
-# Ratio of the last live deviation to the largest one in the first dead block, which noise hardly reaches.
+# A reading is valid if it deviates this many times as far from the mean as any in the first failed block.
 _PEAK_RATIO = 3.0
 
-# For each open recording: the first dead sample of each dead channel.
+# For each open recording: the first invalid sample of each failed channel.
 _dead_channels_of: WeakKeyDictionary[Recording, dict[str, int]] = WeakKeyDictionary()
 
 
 def dead_channels(rec: Recording) -> dict[str, int]:
-    """Return the first dead sample of each channel that dies during the test; computed once while a file is open."""
+    """Return the first invalid sample of each failed channel; computed once while a file is open."""
     if rec not in _dead_channels_of:
         _dead_channels_of[rec] = _find(rec)
     return _dead_channels_of[rec]
 
 
 def dead_channel_warnings(rec: Recording, names: Sequence[str], responses: Sequence[str]) -> list[str]:
-    """Return a warning for each of the channels `names` that dies; `responses`: channels other than the reference."""
+    """Return a warning for each of the channels `names` that fails; `responses`: channels other than the reference."""
     warnings = []
     for name, first in dead_channels(rec).items():
         others = ", ".join(other for other in responses if other != name)
@@ -61,7 +61,7 @@ def dead_channel_warnings(rec: Recording, names: Sequence[str], responses: Seque
         )
         if name in names:
             warnings.append(
-                f"{name}: dead or disconnected from {first / rec.rate:.4g} s on; only the test before is used. Check "
+                f"{name}: disconnected or failed from {first / rec.rate:.4g} s on; only the test before is used. Check "
                 f"cable and sensor, and record again. {remedy}".rstrip()
             )
     return warnings
@@ -118,9 +118,9 @@ def _level(rec: Recording, name: str, start: int, samples: int) -> float:
 
 
 def _first_dead_block(levels: Array) -> int | None:
-    """Return the first of the last blocks in which a channel is dead."""
+    """Return the first of the last blocks in which a channel has failed."""
     for block in range(_MIN_DEAD, levels.size - _MIN_DEAD + 1):
-        # The last block before may be dead in part.
+        # The last block before may be invalid in part.
         before = levels[max(block - 1 - _COMPARED, 0) : block - 1]
         falls = levels[max(block - 3, 0) : block] > _MAX_FALL * levels[max(block - 3, 0) + 1 : block + 1]
         has_settled = falls.sum() > 1 and (falls.size < 3 or falls[0])
@@ -136,7 +136,7 @@ def _fall(levels: Array, block: int) -> float:
 
 
 def _first_dead_sample(rec: Recording, name: str, first: int, last: int, samples: int) -> int:
-    """Return the first dead sample of a channel, between the first samples of two successive blocks."""
+    """Return the first invalid sample of a channel, between the first samples of two successive blocks."""
     readings = rec.read(name, first, min(last + samples, rec.samples))
     dead = readings[last - first :]
     is_alive = abs(readings - dead.mean()) > _PEAK_RATIO * abs(dead - dead.mean()).max()

@@ -24,7 +24,7 @@ from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import Response
 from rig.core.results.text import format_quantity
 
-# Fewest points from which a delay is estimated.
+# Minimum number of points from which a delay is estimated.
 _MIN_LINES = 6
 # Of more points, this number of evenly selected points is evaluated.
 _MAX_LINES = 400
@@ -40,7 +40,7 @@ _MAX_MISFIT_RATIO = 4.0
 _MODEL_ERROR = 0.005
 # Smallest standard deviation of the phases of residues [rad], due to modes outside the band and phases of sensors.
 _PHASE_DEVIATION = 0.05
-# Same of the residual terms, whose imaginary part is due to the damping of modes outside the band.
+# Standard deviation of the phases of the residual terms [rad], due to the damping of modes outside the band.
 _RESIDUAL_PHASE = 0.1
 # Standard deviation of the damping coupling of two modes, relative to the largest coupling that dashpots can cause.
 _MEAN_COUPLING = 0.3
@@ -54,10 +54,10 @@ _MAX_DELAY_S = 5e-3
 _SPACING = 0.1
 # The trial delays are refined around the best by this number of intervals.
 _REFINEMENT = 20
-# A delay is significant if it reduces the sum of squares by at least this value, compared with no delay, ...
+# A delay is significant if the sum of squares without a delay, and at other delays, is larger by this value.
 _MIN_REDUCTION = 20.0
-# ... and with delays that differ from it by more than this fraction of a period of the highest frequency, and by more
-# than twice its expanded uncertainty.
+# Other delays differ by more than this fraction of a period of the highest frequency, and by more than twice the
+# expanded uncertainty.
 _SEPARATION = 0.25
 # The delay is confirmed by parts of the lines, each without every third line.
 _PARTS = 3
@@ -156,7 +156,7 @@ def _estimate_delays(curves: Sequence[Response]) -> list[_Delay | None]:
     value = np.stack([curve.value for curve in receptances])
     magnitude = abs(value)
     valid = np.isfinite(value) & (magnitude > 0.0)
-    # A dead channel determines nothing, and must not remove the lines of the others.
+    # A failed channel determines nothing, and must not remove the lines of the others.
     is_alive = 2 * valid.sum(axis=1) > valid.shape[1]
     if not is_alive.all():
         found = iter(_estimate_delays([curve for curve, alive in zip(curves, is_alive, strict=True) if alive]))
@@ -177,7 +177,7 @@ def _estimate_delays(curves: Sequence[Response]) -> list[_Delay | None]:
 
 
 def _common_poles(frequency: Array, value: ComplexArray, error: Array) -> ComplexArray:
-    """Return the poles of the modal model of curves with the smallest model error that explains its misfit [rad/s]."""
+    """Return the poles of the modal model of curves with the smallest consistent model error [rad/s]."""
     magnitude = abs(value)
     equal_weight = np.ones(value.shape) / magnitude.max(axis=1, keepdims=True)
     models = []

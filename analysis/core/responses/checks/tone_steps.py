@@ -30,7 +30,7 @@ from rig.core.results.response import Response
 
 # Length of a block of samples, in periods of the tone.
 _PERIODS = 12.0
-# Shortest block [s], and fewest samples of a block.
+# Shortest block [s], and minimum number of its samples.
 _MIN_SECONDS = 0.3
 _MIN_SAMPLES = 96
 # Number of terms for the drift of a reading, such as after power-on of a sensor.

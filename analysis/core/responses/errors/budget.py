@@ -32,11 +32,11 @@ def assemble_budget(
 ) -> UncertaintyBudget:
     """Assemble the uncertainty budget of a response.
 
-    `error`, `degrees_of_freedom`: type A standard uncertainty of real and imaginary part, and its degrees of freedom,
-    shape (lines,). `estimator_limits`: limits of the errors of the estimator, by name; limits of the instrument's
-    errors are computed here. `reference_limits`: limits of the relative errors of the reference, for the additional
-    error of `uncertain_reference_limit`. `errors`: model of the random errors of several responses. `shared`: number of
-    neighboring lines with a common error. `scale`: from `common_scale`.
+    `error`, `degrees_of_freedom`: type A standard uncertainty of the real and of the imaginary part, and its degrees of
+    freedom, shape (lines,). `estimator_limits`: limits of the errors of the estimator, by name; limits of the
+    instrument's errors are computed here. `reference_limits`: limits of the relative errors of the reference, for the
+    additional error of `uncertain_reference_limit`. `errors`: model of the random errors of several responses.
+    `shared`: number of neighboring lines with a common error. `scale`: from `common_scale`.
     """
     limits = {**aliasing_limit(rec, contributions), **estimator_limits}
     if len(reference_limits):

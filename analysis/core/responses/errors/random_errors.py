@@ -325,7 +325,7 @@ def _blocks(n_lines: int, elements_per_line: int) -> Iterator[slice]:
 
 
 def _scale_to_variances(covariance: ComplexArray, error: Array) -> ComplexArray:
-    """Scale covariances to stated standard uncertainties of real and imaginary part."""
+    """Scale covariances to stated standard uncertainties of the real and of the imaginary part."""
     stated, variances = 2.0 * error**2, np.einsum("kaa->ka", covariance).real
     with np.errstate(invalid="ignore"):
         scale = np.sqrt(np.divide(stated, variances, out=np.ones_like(variances), where=variances > 0.0))

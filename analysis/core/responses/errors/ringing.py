@@ -11,9 +11,9 @@ from numpy.polynomial import polynomial
 
 from rig.core.base.arrays import Array, ComplexArray
 
-# Points of a local fit with two poles: more than its unknowns, and few enough to stay near the resonance.
+# Number of points of a local fit with two poles: more than its unknowns, and few enough to stay near the resonance.
 _POINTS_TWO_POLES = 7
-# Points of a local fit with a single pole: as few as determine it.
+# Number of points of a local fit with a single pole: the minimum.
 _POINTS_ONE_POLE = 3
 # A fit needs a second pole if the residual with one pole is at least this fraction of the response.
 _MIN_RESIDUAL_RATIO = 1e-3

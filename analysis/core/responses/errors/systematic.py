@@ -2,8 +2,8 @@
 
 Each error has a name for display and a limit of its magnitude, like a tolerance in a data sheet. The functions whose
 names end in `_bound` return the limit in the unit of the response, at each spectral line (shape (lines,)), alone or in
-a dictionary by name. The functions whose names end in `_sources` return the complex change of the response if a sensor
-or clock is at its limit, by the identity of this source, because other responses may have the same source.
+a dictionary by name. The functions whose names end in `_sources` return the complex change of the response if the error
+of a source (sensor or clock) equals its limit; the key identifies the source, which other responses may share.
 """
 
 import json
@@ -32,7 +32,7 @@ JITTER = "jitter of the sampling instants"
 IRREGULAR = (UNSETTLED, RESOLUTION, MODEL, REFERENCE, JITTER)
 # Assumed ratio of transverse to axial motion, if the data sheet specifies only a transverse sensitivity.
 _LATERAL_RATIO = 0.1
-# Fewest lines that determine the slope of a curve by central differences.
+# Minimum number of lines that determine the slope of a curve by central differences.
 _MIN_SLOPE_LINES = 3
 # Slope for fewer lines, in value / frequency: that of a peak with a half-power width of a fifth of its frequency.
 _ASSUMED_SLOPE_RATIO = 10.0

@@ -63,12 +63,12 @@ class LocalFit(NamedTuple):
     """Result of the local fits, each at all lines."""
 
     value: ComplexArray  # response; NaN at lines without excitation; complex, shape (lines,)
-    variance: Array  # variance of real and imaginary part; shape (lines,)
+    variance: Array  # variance of the real and of the imaginary part; shape (lines,)
     # share of the response power, without transients, that the reference explains (coherence); shape (lines,)
     coherence: Array
     degrees_of_freedom: Array  # degrees of freedom of the variance; shape (lines,)
-    # variance of real and imaginary part due to unit noise power in the reference; shape (lines,). The residuals do not
-    # show this noise in a peak that is narrower than the fit, because the poles are fitted to it
+    # variance of the real and of the imaginary part due to unit noise power in the reference; shape (lines,). The
+    # residuals do not show this noise in a peak that is narrower than the fit, because the poles are fitted to it
     variance_per_reference_noise: Array
     # share of the reference power that is linearly independent of all other terms of the fit; shape (lines,). It is
     # large for noise, and small for a linear sweep, because the spectrum of a sweep resembles a transient
@@ -230,7 +230,7 @@ class _Estimate(NamedTuple):
 
     @property
     def variance(self) -> Array:
-        """Return the variance of real and imaginary part of the constant, shape (lines,)."""
+        """Return the variance of the real and of the imaginary part of the constant, shape (lines,)."""
         return 0.5 * self.noise_power * self.constant_variance
 
     def at(self, lines: NDArray[np.intp]) -> _Estimate:

@@ -1,8 +1,8 @@
 """Spectra of a long segment, computed only at low frequencies, because most tests excite a small part of the band.
 
 Higher frequencies are removed by a low-pass filter before decimation, and the spectrum is divided by the filter's
-response (Crochiere and Rabiner, Multirate Digital Signal Processing, 1983, chapter 2). Memory hardly depends on the
-duration of the recording; the computation takes about as long as reading the samples.
+response (Crochiere and Rabiner, Multirate Digital Signal Processing, 1983, chapter 2). The memory is nearly independent
+of the duration of the recording; the computation takes about as long as reading the samples.
 """
 
 from collections.abc import Sequence

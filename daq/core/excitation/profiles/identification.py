@@ -22,17 +22,17 @@ _RESPONSE_RATIO = 0.1
 _FIRST_RATIO = 0.1
 # Largest change of a line, or of all lines, in one step: a larger step could overload the rig.
 _MAX_STEP = 10.0
-# Increases of the level until a response is detected: ten steps by a factor of 10 exceed any range.
+# Maximum number of increases of the level until a response is detected: ten steps by a factor of 10 exceed any range.
 _MAX_SEARCHES = 10
-# Largest number of corrections of the drive spectrum after a response is detected.
+# Maximum number of corrections of the drive spectrum after a response is detected.
 _MAX_SHAPINGS = 3
 # A response is detected above this multiple of the noise; below, the estimate is mostly noise.
 _MIN_SIGNAL_TO_NOISE = 4.0
 # Part of the range of the output that the peak of the drive may use.
 _OUTPUT_RATIO = 0.3
-# Periods in which the transient decays.
+# Number of periods in which the transient decays.
 _SETTLING_PERIODS = 2
-# Measured periods, whose spectra are averaged.
+# Number of measured periods, whose spectra are averaged.
 _PERIODS = 4
 #: Expected number of periods of an identification.
 EXPECTED_PERIODS = 16
@@ -45,12 +45,12 @@ class Identified:
     """Responses of channels to the drive at spectral lines."""
 
     lines: Lines
-    gain: ComplexArray  # m/s^2 per unit of drive, shape (channels, lines)
+    gain: ComplexArray  # m/s² per unit of drive, shape (channels, lines)
     coherence: Array  # shape (channels, lines)
 
 
 def accelerations(station: Station, rows: Sequence[int], readings: Array, lines: Lines, period: int) -> ComplexArray:
-    """Return the complex amplitudes of the accelerations in one period of readings, shape (rows, lines), m/s^2."""
+    """Return the complex amplitudes of the accelerations in one period of readings, shape (rows, lines), m/s²."""
     frequency = lines * station.rate / period
     factors = np.array([station.acceleration_factor(row, frequency) for row in rows])
     # The first reading is subtracted, so constant readings are exactly zero.
@@ -64,7 +64,7 @@ def identify(
     """Identify the responses of channels.
 
     `rows`: rows of the channels, a control channel first; `period`: samples; `required`: amplitude of the first channel
-    at each line in the test, m/s^2; `limits`: largest root mean square of each channel in the test, m/s^2; `purpose`:
+    at each line in the test [m/s²]; `limits`: largest root mean square of each channel in the test [m/s²]; `purpose`:
     name for the generator of the random phases.
     """
     phases = station.generator(purpose).uniform(0.0, 2.0 * np.pi, lines.size)

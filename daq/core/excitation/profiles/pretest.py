@@ -26,7 +26,7 @@ _EDGE_S = 0.25
 _DECAY_S = 1.0
 # The tones extend beyond both limits of the test's band by this factor, so the estimate is valid at the limits.
 _BAND_MARGIN = 1.3
-# Largest drive of the burst, relative to a cautious drive: above the noise, without an overload.
+# Maximum drive of the burst, relative to the cautious first drive: it exceeds the noise without overloads.
 _MAX_DRIVE_RATIO = 5.0
 # The amplitudes of the tones are proportional to (1 / frequency) to this power.
 _SPECTRUM_EXPONENT = 1.0

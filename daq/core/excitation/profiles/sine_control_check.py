@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 # The drive changes after this number of periods.
 WINDOW_PERIODS = 1.0
-# An observation takes four periods, so free vibrations at lower resonances hardly change it.
+# An observation takes four periods, so free vibrations at lower resonances have little effect on it.
 OBSERVATION_PERIODS = 4.0
 # Distances of the sidebands from the tone, in cycles of the drive amplitude per window.
 _SIDEBANDS = np.arange(1, 101) / 200.0
@@ -40,8 +40,8 @@ _PEAK = 1.25
 _NEAR = 0.05
 # Frequencies at which the slope of the drive is computed, several for each half-power width.
 _FREQUENCIES = 2000
-# The response is needed from the lower end of the band divided by this factor to the upper end multiplied by it:
-# sidebands that are further from the tone hardly change an observation.
+# The response is computed in a band that is wider than that of the test by this factor at each end: sidebands farther
+# from the tone have a negligible effect on an observation.
 _WIDER = 1.15
 
 
@@ -92,7 +92,7 @@ def in_band(test: SineControl, frequency: Array) -> NDArray[np.bool_]:
 def required_drives(test: SineControl, motion: Array, frequency: Array) -> Array:
     """Return the drives that profile and limits require, shape (1 + limits, n).
 
-    Outside the band, the drives are those at its ends. `motion`: amplitudes of the channels per unit of drive, m/s^2,
+    Outside the band, the drives are those at its ends. `motion`: amplitudes of the channels per unit of drive, m/s²,
     shape (channels, n); `frequency`: Hz, shape (n,).
     """
     return test.required(motion, np.clip(frequency, *test.band))

@@ -67,7 +67,7 @@ class AveragedSpectra:
 
     @property
     def density(self) -> Array:
-        """One-sided power spectral densities of the accelerations, (m/s^2)^2/Hz, shape (channels, lines)."""
+        """One-sided power spectral densities of the accelerations, (m/s²)²/Hz, shape (channels, lines)."""
         return np.asarray(self._factors * self._sum / max(self.count, 1))
 
 

@@ -17,7 +17,7 @@ from rig.core.base.errors import SceneError
 # Numbers of spectral lines; shape (lines,).
 Lines = NDArray[np.int64]
 
-# Iterations; each reduces the deviation several times, so more are needed only without convergence.
+# Maximum number of iterations; each divides the deviation by several, so more are needed only without convergence.
 _MAX_ITERATIONS = 8
 # Largest change of a line's drive in one iteration: an estimate from noise must not overload the rig.
 _MAX_STEP_RATIO = 4.0
@@ -69,7 +69,7 @@ def equalize(
     """Compute the drive with a flat spring force over the lines, by iteration with measurements.
 
     `phases`: phases of the lines [rad]. Returns, for each line, the drive amplitude and the ratio of force to drive;
-    and the present period of the drive, shape (period,).
+    and the current period of the drive, shape (period,).
     """
     level = station.level
     target = equal_amplitudes(level, lines)

@@ -85,7 +85,7 @@ class SweepControl:
             # Readings that vary by less than one converter count do not determine the drive.
             return self._drives[-1][1]
         if self._target_force is None:
-            # The phase of the force is arbitrary; the present phase requires the smallest change of the drive.
+            # The phase of the force is arbitrary; the current phase requires the smallest change of the drive.
             self._target_force = self._level * observation.force / abs(observation.force)
         memory_periods = _MEMORY_FACTOR * observation.frequency / max(abs(observation.sweep_rate), 1e-9) ** 0.5
         memory = min(max(memory_periods, _MIN_MEMORY_PERIODS), _MAX_MEMORY_PERIODS) / observation.frequency
@@ -100,7 +100,7 @@ class SweepControl:
         return self._limit_drive(self._target_drive(observation, window, envelope, force), abs(observation.force))
 
     def _present_envelopes(self, observation: Observation) -> tuple[complex, complex]:
-        """Return the envelopes of the mode (m) and of the force (N) at the end of the observation."""
+        """Return the envelopes of the mode [m] and of the force [N] at the end of the observation."""
         # The envelopes are simulated from the middle of the observation on, with the drive that was output since then.
         mode, law, force = self._mode, self._law, observation.force
         center = 1j * observation.angular_frequency(observation.middle)

@@ -51,7 +51,7 @@ class Replication:
         return sum_of_tones(self.lines, amplitudes, np.zeros(1), self._period)
 
     def correct(self, response: ComplexArray, level: float) -> None:
-        """Correct the drive after a pulse at a level; `response`: accelerations at the lines, m/s^2."""
+        """Correct the drive after a pulse at a level; `response`: accelerations at the lines [m/s²]."""
         self._drive = self._drive + _CORRECTION * (self._target - response / level) * self._inverse
 
 
@@ -101,7 +101,7 @@ class SpectrumPulse:
             )
 
     def spectrum(self, wave: Array) -> Array:
-        """Return the maximax shock response spectrum at the controlled frequencies, m/s^2."""
+        """Return the maximax shock response spectrum at the controlled frequencies [m/s²]."""
         largest, smallest = shock_response(wave, self._rate, self._lines, self._q)
         return np.maximum(largest, -smallest)
 
@@ -114,7 +114,7 @@ class SpectrumPulse:
         return float(abs(difference[index])), text
 
 
-# A pulse to replicate: `target` is the acceleration of one period [m/s^2], `band` that of the drive [Hz].
+# A pulse to replicate: `target` is the acceleration of one period [m/s²], `band` that of the drive [Hz].
 Pulse = HalfSinePulse | SpectrumPulse
 
 

@@ -11,7 +11,7 @@ from rig.core.scene.scene import STANDARD_GRAVITY
 # NI's numbers of the types of measurement (DAQmx_Val_...).
 VOLTAGE, ACCELERATION, FORCE, VELOCITY, MICROPHONE = 10322, 10356, 15895, 15966, 10354
 
-# Standard gravity in m/s^2, a pound-force in N, an inch in m.
+# Standard gravity in m/s², a pound-force in N, an inch in m.
 _G, _POUND_FORCE, _INCH = STANDARD_GRAVITY, 4.4482216152605, 0.0254
 
 # Units of readings by NI's numbers: value of one unit in SI, and symbol.

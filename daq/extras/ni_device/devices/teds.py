@@ -22,7 +22,7 @@ _MIN_BYTES = 8
 # The basic TEDS (64 bits), a selector (2 bits) and the template number (8 bits) precede the template's data.
 _TEMPLATE_DATA_BIT = 74
 # By template number: position of the 16-bit sensitivity in the template's data, smallest sensitivity (V per unit), and
-# ratio of neighboring values. 25: accelerometer (m/s^2) or force transducer (N), 27: microphone (Pa).
+# ratio of neighboring values. 25: accelerometer [m/s²] or force transducer [N], 27: microphone [Pa].
 _SENSITIVITY = {25: (2, 5e-7, 1.0003), 27: (1, 1e-5, 1.0002)}
 # Size of the header of a virtual TEDS file in which each further byte represents one bit [bytes].
 _FILE_HEADER_BYTES = 40

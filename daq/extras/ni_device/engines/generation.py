@@ -65,7 +65,7 @@ class OutputPlan:
 class Generation:
     """An output task from start to stop.
 
-    The buffer may be written during the run. `tick` is the present tick, `last_volts` the present output voltages, V,
+    The buffer may be written during the run. `tick` is the current tick, `last_volts` the output voltages, V,
     shape (channels,).
     """
 
@@ -89,7 +89,7 @@ class Generation:
             self.first_tick = self.armed_tick
 
     def start_tick(self, reference: bool, tick: int) -> int | None:
-        """Return the tick of the start; None if it is still unknown. `tick` is the present tick.
+        """Return the tick of the start; None if it is still unknown. `tick` is the current tick.
 
         With `reference`, the result is None, because an output has no reference trigger.
         """

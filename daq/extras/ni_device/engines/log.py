@@ -165,7 +165,7 @@ class _Tdms:
         )
 
     def _write_segment(self, values: NDArray[np.float64]) -> None:
-        """Append readings, shape (channels, n), with the present properties of the channels."""
+        """Append readings, shape (channels, n), with the current properties of the channels."""
         self._writer.write_segment(
             [
                 self._nptdms.ChannelObject(self._group, properties["NI_ChannelName"], readings, properties)
@@ -198,7 +198,7 @@ class TaskLog:
         self._has_ended = False
 
     def start_new_file(self, path: Path, acquisition: Acquisition) -> None:
-        """Complete the present file and continue in another file."""
+        """Complete the current file and continue in another file."""
         with self._ended_on_failure():
             self._write_new(acquisition)
             self._file.close()

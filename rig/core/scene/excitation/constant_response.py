@@ -29,7 +29,7 @@ class ConstantResponse(SteppedTest):
     velocity: Annotated[float | tuple[float, ...] | None, Quantity(VELOCITY, above=0.0, listed=True)] = None
     """Instead of `displacement`: amplitude of the velocity of the body [m/s]."""
     acceleration: Annotated[float | tuple[float, ...] | None, Quantity(ACCELERATION, above=0.0, listed=True)] = None
-    """Instead of `displacement`: amplitude of the acceleration of the body [m/s^2]."""
+    """Instead of `displacement`: amplitude of the acceleration of the body [m/s²]."""
     shaker: DrivenShaker = None
     settle: Settle = Settle()
     """Criterion for the steady state of a dwell."""

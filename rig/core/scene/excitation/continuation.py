@@ -35,7 +35,7 @@ class Continuation(KindOfTest):
     force: Forces | None = None
     """Amplitude of the spring force, or of the force of a force shaker [N]. Several levels run one after another."""
     drive: Drives | None = None
-    """Instead of `force`: amplitude of the drive [V, m for a table shaker, or m/s^2 for a base]."""
+    """Instead of `force`: amplitude of the drive [V, m for a table shaker, or m/s² for a base]."""
     shaker: DrivenShaker = None
     settle: Settle = Settle()
     """Criterion for the steady state of a point."""

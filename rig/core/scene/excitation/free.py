@@ -43,7 +43,7 @@ class Free(KindOfTest):
             yield Problem((), "no initial state; expected displacement, velocity, or mode and amplitude")
 
     def initial_motion(self, bodies: int, shapes: Callable[[], Array]) -> tuple[Array, Array]:
-        """Return initial displacement (m) and velocity (m/s), shape (bodies,)."""
+        """Return initial displacement [m] and velocity [m/s], shape (bodies,)."""
         displacement = np.zeros(bodies) if self.displacement is None else np.array(self.displacement)
         if self.mode is not None:
             displacement = (self.amplitude or 0.0) * shapes()[:, self.mode - 1]

@@ -43,12 +43,12 @@ Start = Annotated[
 ]
 Spacing = Literal["linear", "log"]
 
-#: Frequencies of a test; more are a typing error and would take days.
+#: Maximum number of frequencies of a test; more are a typing error and would take days.
 MAX_STEPS = 100_000
 #: Relative tolerance within which a controller accepts a force.
 FORCE_TOLERANCE = 0.005
-# Simultaneous tones settle in at least this number of their beats: 12 windows of two beats, because each of two drives
-# needs a transition and five observations until its steady force is predicted.
+# Minimum settling time of simultaneous tones [beat periods]: 12 windows of two beat periods, because each of two
+# updates of the drive needs six windows (a transition and five observations).
 _SETTLING_BEATS = 24.0
 
 
@@ -267,7 +267,7 @@ class KindOfTest(Settings):
         return None
 
     def initial_motion(self, bodies: int, shapes: Callable[[], Array]) -> tuple[Array, Array] | None:
-        """Return initial displacement (m) and velocity (m/s) of the bodies, shape (bodies,); None for rest.
+        """Return initial displacement [m] and velocity [m/s] of the bodies, shape (bodies,); None for rest.
 
         `shapes` computes the mode shapes of the structure, shape (bodies, modes).
         """
@@ -298,7 +298,7 @@ class KindOfTest(Settings):
         return None
 
     def shock_spectrum(self) -> tuple[Array, Array, float] | None:
-        """Return frequencies (Hz), prescribed shock response spectrum (m/s²) and tolerance (dB), or None."""
+        """Return frequencies [Hz], prescribed shock response spectrum [m/s²] and tolerance [dB], or None."""
         return None
 
     @property

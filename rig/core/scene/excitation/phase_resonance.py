@@ -47,7 +47,7 @@ class PhaseResonance(KindOfTest):
     force: Forces | None = None
     """Amplitude of the spring force, or of the force of a force shaker [N]. Several levels run one after another."""
     drive: Drives | None = None
-    """Instead of `force`: amplitude of the drive [V, m for a table shaker, or m/s^2 for a base]."""
+    """Instead of `force`: amplitude of the drive [V, m for a table shaker, or m/s² for a base]."""
     shaker: DrivenShaker = None
     settle: Settle = Settle()
     """Criterion for the steady state, and longest time to wait for the phase."""

@@ -66,7 +66,7 @@ class DensityProfile(Breakpoints):
 
     value_keys: ClassVar = ("density",)
     density: tuple[Annotated[float, Quantity(ACCELERATION_DENSITY, above=0.0)], ...]
-    """Power spectral density of the acceleration [(m/s^2)^2/Hz]."""
+    """Power spectral density of the acceleration [(m/s²)²/Hz]."""
 
 
 class MotionProfile(Breakpoints):
@@ -75,7 +75,7 @@ class MotionProfile(Breakpoints):
     one_of: ClassVar = (("acceleration", "velocity", "displacement"),)
     value_keys: ClassVar = ("displacement", "velocity", "acceleration")
     acceleration: tuple[Annotated[float, Quantity(ACCELERATION, above=0.0)], ...] | None = None
-    """Amplitude of the acceleration [m/s^2]."""
+    """Amplitude of the acceleration [m/s²]."""
     velocity: tuple[Annotated[float, Quantity(VELOCITY, above=0.0)], ...] | None = None
     """Instead of `acceleration`: amplitude of the velocity [m/s]."""
     displacement: tuple[Annotated[float, Quantity(LENGTH, above=0.0)], ...] | None = None

@@ -40,7 +40,7 @@ class Random(KindOfTest):
     force: Force | None = None
     """Root mean square of the spring force, or of the force of a force shaker [N]."""
     drive: Drive | None = None
-    """Instead of `force`: root mean square of the drive [V, m for a table shaker, or m/s^2 for a base]."""
+    """Instead of `force`: root mean square of the drive [V, m for a table shaker, or m/s² for a base]."""
     shaker: DrivenShaker = None
     also: Annotated[tuple[ShakerNumber, ...], Field(min_length=1)] | None = None
     """Numbers of other shakers to drive simultaneously, with uncorrelated noise of the same spectrum."""

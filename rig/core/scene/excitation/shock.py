@@ -32,7 +32,7 @@ class HalfSine(Settings):
     """A half-sine pulse of acceleration, compensated so that velocity and displacement end at zero."""
 
     peak: Acceleration
-    """Peak of the acceleration [m/s^2]."""
+    """Peak of the acceleration [m/s²]."""
     width: Duration
     """Duration of the half sine [s]."""
     tolerance: Annotated[float, Quantity(RATIO, above=0.0)] = 0.2
@@ -53,7 +53,7 @@ class ShockProfile(Breakpoints):
 
     value_keys: ClassVar = ("acceleration",)
     acceleration: tuple[Acceleration, ...]
-    """Largest acceleration of the oscillators [m/s^2]."""
+    """Largest acceleration of the oscillators [m/s²]."""
     q: Annotated[float, Quantity(RATIO, above=0.5)] = 10.0
     """Quality factor of the oscillators, 1 / (2 damping ratio)."""
     tolerance: Decibels = 3.0
@@ -138,7 +138,7 @@ class Shock(KindOfTest):
         return None if pulse is None else (pulse.wave(time), pulse.tolerance * pulse.peak)
 
     def shock_spectrum(self) -> tuple[Array, Array, float] | None:
-        """Return frequencies (Hz), prescribed spectrum (m/s²) and its tolerance (dB)."""
+        """Return frequencies [Hz], prescribed spectrum [m/s²] and its tolerance [dB]."""
         spectrum = self.spectrum
         return None if spectrum is None else (spectrum.lines, spectrum.at(spectrum.lines), spectrum.tolerance)
 

@@ -18,7 +18,7 @@ class Sine(KindOfTest):
     force: Force | None = None
     """Amplitude of the spring force, kept constant by the controller, or of the force of a force shaker [N]."""
     drive: Drive | None = None
-    """Instead of `force`: amplitude of the drive, open loop [V, m for a table shaker, or m/s^2 for a base]."""
+    """Instead of `force`: amplitude of the drive, open loop [V, m for a table shaker, or m/s² for a base]."""
     shaker: DrivenShaker = None
     duration: Duration = 2.0
     """Duration of the test [s]."""

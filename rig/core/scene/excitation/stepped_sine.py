@@ -120,7 +120,7 @@ class SteppedSine(SteppedTest):
     """Amplitude of the spring force, kept constant by the controller, or of the force of a force shaker [N]. Several
     levels are run one after another."""
     drive: Drives | None = None
-    """Instead of `force`: amplitude of the drive, open loop [V, m for a table shaker, or m/s^2 for a base].
+    """Instead of `force`: amplitude of the drive, open loop [V, m for a table shaker, or m/s² for a base].
     Several levels are run one after another."""
     shaker: DrivenShaker = None
     settle: Settle = Settle()

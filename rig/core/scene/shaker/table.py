@@ -23,8 +23,8 @@ class TableShaker(CoilSpringShaker):
     spring: CoilSpring
     """Stiffness of the coil spring [N/m]."""
     bandwidth: Annotated[float, Quantity(FREQUENCY, above=0.0)] = 400.0
-    """Corner frequency of the position servo [Hz], which acts as a critically damped low pass of second order. The
-    velocity of the table is then continuous, as required to measure its acceleration."""
+    """Corner frequency of the position servo [Hz], which acts as a critically damped low-pass filter of second order.
+    The velocity of the table is then continuous, as required to measure its acceleration."""
     output: Output = Output()
     """The analog output whose voltage is the drive."""
 

@@ -77,7 +77,7 @@ def _scenes() -> Iterator[tuple[str, Any]]:
 
 
 def _bits(trajectory: Any) -> list[Any]:
-    """Return states, events and breaks of a trajectory, without accelerations, which some versions store with them."""
+    """Return states, events and discontinuities of a trajectory, without the accelerations that some versions store."""
     return [getattr(trajectory, name) for name in ("event_segment", "event_offset", "event_damper", "event_speed")]
 
 
@@ -111,7 +111,15 @@ def _sampled(scene: Any) -> list[Any]:
     noise = np.random.default_rng(1).standard_normal((len(plant.inputs), samples.size))
     scale = np.array([{"N": 6.0, "V": 2.0, "m": 3e-4}[unit] for unit in plant.drive_units])
     motion = plant.advance(scale[:, None] * (np.sin(220.0 * samples / RATE) + 0.3 * noise))
-    names = ("displacement", "velocity", "acceleration", "gap", "contact", "break_offset", "break_acceleration")
+    names = (
+        "displacement",
+        "velocity",
+        "acceleration",
+        "gap",
+        "contact",
+        "discontinuity_offset",
+        "discontinuity_acceleration",
+    )
     return [*(getattr(motion, name) for name in names), motion.events["time"], motion.events["speed"]]
 
 

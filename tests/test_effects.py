@@ -55,7 +55,7 @@ def test_removed_channel_changes_no_other() -> None:
 def test_measurement_settings_do_not_change_motion(changes: dict[str, object]) -> None:
     scenes = full_scene(), full_scene().replace(**changes)
     original, changed = (Bench(scene).acquire(tone(800, 5120.0)).motion for scene in scenes)
-    for field in ("displacement", "velocity", "acceleration", "gap", "break_offset", "events"):
+    for field in ("displacement", "velocity", "acceleration", "gap", "discontinuity_offset", "events"):
         np.testing.assert_array_equal(getattr(changed, field), getattr(original, field))
 
 

@@ -43,12 +43,13 @@ def _warm_up_chain() -> None:
 
 
 def _impact() -> Motion:
-    """Return a block of motion with one break (jump of velocity), in which the sensors reach their limits."""
+    """Return a block of motion with one discontinuity (jump of velocity), in which the sensors reach their limits."""
     samples, rows = 64, len(_POINTS)
     zeros = np.zeros((rows, samples))
     return Motion(
         first=0, displacement=zeros, velocity=zeros, acceleration=zeros + 1e3 * (np.arange(samples) > 32),
-        gap=zeros[:3], contact=np.zeros((3, samples), dtype=np.int8), break_sample=np.array([8]),
-        break_offset=np.array([1e-4]), break_displacement=np.zeros((rows, 1)),
-        break_velocity=np.ones((2, rows, 1)), break_acceleration=np.zeros((2, rows, 1)), events=np.zeros(0),
+        gap=zeros[:3], contact=np.zeros((3, samples), dtype=np.int8), discontinuity_sample=np.array([8]),
+        discontinuity_offset=np.array([1e-4]), discontinuity_displacement=np.zeros((rows, 1)),
+        discontinuity_velocity=np.ones((2, rows, 1)), discontinuity_acceleration=np.zeros((2, rows, 1)),
+        events=np.zeros(0),
     )  # fmt: skip

@@ -88,7 +88,7 @@ def tone_block(first: int) -> NDArray[np.float64]:
 def measure() -> Iterator[str]:
     """Yield a line for each added effect: time per channel and sample, and speed of four channels in times real time.
 
-    A break is an instant between two samples at which a velocity or acceleration jumps.
+    A discontinuity is an instant between two samples at which a velocity or acceleration jumps.
     """
     for name, scene in scenes_with_effects(rig.load("fig8-three-dampers")):
         rate = scene.converter.true_rate
@@ -98,11 +98,11 @@ def measure() -> Iterator[str]:
             plant = Plant(scene, rate)
             chain = Chain(scene, rate, plant.points, plant.inputs)
             converter = Quantizer(scene.converter)
-            elapsed, breaks = 0.0, 0
+            elapsed, discontinuities = 0.0, 0
             for first in range(0, round(SECONDS * RATE), BLOCK_SAMPLES):
                 drive = tone_block(first)
                 motion = plant.advance(drive)
-                breaks += motion.break_sample.size
+                discontinuities += motion.discontinuity_sample.size
                 start = time.process_time()
                 converter.convert(chain.measure(motion, drive))
                 elapsed += time.process_time() - start
@@ -110,7 +110,7 @@ def measure() -> Iterator[str]:
         per_sample = shortest / (SECONDS * RATE * len(LOCATIONS))
         yield (
             f"{name:36s} {per_sample * 1e9:6.1f} ns per channel and sample, {SECONDS / shortest:5.0f} times real time, "
-            f"{breaks / SECONDS:.0f} breaks a second"
+            f"{discontinuities / SECONDS:.0f} breaks a second"
         )
     scene = full_scene()
     for name, display in (("all effects, recorded", False), ("all effects, recorded with display", True)):

@@ -131,11 +131,11 @@ def detect_impacts(
 
     The channel's response to a velocity jump is computed from its data sheet, including sensor resonance, integrator,
     averaging and decimation. At every sample, four contributions are fitted by least squares: this response, a step and
-    a kink of the acceleration, and a smooth motion. Step and kink accompany impacts on the body and on its neighbors.
-    An impact is detected if the jump exceeds `DETECTION_SIGMAS` standard deviations. The impact is subtracted, and the
-    search is repeated (orthogonal matching pursuit). Overlapping impacts are fitted jointly. For finite-duration
-    contact, the pulse shape of the scene's spring-dashpot contact replaces the jump, and times are the instants of
-    first contact.
+    a slope change of the acceleration, and a smooth motion. Step and slope change accompany impacts on the body and on
+    its neighbors. An impact is detected if the jump exceeds `DETECTION_SIGMAS` standard deviations. The impact is
+    subtracted, and the search is repeated (orthogonal matching pursuit). Overlapping impacts are fitted jointly. For
+    finite-duration contact, the pulse shape of the scene's spring-dashpot contact replaces the jump, and times are the
+    instants of first contact.
 
     `channel`: acceleration, velocity or displacement channel on a body; `start`, `stop`: first and one-past-last
     sample; `samples`: samples of the segment, if already read. Raises `RecordingError` if the channel measures no
@@ -297,7 +297,7 @@ def _acceleration(samples: Array, impact_samples: Array, info: ChannelInfo, dura
     time = (indices - impact_samples[evaluable, None] - 0.5 * info.average) / (side + excluded)
     columns = [time**power for power in range(integrations + _SIDE_ORDER + 1)]
     if integrations:
-        # The regressor of the jump of the velocity, or of the kink of the displacement.
+        # The regressor of the jump of the velocity, or of the slope change of the displacement.
         columns.append(np.maximum(time, 0.0) ** (integrations - 1) * (time > 0))
     basis, factor = np.linalg.qr(np.stack(columns, axis=2))
     coefficients = np.linalg.solve(factor, basis.mT @ samples[indices, None])[:, integrations, 0]

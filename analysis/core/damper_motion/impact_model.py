@@ -1,12 +1,12 @@
 """Response of a channel to a velocity jump of its body, and the matched filters that detect the jump.
 
-A damper's impact causes a *jump* of the body's velocity, and a *step* and a *kink* (change of slope) of its
+A damper's impact causes a *jump* of the body's velocity, and a *step* and a *slope change* of its
 acceleration. The responses of a channel follow from its data sheet. The responses are computed at *sub-sample times*,
 because an impact occurs between samples.
 
 Matched filters for a known signal in white noise: S. M. Kay, *Fundamentals of Statistical Signal Processing II:
-Detection Theory*, 1998, ch. 4. Step, kink and a polynomial for the smooth motion are nuisance signals; the filters are
-orthogonal to them.
+Detection Theory*, 1998, ch. 4. Step, slope change and a polynomial for the smooth motion are nuisance signals; the
+filters are orthogonal to them.
 """
 
 from dataclasses import dataclass, replace
@@ -53,19 +53,19 @@ _RANK_TOLERANCE = 1e-12
 
 
 class UnitResponses(NamedTuple):
-    """Differenced responses to unit jump, step and kink at one time."""
+    """Differenced responses to unit jump, step and slope change at one time."""
 
     begin: int
     """Index of the first difference."""
     units: Array
-    """Jump of 1 m/s, step of 1 m/s², kink of 1 m/s³; shape (3, length)."""
+    """Jump of 1 m/s, step of 1 m/s², slope change of 1 m/s³; shape (3, length)."""
     time_derivatives: Array
     """Derivatives of `units` with respect to the time, per sample; shape (3, length)."""
 
 
 @dataclass(frozen=True, eq=False)
 class ImpactModel:
-    """Responses to unit velocity jump, acceleration step and acceleration kink, and the filters that estimate them.
+    """Responses to unit velocity jump, acceleration step and slope change, and the filters that estimate them.
 
     All arrays are differences of successive samples, so the response to a jump is short. The order of the
     differences is two higher than the number of integrations in the channel. The fit itself is a least-squares fit of
@@ -82,14 +82,14 @@ class ImpactModel:
     search_stride: int
     """The search uses every n-th sub-sample time, with this n; 1: all."""
     filters: Array
-    """Filters for the kink, for the step orthogonal to the kink, and for the jump orthogonal to both, each with unit
-    noise gain; shape (rows, 3, window)."""
+    """Filters for the slope change, for the step orthogonal to the slope change, and for the jump orthogonal to both,
+    each with unit noise gain; shape (rows, 3, window)."""
     r_factors: Array
-    """Upper triangular matrices from kink, step and jump to filter outputs; shape (rows, 3, 3)."""
+    """Upper triangular matrices from slope change, step and jump to filter outputs; shape (rows, 3, 3)."""
     window_start: int
     """Index of the window's first difference relative to its sample 0."""
     unit_differences: Array
-    """Differenced responses to unit jump, step and kink until they have decayed; shape (rows, 3, length)."""
+    """Differenced responses to unit jump, step and slope change until they have decayed; shape (rows, 3, length)."""
     unit_start: int
     """Index of the first of `unit_differences` relative to sample 0."""
     polynomial_order: int
@@ -117,12 +117,12 @@ class ImpactModel:
 
     @cached_property
     def _outputs_to_amplitudes(self) -> Array:
-        """Matrices from filter outputs to jump, step and kink; shape (rows, 3, 3)."""
+        """Matrices from filter outputs to jump, step and slope change; shape (rows, 3, 3)."""
         return np.asarray(np.linalg.inv(self.r_factors)[:, ::-1], dtype=np.float64)
 
     @cached_property
     def templates(self) -> Array:
-        """Responses to unit jump, step and kink without smooth motion; shape (rows, 3, window)."""
+        """Responses to unit jump, step and slope change without smooth motion; shape (rows, 3, window)."""
         begin = self.window_start - self.unit_start
         return self.readings(self.unit_differences[..., begin : begin + self.window_length])
 
@@ -182,7 +182,7 @@ class ImpactModel:
         return sample.astype(np.intp), row.astype(np.intp), np.asarray(position - row)
 
     def unit_responses_at(self, time: float) -> UnitResponses:
-        """Return the differenced responses to unit jump, step and kink at a time, in samples."""
+        """Return the differenced responses to unit jump, step and slope change at a time, in samples."""
         sample, row, weight = self.locate(np.float64(time))
         left, right = self.unit_differences[row], self.unit_differences[row + 1]
         return UnitResponses(
@@ -195,8 +195,8 @@ class ImpactModel:
         """Fit the jump that best explains a window of differences; `noise`: standard deviation of a reading.
 
         Returns `time`, time of the jump after the window's sample 0, samples; `amplitudes`, shape (3,), jump [m/s],
-        step [m/s²], kink [m/s³]; `error`, standard uncertainty of the jump [m/s]; `explained`, reduction of the sum of
-        squares by jump, step and kink, in noise variances.
+        step [m/s²], slope change [m/s³]; `error`, standard uncertainty of the jump [m/s]; `explained`, reduction of the
+        sum of squares by jump, step and slope change, in noise variances.
         """
         stride = self.search_stride
         coarse_outputs = (self._coarse_filters @ window).reshape(-1, 3)
@@ -240,7 +240,8 @@ def impact_models(info: ChannelInfo, pulse: Pulse | None = None, decimation: int
     """Compute the model of a channel from its data sheet, for each polynomial order of `ORDERS`.
 
     `info`: acceleration, velocity or displacement channel; `pulse`: force pulse of finite-duration contact, which
-    smooths jump, step and kink in the same way (None: instantaneous); `decimation`: number of samples in each average.
+    smooths jump, step and slope change in the same way (None: instantaneous); `decimation`: number of samples in each
+    average.
     """
     response = info.quantity, info.rate, info.gain, *map(tuple, (info.zeros, info.poles)), info.average
     return _impact_models(response, tuple(info.filter.items()), pulse, decimation)
@@ -304,7 +305,7 @@ def _impact_models(
 def _acceleration_responses(
     info: ChannelInfo, integrations: int, instants: int, before: int, after: int, pulse: Pulse | None, decimation: int
 ) -> Array:
-    """Return responses to unit jump, step and kink as accelerations, shape (instants, 3, before + after)."""
+    """Return responses to unit jump, step and slope change as accelerations, shape (instants, 3, before + after)."""
     # A row contains samples 1 - `before` to `after` for a jump at one of the sub-sample `instants`.
     from scipy import fft
 
@@ -336,11 +337,11 @@ def _acceleration_responses(
         jump = (total[instants:] - total[:-instants]) / instants
     jump = np.roll(jump, (before + MAX_SHIFT) * instants)
     step = (np.cumsum(jump) - 0.5 * jump) / (rate * instants)
-    kink = (np.cumsum(step) - 0.5 * step) / (rate * instants)
+    slope_change = (np.cumsum(step) - 0.5 * step) / (rate * instants)
     jump_time = np.arange(-MAX_SHIFT * instants, MAX_SHIFT * instants)
     sample = np.arange(1 - before, after + 1)
     indices = (before + MAX_SHIFT + sample) * instants - jump_time[:, None] - 1
-    return np.stack([response[indices] for response in (jump, step, kink)], axis=1)
+    return np.stack([response[indices] for response in (jump, step, slope_change)], axis=1)
 
 
 def _filters(acceleration_responses: Array, integrations: int, rate: float) -> list[tuple[Array, Array]]:

@@ -1,7 +1,7 @@
 """Joint least-squares fit of velocity jumps whose responses overlap; their times are refined by Gauss-Newton steps.
 
-The data are the differenced readings of a channel (see `impact_model`). Steps and kinks of the acceleration have
-Gaussian priors (ridge regression), because closely spaced jumps determine them poorly.
+The data are the differenced readings of a channel (see `impact_model`). Steps and slope changes of the acceleration
+have Gaussian priors (ridge regression), because closely spaced jumps determine them poorly.
 """
 
 from collections.abc import Sequence
@@ -26,12 +26,12 @@ _MAX_DISTANCE_SAMPLES = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Jump:
-    """Fitted velocity jump with the step and kink of the acceleration at the same time."""
+    """Fitted velocity jump with the step and slope change of the acceleration at the same time."""
 
     time: float
     """Time of the jump, in samples."""
     amplitudes: Array
-    """Jump [m/s], step [m/s²], kink [m/s³]; shape (3,)."""
+    """Jump [m/s], step [m/s²], slope change [m/s³]; shape (3,)."""
     error: float
     """Standard uncertainty of the jump [m/s] including the uncertainty of the jointly fitted quantities."""
     explained: float
@@ -50,18 +50,18 @@ class Jump:
         return float(self.amplitudes[1])
 
     @property
-    def kink(self) -> float:
+    def slope_change(self) -> float:
         """Change of the slope of the acceleration, m/s³."""
         return float(self.amplitudes[2])
 
 
 class Deviations(NamedTuple):
-    """Standard deviations: noise of a reading, and Gaussian priors of steps and kinks."""
+    """Standard deviations: noise of a reading, and Gaussian priors of steps and slope changes."""
 
     reading: float
     step: float
     """m/s²."""
-    kink: float
+    slope_change: float
     """m/s³."""
 
 
@@ -121,7 +121,7 @@ def estimate_errors(
     """Estimate the standard uncertainties of jumps from the noise, or from the residual if this is larger.
 
     `residual`: differenced readings, from which all jumps are subtracted; `noise`, shape (jumps,): standard deviation
-    of the readings at each jump; `prior`: prior standard deviations of steps and kinks.
+    of the readings at each jump; `prior`: prior standard deviations of steps and slope changes.
     """
     if not jumps:
         return []
@@ -147,7 +147,7 @@ def jump_std(model: ImpactModel, distance: int | None, noise: Deviations) -> flo
     """Return the standard uncertainty of a jump `distance` samples after an equal jump (None: a single jump) [m/s]."""
     rows = _equal_jumps(model, distance)
     fit = _least_squares(rows, rows[0], _ridge(len(rows), len(rows) // 4, noise))
-    # The last four unknowns are jump, step, kink and time of the last jump.
+    # The last four unknowns are jump, step, slope change and time of the last jump.
     return noise.reading * float(fit.error[-4])
 
 
@@ -187,7 +187,7 @@ def _least_squares(rows: Array, readings: Array, ridge: Array) -> _Fit:
 
 
 def _regressors(model: ImpactModel, times: Array, amplitudes: Array | None, first: int, last: int) -> Array:
-    """Return differences `first` to `last` of unit jump, step and kink at each time, (unknowns, last - first)."""
+    """Return differences `first` to `last` of unit jump, step, slope change at each time, (unknowns, last - first)."""
     # With `amplitudes`, the time derivative of each jump follows.
     per_jump = 3 if amplitudes is None else 4
     regressors = np.zeros((per_jump * times.size, last - first))
@@ -202,7 +202,7 @@ def _regressors(model: ImpactModel, times: Array, amplitudes: Array | None, firs
 
 def _ridge(unknowns: int, jumps: int, noise: Deviations) -> Array:
     """Return the ridge parameters of `_least_squares`: zero for jumps and times, which have no prior."""
-    ridge_of_jump = [0.0, noise.reading / noise.step, noise.reading / noise.kink, 0.0]
+    ridge_of_jump = [0.0, noise.reading / noise.step, noise.reading / noise.slope_change, 0.0]
     return np.tile(ridge_of_jump[: unknowns // jumps], jumps)
 
 

@@ -5,8 +5,8 @@ Method: Y. C. Pati, R. Rezaiifar, P. S. Krishnaprasad, Asilomar 1993. The likeli
 is fitted and subtracted. Overlapping jumps are fitted again jointly. The search is then repeated in the residual.
 
 The readings are differenced, so the response to a jump is short. A *window* is a range of these differences in
-which one jump is fitted. A *step* and a *kink* are changes of the acceleration and of its slope (see `impact_model`). A
-*bed* is the filling of a damper, which moves as one mass.
+which one jump is fitted. A *step* and a *slope change* are changes of the acceleration and of its slope (see
+`impact_model`). A *bed* is the filling of a damper, which moves as one mass.
 """
 
 from collections.abc import Sequence
@@ -43,11 +43,11 @@ MODEL_ERROR = 3e-3
 _CONTACT_MODEL_ERROR = 2e-2
 # After the subtraction of a jump, this fraction of the jump remains while the sensor rings.
 RESIDUAL_RATIO = 0.02
-# An impact on a neighboring body causes a slightly curved kink of the acceleration, which the fit can mistake for a
-# jump. Jumps below this multiple of the velocity change due to the kink within one sample are rejected.
-_KINK_JUMP_RATIO = 1.0
+# An impact on a neighboring body causes a slightly curved slope change of the acceleration, which the fit can mistake
+# for a jump. Jumps below this multiple of the velocity change due to the slope change within one sample are rejected.
+_SLOPE_CHANGE_JUMP_RATIO = 1.0
 # For finite-duration contact, this fraction of its duration replaces the sample interval in the rejection above.
-_KINK_DURATION_RATIO = 1.0 / 6.0
+_SLOPE_CHANGE_DURATION_RATIO = 1.0 / 6.0
 # Searches of the residual; each subtracts all jumps found in it, so few are needed and the limit only ends a cycle.
 _MAX_ROUNDS = 12
 # Iterations that center a window on a jump; the limit only ends an oscillation between two windows.
@@ -85,8 +85,8 @@ _SAME_JUMP_SAMPLES = 10.0
 _STEP_PRIOR_RATIO = 0.2
 # The acceleration is smoothed over this number of samples for the prior standard deviation above.
 _SMOOTHING_SAMPLES = 8
-# The prior standard deviation of kinks is the prior standard deviation of steps times this angular frequency.
-_KINK_PRIOR_HZ = 100.0
+# The prior standard deviation of slope changes is the prior standard deviation of steps times this angular frequency.
+_SLOPE_CHANGE_PRIOR_HZ = 100.0
 # The weight of a bed causes steps of at most this multiple of their prior standard deviation.
 _MAX_STEP_SIGMAS = 3.0
 # Smallest detectable jump of a finite-duration contact, relative to the prior deviation of steps times its duration.
@@ -124,7 +124,7 @@ class MatchingPursuit:
             readings = interpolated(readings, is_valid)
         self.model = model = models[0]  # for the jump filters
         self.residual = np.diff(readings, model.difference_order)  # differenced readings minus all jumps
-        # Prior standard deviations of steps [m/s²] and kinks [m/s³].
+        # Prior standard deviations of steps [m/s²] and slope changes [m/s³].
         self.prior = self._prior_deviations(readings)
         # Distance of a window's sample 0 from its first difference.
         self.window_offset = model.difference_order - model.window_start
@@ -165,15 +165,15 @@ class MatchingPursuit:
         for first, last in self._unexplained_segments(_GROUP_SEARCH_RATIO * limit):
             self._search_jointly(first, last, limit)
         self.jumps.sort(key=lambda jump: jump.time)
-        # With finite-duration contact, a bed that is pressed or released causes kinks of the same duration.
+        # With finite-duration contact, a bed that is pressed or released causes slope changes of the same duration.
         contact = self.model.contact_samples
-        kink_time = max(1.0, _KINK_DURATION_RATIO * contact) / self.rate
+        slope_change_time = max(1.0, _SLOPE_CHANGE_DURATION_RATIO * contact) / self.rate
         accepted = [
             jump
             for jump in self.jumps
             if self.searchable[self.window_of(jump)]
             and (contact or abs(jump.velocity_jump) > DETECTION_SIGMAS * jump.error)
-            and abs(jump.velocity_jump) > _KINK_JUMP_RATIO * abs(jump.kink) * kink_time**2
+            and abs(jump.velocity_jump) > _SLOPE_CHANGE_JUMP_RATIO * abs(jump.slope_change) * slope_change_time**2
         ]
         noise = self.noise()[[self.window_of(jump) for jump in accepted]]
         fitted = estimate_errors(self.residual, self.model, accepted, noise, self.prior)
@@ -343,7 +343,8 @@ class MatchingPursuit:
         for jump in old_jumps:
             self._add(jump, 1.0)
         sufficient = _SUFFICIENT_RATIO * (limit * model.template_norm) ** 2
-        # The tolerated residual is included in the noise; otherwise the residual would be fitted by steps and kinks.
+        # The tolerated residual is included in the noise; otherwise the residual would be fitted by steps and slope
+        # changes.
         noise = max(float(self.noise()[first]), (sufficient / model.window_length) ** 0.5)
 
         def fit(jumps: list[Jump], iterations: int) -> tuple[list[Jump], float]:
@@ -357,7 +358,7 @@ class MatchingPursuit:
         self._replace(old_jumps, new_jumps)
 
     def _prior_deviations(self, readings: Array) -> tuple[float, float]:
-        """Estimate prior standard deviations of steps and kinks from the acceleration, or from rounding of readings."""
+        """Estimate prior standard deviations of steps and slope changes from the acceleration, or from rounding."""
         integrations = self.model.difference_order - 2
         acceleration = np.diff(readings, integrations) * self.rate**integrations
         acceleration = acceleration - _quantile(acceleration, 0.5)
@@ -365,7 +366,7 @@ class MatchingPursuit:
         # If the readings are constant, the acceleration is at most that which the rounding of the readings can hide.
         large_acceleration = float(_quantile(abs(acceleration), 0.9))
         step = _STEP_PRIOR_RATIO * max(large_acceleration, self.noise_floor * self.rate**integrations)
-        return step, step * 2 * np.pi * _KINK_PRIOR_HZ
+        return step, step * 2 * np.pi * _SLOPE_CHANGE_PRIOR_HZ
 
     def noise(self, noise_quantile: float = NOISE_QUANTILE) -> Array:
         """Estimate the standard deviation of a reading in each window from the jump filter output; (windows,)."""

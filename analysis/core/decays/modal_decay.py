@@ -30,11 +30,11 @@ _RESPONSE_RATIO = 2.0**0.5
 # The second fit uses a fall of the envelope that is larger by this factor.
 _FALL_RATIO = 1.5
 # The bias grows with the square of the length of the impulse response if damping changes smoothly with amplitude, and
-# linearly if the dependence of damping on amplitude has a kink. In the linear case the bias is the observed difference
-# times 1 / (sqrt(2) - 1), rounded up.
+# linearly if the dependence of damping on amplitude has a slope change. In the linear case the bias is the observed
+# difference times 1 / (sqrt(2) - 1), rounded up.
 _RESPONSE_BIAS_FACTOR = 2.5
-# Error of the slope due to a kink in the middle of the fall, as a multiple of the parabola's rms residual.
-_KINK_LIMIT_FACTOR = 8.0
+# Error of the slope due to a slope change in the middle of the fall, as a multiple of the parabola's rms residual.
+_SLOPE_CHANGE_LIMIT_FACTOR = 8.0
 # Number of neighboring amplitudes on either side that a change of damping affects.
 _AFFECTED_AMPLITUDES = 2
 # Envelope points in the fit of one damping ratio: more do not reduce its uncertainty, because neighbors are correlated.
@@ -184,7 +184,7 @@ def modal_decay(
     usable = slice(begin + affected, max(acceleration.size - affected, begin + affected))
     noise = _noise(analytic[usable], rate, frequency, width)
     log_amplitudes = _log_amplitudes(envelope[usable]) if amplitudes is None else np.log(amplitudes)
-    damping, natural, kink_limit = _damping(analytic[usable], log_amplitudes, _HALF_FALL_NEPERS)
+    damping, natural, slope_change_limit = _damping(analytic[usable], log_amplitudes, _HALF_FALL_NEPERS)
     # Half of the noise power is in phase and changes the envelope, independently at both ends of the fall.
     amplitude = np.exp(log_amplitudes)
     noise_of_fall = np.hypot(np.exp(-_HALF_FALL_NEPERS), np.exp(_HALF_FALL_NEPERS)) * noise / np.sqrt(2.0)
@@ -197,9 +197,9 @@ def modal_decay(
         analytic[usable], log_amplitudes, _FALL_RATIO * _HALF_FALL_NEPERS
     )
     # Subtract the residual that noise alone causes.
-    kink_of_noise = _KINK_LIMIT_FACTOR * np.sqrt(1.5) * noise / amplitude / _HALF_FALL_NEPERS
-    kink_limit = np.sqrt(np.maximum(kink_limit**2 - kink_of_noise**2, 0.0))
-    bias = _bias_limit(damping, damping_narrower, damping_larger_fall, kink_limit)
+    slope_change_of_noise = _SLOPE_CHANGE_LIMIT_FACTOR * np.sqrt(1.5) * noise / amplitude / _HALF_FALL_NEPERS
+    slope_change_limit = np.sqrt(np.maximum(slope_change_limit**2 - slope_change_of_noise**2, 0.0))
+    bias = _bias_limit(damping, damping_narrower, damping_larger_fall, slope_change_limit)
     uncertainty = np.hypot(noise_uncertainty * damping, 0.5 * bias)
     # Phase [rad] and logarithm of the envelope have the same uncertainty, but the phase changes much more in a decay.
     natural_bias = np.full(natural.size, np.nan)
@@ -266,7 +266,7 @@ def _log_amplitudes(envelope: Array) -> Array:
 
 
 def _damping(analytic: ComplexArray, log_amplitudes: Array, half_fall: float) -> tuple[Array, Array, Array]:
-    """Return damping ratio, natural frequency [rad/sample] (NaN outside the decay), and error due to a kink."""
+    """Return damping ratio, natural frequency [rad/sample] (NaN outside the decay), and error due to a slope change."""
     # They are estimated from the fall of the envelope by `half_fall` nepers on either side of that amplitude.
     envelope = np.abs(analytic)
     if envelope.size < 8 or envelope.max() <= 0:
@@ -284,7 +284,7 @@ def _damping(analytic: ComplexArray, log_amplitudes: Array, half_fall: float) ->
     decay_rate, residual = np.array(rates).reshape(-1, 2).T
     with np.errstate(divide="ignore", invalid="ignore"):
         natural = np.hypot(phase_change / (last - first), decay_rate)
-        return np.asarray(decay_rate / natural), natural, _KINK_LIMIT_FACTOR * residual / half_fall
+        return np.asarray(decay_rate / natural), natural, _SLOPE_CHANGE_LIMIT_FACTOR * residual / half_fall
 
 
 def _decay_rate(logarithm: Array, first: float, last: float, log_amplitude: float) -> tuple[float, float]:
@@ -306,9 +306,9 @@ def _decay_rate(logarithm: Array, first: float, last: float, log_amplitude: floa
     return decay_rate, float(np.sqrt(np.mean(residual**2)))
 
 
-def _bias_limit(values: Array, narrower: Array, larger_fall: Array, kink_limit: Array) -> Array:
+def _bias_limit(values: Array, narrower: Array, larger_fall: Array, slope_change_limit: Array) -> Array:
     """Estimate a limit of the bias at each amplitude from the change with a narrower band-pass and a larger fall."""
-    bias = np.nan_to_num(kink_limit * values)
+    bias = np.nan_to_num(slope_change_limit * values)
     for alternative, factor in ((narrower, _RESPONSE_BIAS_FACTOR), (larger_fall, 1.0)):
         difference = abs(alternative - values)
         determined = np.flatnonzero(np.isfinite(difference))

@@ -16,8 +16,8 @@ def correct_motion(info: ChannelInfo, samples: Array, motion: str, low: float, h
 
     The samples are mirrored at both ends before the Fourier transform, so the periodic continuation has no step
     between the last sample and the first. If the samples are differentiated, the mirror image is also inverted (odd
-    extension), which removes the kink at the ends. The inversion changes the mean value, but differentiation removes
-    the mean.
+    extension), which removes the slope change at the ends. The inversion changes the mean value, but differentiation
+    removes the mean.
 
     `samples`, shape (n,): uncorrected samples in the channel's unit, evenly spaced; `low`, `high`: limits of the
     pass band [Hz]. The correction is exact inside the pass band, and fades out over half an octave outside.

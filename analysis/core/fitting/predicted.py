@@ -56,7 +56,7 @@ def linear_response(test_scene: Scene, curves: Curves, frequency: Array) -> tupl
         states = states / states[system.points.index(test_scene.at_driven("table"))]
     beds, gaps = states[system.damper_coordinate], system.gap_coordinate[: system.dampers]
     beds[gaps >= 0] += states[gaps[gaps >= 0]]
-    return states[: test_scene.structure.bodies], beds[np.isfinite(system.take_off_acceleration)]
+    return states[: test_scene.structure.bodies], beds[np.isfinite(system.separation_acceleration)]
 
 
 def linear_derivatives(

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from analysis.core.recordings.names import takes_path
 from analysis.core.responses.checks.channel_changes import change_warnings
-from analysis.core.responses.checks.dead_channels import dead_channel_warnings
+from analysis.core.responses.checks.failed_channels import failed_channel_warnings
 from analysis.core.responses.checks.tone_steps import sweep_warnings
 from analysis.core.responses.driven_forces import relative_forces, strong_forces, weak_force_warnings
 from analysis.core.responses.estimator import Blocks, Request, estimator_of
@@ -96,7 +96,7 @@ def frequency_responses(
     )
     computed = own_estimator.compute(request)
     warnings = weak_force_warnings(relative)
-    warnings += dead_channel_warnings(rec, used, names)
+    warnings += failed_channel_warnings(rec, used, names)
     if faulty := describe_faulty_impacts(rec.markers, used):
         warnings.append(faulty)
     warnings += [text for parts in own_estimator.parts(request) for text in change_warnings(rec, parts, used)]

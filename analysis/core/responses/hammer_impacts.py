@@ -12,7 +12,7 @@ from scipy import fft
 from analysis.core.recordings.channel_delay import arrival
 from analysis.core.recordings.slices import impact_ranges
 from analysis.core.responses.checks.clean_segments import Flaw
-from analysis.core.responses.checks.dead_channels import dead_channels
+from analysis.core.responses.checks.failed_channels import failed_channels
 from analysis.core.responses.force_pulse import isolate_pulse
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH
 from daq.core.recording.recording import Recording
@@ -69,7 +69,7 @@ class HammerImpacts:
                 f"{rec.path}: only {interval / rec.rate:.3g} s from an impact to the next impact (or to the end of the "
                 "recording); expected 0.2 s or more. Increase test.interval, and record again."
             )
-        unmarked, complete, dead = [], [], dead_channels(rec).get(channel, rec.samples)
+        unmarked, complete, dead = [], [], failed_channels(rec).get(channel, rec.samples)
         for (begin, end), stop in zip(arrivals, [*starts[1:], rec.samples], strict=True):
             force = rec.read(channel, begin, min(stop, begin + _MAX_SCAN_SAMPLES))
             noise = np.sqrt(np.nanmedian(np.diff(force) ** 2))

@@ -29,7 +29,7 @@ class Section:
     b: Array  # (states,)
     c: Array  # (states,)
     d: float  # direct feedthrough
-    zeros: tuple[complex, ...]  # zeros of the transfer function, rad/s
+    zeros: tuple[complex, ...]  # zeros of the transfer function [rad/s]
     poles: tuple[complex, ...]  # rad/s
     gain: float  # factor of ``prod(s - zeros) / prod(s - poles)``
 
@@ -54,7 +54,7 @@ def _first_order(
 
 
 def resonance(frequency: float, q: float) -> Section:
-    """Second-order low pass ``w^2 / (s^2 + s w / q + w^2)``, frequency in Hz: a seismic mass on its piezo element."""
+    """Second-order low-pass filter ``w^2 / (s^2 + s w / q + w^2)``, frequency in Hz: a seismic mass on its piezo."""
     w = 2 * np.pi * frequency
     poles = tuple(complex(root) for root in np.roots([1.0, w / q, w * w]))
     a = np.array([[0.0, w], [-w, -w / q]])
@@ -62,7 +62,7 @@ def resonance(frequency: float, q: float) -> Section:
 
 
 def high_pass(corner: float, name: str) -> Section:
-    """First-order high pass ``s / (s + w)`` with its corner in Hz: a coupling capacitor."""
+    """First-order high-pass filter ``s / (s + w)`` with its corner in Hz: a coupling capacitor."""
     w = 2 * np.pi * corner
     return _first_order(name, w, b=w, c=-1.0, d=1.0, gain=1.0, zeros=(0j,), poles=(complex(-w),))
 

@@ -17,7 +17,7 @@ class Disturbance(Protocol):
     """A source of disturbance voltages, one for each successive sample."""
 
     def fill(self, samples: Array) -> None:
-        """Fill in the next samples, V, shape (samples,)."""
+        """Fill in the next samples [V], shape (samples,)."""
 
 
 class Offset:
@@ -38,12 +38,12 @@ class Offset:
         self._deviation = np.array([0.0 if time_constant is None else level])
 
     def fill(self, samples: Array) -> None:
-        """Fill in the next samples, V."""
+        """Fill in the next samples [V]."""
         _fill_settling(samples, self._level, self._decay, self._deviation)
 
 
 class OffsetPolynomial:
-    """A Legendre coefficient of an `Offset` over the interval before each sample, V; 0 before sample 0.
+    """A Legendre coefficient of an `Offset` over the interval before each sample [V]; 0 before sample 0.
 
     `degree`: 0 to 2. The coefficients of these degrees represent the rise with an error of at most (interval / time
     constant)^3 / 100 of the level; the mean over an interval is exact.
@@ -63,7 +63,7 @@ class OffsetPolynomial:
             self._deviation[0] = level * _legendre_coefficient(interval, degree)
 
     def fill(self, samples: Array) -> None:
-        """Fill in the next coefficients, V."""
+        """Fill in the next coefficients [V]."""
         first = 0 if self._has_started else min(1, samples.size)
         self._has_started |= first > 0
         samples[:first] = 0.0
@@ -109,7 +109,7 @@ class Disturbances:
         self._last = np.zeros((len(sources), 1))
 
     def draw(self, intervals: int) -> Array:
-        """Return the voltage of each disturbance in the next intervals, V, shape (disturbances, intervals)."""
+        """Return the voltage of each disturbance in the next intervals [V], shape (disturbances, intervals)."""
         first, stop = self._n_intervals, self._n_intervals + intervals
         self._n_intervals = stop
         if not self._sources or intervals == 0:

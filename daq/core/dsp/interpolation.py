@@ -1,11 +1,11 @@
 """Interpolation of the motion and the force at a sensor between samples, as cubic segments.
 
-The simulation gives the motion at nodes: at the samples, and at breaks. A break is an instant between samples at which
-velocity or acceleration jumps. A segment extends from a node to the next node. Over a segment, acceleration is the
-cubic that matches four given values: acceleration at both ends, change of velocity, change of displacement. The second
-integral of the cubic is therefore exact at every node. Between nodes, its error falls with the fourth power of the
-segment's length. A jump of velocity at a break is an impulse of acceleration. A force is interpolated linearly between
-its samples.
+The simulation gives the motion at nodes: at the samples, and at discontinuities. A discontinuity is an instant between
+samples at which velocity or acceleration jumps. A segment extends from a node to the next node. Over a segment,
+acceleration is the cubic that matches four given values: acceleration at both ends, change of velocity, change of
+displacement. The second integral of the cubic is therefore exact at every node. Between nodes, its error falls with the
+fourth power of the segment's length. A jump of velocity at a discontinuity is an impulse of acceleration. A force is
+interpolated linearly between its samples.
 """
 
 from collections.abc import Sequence
@@ -32,13 +32,13 @@ class CubicInput(NamedTuple):
     """Input over the sample intervals of a block.
 
     Four numbers describe a cubic: its values at the start and at the end, its mean, and its *moment*: its double
-    integral over the square of the segment's length (1/2 for a constant 1). An interval without breaks is
+    integral over the square of the segment's length (1/2 for a constant 1). An interval without discontinuities is
     one segment.
     """
 
-    # Start, end, mean and moment of each interval; undefined for intervals with breaks; (4, intervals).
+    # Start, end, mean and moment of each interval; undefined for intervals with discontinuities; (4, intervals).
     interval_cubics: Array
-    # Intervals with breaks: index of the interval of each segment, ascending; (segments,).
+    # Intervals with discontinuities: index of the interval of each segment, ascending; (segments,).
     segment_interval: NDArray[np.int64]
     # For each segment: start, end, mean and moment; length as a fraction of the interval; impulse at the end divided by
     # the sample interval; (segments, 6).
@@ -64,8 +64,9 @@ class MotionInterpolator:
         interval_cubics = np.empty((points, 4, samples))
         if not samples:
             return [CubicInput(cubics, *_NO_SEGMENTS) for cubics in interval_cubics]
-        # An interval with n breaks has n + 1 segments. The impulse at sample 0 is the end of a segment of length 0.
-        max_segments = 2 * motion.break_sample.size + (motion.first == 0)
+        # An interval with n discontinuities has n + 1 segments. The impulse at sample 0 is the end of a segment of
+        # length 0.
+        max_segments = 2 * motion.discontinuity_sample.size + (motion.first == 0)
         segment_interval, segments = np.zeros(max_segments, np.int64), np.zeros((points, max_segments, 6))
         count = _describe_motion(
             self._rows,
@@ -76,9 +77,9 @@ class MotionInterpolator:
                 np.ascontiguousarray(motion.velocity),
                 np.ascontiguousarray(motion.displacement),
             ),
-            motion.break_sample - motion.first,
-            motion.break_offset,
-            (motion.break_acceleration, motion.break_velocity, motion.break_displacement),
+            motion.discontinuity_sample - motion.first,
+            motion.discontinuity_offset,
+            (motion.discontinuity_acceleration, motion.discontinuity_velocity, motion.discontinuity_displacement),
             self._last,
             self._rate,
             interval_cubics,
@@ -97,7 +98,7 @@ def allocate_segments(count: int) -> tuple[NDArray[np.int64], Array]:
     return np.zeros(count, np.int64), np.zeros((count, 6))
 
 
-# Segments of a block without breaks; nothing is written into them.
+# Segments of a block without discontinuities; nothing is written into them.
 _NO_SEGMENTS = allocate_segments(0)
 
 
@@ -125,7 +126,7 @@ class ForceInterpolator:
 class SpringForceInterpolator:
     """Interpolates the force of a spring, block after block, by cubics with its exact values and slopes at the nodes.
 
-    `weights`: force per displacement of each point of the motion, N/m; `rate`: samples per second.
+    `weights`: force per displacement of each point of the motion [N/m]; `rate`: samples per second.
     """
 
     def __init__(self, weights: Array, rate: float) -> None:
@@ -145,17 +146,18 @@ class SpringForceInterpolator:
         self._last = nodes[:, -1]
         # A segment of length 0 and value 0 replaces interval 0, so that the force jumps at sample 0 and does not rise.
         start = allocate_segments(int(motion.first == 0))
-        intervals = motion.break_sample - motion.first
+        intervals = motion.discontinuity_sample - motion.first
         if not intervals.size:
             return CubicInput(interval_cubics, *start)
-        # Segments from the start of an interval over its breaks to its end; the slope jumps at a break.
-        forces = weights @ motion.break_displacement
-        slopes = (weights @ motion.break_velocity) * h
+        # Segments from the start of an interval over its discontinuities to its end; the slope jumps at a
+        # discontinuity.
+        forces = weights @ motion.discontinuity_displacement
+        slopes = (weights @ motion.discontinuity_velocity) * h
         is_first = np.append(True, np.diff(intervals) > 0)
         is_last = np.append(is_first[1:], True)
-        position = np.clip(motion.break_offset / h, 0.0, 1.0)
+        position = np.clip(motion.discontinuity_offset / h, 0.0, 1.0)
         segment_interval = np.repeat(intervals, 1 + is_last)
-        # Index of the segment that ends at each break.
+        # Index of the segment that ends at each discontinuity.
         ends_at = np.arange(intervals.size) + np.concatenate([[0], np.cumsum(is_last)[:-1]])
         begin, end = np.empty((2, segment_interval.size)), np.empty((2, segment_interval.size))
         begin_position, end_position = np.zeros(segment_interval.size), np.ones(segment_interval.size)
@@ -216,9 +218,9 @@ def _describe_motion(
     rows: NDArray[np.int64],
     is_start: bool,
     at_samples: tuple[Array, Array, Array],  # acceleration, velocity and displacement, (points, samples)
-    break_interval: NDArray[np.int64],
-    break_offset: Array,
-    at_breaks: tuple[Array, Array, Array],
+    discontinuity_interval: NDArray[np.int64],
+    discontinuity_offset: Array,
+    at_discontinuities: tuple[Array, Array, Array],
     last: Array,
     rate: float,
     interval_cubics: Array,
@@ -240,8 +242,8 @@ def _describe_motion(
             segments[p, 0, IMPULSE] = velocity[row, 0] * rate
         of_point = acceleration[row], velocity[row], displacement[row]
         count = _describe_segments(
-            break_interval, break_offset, at_breaks, row, of_point, last[p], 1.0 / rate, int(is_start),
-            segment_interval, segments[p], segment_ends,
+            discontinuity_interval, discontinuity_offset, at_discontinuities, row, of_point, last[p], 1.0 / rate,
+            int(is_start), segment_interval, segments[p], segment_ends,
         )  # fmt: skip
         _describe_intervals(of_point, last[p], rate, interval_cubics[p])
     return count
@@ -251,7 +253,7 @@ def _describe_motion(
 def _describe_intervals(
     at_samples: tuple[Array, Array, Array], last: Array, rate: float, interval_cubics: Array
 ) -> None:
-    """Fill in `interval_cubics` as if no interval had breaks; then copy the block's last sample to `last`.
+    """Fill in `interval_cubics` as if no interval had discontinuities; then copy the block's last sample to `last`.
 
     `at_samples`: acceleration, velocity and displacement of the point; `last`: their values at the sample before the
     block.
@@ -275,36 +277,36 @@ def _describe_intervals(
 
 @unfused_kernel
 def _describe_segments(
-    break_interval: NDArray[np.int64],
-    break_offset: Array,  # s, from the start of the interval
-    at_breaks: tuple[Array, Array, Array],  # acceleration and velocity (before/after, points, breaks); displacement
+    discontinuity_interval: NDArray[np.int64],
+    discontinuity_offset: Array,  # s, from the start of the interval
+    at_discontinuities: tuple[Array, Array, Array],  # acceleration and velocity (before/after, points, n); displacement
     row: int,
     at_samples: tuple[Array, Array, Array],  # acceleration, velocity and displacement of the point
     last: Array,  # acceleration, velocity and displacement of the point at the sample before the block
-    h: float,  # sample interval, s
+    h: float,  # sample interval [s]
     count: int,
     segment_interval: NDArray[np.int64],
     segments: Array,
     segment_ends: tuple[Array, Array],
 ) -> int:
-    """Append the segments of intervals with breaks to the first `count` segments; return the new number of segments.
+    """Append the segments of intervals with discontinuities to the first `count` segments; return the new number.
 
     `segment_interval`, `segments`: as in `CubicInput`; `segment_ends`: working arrays.
     """
     begin_state, end_state = segment_ends
-    acceleration, velocity, displacement = at_breaks
+    acceleration, velocity, displacement = at_discontinuities
     elapsed = 0.0
-    for b in range(break_interval.size):
-        k = break_interval[b]
-        if b == 0 or break_interval[b - 1] != k:
+    for b in range(discontinuity_interval.size):
+        k = discontinuity_interval[b]
+        if b == 0 or discontinuity_interval[b - 1] != k:
             if k == 0:
                 copy_into(last, begin_state)
             else:
                 _copy_sample(at_samples, k - 1, begin_state)
             elapsed = 0.0
         end_state[0], end_state[1], end_state[2] = acceleration[0, row, b], velocity[0, row, b], displacement[row, b]
-        fraction_at_break = min(max(break_offset[b] / h, elapsed), 1.0)
-        _describe_segment(begin_state, end_state, fraction_at_break - elapsed, h, segments[count])
+        fraction_at_discontinuity = min(max(discontinuity_offset[b] / h, elapsed), 1.0)
+        _describe_segment(begin_state, end_state, fraction_at_discontinuity - elapsed, h, segments[count])
         segment_interval[count] = k
         segments[count, IMPULSE] = (velocity[1, row, b] - velocity[0, row, b]) / h
         count += 1
@@ -313,8 +315,8 @@ def _describe_segments(
             velocity[1, row, b],
             displacement[row, b],
         )
-        elapsed = fraction_at_break
-        if b + 1 == break_interval.size or break_interval[b + 1] != k:
+        elapsed = fraction_at_discontinuity
+        if b + 1 == discontinuity_interval.size or discontinuity_interval[b + 1] != k:
             _copy_sample(at_samples, k, end_state)
             _describe_segment(begin_state, end_state, 1.0 - elapsed, h, segments[count])
             segment_interval[count] = k

@@ -61,7 +61,7 @@ class Limits(NamedTuple):
     # Each limited voltage at each check in an interval is a weighted sum of input, disturbances and states, in the
     # order of `DiscreteCircuit.state_weights`. These are the weights; (checks, 4 + disturbances + states).
     check_weights: Array
-    check_limits: Array  # no limit is reached if the magnitudes of these voltages are below these values, V; (checks,)
+    check_limits: Array  # no limit is reached if the magnitudes of these voltages are below these values [V]; (checks,)
     # If the sum of these weights times the magnitudes of input, disturbances and states is below 1, no check reaches a
     # limit; (4 + disturbances + states,).
     bound_weights: Array
@@ -74,7 +74,7 @@ class Limits(NamedTuple):
     # Change of states and moments over an interval if a disturbance that is not constant is 1 V; zero for constant
     # disturbances; (disturbances, width).
     polynomial_disturbance_response: Array
-    output_limit: float  # largest magnitude of the output of the sensor, V
+    output_limit: float  # largest magnitude of the output of the sensor [V]
     output_weights: Array  # weights of the propagated vector in the output of the sensor; (size,)
     # Change of the propagated vector over a step if the excess falls linearly from 1 V to 0 (index 0), or rises
     # linearly from 0 to 1 V (index 1); (2, 2, width).
@@ -87,7 +87,7 @@ class Limits(NamedTuple):
     # the sensor contains no impulse, and this value is infinite.
     min_impulse: float
     shift_state: int  # index of the state of the zero shift after an overload; -1 without a zero shift
-    rails: Array  # largest magnitude of each state, V; (states,)
+    rails: Array  # largest magnitude of each state [V]; (states,)
     # Change of the propagated vector over a step due to a constant input that adds 1 V to a state; (2, states, width).
     rail_contributions: Array
 
@@ -105,8 +105,8 @@ def tabulate_limits(
     """Return the matrices for the limits of a circuit; None if it has no limit.
 
     `sensor_sections`: the first `sensor_sections` sections are the sensor; `output_limit`: largest magnitude of the
-    output of the sensor, V; `rails`: largest magnitude of each state, V, (states,); `gain`: V per unit of the input;
-    `rate`: sample rate, Hz; `entries`: sections at which the disturbances enter.
+    output of the sensor [V]; `rails`: largest magnitude of each state [V], (states,); `gain`: V per unit of the input;
+    `rate`: sample rate [Hz]; `entries`: sections at which the disturbances enter.
     """
     if output_limit is None and not np.isfinite(rails).any():
         return None
@@ -255,7 +255,7 @@ def propagate_with_limits(
     overload: Array,
     workspace: SegmentWorkspace,
 ) -> tuple[int, float]:
-    """Propagate the circuit over an interval in steps; return the index of the next segment and the final excess, V.
+    """Propagate the circuit over an interval in steps; return the index of the next segment and the final excess [V].
 
     `segment`: index of the first segment that is not yet used; `interval`: index of the interval in the block.
     Afterwards, `workspace.vector` contains the moments. `overload` then contains the severity of the overload in the
@@ -371,7 +371,7 @@ def _copy_segment(cubics: CubicInput, segment: int, interval: int, out: Array) -
 
 @unfused_kernel
 def _sensor_output(limits: Limits, vector: Array) -> float:
-    """Return the output that the sensor would have without the limit, V."""
+    """Return the output that the sensor would have without the limit [V]."""
     output = 0.0
     for r in range(limits.output_weights.size):
         output += limits.output_weights[r] * vector[r]
@@ -380,7 +380,7 @@ def _sensor_output(limits: Limits, vector: Array) -> float:
 
 @unfused_kernel
 def _excess(limits: Limits, vector: Array) -> float:
-    """Return the excess, V."""
+    """Return the excess [V]."""
     output = _sensor_output(limits, vector)
     return output - min(max(output, -limits.output_limit), limits.output_limit)
 

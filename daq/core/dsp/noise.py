@@ -14,7 +14,7 @@ from rig.core.numerics.simd import aligned_zeros, padded_length
 # Variance of uniform random numbers between -1/2 and 1/2. They represent the variation of noise within an interval. A
 # filter sums many of them, so that its output is practically normally distributed.
 _UNIFORM_VARIANCE = 1.0 / 12.0
-# Lowest frequency of 1/f noise, Hz. At lower frequencies (periods of hours), the noise is white.
+# Lowest frequency of 1/f noise [Hz]. At lower frequencies (periods of hours), the noise is white.
 LOWEST = 1e-4
 # First-order sections approximate 1/f noise if successive corner frequencies have at most this ratio.
 _MAX_CORNER_RATIO = 4.0
@@ -55,7 +55,7 @@ class Noise:
             self._poles[: loss.size], self._weight[: loss.size] = 1.0 - loss, weight
 
     def fill(self, samples: Array) -> None:
-        """Fill in the next samples, V, shape (samples,)."""
+        """Fill in the next samples [V], shape (samples,)."""
         self._random.standard_normal(out=samples)
         samples *= self._deviation
         if self.states:

@@ -1,7 +1,7 @@
 """Exact propagation of a circuit from sample to sample, for an input of cubic segments.
 
-A break is an instant in a sample interval at which an impact changes the input abruptly. Disturbances are noise and
-offsets. Moments are computed from the output over each interval (`daq.core.dsp.discretization`).
+A discontinuity is an instant in a sample interval at which an impact changes the input abruptly. Disturbances are noise
+and offsets. Moments are computed from the output over each interval (`daq.core.dsp.discretization`).
 """
 
 from typing import NamedTuple
@@ -51,7 +51,7 @@ def propagate(
     state_rows: Array,  # weights of the states in each output; (outputs, states)
     input_weights: Array,  # weight of the input in each output; (outputs,)
     excess_weights: Array,  # weight of the excess over the limit in each output; (outputs,)
-    outputs: Array,  # filled: outputs at the samples, V; (outputs, intervals)
+    outputs: Array,  # filled: outputs at the samples [V]; (outputs, intervals)
     moments: Array,  # filled: moments of the circuit's output; (intervals + SUMS_AT_ONCE or 0, LANES)
     # Filled: severity of each interval's overload: 0 without overload, otherwise 1 + remaining zero shift / limit. The
     # first element belongs to the last interval of the previous block; (1 + intervals,).
@@ -60,24 +60,24 @@ def propagate(
 ) -> None:
     """Propagate a circuit over the intervals of a block, and fill in outputs, moments and overload.
 
-    Stretches of intervals without breaks are processed section by section, because a section depends only on previous
-    sections. Each sum, except the recurrence of the section itself, is then computed for many samples at a time. The
-    order of every sum is fixed, so that no result depends on the end of a stretch or a block. Intervals with breaks,
-    intervals in which a limit may be reached, and the next intervals after an overload are processed one by one
-    (`daq.core.dsp.limiting`).
+    Stretches of intervals without discontinuities are processed section by section, because a section depends only on
+    previous sections. Each sum, except the recurrence of the section itself, is then computed for many samples at a
+    time. The order of every sum is fixed, so that no result depends on the end of a stretch or a block. Intervals with
+    discontinuities, intervals in which a limit may be reached, and the next intervals after an overload are processed
+    one by one (`daq.core.dsp.limiting`).
     """
     sources = workspace.sources
     first_state_row = 4 + disturbances.shape[0]
     segment, first, intervals = 0, 0, cubics.interval_cubics.shape[1]
     while first < intervals:
         overload[1 + first] = 0.0
-        has_breaks = segment < cubics.segment_interval.size and cubics.segment_interval[segment] == first
+        has_discontinuities = segment < cubics.segment_interval.size and cubics.segment_interval[segment] == first
         # Whether the interval is propagated with limits. A circuit without limits is compiled without this code.
         with_limits = False
         if limits is not None:
-            with_limits = has_breaks or overload[first] > 0.0
+            with_limits = has_discontinuities or overload[first] > 0.0
         stop, excess = first + 1, 0.0
-        if not has_breaks and not with_limits:
+        if not has_discontinuities and not with_limits:
             stop = min(first + STRETCH, intervals)
             if segment < cubics.segment_interval.size:
                 stop = min(stop, cubics.segment_interval[segment])
@@ -96,7 +96,7 @@ def propagate(
                 overload[1 + k] = 0.0
             if not with_limits and discrete.integrals:
                 factored_sums(discrete.moment_weights, sources, 0, sources.shape[1], 1, moments, first, stop - first)
-        if has_breaks or with_limits:
+        if has_discontinuities or with_limits:
             if with_limits and limits is not None:
                 segment, excess = propagate_with_limits(
                     cubics, segment, first, discrete, limits, state, disturbances, overload, workspace.segments
@@ -127,7 +127,7 @@ def _copy_inputs(cubics: CubicInput, disturbances: Array, first: int, stop: int,
 
 @unfused_kernel
 def _propagate_stretch(discrete: DiscreteCircuit, state: Array, sources: Array, sums: Array, count: int) -> None:
-    """Propagate the circuit over intervals without breaks; fill in the states of `sources`, from start to end."""
+    """Propagate the circuit over intervals without discontinuities; fill in the states of `sources` in order."""
     first_state_row = sources.shape[0] - discrete.states
     for section in range(discrete.first_states.size - 1):
         begin, end = discrete.first_states[section], discrete.first_states[section + 1]
@@ -177,7 +177,7 @@ def _propagate_second_order(
 
 @unfused_kernel
 def _add_disturbances(discrete: DiscreteCircuit, state: Array, disturbances: Array, vector: Array) -> None:
-    """Add the contributions of disturbances at the end of an interval with breaks, and copy the states."""
+    """Add the contributions of disturbances at the end of an interval with discontinuities, and copy the states."""
     for e in range(disturbances.shape[0]):
         for r in range(discrete.width):
             vector[r] += discrete.transition[discrete.states + 4 + e, r] * disturbances[e]

@@ -1,7 +1,7 @@
-"""Propagation of a circuit over an interval with breaks, segment by segment.
+"""Propagation of a circuit over an interval with discontinuities, segment by segment.
 
-A break is an instant between samples at which an impact changes the input abruptly. A segment is the part of a sample
-interval between two breaks (`daq.core.dsp.interpolation`).
+A discontinuity is an instant between samples at which an impact changes the input abruptly. A segment is the part of a
+sample interval between two discontinuities (`daq.core.dsp.interpolation`).
 """
 
 from typing import NamedTuple

@@ -1,6 +1,6 @@
 """Skew of a multiplexed converter, which samples its channels one after another: delay of each channel's input.
 
-A break is an instant between samples at which an impact changes the velocity abruptly.
+A discontinuity is an instant between samples at which an impact changes the velocity abruptly.
 """
 
 import numpy as np
@@ -23,8 +23,9 @@ from rig.core.numerics.jit import unfused_kernel
 def delays(skew: float | tuple[float, ...] | None, channels: int, rate: float) -> tuple[float, ...]:
     """Return the delay of each channel, s, relative to the clock tick at which the last channel is sampled.
 
-    `skew`: time from the sampling of a channel to the sampling of the next, s; or the sampling time of each channel, s.
-    Sampling a channel earlier by a time equals delaying its input by this time and sampling it with the last channel.
+    `skew`: time from the sampling of a channel to the sampling of the next [s]; or the sampling time of each channel
+    [s]. Sampling a channel earlier by a time equals delaying its input by this time and sampling it with the last
+    channel.
 
     >>> delays(1e-6, 3, 5120.0)
     (2e-06, 1e-06, 0.0)
@@ -48,13 +49,13 @@ class Delay:
 
     Delayed interval i consists of the tail of input interval i - 1 and the head of input interval i. It is described by
     one cubic (see `CubicInput`), whose second integral is exact at the delayed sampling instants. If one of the two
-    input intervals has breaks, segments describe the delayed interval.
+    input intervals has discontinuities, segments describe the delayed interval.
     """
 
     def __init__(self, tail_length: float) -> None:
         self._tail_length = tail_length
         self._matrix = _delay_matrix(tail_length)
-        # The cubic of the previous input interval, and the segments of its tail if the interval has breaks.
+        # The cubic of the previous input interval, and the segments of its tail if the interval has discontinuities.
         self._previous_cubic = np.zeros(4)
         self._tail = np.zeros((0, 6))
 
@@ -63,8 +64,8 @@ class Delay:
         if cubics.interval_cubics.size == 0:
             return cubics
         delayed_cubics = np.empty(cubics.interval_cubics.shape)
-        # An input interval with breaks affects two delayed intervals. Each of its segments is in one of the two, or is
-        # split between them, and each of the two contains one segment of another interval.
+        # An input interval with discontinuities affects two delayed intervals. The delay shifts each of its segments
+        # into one of the two, or splits it between them. Each also contains a segment of an adjacent input interval.
         tail_size = len(self._tail)
         max_segments = tail_size + 4 * cubics.segment_interval.size + 4
         segment_interval, segments = allocate_segments(max_segments)
@@ -119,7 +120,7 @@ def _shift(
 ) -> tuple[int, int]:
     """Fill in the delayed intervals; return the number of their segments, and of segments in the last tail.
 
-    `previous`: cubic of the previous input interval, updated; `tail`: if that interval has breaks, the first
+    `previous`: cubic of the previous input interval, updated; `tail`: if that interval has discontinuities, the first
     `tail_size` rows are the segments of its tail, updated; `cubic`: working array.
     """
     for r in range(4):
@@ -128,13 +129,15 @@ def _shift(
     head_length = 1.0 - tail_length
     while i < intervals:
         if tail_size == 0:
-            # Two successive intervals without breaks were combined above.
-            next_with_breaks = cubics.segment_interval[segment] if segment < cubics.segment_interval.size else intervals
-            if next_with_breaks > i:
-                i = next_with_breaks
+            # Two successive intervals without discontinuities were combined above.
+            next_with_discontinuities = (
+                cubics.segment_interval[segment] if segment < cubics.segment_interval.size else intervals
+            )
+            if next_with_discontinuities > i:
+                i = next_with_discontinuities
                 copy_into(cubics.interval_cubics[:, i - 1], previous)
                 continue
-        has_breaks = segment < cubics.segment_interval.size and cubics.segment_interval[segment] == i
+        has_discontinuities = segment < cubics.segment_interval.size and cubics.segment_interval[segment] == i
         # Tail of the previous input interval.
         if tail_size == 0:
             segment_interval[count] = i
@@ -145,9 +148,9 @@ def _shift(
             copy_into(tail[k], segments[count])
             count += 1
         tail_size = 0
-        # Head of this input interval. If it has breaks, the segments of its tail are stored for the next.
+        # Head of this input interval. If it has discontinuities, the segments of its tail are stored for the next.
         copy_into(cubics.interval_cubics[:, i], previous)
-        if not has_breaks:
+        if not has_discontinuities:
             segment_interval[count] = i
             _split(previous, 0.0, head_length, head_length, 0.0, segments[count])
             count += 1
@@ -189,7 +192,7 @@ def _shift(
 
 @unfused_kernel
 def _combine(cubics: Array, weights: Array, previous: Array, out: Array) -> None:
-    """Fill in start, end, mean or moment of each delayed interval, as if no interval had breaks.
+    """Fill in start, end, mean or moment of each delayed interval, as if no interval had discontinuities.
 
     `weights`: a row of the matrix, (8,); `previous`: cubic of the interval before the block, (4,).
     """

@@ -14,7 +14,7 @@ from daq.core.excitation.procedure import Form, Procedure
 from daq.core.excitation.profiles.identification import EXPECTED_PERIODS, MIN_COHERENCE, accelerations, identify
 from daq.core.excitation.profiles.spectrum_shaping import lines_between
 from daq.core.excitation.profiles.wave_replication import HalfSinePulse, Pulse, Replication, SpectrumPulse
-from daq.core.excitation.station import Excitation, GivenUp, Station
+from daq.core.excitation.station import Excitation, Station, TestAborted
 from rig.core.base.errors import SceneError
 from rig.core.scene.excitation.profile import from_decibels
 from rig.core.scene.excitation.shock import PULSE_POSITION
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rig.core.scene.scene import Scene
 
 
-# Practice pulses before the test gives up, unless the scene specifies more; convergent corrections need fewer.
+# Practice pulses before the test aborts, unless the scene specifies more; convergent corrections need fewer.
 _MAX_PRACTICE = 3
 # Highest frequency of the drive relative to the sample rate, below the transition band of the converter.
 _BAND_RATIO = 0.4
@@ -107,7 +107,7 @@ class ShockProcedure(Procedure["Shock"]):
         total, number, is_within, message, deviations = n_practice + test.repeats, 0, False, "", list[float]()
         while levels or not is_within:
             if number == n_practice:
-                raise GivenUp(f"after {number} practice pulses {message}. {_remedy(deviations)}")
+                raise TestAborted(f"after {number} practice pulses {message}. {_remedy(deviations)}")
             level = levels.pop(0) if levels else test.practice[-1]
             number += 1
             station.report(number / total, f"practice pulse {number} at {level:g} dB")

@@ -28,7 +28,7 @@ from daq.core.excitation.profiles.sine_control_check import (
 )
 from daq.core.excitation.profiles.spectrum_shaping import lines_between
 from daq.core.excitation.profiles.sweep_control import estimate_amplitudes, observation_samples
-from daq.core.excitation.station import Excitation, GivenUp, Station
+from daq.core.excitation.station import Excitation, Station, TestAborted
 from rig.core.base.arrays import Array
 from rig.core.numerics.runs import runs_of
 from rig.core.results.text import format_decimals
@@ -117,7 +117,7 @@ class SineSweep:
         self._frequencies, self._required = np.ones(1), np.ones((1 + len(test.limits), 1))
 
     def first_drive(self, identified: Identified, period: int) -> float:
-        """Return the drive at the first frequency; give up if the output cannot drive the sweep."""
+        """Return the drive at the first frequency; abort if the output cannot drive the sweep."""
         self._frequencies = identified.lines * self.station.rate / period
         self._required = required_drives(self.test, np.abs(identified.gain), self._frequencies)
         inside = in_band(self.test, self._frequencies)
@@ -174,7 +174,7 @@ class SineSweep:
             observation = Observation(max(now - length, 0), now, frequency, deviation, int(np.argmin(ratios)) - 1)
             if deviation > self.test.abort and drive > 0.0:
                 names = " and ".join(self.test.control.channels)
-                raise GivenUp(
+                raise TestAborted(
                     f"aborted at {format_decimals(frequency, 1)} Hz: {names} is {deviation:.1f} dB above the profile. "
                     "Sweep more slowly, or add a limit."
                 )

@@ -16,9 +16,9 @@ LARGEST_CHUNK = 1 << 26
 # The next three limits reject small files that would keep a reader busy for minutes. Up to this unpacked size in bytes,
 # any compression ratio is accepted.
 _UNLIMITED_RATIO_BYTES = 1 << 21
-# Largest accepted compression ratio of larger chunks: samples with noise compress far less, a hostile file more.
+# Largest accepted compression ratio of larger chunks: samples with noise compress far less, a malformed file more.
 _MAX_RATIO = 1000
-# A chunk of n bytes in the file may have at most n plus this number of records, which a hostile file exceeds.
+# A chunk of n bytes in the file may have at most n plus this number of records, which a malformed file exceeds.
 _MAX_EXCESS_RECORDS = 1 << 10
 
 MAGIC = b"\x89MCAP0\r\n"

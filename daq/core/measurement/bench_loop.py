@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.core.excitation.station import Excitation, GivenUp, Station
+from daq.core.excitation.station import Excitation, Station, TestAborted
 from daq.core.measurement.limits import ControlLoss, Limits
 from daq.core.virtual_bench.bench import Bench, Block
 from rig.core.base.arrays import Array
@@ -32,7 +32,7 @@ def ramp_down(last: Array, samples: int) -> Array:
     return (last[:, -1:] + (last[:, -1:] - last[:, :1]) * index) * (1 + np.cos(np.pi * index / samples)) / 2
 
 
-class LimitReached(GivenUp):
+class LimitReached(TestAborted):
     """A channel exceeded its abort limit, or the controlled force could no longer be measured."""
 
 
@@ -81,7 +81,7 @@ class BenchLoop(ABC):
     def run_test(self, test: Excitation, drive: Array, max_duration: float = math.inf) -> bool:
         """Run a test; return whether the test ran to completion within `max_duration` [s].
 
-        `drive`: drive of the first window. An error from `ending_error`, or the `RunError` of a test that gives up, is
+        `drive`: drive of the first window. An error from `ending_error`, or the `RunError` of a test that aborts, is
         raised after the drive has been ramped to zero.
         """
         check_samples = self.station.samples(self._limits.interval)
@@ -102,10 +102,10 @@ class BenchLoop(ABC):
                     # The last samples of the test are still delayed in the converter's filter.
                     self.acquire(np.repeat(self._last_drive[:, -1:], self.bench.latency, axis=1))
                 return True
-            except GivenUp as reason:
+            except TestAborted as reason:
                 message = self._control.describe(str(reason), self.station.now)
                 self.acquire(ramp_down(self._last_drive, self.station.samples(RAMP_S)))
-                raise GivenUp(message) from reason
+                raise TestAborted(message) from reason
         return False
 
     def ending_error(self, readings: Array) -> BaseException | None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from daq.core.excitation.station import Excitation, GivenUp, Station
+from daq.core.excitation.station import Excitation, Station, TestAborted
 from daq.core.measurement.bench_loop import RAMP_S, ramp_down
 from rig.core.base.arrays import Array
 from rig.core.scene.shaker import DRIVE_PER_VOLT
@@ -39,7 +39,7 @@ def run_on_device(
     Raises
     ------
     RunError
-        If the test gives up; the drive has then been ramped to zero.
+        If the test aborts; the drive has then been ramped to zero.
     """
     volts_per_drive = np.array([[1.0 / DRIVE_PER_VOLT[shaker.drive_unit]] for shaker in station.scene.shakers])
     station.latency += queued
@@ -61,7 +61,7 @@ def run_on_device(
             drive = test.send(play(drive))
     except StopIteration:
         play(np.repeat(last[:, -1:], station.latency, axis=1))
-    except GivenUp:
+    except TestAborted:
         play(ramp_down(last, station.samples(RAMP_S)))
         raise
     finally:

@@ -20,7 +20,7 @@ def reject_certain_abort(name: str, foresight: Foresight) -> None:
     """Raise `SceneError` if the test will abort; `name`: name of the scene."""
     if foresight.aborts is None:
         return
-    # If a test gives up within its limits, the reason already contains the remedy.
+    # If a test aborts within its limits, the reason already contains the remedy.
     remedy = "Raise the limit" if any(entry.share >= 1.0 for entry in foresight.expectations) else "Change the test"
     if foresight.limited_by is not None and foresight.largest_level < foresight.level:
         remedy = f"Lower {foresight.key}, raise the limit"

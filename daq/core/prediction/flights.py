@@ -27,7 +27,7 @@ def onset_level(scene: Scene, system: HybridSystem) -> float:
     """Return the lowest level at which a damper leaves its floor in a tone or sweep; infinite for other tests."""
     accelerations = _acceleration_per_level(scene, system, test_frequencies(scene.test))
     with np.errstate(divide="ignore"):
-        levels = system.take_off_acceleration[:, None] / accelerations if accelerations.size else accelerations
+        levels = system.separation_acceleration[:, None] / accelerations if accelerations.size else accelerations
     return float(levels.min(initial=np.inf))
 
 
@@ -46,17 +46,17 @@ def flying_tones(scene: Scene, system: HybridSystem, level: float, tones: Array)
     accelerations = level * _acceleration_per_level(scene, system, tones)
     if not accelerations.size:
         return np.zeros(tones.size, dtype=bool)
-    return np.asarray((accelerations > system.take_off_acceleration[:, None]).any(axis=0))
+    return np.asarray((accelerations > system.separation_acceleration[:, None]).any(axis=0))
 
 
 def flight_lines(scene: Scene, system: HybridSystem, level: float, rehearsals: Sequence[Rehearsal]) -> tuple[str, ...]:
     """Return lines that state for each damper whether, where and when it flies in `rehearsals` of the test."""
     frequencies = test_frequencies(scene.test)
     accelerations = level * _acceleration_per_level(scene, system, frequencies)
-    exceeds_gravity = accelerations > (system.take_off_acceleration[:, None] if accelerations.size else np.inf)
+    exceeds_gravity = accelerations > (system.separation_acceleration[:, None] if accelerations.size else np.inf)
     names_by_range: dict[tuple[str, bool], list[str]] = {}
     for row, number in enumerate(system.damper_number.tolist()):
-        if np.isinf(system.take_off_acceleration[row]):
+        if np.isinf(system.separation_acceleration[row]):
             continue
         impacts = [(rehearsal, time) for rehearsal in rehearsals for time in rehearsal.impact_times[number - 1]]
         flight_range = ""

@@ -28,7 +28,7 @@ class Chain:
 
     The samples do not depend on the division of the motion into blocks.
 
-    `rate` is the rate of the motion, Hz, a multiple of the converter's true rate (its sample rate with the clock
+    `rate` is the rate of the motion [Hz], a multiple of the converter's true rate (its sample rate with the clock
     error). `points` are the points whose motion is given, such as "body 1"; `inputs` are the inputs of the rig whose
     forces or drives are given.
 

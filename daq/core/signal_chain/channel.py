@@ -35,7 +35,7 @@ class ChannelInfo:
     at: str  # location: "body 2", "table", "hammer", "shaker" or "drive"
     quantity: Quantity  # measured quantity, after integration by an amplifier
     sensitivity: float  # nominal sensitivity, V per unit
-    rate: float  # nominal sample rate, Hz
+    rate: float  # nominal sample rate [Hz]
     zeros: tuple[complex, ...] = ()
     poles: tuple[complex, ...] = ()
     gain: float = 1.0  # factor of prod(s - zeros) / prod(s - poles), with s, zeros and poles in rad/s

@@ -32,7 +32,7 @@ _ATTENUATION_DB = 109.0
 
 @dataclass(frozen=True)
 class DecimationFilter:
-    """A linear-phase low pass: a sinc with a Kaiser window, symmetric about its delay.
+    """A linear-phase low-pass filter: a sinc with a Kaiser window, symmetric about its delay.
 
     The response is flat within 0.0001 dB up to 0.4535 of the sample rate, and below -100 dB from 0.5465 of it.
     Frequencies up to 0.4535 of the sample rate are therefore free of aliases.
@@ -42,7 +42,7 @@ class DecimationFilter:
     ['0.0000', '0.0000', '-6.0206']
     """
 
-    rate: float  # sample rate, Hz
+    rate: float  # sample rate [Hz]
     delay: float  # half the length of the impulse response, in sample intervals
     cutoff: float  # ratio to the sample rate
     beta: float  # shape parameter of the Kaiser window

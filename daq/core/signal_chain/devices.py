@@ -108,8 +108,8 @@ def force_sensor(settings: Hammer, seed: int, channel: str) -> Stage:
 def integrating_amplifier(settings: Integrator) -> Stage:
     """Return the stage of an integrating amplifier of order n: ``gain / (s + w)^n`` with w = 2 pi corner, in rad/s.
 
-    A low cut-off adds a high pass at the input. Each integration has the gain ``gain^(1/n)``, and its output is limited
-    to the saturation voltage. The noise is that at the amplifier's output.
+    A low cut-off adds a high-pass filter at the input. Each integration has the gain ``gain^(1/n)``, and its output is
+    limited to the saturation voltage. The noise is that at the amplifier's output.
 
     >>> from rig.core.scene.measurement_chain import Integrator
     >>> integrating_amplifier(Integrator(order=2, corner="1 Hz", gain=1000.0)).effects

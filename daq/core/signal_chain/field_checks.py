@@ -64,7 +64,7 @@ def _is_location(value: Any) -> bool:
 
 
 def _are_roots(value: Any) -> bool:
-    """Return whether a value is a list of zeros or poles, each as a list of real and imaginary part."""
+    """Return whether a value is a list of zeros or poles, each as a list of its real and imaginary parts."""
     return (
         isinstance(value, list)
         and len(value) <= 100

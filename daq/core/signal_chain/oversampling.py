@@ -51,7 +51,7 @@ def choose_oversampling(scene: Scene, converter: Converter | None = None) -> int
     ]
     saturations += [channel.integrator.saturation for channel in channels if channel.integrator is not None]
     has_limit = any(saturation is not None for saturation in saturations)
-    max_frequency = 0.0  # highest frequency of the motion, Hz
+    max_frequency = 0.0  # highest frequency of the motion [Hz]
     if has_filter or has_limit:
         max_frequency = float(np.abs(system.poles.imag).max(initial=0.0)) / (2 * np.pi)
     if system.finite_contact.any():
@@ -68,7 +68,7 @@ def choose_oversampling(scene: Scene, converter: Converter | None = None) -> int
         if not has_limit:
             resolved_ratio = min(resolved_ratio, PASSBAND_EDGE)
         oversampling = max(alias_ratio, resolved_ratio / MAX_RESOLVED_RATIO)
-        # The drive is piecewise linear; its kinks excite a table up to the table's corner frequency.
+        # The drive is piecewise linear; its slope changes excite a table up to the table's corner frequency.
         corner = max((shaker.corner for shaker in scene.shakers), default=0.0)
         oversampling = max(oversampling, corner / rate / MAX_RESOLVED_RATIO)
     return max(1, min(math.ceil(oversampling), int(MAX_RATE / rate)))

@@ -1,8 +1,8 @@
-"""Computes the samples of one channel, V, from the motion or force at its sensor.
+"""Computes the samples of one channel [V] from the motion or force at its sensor.
 
 A stage is a device of the channel: sensor, amplifier or coupling. A section is a linear element of its circuit, such as
-a high pass. The oversampling divides each sample interval into equal intervals; the circuit is propagated from interval
-to interval.
+a high-pass filter. The oversampling divides each sample interval into equal intervals; the circuit is propagated from
+interval to interval.
 """
 
 from collections.abc import Sequence
@@ -109,7 +109,7 @@ class SignalPath:
             self._noise = Noise(converter.noise, None, sample_rate, noise_generator)
 
     def measure(self, cubics: CubicInput, timing_error: Array | None) -> tuple[Array, NDArray[np.bool_] | None]:
-        """Return the samples of a block, V, and for each sample whether a limit of sensor or amplifier affected it.
+        """Return the samples of a block [V], and for each sample whether a limit of sensor or amplifier affected it.
 
         The flags are None without a limit. `cubics` are the cubics of the sensor's input in the intervals of the block.
         `timing_error` is the timing error of each sample in standard deviations of the jitter.
@@ -213,7 +213,7 @@ def _disturbances(
 ) -> tuple[list[Entry], list[Disturbance]]:
     """Return the noises and offsets of the stages: for each, its point of entry into the circuit, and its source.
 
-    `rate` is the sample rate, Hz.
+    `rate` is the sample rate [Hz].
     """
     entries: list[Entry] = []
     sources: list[Disturbance] = []

@@ -27,14 +27,14 @@ class Stage:
 
     name: str  # kind of device: accelerometer, hammer, cable, integrator or converter
     sections: tuple[Section, ...] = ()  # linear circuit, from input to output
-    nominal: float = 1.0  # sensitivity or gain by the data sheet: V per m/s^2, V/N or V/V
+    nominal: float = 1.0  # sensitivity or gain by the data sheet: V per m/s², V/N or V/V
     deviation: float = 0.0  # relative deviation of the true from the nominal sensitivity
     noise: float | None = None  # noise density at the output, V/sqrt(Hz)
-    noise_corner: float | None = None  # frequency below which the noise rises as 1/f, Hz
-    offset: float | None = None  # offset at the output, V
-    settling: float | None = None  # time constant with which the offset rises from zero after power-on, s
-    limit: float | None = None  # largest magnitude of a sensor's output, V
-    rails: float | None = None  # largest magnitude of the output of each integration, V
+    noise_corner: float | None = None  # frequency below which the noise rises as 1/f [Hz]
+    offset: float | None = None  # offset at the output [V]
+    settling: float | None = None  # time constant with which the offset rises from zero after power-on [s]
+    limit: float | None = None  # largest magnitude of a sensor's output [V]
+    rails: float | None = None  # largest magnitude of the output of each integration [V]
     data: Mapping[str, str] = field(default_factory=dict)  # settings as text, from `data_sheet`
 
     @property

@@ -16,9 +16,9 @@ class MotionAtRate:
     """Resamples a motion and its drive from ticks to instants: instant n is n / rate ticks after power-on.
 
     A sample requires `group` instants; only complete groups are returned. `tick` is the duration of a tick [s]; `first`
-    is the index of the first instant. An instant at a tick has the motion of the tick. Between ticks and breaks (jumps
-    of velocity or acceleration), the acceleration is the cubic of `daq.core.dsp.interpolation`, integrated to velocity
-    and displacement. The drive is interpolated linearly.
+    is the index of the first instant. An instant at a tick has the motion of the tick. Between ticks and
+    discontinuities (jumps of velocity or acceleration), the acceleration is the cubic of `daq.core.dsp.interpolation`,
+    integrated to velocity and displacement. The drive is interpolated linearly.
 
     The plant does not output the exact motion at the instants: beds of grains cannot. The error of the cubic is smaller
     than the noise of any sensor. Errors relative to the rms value with three dampers (159 impacts, 5000 instants, 5120
@@ -31,9 +31,9 @@ class MotionAtRate:
         self._first = first
         self._next = first  # first instant that has not been resampled
         self._output_stop = first  # first instant that has not been returned
-        # Values at the instants of an incomplete group, and breaks after the last returned instant.
+        # Values at the instants of an incomplete group, and discontinuities after the last returned instant.
         self._pending: list[NDArray[Any]] = []
-        self._breaks: list[NDArray[Any]] = []
+        self._discontinuities: list[NDArray[Any]] = []
         # Displacement, velocity, acceleration and drive at the last tick.
         self._last: list[Array] = []
 
@@ -53,11 +53,12 @@ class MotionAtRate:
         count = self._output_stop - first
         self._pending = [row[:, count:] for row in values]
         displacement, velocity, acceleration, force, gap, contact = (row[:, :count] for row in values)
-        break_instant, offset, *break_motion = self._take_breaks(motion, earliest_instant)
+        discontinuity_instant, offset, *discontinuity_motion = self._take_discontinuities(motion, earliest_instant)
         resampled = replace(
             motion, first=first - self._first, displacement=displacement, velocity=velocity, acceleration=acceleration,
-            gap=gap, contact=contact, break_sample=break_instant - self._first, break_offset=offset,
-            break_displacement=break_motion[0], break_velocity=break_motion[1], break_acceleration=break_motion[2],
+            gap=gap, contact=contact, discontinuity_sample=discontinuity_instant - self._first,
+            discontinuity_offset=offset, discontinuity_displacement=discontinuity_motion[0],
+            discontinuity_velocity=discontinuity_motion[1], discontinuity_acceleration=discontinuity_motion[2],
         )  # fmt: skip
         return resampled, force
 
@@ -80,20 +81,20 @@ class MotionAtRate:
         self._last = [row[:, -1:] for row in (*_motion_rows(motion), forces)]
         return resampled
 
-    def _take_breaks(self, motion: Motion, earliest_instant: int) -> list[NDArray[Any]]:
-        """Return and remove the breaks before `_output_stop`, each with the instant after it, as in `Motion`."""
+    def _take_discontinuities(self, motion: Motion, earliest_instant: int) -> list[NDArray[Any]]:
+        """Return and remove the discontinuities before `_output_stop`, with the instants after them, as in `Motion`."""
         interval = self._tick / float(self._rate)
         if self._rate == 1:
-            new = [motion.break_sample, motion.break_offset]
+            new = [motion.discontinuity_sample, motion.discontinuity_offset]
         else:
-            time = (motion.break_sample - 1) * self._tick + motion.break_offset
+            time = (motion.discontinuity_sample - 1) * self._tick + motion.discontinuity_offset
             next_instant = np.maximum(np.ceil(time / interval).astype(np.int64), earliest_instant)
             new = [next_instant, np.clip(time - (next_instant - 1) * interval, 0.0, interval)]
-        new += [motion.break_displacement, motion.break_velocity, motion.break_acceleration]
-        if self._breaks:
-            new = [np.concatenate(pair, axis=-1) for pair in zip(self._breaks, new, strict=True)]
+        new += [motion.discontinuity_displacement, motion.discontinuity_velocity, motion.discontinuity_acceleration]
+        if self._discontinuities:
+            new = [np.concatenate(pair, axis=-1) for pair in zip(self._discontinuities, new, strict=True)]
         is_complete = new[0] < self._output_stop
-        self._breaks = [row[..., ~is_complete] for row in new]
+        self._discontinuities = [row[..., ~is_complete] for row in new]
         return [row[..., is_complete] for row in new]
 
 
@@ -107,15 +108,18 @@ def _between_ticks(
     """Interpolate motion and drive at instants in `tick`s [s] after a block's first tick; `last`: tick before."""
     n_last = 1 if last else 0
     at_ticks = np.arange(-n_last, forces.shape[1])
-    breaks = (motion.break_sample - 1 - motion.first) + motion.break_offset / tick
-    time_order = np.argsort(np.concatenate([at_ticks, breaks]), kind="stable")
-    times = np.concatenate([at_ticks, breaks])[time_order]
+    discontinuities = (motion.discontinuity_sample - 1 - motion.first) + motion.discontinuity_offset / tick
+    time_order = np.argsort(np.concatenate([at_ticks, discontinuities]), kind="stable")
+    times = np.concatenate([at_ticks, discontinuities])[time_order]
     displacements, velocities, accelerations = ([*last[k : k + 1], row] for k, row in enumerate(_motion_rows(motion)))
-    displacement = np.concatenate([*displacements, motion.break_displacement], axis=1)[:, time_order]
-    # Limits from the left and from the right at each tick and break.
+    displacement = np.concatenate([*displacements, motion.discontinuity_displacement], axis=1)[:, time_order]
+    # Limits from the left and from the right at each tick and discontinuity.
     (v_before, v_after), (a_before, a_after) = (
         [np.concatenate([*rows, side], axis=1)[:, time_order] for side in sides]
-        for rows, sides in ((velocities, motion.break_velocity), (accelerations, motion.break_acceleration))
+        for rows, sides in (
+            (velocities, motion.discontinuity_velocity),
+            (accelerations, motion.discontinuity_acceleration),
+        )
     )
     left = np.searchsorted(times, instants, side="right") - 1
     right = left + 1

@@ -37,7 +37,7 @@ _TIME_NAMES = re.compile(r"(.*[._])?(t|time|times|zeit)(_s)?", re.IGNORECASE)
 _MIN_SAMPLES = 16
 # Two-dimensional arrays with more channels do not contain samples.
 _MAX_CHANNELS = 4096
-# Structures that are read from an array, to limit the time for hostile files.
+# Structures that are read from an array, to limit the time for malformed files.
 _MAX_STRUCTURES = 1000
 # Memory for estimating the clock, bytes per time: the times, the times of an even grid, and the differences.
 _CLOCK_BYTES = 48

@@ -116,7 +116,7 @@ class _HdfReader:
         self._file = file
         self.unreadable: list[str] = []  # names of items of types that numpy does not have
         self._value_count = 0
-        # Value of each item at each depth, and the number of values in it; cached because a hostile file may refer to
+        # Value of each item at each depth, and the number of values in it; cached because a malformed file may refer to
         # an item many times.
         self._cache: dict[tuple[int, int, int], tuple[Any, int]] = {}
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.core.excitation import Excitation, Station, excitation
-from daq.core.excitation.station import GivenUp
+from daq.core.excitation.station import TestAborted
 from daq.core.measurement.bench_loop import RAMP_S, ramp_down
 from daq.core.signal_chain.oversampling import DriveInterpolator
 from rig.core.base.arrays import Array
@@ -38,7 +38,7 @@ class BackgroundTest:
         self._station, self._to_units, self._make_excitation, self._on_end = station, to_units, make_excitation, on_end
         self._interpolator = DriveInterpolator(len(station.inputs), ticks_per_sample)
         self._is_stopping = False
-        self._reason = ""  # reason why the test gave up
+        self._reason = ""  # reason why the test aborted
         self._position = 0  # position in the drive of the current block [ticks]
         self._readings: list[Array] = []  # readings of the current block
         self._drive = np.zeros((len(station.inputs), 0))  # drive of the current block at every tick
@@ -124,7 +124,7 @@ class BackgroundTest:
                 self._start_ramp()
             else:
                 self._start_block(self._test.send(readings))
-        except GivenUp as error:
+        except TestAborted as error:
             self._reason = str(error)
             self._start_ramp()
         except StopIteration:

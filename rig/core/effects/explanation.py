@@ -166,8 +166,8 @@ def motion_effects(scene: Scene) -> Iterable[Effect]:
     yield from _damper_effects(scene, system)
     if scene.joints:
         texts = (joint.text(scene.structure.label) for joint in scene.joints)
-        memories = sum(element.memory >= 0 for element in system.elements)
-        yield Effect("motion", "joints", 2 * memories, "; ".join(texts))
+        sliders = sum(element.slider >= 0 for element in system.elements)
+        yield Effect("motion", "joints", 2 * sliders, "; ".join(texts))
 
 
 def _frequencies_text(model: StructuralModel) -> str:

@@ -1,7 +1,7 @@
 """Input of the kernel: tables of the exact flow for each configuration, and the constants of the elements.
 
 The configuration specifies which forces act in the elements (`HybridSystem.strides`). The flow maps a state to a later
-state. A signal is a function of the state whose limits end a mode (`rig.core.engine.law_tables`).
+state. A signal is a function of the state whose limits end a regime (`rig.core.engine.law_tables`).
 `rig.core.engine.flow_tables` computes both inputs.
 """
 
@@ -34,7 +34,7 @@ class Flow(NamedTuple):
     bound: maps |z| to bounds over a step: first the fourth derivative of each signal with respect to tau, then the sum
     of the magnitudes of the terms of each signal. For a flying mass the signal here is the position of its body. rates:
     nonzero elements of A, in compressed sparse rows (row_pointer, column). rates_constant: b. after[k, m]: table index
-    after one element of the configuration with table index k changes to mode m, or -1 if it is not yet computed.
+    after one element of the configuration with table index k changes to regime m, or -1 if it is not yet computed.
     """
 
     has_series: bool

@@ -37,7 +37,7 @@ from rig.core.numerics.complementarity import ROUNDING
 from rig.core.numerics.simd import SUMS, aligned_zeros, padded_length
 from rig.core.system.hybrid_system import Drive, HybridSystem, hold_coordinates
 
-#: The product of step length (s) and largest rate (rad/s) is at most this; 0.7^16 / 16! = 1.6e-16 is below the
+#: The product of step length [s] and largest rate [rad/s] is at most this; 0.7^16 / 16! = 1.6e-16 is below the
 #: machine epsilon of float64, 2.2e-16.
 MAX_RATE_TIMES_STEP = 0.7
 #: Matrix powers are tabulated up to this number of states, including the drive.
@@ -59,7 +59,7 @@ ELEMENT_BYTES = 20
 TERM_BYTES = 9 * TERMS
 #: An array contains the table index of every possible configuration up to this number of configurations.
 MAX_DIRECT_LOOKUP = 4096
-#: Envelopes (`rig.core.engine.screening`) save time up to this phase advance of the drive per step, rad.
+#: Envelopes (`rig.core.engine.screening`) save time up to this phase advance of the drive per step [rad].
 MAX_ENVELOPE_PHASE_RAD = 0.2
 #: Number of small systems whose tables are cached for the next run.
 MAX_CACHED_SYSTEMS = 32
@@ -170,10 +170,10 @@ class FlowTables:
         matrix[ns:, ns:] = drive.generator
         return matrix, offset
 
-    def contacts(self, mode: NDArray[np.int64]) -> NDArray[np.int8]:
-        """Return the wall that each element touches in its mode (`rig.core.laws.events`), shape (elements,)."""
+    def contacts(self, regime: NDArray[np.int64]) -> NDArray[np.int8]:
+        """Return the wall that each element touches in its regime (`rig.core.laws.events`), shape (elements,)."""
         laws = self.model.laws
-        return np.asarray(laws.modes.wall[laws.elements.first_mode + mode], dtype=np.int8)
+        return np.asarray(laws.regimes.wall[laws.elements.first_regime + regime], dtype=np.int8)
 
     def _model(self) -> Model:
         """Return the constants of the elements."""
@@ -233,7 +233,7 @@ class FlowTables:
     def _allocate(self, capacity: int) -> Flow:
         """Return tables of zeros with room for a number of configurations."""
         arrays = {name: aligned_zeros(capacity, *shape) for name, shape in self._table_shapes().items()}
-        after = np.full((capacity, max(1, len(self.model.laws.modes))), -1, dtype=np.int64)
+        after = np.full((capacity, max(1, len(self.model.laws.regimes))), -1, dtype=np.int64)
         return Flow(
             has_series=self.has_series,
             has_step_matrix=self.has_step_matrix,
@@ -268,13 +268,13 @@ class FlowTables:
         """Enter in `Flow.after` where each change of one element leads, for a configuration and its known neighbors."""
         laws, after = self.model.laws, self.flow.after
         for j, current in enumerate(self.system.force_indices(np.array(configuration)).tolist()):
-            modes = laws.elements.first_mode[j] + np.arange(len(self.system.elements[j].law.modes))
-            for m in modes:
-                change = int(laws.modes.force_index[m]) - current
+            regimes = laws.elements.first_regime[j] + np.arange(len(self.system.elements[j].law.regimes))
+            for m in regimes:
+                change = int(laws.regimes.force_index[m]) - current
                 neighbor = self.indices.get(configuration + self.system.strides[j] * change)
                 if change and neighbor is not None:
                     after[table_index, m] = neighbor
-                    after[neighbor, modes[laws.modes.force_index[modes] == current]] = table_index
+                    after[neighbor, regimes[laws.regimes.force_index[regimes] == current]] = table_index
 
     def _fill_step_tables(self, table_index: int, configuration: int, matrix: np.ndarray, offset: np.ndarray) -> None:
         """Compute step matrix, series, derivatives and bounds from A (`matrix`) and b (`offset`)."""

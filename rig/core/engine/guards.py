@@ -62,8 +62,8 @@ def bound_by_series(
     `bound`: filled as by `bound_by_tables`.
     """
     coordinates, first_magnitude = model.first_velocity, bound.shape[0] // 2
-    for lane in range(signals.row.shape[0]):
-        row = unsigned(signals.row[lane])
+    for slot in range(signals.row.shape[0]):
+        row = unsigned(signals.row[slot])
         row_of_bound, index = signals.indices[row, BOUND], signals.indices[row, ENTRY]
         has_acceleration = signals.indices[row, ORDER] > 0
         if model.laws.elements[signals.indices[row, ELEMENT]].gap_coordinate >= 0 and not has_acceleration:
@@ -97,10 +97,10 @@ def bound_by_series(
 
 
 @inlined_kernel
-def _signal_series(model: Model, state: State, workspace: Workspace, lane: int, length: float) -> float:
+def _signal_series(model: Model, state: State, workspace: Workspace, slot: int, length: float) -> float:
     """Fill `workspace.guard_series` with the series of a signal; return its magnitude."""
     series, signals = workspace.guard_series, workspace.signals
-    row = unsigned(signals.row[lane])
+    row = unsigned(signals.row[slot])
     j, bounds = unsigned(signals.indices[row, ELEMENT]), workspace.bound
     magnitude, power = abs(signals.numbers[row, OFFSET]), 1.0
     if signals.indices[row, ORDER] > 0:
@@ -139,22 +139,22 @@ def _signal_series(model: Model, state: State, workspace: Workspace, lane: int, 
 
 @inlined_kernel
 def _guard_series(
-    model: Model, state: State, workspace: Workspace, lane: int, end: int, length: float
+    model: Model, state: State, workspace: Workspace, slot: int, end: int, length: float
 ) -> tuple[int, float]:
     """Fill `workspace.guard_series` with the distance of a signal from a limit.
 
     Returns the multiplicity of its zero at tau = 0 (negative for a zero at the other limit), and its magnitude.
     """
     series, signals = workspace.guard_series, workspace.signals
-    row = unsigned(signals.row[lane])
-    magnitude = _signal_series(model, state, workspace, lane, length)
+    row = unsigned(signals.row[slot])
+    magnitude = _signal_series(model, state, workspace, slot, length)
     if end == LOW:
         series[0] -= signals.numbers[row, LOWER]
-        return state.multiplicity[lane], magnitude + abs(signals.numbers[row, LOWER])
+        return state.multiplicity[slot], magnitude + abs(signals.numbers[row, LOWER])
     for k in range(N_COEFFICIENTS):
         series[k] = -series[k]
     series[0] += signals.numbers[row, UPPER]
-    return -state.multiplicity[lane], magnitude + abs(signals.numbers[row, UPPER])
+    return -state.multiplicity[slot], magnitude + abs(signals.numbers[row, UPPER])
 
 
 @inlined_kernel
@@ -165,23 +165,23 @@ def first_event(
 
     `unproven_low`, `unproven_high`: see `screen`; unless both are 0, `workspace.state_series` must be filled.
 
-    Returns the time of the event, relative to `length`, or NO_CROSSING; the lane and the end of its signal.
+    Returns the time of the event, relative to `length`, or NO_CROSSING; the slot and the end of its signal.
     """
-    first_tau, first_lane, first_end = NO_CROSSING, -1, LOW
+    first_tau, first_slot, first_end = NO_CROSSING, -1, LOW
     if unproven_low | unproven_high == 0:
-        return first_tau, first_lane, first_end
-    for lane in range(workspace.signals.row.shape[0]):
-        if (unproven_low | unproven_high) >> lane & 1 == 0:
+        return first_tau, first_slot, first_end
+    for slot in range(workspace.signals.row.shape[0]):
+        if (unproven_low | unproven_high) >> slot & 1 == 0:
             continue
         for end in range(2):
-            if (unproven_high if end == HIGH else unproven_low) >> lane & 1 == 0:
+            if (unproven_high if end == HIGH else unproven_low) >> slot & 1 == 0:
                 continue
-            multiplicity, magnitude = _guard_series(model, state, workspace, lane, end, length)
+            multiplicity, magnitude = _guard_series(model, state, workspace, slot, end, length)
             tau, ambiguous = first_crossing(
                 workspace.guard_series, max(multiplicity, 0), ROUNDING * magnitude, workspace.subdivision,
                 workspace.spans, workspace.bernstein,
             )  # fmt: skip
             state.counters[AMBIGUOUS_CROSSINGS] += ambiguous
             if tau < first_tau:
-                first_tau, first_lane, first_end = tau, lane, end
-    return first_tau, first_lane, first_end
+                first_tau, first_slot, first_end = tau, slot, end
+    return first_tau, first_slot, first_end

@@ -1,4 +1,4 @@
-"""The kernel: compiled code that propagates a system through the modes of its elements, such as flight and contact.
+"""The kernel: compiled code that propagates a system through the regimes of its elements, such as flight and contact.
 
 Between events the state z = (coordinates, velocities, coil current, drive) obeys z' = A z + b exactly, where A and b
 depend on the configuration: which forces act in the elements. A full step of length h is one matrix product if its
@@ -9,14 +9,14 @@ rigorous, so the motion does not depend on which proof succeeded.
 
 Terms:
 
-- event: change of the mode of one element; break: instant at which velocities or accelerations jump;
+- event: change of the regime of one element; discontinuity: instant at which velocities or accelerations jump;
 - segment: time interval under one drive, such as a sample interval (`rig.core.engine.propagator`);
 - envelope: upper bound of the magnitude of each state, for which the margins are valid;
 - margin of a signal: a signal inside its limits by its margin at both ends of a full step reaches no limit in it;
 - status: which quantities of the present state are already computed (`rig.core.engine.power_series`).
 
 All numbers are float64, and no memory is allocated. The tables are described in `rig.core.engine.flow` and
-`rig.core.engine.law_tables`, the ends of modes in `rig.core.engine.resets`. The compile time is proportional to the
+`rig.core.engine.law_tables`, the ends of regimes in `rig.core.engine.resets`. The compile time is proportional to the
 code. Inlined functions therefore have a single call site, and functions get only the arrays that they need: numba
 passes each array as seven or more values.
 """
@@ -39,16 +39,16 @@ from rig.core.engine.resets import SEPARATION_MULTIPLICITY, change_force, impact
 from rig.core.engine.screening import inside_margins, screen, widen_envelope
 from rig.core.engine.state import (
     EVENTS_AT_INSTANT,
-    N_BREAKS,
+    N_DISCONTINUITIES,
     N_EVENTS,
     PRESENT_SEGMENT,
     TABLE_INDEX,
     Log,
     State,
-    close_break,
+    close_discontinuity,
     load_signals,
-    mode_number,
-    open_break,
+    open_discontinuity,
+    regime_number,
 )
 from rig.core.engine.workspace import Workspace
 from rig.core.laws.events import NO_EVENT
@@ -64,21 +64,21 @@ MAX_EVENTS_AT_INSTANT = 100
 #: Number of events at one instant, per element, after which each event halves the step. A shorter step resolves a
 #: motion that is smaller than the rounding errors of a longer step.
 STEP_HALVING_EVENTS = 8
-#: What remains to be done after an event: nothing; complete the break in the log (`_CLOSE_BREAK`); or, before this
-#: completion, separate the masses with a tensile contact force (`_SEPARATE_TENSILE`).
-_NOTHING, _CLOSE_BREAK, _SEPARATE_TENSILE = 0, 1, 2
+#: What remains to be done after an event: nothing; complete the discontinuity in the log (`_CLOSE_DISCONTINUITY`); or,
+#: before this completion, separate the masses with a tensile contact force (`_SEPARATE_TENSILE`).
+_NOTHING, _CLOSE_DISCONTINUITY, _SEPARATE_TENSILE = 0, 1, 2
 
 
 @inlined_kernel
 def _advance_flights(gravity: float, state: State, signals: Signals, duration: float) -> None:
     """Propagate every flying detached mass by a duration, s, and reset the multiplicities of all signals."""
-    for lane in range(signals.row.shape[0]):
-        row = unsigned(signals.row[lane])
+    for slot in range(signals.row.shape[0]):
+        row = unsigned(signals.row[slot])
         if signals.numbers[row, FLIES] > 0.0:
             j = unsigned(signals.indices[row, ELEMENT])
             state.height[j] += duration * (state.velocity[j] - 0.5 * gravity * duration)
             state.velocity[j] -= gravity * duration
-        state.multiplicity[lane] = 0
+        state.multiplicity[slot] = 0
 
 
 @inlined_kernel
@@ -110,7 +110,7 @@ def advance(
             if pending == _SEPARATE_TENSILE:
                 separate_tensile(flow.after, model, state, log, workspace.contact)
             if status != CONTACTS_UNCHECKED:
-                close_break(model, state, log)
+                close_discontinuity(model, state, log)
             pending = _NOTHING
             status = STATE_ONLY
         finished = remaining <= 0.0
@@ -120,7 +120,7 @@ def advance(
         if table_index < 0:
             return TABLES_MISSING, remaining, STATE_ONLY
         if status <= STATE_ONLY:
-            load_signals(model.laws, state.mode, signals.row)
+            load_signals(model.laws, state.regime, signals.row)
         length = min(remaining, 1.0)
         halvings = state.counters[EVENTS_AT_INSTANT] - STEP_HALVING_EVENTS * elements
         if halvings > 0:
@@ -142,7 +142,8 @@ def advance(
                 remaining -= 1.0
                 continue
         if not finished and (
-            log.counts[N_EVENTS] + 4 * elements > log.events.shape[0] or log.counts[N_BREAKS] == log.breaks.shape[0]
+            log.counts[N_EVENTS] + 4 * elements > log.events.shape[0]
+            or log.counts[N_DISCONTINUITIES] == log.discontinuities.shape[0]
         ):
             return LOG_FULL, remaining, STATE_ONLY
         if finished or (flow.has_step_matrix and (status == STATE_ONLY or not flow.drive_is_smooth)):
@@ -168,7 +169,7 @@ def advance(
         unproven_low, unproven_high = screen(model.gravity, state, workspace, length, duration)
         if full_step and unproven_low | unproven_high != 0:
             expand_state(flow, model.step, table_index, state.z, workspace.state_series)
-        tau, lane, end = first_event(model, state, workspace, length, unproven_low, unproven_high)
+        tau, slot, end = first_event(model, state, workspace, length, unproven_low, unproven_high)
         if tau == NO_CROSSING:
             copy(workspace.end_state, state.z)
             _advance_flights(model.gravity, state, signals, duration)
@@ -195,20 +196,20 @@ def advance(
                 return STUCK, remaining, status
         log.counts[PRESENT_SEGMENT] = segment
         log.present_offset[0] = (steps - remaining) * model.step
-        j = unsigned(signals.indices[unsigned(signals.row[lane]), ELEMENT])
-        m = mode_number(model.laws.elements, state.mode, j)
-        x = unsigned(model.laws.exit[m, lane - model.laws.elements[j].first_lane, end])
-        if model.laws.exits[x].event != NO_EVENT:
-            open_break(model, state, log)
-            pending = _CLOSE_BREAK
-        if model.laws.exits[x].restitution >= 0.0:
+        j = unsigned(signals.indices[unsigned(signals.row[slot]), ELEMENT])
+        m = regime_number(model.laws.elements, state.regime, j)
+        x = unsigned(model.laws.transition[m, slot - model.laws.elements[j].first_slot, end])
+        if model.laws.transitions[x].event != NO_EVENT:
+            open_discontinuity(model, state, log)
+            pending = _CLOSE_DISCONTINUITY
+        if model.laws.transitions[x].restitution >= 0.0:
             impact(flow.after, model, state, log, j, m, x, end, workspace.contact)
             pending = _SEPARATE_TENSILE
-        elif model.laws.modes[m].is_held:
+        elif model.laws.regimes[m].is_held:
             separate(flow.after, model, state, log, j, m, end, SEPARATION_MULTIPLICITY)
         else:
             change_force(flow.after, model, state, log, j, x)
-            if model.laws.exits[x].event != NO_EVENT:
+            if model.laws.transitions[x].event != NO_EVENT:
                 # The gap differs in order of magnitude between contact and flight.
                 gap = model.laws.elements[j].gap_coordinate
                 workspace.envelope[gap] = workspace.envelope[model.first_velocity + gap] = 0.0

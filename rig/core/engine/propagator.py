@@ -4,9 +4,9 @@ Time is divided into segments. Sampled drive: each sample interval is a segment;
 (first-order hold) is integrated exactly. Pure tone: a segment ends at each sample instant and at each start of a
 period. At the start of a period the phase of the drive is reset, so that it is exact after any number of periods.
 
-The drive states are the part of the state from which the inputs are computed. An event is a change of the mode of one
-element. A break is an instant at which velocities or accelerations jump. Both are logged. A table index identifies the
-tables of a configuration (which forces act in the elements).
+The drive states are the part of the state from which the inputs are computed. An event is a change of the regime of one
+element. A discontinuity is an instant at which velocities or accelerations jump. Both are logged. A table index
+identifies the tables of a configuration (which forces act in the elements).
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from rig.core.engine.samples import MotionSamples, StateSamples, store_motion, s
 from rig.core.engine.screening import reset_envelope
 from rig.core.engine.state import (
     AMBIGUOUS_CROSSINGS,
-    BREAK_FIELDS,
     CONFIGURATION,
+    DISCONTINUITY_FIELDS,
     EVENT_FIELDS,
     N_EVENTS,
     TABLE_INDEX,
@@ -43,7 +43,7 @@ from rig.core.numerics.simd import LANES, aligned_zeros, padded_length
 from rig.core.settings.quantities import LENGTH
 from rig.core.system.hybrid_system import Drive, HybridSystem, first_order_hold, pure_tone
 
-#: Minimum number of rows (events and breaks) of a new log.
+#: Minimum number of rows (events and discontinuities) of a new log.
 LOG_ROWS = 1024
 # Maximum number of steps in a sample interval or a period; this number takes some seconds of CPU time.
 MAX_STEPS = 1e7
@@ -167,18 +167,18 @@ class Propagator:
         return self.tables.size**2 if flow.has_step_matrix else flow.column.size * N_COEFFICIENTS
 
     def set_state(self, state: Array, drive: Array) -> NDArray[np.int64]:
-        """Set the state, with dampers at rest and joints in the modes that contain their gaps and speeds.
+        """Set the state, with dampers at rest and joints in the regimes that contain their gaps and speeds.
 
-        Elements whose holding force would exceed its limits change their mode at once.
+        Elements whose holding force would exceed its limits change their regime at once.
 
         `state`: shape (states,), SI units; `drive`: drive states. Returns the numbers (from 0) of these elements and
         the kinds of their events, shape (2, events).
         """
         state = state.copy()
-        modes = self.system.joint_modes(state)
-        if modes:
-            laws, self.state.mode[self.system.dampers :] = self.tables.model.laws, modes
-            forces = laws.modes.force_index[laws.elements.first_mode + self.state.mode]
+        regimes = self.system.joint_regimes(state)
+        if regimes:
+            laws, self.state.regime[self.system.dampers :] = self.tables.model.laws, regimes
+            forces = laws.regimes.force_index[laws.elements.first_regime + self.state.regime]
             self.state.counters[CONFIGURATION] = int(laws.elements.stride @ forces)
             self._look_up_tables()
         self.state.z[: self.system.states] = state
@@ -215,7 +215,7 @@ class Propagator:
             self.state.z[None].copy(),
             self.state.counters[TABLE_INDEX : TABLE_INDEX + 1].copy(),
             self.state.height[None].copy(),
-            self.tables.contacts(self.state.mode)[None],
+            self.tables.contacts(self.state.regime)[None],
             *self._take_log(),
         )
 
@@ -290,7 +290,7 @@ class Propagator:
         return states
 
     def accelerations(self, states: Array, table_indices: NDArray[np.int64]) -> Array:
-        """Return the acceleration of every coordinate for rows of a `Trajectory`, m/s², (coordinates, samples)."""
+        """Return the acceleration of every coordinate for rows of a `Trajectory` [m/s²], (coordinates, samples)."""
         if not len(states):
             return np.zeros((self.system.coordinates, 0))
         first = self.tables.size
@@ -388,23 +388,23 @@ class Propagator:
 
     def _take_log(self) -> tuple[Any, ...]:
         """Return the content of the log, and empty it."""
-        log, (events, breaks, _) = self.log, self.log.counts.tolist()
-        if not events and not breaks:
+        log, (events, discontinuities, _) = self.log, self.log.counts.tolist()
+        if not events and not discontinuities:
             return self._empty_log
-        content = _copied_log(log, events, breaks, self.tables)
+        content = _copied_log(log, events, discontinuities, self.tables)
         log.counts[:2] = 0
         return content
 
 
-def _copied_log(log: Log, events: int, breaks: int, tables: FlowTables) -> tuple[Any, ...]:
-    """Copy the first events and breaks of a log, in the order of the fields of `Trajectory`."""
+def _copied_log(log: Log, events: int, discontinuities: int, tables: FlowTables) -> tuple[Any, ...]:
+    """Copy the first events and discontinuities of a log, in the order of the fields of `Trajectory`."""
     # Fields of a record array are looked up in Python code, which takes a multiple of the time of a copy.
-    event_rows, break_rows = np.asarray(log.events)[:events], np.asarray(log.breaks)[:breaks]
+    event_rows, discontinuity_rows = np.asarray(log.events)[:events], np.asarray(log.discontinuities)[:discontinuities]
     return (
         *(event_rows[name].copy() for name in EVENT_FIELDS.names or ()),
-        *(break_rows[name].copy() for name in BREAK_FIELDS.names or ()),
-        *(sides[:breaks, side].copy() for sides in (log.state, log.damper_velocity) for side in range(2)),
-        *tables.table_indices(log.configuration[:breaks]).T,
+        *(discontinuity_rows[name].copy() for name in DISCONTINUITY_FIELDS.names or ()),
+        *(sides[:discontinuities, side].copy() for sides in (log.state, log.damper_velocity) for side in range(2)),
+        *tables.table_indices(log.configuration[:discontinuities]).T,
     )
 
 
@@ -435,7 +435,7 @@ def tone_propagator(
 ) -> tuple[Propagator, float]:
     """Return a propagator under a tone u(t) = Re(U e^{i omega t}), and the number of steps in a period or interval.
 
-    `amplitudes`: U of each input; `omega`: rad/s; `interval`: time that the steps divide, s; None: a period.
+    `amplitudes`: U of each input; `omega`: rad/s; `interval`: time that the steps divide [s]; None: a period.
     """
     span = 2.0 * np.pi / omega if interval is None else interval
     step, steps = step_for(span, max(system.max_rate, omega))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
 from rig.core.engine.flow import Model
-from rig.core.engine.state import TABLE_INDEX, State, mode_number
+from rig.core.engine.state import TABLE_INDEX, State, regime_number
 from rig.core.numerics.jit import inlined_kernel
 from rig.core.numerics.simd import LANES, transpose, unsigned
 
@@ -48,7 +48,7 @@ def store_state(model: Model, state: State, row: int, states: StateSamples) -> N
         states.state[row, i] = state.z[i]
     for j in range(states.height.shape[1]):
         states.height[row, j] = state.height[j]
-        states.contact[row, j] = model.laws.modes[mode_number(model.laws.elements, state.mode, j)].wall
+        states.contact[row, j] = model.laws.regimes[regime_number(model.laws.elements, state.regime, j)].wall
 
 
 @inlined_kernel
@@ -64,13 +64,13 @@ def store_motion(model: Model, state: State, motion: MotionSamples, column: int,
     for i in range(coordinates):
         motion.buffer[row, 2 * coordinates + i] = state.z[model.first_acceleration + i]
     for j in range(motion.contact.shape[0]):
-        m = mode_number(model.laws.elements, state.mode, j)
-        gap = model.laws.modes[m].wall_gap
+        m = regime_number(model.laws.elements, state.regime, j)
+        gap = model.laws.regimes[m].wall_gap
         if model.laws.elements[j].gap_coordinate >= 0:
             gap = state.z[model.laws.elements[j].gap_coordinate]
-        elif model.laws.modes[m].flies > 0.0:
+        elif model.laws.regimes[m].flies > 0.0:
             gap = max(state.height[j] - state.z[model.laws.elements[j].position_index], 0.0)
-        motion.contact[j, unsigned(column)] = model.laws.modes[m].wall
+        motion.contact[j, unsigned(column)] = model.laws.regimes[m].wall
         motion.buffer[unsigned(row), unsigned(3 * coordinates + j)] = gap
     first = column - row
     if row == LANES - 1 and first >= motion.first_column[0]:

@@ -83,7 +83,7 @@ def _value_and_rate(signals: Signals, row: int, z: Array) -> tuple[float, float]
 
 @inlined_kernel
 def screen(gravity: float, state: State, workspace: Workspace, length: float, duration: float) -> tuple[int, int]:
-    """Return the signals that may reach a limit in the step, as bit masks with a bit for each lane.
+    """Return the signals that may reach a limit in the step, as bit masks with a bit for each slot.
 
     `length`, `duration`: of the step, relative to a full step and in seconds.
 
@@ -94,8 +94,8 @@ def screen(gravity: float, state: State, workspace: Workspace, length: float, du
     velocity_change = gravity * duration  # of free fall, downwards
     # The bounds are for a full step, with derivatives with respect to the time relative to it.
     fourth_power = length**4
-    for lane in range(signals.row.shape[0]):
-        row = unsigned(signals.row[lane])
+    for slot in range(signals.row.shape[0]):
+        row = unsigned(signals.row[slot])
         fourth_derivative = workspace.bound[unsigned(signals.indices[row, BOUND])] * fourth_power
         value, slope = _value_and_rate(signals, row, state.z)
         value_end, slope_end = _value_and_rate(signals, row, workspace.end_state)
@@ -109,18 +109,18 @@ def screen(gravity: float, state: State, workspace: Workspace, length: float, du
             slope += state.velocity[j] * duration
             value_end += state.height[j] + duration * (state.velocity[j] - 0.5 * velocity_change)
             slope_end += (state.velocity[j] - velocity_change) * duration
-        low, high, multiplicity = signals.numbers[row, LOWER], signals.numbers[row, UPPER], state.multiplicity[lane]
+        low, high, multiplicity = signals.numbers[row, LOWER], signals.numbers[row, UPPER], state.multiplicity[slot]
         if (
             low > -np.inf
             and _lower_bound(value - low, slope, value_end - low, slope_end, fourth_derivative, multiplicity) <= 0.0
         ):
-            unproven_low |= 1 << lane
+            unproven_low |= 1 << slot
         if (
             high < np.inf
             and _lower_bound(high - value, -slope, high - value_end, -slope_end, fourth_derivative, -multiplicity)
             <= 0.0
         ):
-            unproven_high |= 1 << lane
+            unproven_high |= 1 << slot
     return unproven_low, unproven_high
 
 
@@ -139,21 +139,21 @@ def widen_envelope(flow: Flow, table_index: int, z: Array, workspace: Workspace)
         workspace.envelope[i] = max(workspace.envelope[i], ENVELOPE_FACTOR * abs(z[i]))
     affine_product(flow.margin, flow.margin_constant, table_index, workspace.envelope, columns, workspace.margin)
     signals = workspace.signals
-    for lane in range(signals.row.shape[0]):
-        row = unsigned(signals.row[lane])
+    for slot in range(signals.row.shape[0]):
+        row = unsigned(signals.row[slot])
         margin = workspace.margin[signals.indices[row, BOUND]]
-        signals.lowest[lane] = signals.numbers[row, LOWER] + margin
-        signals.highest[lane] = signals.numbers[row, UPPER] - margin
+        signals.lowest[slot] = signals.numbers[row, LOWER] + margin
+        signals.highest[slot] = signals.numbers[row, UPPER] - margin
 
 
 @inlined_kernel
 def inside_margins(gravity: float, state: State, signals: Signals, z: Array, duration: float) -> bool:
     """Return whether every signal is inside its limits with margins at the state z with its accelerations.
 
-    `duration`: time of z from now, s.
+    `duration`: time of z from now [s].
     """
-    for lane in range(signals.row.shape[0]):
-        row = unsigned(signals.row[lane])
+    for slot in range(signals.row.shape[0]):
+        row = unsigned(signals.row[slot])
         # The first term is outside the loop, because most signals have no other.
         value = signals.numbers[row, OFFSET] + signals.numbers[row, SCALE] * z[unsigned(signals.indices[row, ENTRY])]
         for term in range(1, signals.terms):
@@ -164,6 +164,6 @@ def inside_margins(gravity: float, state: State, signals: Signals, z: Array, dur
             height = state.height[j] + duration * (state.velocity[j] - 0.5 * gravity * duration)
             value += height
             rounding = 2 * ROUNDING * abs(height)
-        if not min(value - signals.lowest[lane], signals.highest[lane] - value) > rounding:
+        if not min(value - signals.lowest[slot], signals.highest[slot] - value) > rounding:
             return False
     return True

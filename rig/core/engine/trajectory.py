@@ -1,8 +1,8 @@
-"""Result of a propagation: states at sample instants, events and breaks; conversion to numbers of dampers in a scene.
+"""Result of a propagation: states at sample instants, events and discontinuities; numbers of dampers in a scene.
 
-An event is a change of the mode of one element, such as the bed of a damper. A break is an instant at which velocities
-or accelerations jump. A segment is a time interval in which the drive is one smooth function, such as a sample interval
-(`rig.core.engine.propagator`).
+An event is a change of the regime of one element, such as the bed of a damper. A discontinuity is an instant at which
+velocities or accelerations jump. A segment is a time interval in which the drive is one smooth function, such as a
+sample interval (`rig.core.engine.propagator`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rig.core.base.arrays import Array
 from rig.core.laws.events import EVENT_NAMES, FLIGHT, FLOOR
 from rig.core.system.hybrid_system import HybridSystem
 
-#: An event for users: time (s), number of the damper from 1, kind, closing speed (m/s).
+#: An event for users: time [s], number of the damper from 1, kind, closing speed [m/s].
 EVENT = np.dtype([("time", "f8"), ("damper", "i4"), ("kind", "U10"), ("speed", "f8")])
 #: An event in a scene with joints. For an event of a joint, `joint` is its number from 1 and `damper` is 0; for an
 #: event of a damper the reverse.
@@ -26,14 +26,14 @@ EVENT_WITH_JOINT = np.dtype([*EVENT.descr, ("joint", "i4")])
 
 @dataclass(frozen=True)
 class Trajectory:
-    """States, events and breaks over a number of segments.
+    """States, events and discontinuities over a number of segments.
 
     A table index identifies the tables of a contact configuration in `rig.core.engine.flow_tables.FlowTables`. An
-    offset is the time after the start of the segment, s.
+    offset is the time after the start of the segment [s].
     """
 
     state: Array
-    """State at each sample, after any break at this instant; shape (samples, states)."""
+    """State at each sample, after any discontinuity at this instant; shape (samples, states)."""
     table_index: NDArray[np.int64]
     """Table index of the configuration at each sample; shape (samples,)."""
     height: Array
@@ -50,22 +50,22 @@ class Trajectory:
     """Kind of each event, an index of `EVENT_NAMES`; shape (events,)."""
     event_speed: Array
     """Closing speed of each event [m/s]; shape (events,)."""
-    break_segment: NDArray[np.int64]
-    """Number of the segment of each break; shape (breaks,)."""
-    break_offset: Array
-    """Offset of each break in its segment [s]; shape (breaks,)."""
+    discontinuity_segment: NDArray[np.int64]
+    """Number of the segment of each discontinuity; shape (discontinuities,)."""
+    discontinuity_offset: Array
+    """Offset of each discontinuity in its segment [s]; shape (discontinuities,)."""
     state_before: Array
-    """State before each break; shape (breaks, states)."""
+    """State before each discontinuity; shape (discontinuities, states)."""
     state_after: Array
-    """State after each break; shape (breaks, states)."""
+    """State after each discontinuity; shape (discontinuities, states)."""
     damper_velocity_before: Array
-    """Velocities of the dampers before each break [m/s]; shape (breaks, dampers)."""
+    """Velocities of the dampers before each discontinuity [m/s]; shape (discontinuities, dampers)."""
     damper_velocity_after: Array
-    """Velocities of the dampers after each break [m/s]; shape (breaks, dampers)."""
+    """Velocities of the dampers after each discontinuity [m/s]; shape (discontinuities, dampers)."""
     table_index_before: NDArray[np.int64]
-    """Table index before each break; shape (breaks,)."""
+    """Table index before each discontinuity; shape (discontinuities,)."""
     table_index_after: NDArray[np.int64]
-    """Table index after each break; shape (breaks,)."""
+    """Table index after each discontinuity; shape (discontinuities,)."""
 
 
 def event_type(system: HybridSystem) -> np.dtype[Any]:
@@ -78,8 +78,8 @@ def event_table(
 ) -> NDArray[Any]:
     """Return events for users, with dtype `EVENT` or `EVENT_WITH_JOINT`: numbers as in the scene, kinds by name.
 
-    `times`: s; `damper`: number of the element from 0; `kind`: index of `EVENT_NAMES`; `speed`: closing speed, m/s; all
-    of shape (events,).
+    `times`: s; `damper`: number of the element from 0; `kind`: index of `EVENT_NAMES`; `speed`: closing speed [m/s];
+    all of shape (events,).
     """
     table = np.zeros(len(times), dtype=event_type(system))
     if not len(times):

@@ -18,7 +18,7 @@ class Workspace(NamedTuple):
 
     end_state: state at the end of a step. magnitude: |z| of the state z. envelope: upper bound of |z|. margin: smallest
     distance of each signal from its limits, at both ends of a step, with which it cannot reach a limit within the step
-    (`rig.core.engine.screening`). signals: signals of the present modes. bound, derivative: results of the tables of
+    (`rig.core.engine.screening`). signals: signals of the present regimes. bound, derivative: results of the tables of
     the same names in `Flow`. state_series: power series of the state in tau, the time relative to a step; shape (terms,
     states). series_matrix: a view of it as a table of one matrix without constant part (`zero_constant`), to be
     multiplied by `powers` of tau. guard_series: power series of a signal's distance from a limit. subdivision, spans,

@@ -1,10 +1,10 @@
-"""The parts of a contact law: rows, signals, exits, modes.
+"""The parts of a contact law: rows, signals, transitions, regimes.
 
 An element has one relative displacement, the *gap* g, and the *speed* s = g'. Its force F acts along the gap. The law
-divides the motion into *modes*. In a mode, F is an affine function of gap and speed, or the element is *held*: its
-relative motion is zero, and the holding force h follows from the motion of the whole system. A mode lasts while each of
-its *signals* is inside an interval. A signal is an affine function of gap, speed and h. When it reaches an end of its
-interval, an *exit* specifies the next mode, and the restitution if velocities jump.
+divides the motion into *regimes*. In each regime, either F is an affine function of gap and speed, or the element is
+*held*: the relative motion is zero, and F is the holding force h that follows from the motion of the whole system. A
+regime lasts while each of its *signals* is inside an interval. A signal is an affine function of gap, speed and h. When
+it reaches an end of its interval, a *transition* specifies the next regime, and the restitution if velocities jump.
 
 Between two events the motion therefore obeys a linear system, which the engine solves exactly. A law with products of
 states, such as friction in two directions or Hertz's contact, does not have this form.
@@ -23,14 +23,14 @@ from rig.core.laws.events import FLIGHT, NO_EVENT
 
 
 class Row(NamedTuple):
-    """The affine function gap (g - rest) + speed s + hold h + memory u + constant, in SI units.
+    """The affine function gap (g - rest) + speed s + hold h + slider u + constant, in SI units.
 
-    Its variables are the gap g, the speed s, the holding force h and the memory u.
+    Its variables are the gap g, the speed s, the holding force h and the slider displacement u.
 
     For the force of a spring with a dashpot, `gap` is minus the stiffness, `speed` minus the damping, and `rest` the
     gap at which the spring is relaxed; `constant` is a force that does not depend on the motion, such as friction in
-    one direction. The memory u [m] is constant during a mode. A mode whose force depends on u begins with the force of
-    the previous mode; u follows from this condition.
+    one direction. The slider displacement u [m] is constant during a regime. A regime whose force depends on u begins
+    with the force of the previous regime; u follows from this condition.
     """
 
     gap: float = 0.0
@@ -38,21 +38,21 @@ class Row(NamedTuple):
     hold: float = 0.0
     rest: float = 0.0
     constant: float = 0.0
-    memory: float = 0.0
+    slider: float = 0.0
 
     def at(self, gap: float, speed: float) -> float:
-        """Return the value for a gap and a speed, without holding force and memory."""
+        """Return the value for a gap and a speed, without holding force and slider."""
         return self.gap * (gap - self.rest) + self.speed * speed + self.constant
 
 
 GAP, SPEED, HOLD = Row(gap=1.0), Row(speed=1.0), Row(hold=1.0)
 
 
-class Exit(NamedTuple):
-    """The end of a mode at one end of a signal's interval.
+class Transition(NamedTuple):
+    """The end of a regime at one end of a signal's interval.
 
-    `to`: candidates for the next mode, which is the first that is consistent with the motion. `event`: kind of event in
-    the log (`rig.core.laws.events`). `restitution`: ratio of rebound speed to closing speed; None: velocities do not
+    `to`: candidates for the next regime, which is the first that is consistent with the motion. `event`: kind of event
+    in the log (`rig.core.laws.events`). `restitution`: ratio of rebound speed to closing speed; None: velocities do not
     jump.
     """
 
@@ -62,22 +62,22 @@ class Exit(NamedTuple):
 
 
 class Signal(NamedTuple):
-    """A row and the open interval in which its value remains during the mode; an infinite end has no exit."""
+    """A row and the open interval in which its value remains during the regime; an infinite end has no transition."""
 
     row: Row
     low: float = -inf
     high: float = inf
-    at_low: Exit | None = None
-    at_high: Exit | None = None
+    at_low: Transition | None = None
+    at_high: Transition | None = None
 
     @property
-    def ends(self) -> tuple[tuple[float, Exit | None], tuple[float, Exit | None]]:
-        """Limit and exit at the lower and at the upper end."""
+    def ends(self) -> tuple[tuple[float, Transition | None], tuple[float, Transition | None]]:
+        """Limit and transition at the lower and at the upper end."""
         return (self.low, self.at_low), (self.high, self.at_high)
 
 
-class Mode(NamedTuple):
-    """A mode: its signals, the force along the gap (None: held), and the wall that the element touches.
+class Regime(NamedTuple):
+    """A regime: its signals, the force along the gap (None: held), and the wall that the element touches.
 
     `wall`: contact in results (`FLIGHT`, `FLOOR`, `CEILING`). `wall_gap`: gap of a held element [m].
     """
@@ -89,9 +89,9 @@ class Mode(NamedTuple):
 
     @property
     def ends_by_impact(self) -> bool:
-        """Whether an exit of the mode is an impact, at which velocities jump."""
-        exits = (exit_ for signal in self.signals for _, exit_ in signal.ends)
-        return any(exit_ is not None and exit_.restitution is not None for exit_ in exits)
+        """Whether a transition of the regime is an impact, at which velocities jump."""
+        transitions = (transition for signal in self.signals for _, transition in signal.ends)
+        return any(transition is not None and transition.restitution is not None for transition in transitions)
 
     @property
     def transmits_impulses(self) -> bool:
@@ -113,91 +113,91 @@ class Wall(NamedTuple):
 
 
 class Law(NamedTuple):
-    """A contact law: its modes by name, the mode at the start, and its walls, the lower wall first."""
+    """A contact law: its regimes by name, the regime at the start, and its walls, the lower wall first."""
 
-    modes: dict[str, Mode]
+    regimes: dict[str, Regime]
     start: str
     walls: tuple[Wall, ...] = ()
 
     @property
     def key(self) -> tuple[object, ...]:
         """The content of the law, which can be hashed."""
-        return tuple(self.modes.items()), self.start
+        return tuple(self.regimes.items()), self.start
 
     @property
     def starts_at_rest(self) -> bool:
         """Whether the element is at rest on its body at the start: on a wall, or held by friction."""
-        start = self.modes[self.start]
+        start = self.regimes[self.start]
         return start.wall != FLIGHT or start.force is None
 
-    def mode_at(self, wall: int, gap: float) -> str:
-        """Return the first mode with a gap [m], or at it within rounding, that touches a wall (`FLIGHT`: none)."""
-        at_wall = [name for name, mode in self.modes.items() if mode.wall == wall]
+    def regime_at(self, wall: int, gap: float) -> str:
+        """Return the first regime with a gap [m], or at it within rounding, that touches a wall (`FLIGHT`: none)."""
+        at_wall = [name for name, regime in self.regimes.items() if regime.wall == wall]
         containing = [
             name
             for name in at_wall
-            if all(signal.low <= gap <= signal.high for signal in self.modes[name].signals if signal.row == GAP)
+            if all(signal.low <= gap <= signal.high for signal in self.regimes[name].signals if signal.row == GAP)
         ]
         return (containing or at_wall)[0]
 
     @property
-    def has_memory(self) -> bool:
-        """Whether a force depends on a memory."""
-        return any(force is not None and force.memory for force in self.forces)
+    def has_slider(self) -> bool:
+        """Whether a force depends on a slider displacement."""
+        return any(force is not None and force.slider for force in self.forces)
 
-    def mode_for(self, gap: float, speed: float) -> str:
-        """Return the first mode that contains a gap [m] and a speed [m/s], or the mode at the start if none does."""
+    def regime_for(self, gap: float, speed: float) -> str:
+        """Return the first regime that contains a gap [m] and a speed [m/s], or the one at the start."""
         fitting = [
             name
-            for name, mode in self.modes.items()
-            if all(signal.low <= signal.row.at(gap, speed) <= signal.high for signal in mode.signals)
+            for name, regime in self.regimes.items()
+            if all(signal.low <= signal.row.at(gap, speed) <= signal.high for signal in regime.signals)
         ]
         return (fitting or [self.start])[0]
 
     def reachable(self) -> Law:
-        """Return the law with only the modes that can follow from the mode at the start."""
+        """Return the law with only the regimes that can follow from the regime at the start."""
         names = [self.start]
         for name in names:
-            exits = [exit_ for signal in self.modes[name].signals for _, exit_ in signal.ends if exit_ is not None]
-            names += dict.fromkeys(target for exit_ in exits for target in exit_.to if target not in names)
-        return self._replace(modes={name: mode for name, mode in self.modes.items() if name in names})
+            ends = [each for signal in self.regimes[name].signals for _, each in signal.ends if each is not None]
+            names += dict.fromkeys(target for each in ends for target in each.to if target not in names)
+        return self._replace(regimes={name: regime for name, regime in self.regimes.items() if name in names})
 
     @property
     def force_indices(self) -> dict[str, int]:
-        """Number of each mode's force, equal for modes with the same force, and for all modes of a held element.
+        """Number of each regime's force, equal for regimes with the same force, and for all regimes of a held element.
 
         The forces of two walls have two numbers even if they are equal, so no number depends on a parameter.
         """
         numbers: dict[tuple[Row | None, int], int] = {}
         return {
-            name: numbers.setdefault((mode.force, mode.wall if mode.force is not None else FLIGHT), len(numbers))
-            for name, mode in self.modes.items()
+            name: numbers.setdefault((regime.force, regime.wall if regime.force is not None else FLIGHT), len(numbers))
+            for name, regime in self.regimes.items()
         }
 
     @property
     def forces(self) -> tuple[Row | None, ...]:
         """Force of each number in `force_indices`."""
         numbers = self.force_indices
-        return tuple({numbers[name]: mode.force for name, mode in self.modes.items()}.values())
+        return tuple({numbers[name]: regime.force for name, regime in self.regimes.items()}.values())
 
 
 def faults(law: Law) -> list[str]:
     """Return the faults of a declaration, in words; a correct law has none."""
-    flaws = [] if law.start in law.modes else [f"the start {law.start!r} is not a mode"]
-    for name, mode in law.modes.items():
-        for signal in mode.signals:
+    flaws = [] if law.start in law.regimes else [f"the start {law.start!r} is not a regime"]
+    for name, regime in law.regimes.items():
+        for signal in regime.signals:
             if not signal.low < signal.high:
                 flaws.append(f"{name}: the interval from {signal.low} to {signal.high} is empty")
-            if mode.force is not None and signal.row.hold:
-                flaws.append(f"{name}: a signal is the holding force, but the mode is not held")
-            if mode.force is None and not signal.row.hold:
-                flaws.append(f"{name}: a signal is constant while the mode is held")
-            for limit, exit_ in signal.ends:
-                if (abs(limit) == inf) != (exit_ is None):
-                    flaws.append(f"{name}: a limit of {limit} does not agree with the exit {exit_}")
+            if regime.force is not None and signal.row.hold:
+                flaws.append(f"{name}: a signal is the holding force, but the regime is not held")
+            if regime.force is None and not signal.row.hold:
+                flaws.append(f"{name}: a signal is constant while the regime is held")
+            for limit, transition in signal.ends:
+                if (abs(limit) == inf) != (transition is None):
+                    flaws.append(f"{name}: a limit of {limit} does not agree with the transition {transition}")
                 flaws += [
-                    f"{name}: the exit to {target!r} has no mode"
-                    for target in (exit_.to if exit_ is not None else ())
-                    if target not in law.modes
+                    f"{name}: the transition to {target!r} has no regime"
+                    for target in (transition.to if transition is not None else ())
+                    if target not in law.regimes
                 ]
     return flaws

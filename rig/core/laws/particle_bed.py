@@ -9,20 +9,20 @@ from __future__ import annotations
 from math import inf
 
 from rig.core.laws.events import CEILING, CEILING_IMPACT, FLOOR, FLOOR_IMPACT, SEPARATION
-from rig.core.laws.law import GAP, HOLD, Exit, Law, Mode, Signal, Wall
+from rig.core.laws.law import GAP, HOLD, Law, Regime, Signal, Transition, Wall
 
 
 def particle_bed(restitution: float, clearance: float, floor_gap: float = 0.0) -> Law:
     """Declare the law of a bed; `clearance`, `floor_gap`: gaps at ceiling and floor, m, infinite without this wall."""
     rebound = ("flight",) if restitution > 0.0 else ()
-    floor = Exit((*rebound, "floor"), FLOOR_IMPACT, restitution) if floor_gap > -inf else None
-    ceiling = Exit((*rebound, "ceiling"), CEILING_IMPACT, restitution) if clearance < inf else None
-    separation = Exit(("flight",), SEPARATION)
+    floor = Transition((*rebound, "floor"), FLOOR_IMPACT, restitution) if floor_gap > -inf else None
+    ceiling = Transition((*rebound, "ceiling"), CEILING_IMPACT, restitution) if clearance < inf else None
+    separation = Transition(("flight",), SEPARATION)
     return Law(
         {
-            "flight": Mode((Signal(GAP, floor_gap, clearance, floor, ceiling),)),
-            "floor": Mode((Signal(HOLD, low=0.0, at_low=separation),), None, FLOOR, floor_gap),
-            "ceiling": Mode((Signal(HOLD, high=0.0, at_high=separation),), None, CEILING, clearance),
+            "flight": Regime((Signal(GAP, floor_gap, clearance, floor, ceiling),)),
+            "floor": Regime((Signal(HOLD, low=0.0, at_low=separation),), None, FLOOR, floor_gap),
+            "ceiling": Regime((Signal(HOLD, high=0.0, at_high=separation),), None, CEILING, clearance),
         },
         "floor",
         (Wall(floor_gap), Wall(clearance)),

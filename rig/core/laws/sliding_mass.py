@@ -16,7 +16,7 @@ from __future__ import annotations
 from math import inf
 
 from rig.core.laws.events import CEILING, CEILING_IMPACT, FLOOR, FLOOR_IMPACT, SLIP, STOP
-from rig.core.laws.law import GAP, HOLD, SPEED, Exit, Law, Mode, Row, Signal, Wall
+from rig.core.laws.law import GAP, HOLD, SPEED, Law, Regime, Row, Signal, Transition, Wall
 from rig.core.laws.particle_bed import particle_bed
 
 
@@ -30,21 +30,25 @@ def sliding_mass(slip_force: float, restitution: float, clearance: float) -> Law
     if slip_force == 0.0 and has_walls:
         return particle_bed(restitution, half, -half)._replace(start="flight")
     if slip_force == 0.0:
-        return Law({"flight": Mode(())}, "flight")
-    slip_up, slip_down, stop = Exit(("slips up",), SLIP), Exit(("slips down",), SLIP), Exit(("sticks",), STOP)
+        return Law({"flight": Regime(())}, "flight")
+    slip_up, slip_down, stop = (
+        Transition(("slips up",), SLIP),
+        Transition(("slips down",), SLIP),
+        Transition(("sticks",), STOP),
+    )
     rebounds = restitution > 0.0
-    floor = Exit(("slips up", "floor") if rebounds else ("floor",), FLOOR_IMPACT, restitution)
-    ceiling = Exit(("slips down", "ceiling") if rebounds else ("ceiling",), CEILING_IMPACT, restitution)
+    floor = Transition(("slips up", "floor") if rebounds else ("floor",), FLOOR_IMPACT, restitution)
+    ceiling = Transition(("slips down", "ceiling") if rebounds else ("ceiling",), CEILING_IMPACT, restitution)
     # Only the wall towards which the mass moves, because the mass stops before it can reach the other wall.
     wall_above = (Signal(GAP, high=half, at_high=ceiling),) if has_walls else ()
     wall_below = (Signal(GAP, low=-half, at_low=floor),) if has_walls else ()
-    modes = {
-        "sticks": Mode((Signal(HOLD, -slip_force, slip_force, slip_up, slip_down),), None),
-        "slips up": Mode((*wall_above, Signal(SPEED, low=0.0, at_low=stop)), Row(constant=-slip_force)),
-        "slips down": Mode((*wall_below, Signal(SPEED, high=0.0, at_high=stop)), Row(constant=slip_force)),
+    regimes = {
+        "sticks": Regime((Signal(HOLD, -slip_force, slip_force, slip_up, slip_down),), None),
+        "slips up": Regime((*wall_above, Signal(SPEED, low=0.0, at_low=stop)), Row(constant=-slip_force)),
+        "slips down": Regime((*wall_below, Signal(SPEED, high=0.0, at_high=stop)), Row(constant=slip_force)),
     }
     walls = {
-        "floor": Mode((Signal(HOLD, low=-slip_force, at_low=slip_up),), None, FLOOR, -half),
-        "ceiling": Mode((Signal(HOLD, high=slip_force, at_high=slip_down),), None, CEILING, half),
+        "floor": Regime((Signal(HOLD, low=-slip_force, at_low=slip_up),), None, FLOOR, -half),
+        "ceiling": Regime((Signal(HOLD, high=slip_force, at_high=slip_down),), None, CEILING, half),
     }
-    return Law(modes | walls if has_walls else modes, "sticks", (Wall(-half), Wall(half)) if has_walls else ())
+    return Law(regimes | walls if has_walls else regimes, "sticks", (Wall(-half), Wall(half)) if has_walls else ())

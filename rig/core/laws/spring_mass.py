@@ -14,18 +14,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import inf
 
-from rig.core.laws.law import Law, Mode
+from rig.core.laws.law import Law, Regime
 
 
 def spring_mass(declare_walls: Callable[[float, float], Law], below: float | None, clearance: float) -> Law:
     """Declare the law of a mass that starts at rest on its spring.
 
-    `declare_walls`: returns the law of walls at an upper and a lower gap, m, whose first mode is without contact.
+    `declare_walls`: returns the law of walls at an upper and a lower gap, m, whose first regime is without contact.
     `clearance`, `below`: distances of the mass at rest from ceiling and floor, m, infinite without this
     wall. If `below` is None, both distances are equal.
     """
     below = clearance if below is None else below
     if min(below, clearance) == inf:
-        return Law({"on the spring": Mode(())}, "on the spring")
+        return Law({"on the spring": Regime(())}, "on the spring")
     law = declare_walls(clearance, -below)
-    return law._replace(start=next(iter(law.modes)))
+    return law._replace(start=next(iter(law.regimes)))

@@ -11,7 +11,7 @@ from __future__ import annotations
 from math import inf
 
 from rig.core.laws.events import CEILING, CEILING_TOUCH, FLOOR, FLOOR_TOUCH, RELEASE
-from rig.core.laws.law import GAP, Exit, Law, Mode, Row, Signal, Wall
+from rig.core.laws.law import GAP, Law, Regime, Row, Signal, Transition, Wall
 
 
 def wall_contact(
@@ -24,12 +24,12 @@ def wall_contact(
     has_ceiling, has_floor = clearance < inf, floor_gap > -inf
     floor = Row(gap=-stiffness[0], speed=-damping[0], rest=floor_gap if has_floor else 0.0)
     ceiling = Row(gap=-stiffness[1], speed=-damping[1], rest=clearance if has_ceiling else 0.0)
-    touch_floor, touch_ceiling = Exit(("on floor",), FLOOR_TOUCH), Exit(("on ceiling",), CEILING_TOUCH)
-    leave_floor = Exit(("recovers from floor", "free"), RELEASE)
-    leave_ceiling = Exit(("recovers from ceiling", "free"), RELEASE)
+    touch_floor, touch_ceiling = Transition(("on floor",), FLOOR_TOUCH), Transition(("on ceiling",), CEILING_TOUCH)
+    leave_floor = Transition(("recovers from floor", "free"), RELEASE)
+    leave_ceiling = Transition(("recovers from ceiling", "free"), RELEASE)
     return Law(
         {
-            "free": Mode(
+            "free": Regime(
                 (
                     Signal(
                         GAP,
@@ -40,17 +40,17 @@ def wall_contact(
                     ),
                 )
             ),
-            "on floor": Mode((Signal(floor, low=0.0, at_low=leave_floor),), floor, FLOOR),
-            "on ceiling": Mode((Signal(ceiling, high=0.0, at_high=leave_ceiling),), ceiling, CEILING),
-            "recovers from floor": Mode(
+            "on floor": Regime((Signal(floor, low=0.0, at_low=leave_floor),), floor, FLOOR),
+            "on ceiling": Regime((Signal(ceiling, high=0.0, at_high=leave_ceiling),), ceiling, CEILING),
+            "recovers from floor": Regime(
                 (
-                    Signal(GAP, high=floor_gap if has_floor else 0.0, at_high=Exit(("free",))),
+                    Signal(GAP, high=floor_gap if has_floor else 0.0, at_high=Transition(("free",))),
                     Signal(floor, high=0.0, at_high=touch_floor),
                 )
             ),
-            "recovers from ceiling": Mode(
+            "recovers from ceiling": Regime(
                 (
-                    Signal(GAP, low=clearance if has_ceiling else 0.0, at_low=Exit(("free",))),
+                    Signal(GAP, low=clearance if has_ceiling else 0.0, at_low=Transition(("free",))),
                     Signal(ceiling, low=0.0, at_low=touch_ceiling),
                 )
             ),

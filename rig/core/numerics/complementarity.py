@@ -36,9 +36,9 @@ MAX_PIVOTS = 100_000
 
 #: Fields of a contact. damper: number of the damper, from 0. row: r. bound: `AT_LOW`, `AT_HIGH`, or `FREE` between the
 #: limits. sign: +1 floor, -1 ceiling. direction: d. own: 1 / md, or 0. wall_gap: gap at the wall, m. velocity_before:
-#: velocity of the body before the impact, m/s. magnitude: sum of the magnitudes of the terms of the acceleration, m/s².
-#: opening_speed: opening speed of the gap before the impact, m/s. rhs, reaction: q and the solution p, a force or an
-#: impulse. low, high: limits of p; those of a wall are 0 and infinity. flying: whether the damper was in flight.
+#: velocity of the body before the impact [m/s]. magnitude: sum of the magnitudes of the terms of the acceleration
+#: [m/s²]. opening_speed: opening speed of the gap before the impact [m/s]. rhs, reaction: q and the solution p, a force
+#: or an impulse. low, high: limits of p; those of a wall are 0 and infinity. flying: whether the damper was in flight.
 CONTACT_FIELDS = np.dtype(
     [
         *(("damper", np.uintp), ("row", np.intp), ("bound", np.int64)),

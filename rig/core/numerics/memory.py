@@ -44,7 +44,7 @@ def require_memory_with_program(size: float, purpose: str) -> None:
 
 
 def memory_limit() -> float:
-    """Return the memory limit of a command, bytes.
+    """Return the memory limit of a command [bytes].
 
     Raises `RunError` if the environment variable is not an amount of memory.
     """

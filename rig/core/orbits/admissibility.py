@@ -1,7 +1,7 @@
 """Admissibility of orbits: whether a computed orbit is a possible motion, and how far it is from becoming impossible.
 
 A solution of the orbit equations is a motion only if no other event occurs between its events. Dampers in flight must
-not reach a wall, and riding dampers (at rest on a wall) must stay pressed on it. The distance to each border is its
+not reach a wall, and resting dampers (on a wall) must stay pressed on it. The distance to each border is its
 *margin*. The margin is negative beyond the border and smooth across it, so that borders can be located as roots.
 """
 
@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from rig.core.base.arrays import Array
 from rig.core.numerics.jit import cached_njit
 from rig.core.orbits import event_kinds as kinds
-from rig.core.orbits.orbit_equations import GAP, HIGH, HOLD, LOW, MEMORY, SPEED, Equations, Sequence
+from rig.core.orbits.orbit_equations import GAP, HIGH, HOLD, LOW, SLIDER, SPEED, Equations, Sequence
 from rig.core.orbits.shooting import ShootingResult, signal_of
 from rig.core.orbits.track import Track, track_orbit, turning_value
 
-# A flight lasts at least this phase of the drive, rad. In a shorter flight the peak acceleration is within 1e-5 of 1 g.
+# A flight lasts at least this phase of the drive [rad]. In a shorter flight the peak acceleration is within 1e-5 of 1
+# g.
 MIN_FLIGHT_RAD = 0.02
 
 # Kinds of borders: the first three belong to an event, the others to a damper. `Plan.borders` describes them.
@@ -37,7 +38,7 @@ def _lowest_minimum(track: Track, s: int, j: int, offset: float, sign: float, fi
 
 @cached_njit
 def _lowest_between(guard: Array, step: float, offset: float, sign: float, first: int) -> float:
-    """Return the lowest minimum of a guard from its values and derivatives at instants with spacing `step`, s."""
+    """Return the lowest minimum of a guard from its values and derivatives at instants with spacing `step` [s]."""
     lowest = np.inf
     for i in range(first, guard.shape[0] - 1):
         if sign * guard[i, 1] < 0.0 and sign * guard[i + 1, 1] > 0.0:
@@ -68,7 +69,7 @@ def _crossing_rate(
     """Return the rate of a finite-duration contact's guard at its event, at most 1.
 
     For a gap the rate is a speed in g/w, for a force the rate of force per mass in g w. `acceleration_unit`: g, or
-    without gravity another acceleration, m/s².
+    without gravity another acceleration [m/s²].
     """
     kind, j, omega = sequence.kind[event], sequence.damper[event], equations.omega
     guard = track.guards[event - 1, -1, j]
@@ -148,13 +149,13 @@ def _finite_contact_margins(
 def _signal_along(equations: Equations, track: Track, s: int, configuration: int, signal: Array, j: int) -> Array:
     """Return a signal of a sliding mass with two derivatives along a segment, shape (steps + 1, 3)."""
     a, nq, n = equations.generator[configuration], equations.inverse_mass.shape[1], track.motion.shape[2]
-    gap, base, memory = equations.gap_coordinate[j], equations.base_coordinate[j], equations.memory_coordinate[j]
+    gap, base, slider = equations.gap_coordinate[j], equations.base_coordinate[j], equations.slider_coordinate[j]
     weights = np.zeros((3, n + 3))
     weights[0, gap], weights[0, nq + gap] = signal[GAP], signal[SPEED]
     if base >= 0:
         weights[0, base], weights[0, nq + base] = -signal[GAP], -signal[SPEED]
-    if memory >= 0:
-        weights[0, memory] = signal[MEMORY]
+    if slider >= 0:
+        weights[0, slider] = signal[SLIDER]
     if signal[HOLD] != 0.0:
         # The other forces on the mass act across the gap, so the holding force is mass times acceleration.
         weights[0] = a[nq + equations.body_coordinate[j]]
@@ -181,20 +182,20 @@ def _sliding_margins(
         starts_with_own_event = events > 0 and sequence.damper[s] == j
         ends_with_own_event = events > 0 and sequence.damper[(s + 1) % events] == j
         step = track.times[s, 1] - track.times[s, 0]
-        mode = equations.first_mode[j] + sequence.wall[k, j] - kinds.MODES
-        for signal in equations.signals[mode]:
+        regime = equations.first_regime[j] + sequence.wall[k, j] - kinds.REGIMES
+        for signal in equations.signals[regime]:
             is_force, is_speed = signal[HOLD] != 0.0, signal[SPEED] != 0.0
             if not is_force and not is_speed and signal[GAP] == 0.0:
                 continue
-            has_memory = signal[MEMORY] != 0.0
+            has_slider = signal[SLIDER] != 0.0
             unit = length_unit * (omega**2 if is_force else omega if is_speed else 1.0)
             values = _signal_along(equations, track, s, sequence.configuration[k], signal, j)
             for end, sign in ((LOW, 1.0), (HIGH, -1.0)):
                 if not np.isfinite(signal[end]):
                     continue
                 # A speed that starts from rest has no minimum in the first step, except by rounding. The same is true
-                # of a force with memory that starts at its limit.
-                first = 1 if (is_speed or has_memory) and starts_with_own_event else 0
+                # of a force with a slider that starts at its limit.
+                first = 1 if (is_speed or has_slider) and starts_with_own_event else 0
                 lowest = _lowest_between(values, step, -sign * signal[end], sign, first)
                 if is_force or not starts_with_own_event:
                     lowest = min(lowest, sign * (values[0, 0] - signal[end]))
@@ -203,7 +204,7 @@ def _sliding_margins(
                 border = HITS_FLOOR if end == LOW else HITS_CEILING
                 if is_speed:
                     border = STOPS
-                elif has_memory:
+                elif has_slider:
                     border = SLIPS
                 elif is_force:
                     is_at_wall = not (np.isfinite(signal[LOW]) and np.isfinite(signal[HIGH]))
@@ -222,20 +223,20 @@ def _sliding_event_margin(
     """
     kind, j, omega = sequence.kind[event], sequence.damper[event], equations.omega
     acceleration_unit = length_unit * omega**2
-    signals = equations.signals[equations.first_mode[j] + sequence.wall[event, j] - kinds.MODES]
-    lane, end = signal_of(signals, kind)
+    signals = equations.signals[equations.first_regime[j] + sequence.wall[event, j] - kinds.REGIMES]
+    slot, end = signal_of(signals, kind)
     inwards = 1.0 if end == LOW else -1.0
     speed_after = np.zeros(HIGH + 1)
     speed_after[SPEED] = 1.0
     acceleration = _signal_along(equations, track, event, sequence.configuration[event + 1], speed_after, j)[0, 1]
-    if signals[lane, GAP] != 0.0 and signals[lane, MEMORY] == 0.0:
+    if signals[slot, GAP] != 0.0 and signals[slot, SLIDER] == 0.0:
         distances[MISSES_WALL, event] = min(1.0, closing_speed * omega / acceleration_unit)
         if kind in (kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE) and equations.restitution[j] == 0.0:
             _reduce_margin(distances, STAYS_AT_WALL, j, inwards * acceleration / acceleration_unit)
         return
-    before = _signal_along(equations, track, event - 1, sequence.configuration[event], signals[lane], j)[-1, 1]
-    unit = acceleration_unit * omega if signals[lane, HOLD] != 0.0 else acceleration_unit
-    if signals[lane, MEMORY] != 0.0:
+    before = _signal_along(equations, track, event - 1, sequence.configuration[event], signals[slot], j)[-1, 1]
+    unit = acceleration_unit * omega if signals[slot, HOLD] != 0.0 else acceleration_unit
+    if signals[slot, SLIDER] != 0.0:
         unit = length_unit * omega
     distances[NOT_RELEASED, event] = min(1.0, -inwards * before / unit)
     if kind == kinds.REVERSE:
@@ -246,7 +247,7 @@ def _sliding_event_margin(
 def margins(equations: Equations, sequence: Sequence, track: Track, instants: Array, closing_speed: Array) -> Array:
     """Compute the margin of an orbit at each border beyond which it is impossible as a motion.
 
-    `instants`, `closing_speed`: instants, s, and closing speeds, m/s, of the events, shape (events,).
+    `instants`, `closing_speed`: instants, s, and closing speeds [m/s] of the events, shape (events,).
 
     Returns shape (kinds of borders, max(events, dampers)), gaps in g/w^2, accelerations in g, times in 1/w; at most
     1, negative beyond the border. The second index is an event for the kinds ORDER, NOT_RELEASED and MISSES_WALL,
@@ -267,7 +268,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             starts_with_own_event = events > 0 and sequence.damper[s] == j
             ends_with_own_event = events > 0 and sequence.damper[end_event] == j
             wall, guard = sequence.wall[k, j], track.guards[s, :, j]
-            if equations.stiffness[j, 0] > 0.0 or equations.first_mode[j] >= 0:
+            if equations.stiffness[j, 0] > 0.0 or equations.first_regime[j] >= 0:
                 continue  # sliding masses are examined below
             if wall in (kinds.FLYING, kinds.WITHOUT_FORCE):
                 lower, upper = equations.wall_gap[j]
@@ -292,7 +293,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             _reduce_margin(distances, LEAVES_WALL, j, lowest / acceleration_unit)
     for event in range(events):
         kind, j = sequence.kind[event], sequence.damper[event]
-        if equations.first_mode[j] >= 0:
+        if equations.first_regime[j] >= 0:
             _sliding_event_margin(equations, sequence, track, event, closing_speed[event], length_unit, distances)
             continue
         if kind >= kinds.TOUCH_FLOOR:
@@ -313,7 +314,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             distances[NOT_RELEASED, event] = min(1.0, -away_sign * jerk / (acceleration_unit * omega))
         elif kind != kinds.INDUCED_SEPARATION:
             distances[MISSES_WALL, event] = min(1.0, closing_speed[event] * omega / acceleration_unit)
-            # With a full mass matrix, an impact presses riding dampers on their walls or separates them.
+            # With a full mass matrix, an impact presses resting dampers on their walls or separates them.
             column = equations.gap_coordinate[j] if equations.gap_coordinate[j] >= 0 else body_of[j]
             for i in range(nd):
                 body = body_of[i]
@@ -334,7 +335,7 @@ def margins(equations: Equations, sequence: Sequence, track: Track, instants: Ar
             if sequence.kind[next_event] == (kinds.CEILING if at_upper else kinds.FLOOR):
                 _reduce_margin(distances, FLIGHT_VANISHES, j, flight_time * omega - MIN_FLIGHT_RAD)
     for j in range(nd):
-        if equations.first_mode[j] >= 0:
+        if equations.first_regime[j] >= 0:
             _sliding_margins(equations, sequence, track, j, length_unit, distances)
         # Contact has a duration.
         if equations.stiffness[j, 0] > 0.0:

@@ -31,8 +31,8 @@ BORDER_STEP = 2e-6
 SIMULATED_BORDER_STEPS = (2e-5, 3e-4, 3e-3)
 # Maximum number of branches: near irregular motion there are infinitely many.
 MAX_BRANCHES = 60
-# Two orbits are the same if the relative deviation of their responses is below this: on a branch with several points,
-# and on a branch of one point.
+# Orbits whose responses differ by less than this fraction are identical: on a branch of several points, and on a branch
+# of one point.
 SAME_RESPONSE, SAME_POINT_RESPONSE = 0.01, 0.02
 # An orbit beyond a border is the neighbor of the orbit at the border if their responses differ by at most this
 # fraction.
@@ -58,7 +58,7 @@ def follow_orbits(
         As for `rig.periodic_orbit`.
     parameter : {'frequency', 'force', 'drive', 'clearance', 'mass_ratio'}
         Varied parameter: Hz, level of the scene's test (a force, N, or a drive in the unit of the shaker's drive),
-        clearance of all dampers (m), factor on their masses.
+        clearance of all dampers [m], factor on their masses.
     bounds : tuple of float or str
         Range of the parameter, in SI or as strings with units.
     frequency : float or str, optional
@@ -192,7 +192,7 @@ class _Explorer:
             return False
         offset = branch.value - getattr(orbit.operating_point, self.axis.field)
         segments = np.flatnonzero(offset[:-1] * offset[1:] <= 0).tolist()
-        # An orbit found across the border of an adjacent branch is just beyond an end of this branch.
+        # An orbit computed beyond the border of the adjacent branch can lie slightly outside the range of this branch.
         if abs(offset[0]) < END_DISTANCE * abs(branch.value[0]):
             segments.append(0)
         if abs(offset[-1]) < END_DISTANCE * abs(branch.value[-1]):

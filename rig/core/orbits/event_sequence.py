@@ -19,7 +19,7 @@ from rig.core.base.arrays import Array
 from rig.core.base.errors import UncoveredMotionError
 from rig.core.engine.trajectory import Trajectory
 from rig.core.laws.events import CEILING_IMPACT, CEILING_TOUCH, FLIGHT, FLOOR_IMPACT, FLOOR_TOUCH, RELEASE, SLIP, STOP
-from rig.core.laws.law import Exit, Law, Signal
+from rig.core.laws.law import Law, Signal, Transition
 from rig.core.orbits import event_kinds as kinds
 from rig.core.orbits.orbit_equations import Sequence
 from rig.core.system.hybrid_system import Element, HybridSystem
@@ -129,10 +129,10 @@ def derive_plan(
 ) -> tuple[Plan, Array]:
     """Derive the sequence of events from a simulated cycle.
 
-    `start`, `end`, shape (dampers,): modes at both ends of the cycle; `repetition`: drive periods in the cycle. Returns
-    the plan, and the indices of its events among the events of the cycle. Raises `UncoveredMotionError` if a damper
-    changes its contact at the instant of an impact of another damper to which it is coupled by a full mass matrix or a
-    common body.
+    `start`, `end`, shape (dampers,): regimes at both ends of the cycle; `repetition`: drive periods in the cycle.
+    Returns the plan, and the indices of its events among the events of the cycle. Raises `UncoveredMotionError` if a
+    damper changes its contact at the instant of an impact of another damper to which it is coupled by a full mass
+    matrix or a common body.
     """
     events: list[int] = []
     dampers: list[int] = []
@@ -175,7 +175,7 @@ def derive_plan(
         own = [i for i, each in enumerate(dampers) if each == damper]
         # In a closed cycle, the first event follows the last.
         _end_rebounds(events, own + own[:1] if start[damper] == end[damper] else own)
-    plan = make_plan(events, dampers, walls_from_modes(start, system), repetition, system)
+    plan = make_plan(events, dampers, walls_from_regimes(start, system), repetition, system)
     return plan, np.array(order, dtype=np.int64)
 
 
@@ -198,8 +198,8 @@ def _finite_contact_kind(trajectory: Trajectory, event: int, system: HybridSyste
     kind, damper = trajectory.event_kind[event], trajectory.event_damper[event]
     if kind == RELEASE:
         return kinds.RELEASE
-    is_event = (trajectory.break_segment == trajectory.event_segment[event]) & (
-        trajectory.break_offset == trajectory.event_offset[event]
+    is_event = (trajectory.discontinuity_segment == trajectory.event_segment[event]) & (
+        trajectory.discontinuity_offset == trajectory.event_offset[event]
     )
     gaps = system.elements[damper].along_gap(trajectory.state_before)
     gap, min_overlap = gaps[np.flatnonzero(is_event)[0]], MIN_RELATIVE_OVERLAP * np.abs(gaps).max()
@@ -211,9 +211,9 @@ def _finite_contact_kind(trajectory: Trajectory, event: int, system: HybridSyste
 
 
 def _slip_kind(trajectory: Trajectory, event: int, system: HybridSystem) -> int:
-    """Return the kind of a slip by the direction in which the gap changes until the next break of the cycle."""
-    is_event = (trajectory.break_segment == trajectory.event_segment[event]) & (
-        trajectory.break_offset == trajectory.event_offset[event]
+    """Return the kind of a slip by the direction in which the gap changes until the next discontinuity of the cycle."""
+    is_event = (trajectory.discontinuity_segment == trajectory.event_segment[event]) & (
+        trajectory.discontinuity_offset == trajectory.event_offset[event]
     )
     gaps = system.elements[trajectory.event_damper[event]].along_gap(trajectory.state_before)
     changes = np.roll(gaps, -int(np.flatnonzero(is_event)[0]))
@@ -221,34 +221,36 @@ def _slip_kind(trajectory: Trajectory, event: int, system: HybridSystem) -> int:
     return kinds.SLIP_LOW if changes[np.flatnonzero(changes)[0]] > 0.0 else kinds.SLIP_HIGH
 
 
-def walls_from_modes(modes: NDArray[np.int64], system: HybridSystem) -> NDArray[np.int64]:
-    """Convert the modes of the dampers in the engine to the wall states of an event sequence, shape (dampers,)."""
+def walls_from_regimes(regimes: NDArray[np.int64], system: HybridSystem) -> NDArray[np.int64]:
+    """Convert the regimes of the dampers in the engine to the wall states of an event sequence, shape (dampers,)."""
     laws = [element.law for element in system.elements]
-    walls = np.array([list(law.modes.values())[mode].wall for law, mode in zip(laws, modes.tolist(), strict=True)])
+    walls = np.array(
+        [list(law.regimes.values())[regime].wall for law, regime in zip(laws, regimes.tolist(), strict=True)]
+    )
     has_force = ~system.detached & (system.finite_contact | (walls == FLIGHT))
     states = walls + np.where(has_force, kinds.WITHOUT_FORCE, kinds.FLYING)
-    return np.where(slides(system), kinds.MODES + modes, states).astype(np.int64)
+    return np.where(slides(system), kinds.REGIMES + regimes, states).astype(np.int64)
 
 
 def slides(system: HybridSystem) -> NDArray[np.bool_]:
     """Return whether each element slides with friction, so it can stick away from its walls; shape (elements,)."""
     laws = [element.law for element in system.elements]
-    sticks = [any(mode.force is None and mode.wall == FLIGHT for mode in law.modes.values()) for law in laws]
-    return np.array([each or law.has_memory for each, law in zip(sticks, laws, strict=True)], dtype=bool)
+    sticks = [any(regime.force is None and regime.wall == FLIGHT for regime in law.regimes.values()) for law in laws]
+    return np.array([each or law.has_slider for each, law in zip(sticks, laws, strict=True)], dtype=bool)
 
 
-def _mode(element: Element, wall: int, gap: float) -> str:
-    """Return the mode of a contact law for a wall code of an event sequence; `gap` [m] decides between equal codes."""
-    if wall >= kinds.MODES:
-        return list(element.law.modes)[wall - kinds.MODES]
-    return element.law.mode_at(wall % kinds.WITHOUT_FORCE, gap)
+def _regime(element: Element, wall: int, gap: float) -> str:
+    """Return the regime of an element for a wall code of an event sequence; `gap` [m] decides between equal codes."""
+    if wall >= kinds.REGIMES:
+        return list(element.law.regimes)[wall - kinds.REGIMES]
+    return element.law.regime_at(wall % kinds.WITHOUT_FORCE, gap)
 
 
-def modes_from_walls(walls: NDArray[np.int64], z: Array, system: HybridSystem) -> list[int]:
-    """Return the mode numbers of all elements for the wall codes of an event sequence and the states `z`."""
+def regimes_from_walls(walls: NDArray[np.int64], z: Array, system: HybridSystem) -> list[int]:
+    """Return the regime numbers of all elements for the wall codes of an event sequence and the states `z`."""
     # A damper without contact force may still overlap a wall from which it was released.
     return [
-        list(element.law.modes).index(_mode(element, wall, float(element.along_gap(z))))
+        list(element.law.regimes).index(_regime(element, wall, float(element.along_gap(z))))
         for wall, element in zip(walls.tolist(), system.elements, strict=True)
     ]
 
@@ -256,32 +258,32 @@ def modes_from_walls(walls: NDArray[np.int64], z: Array, system: HybridSystem) -
 def configuration_of(walls: list[int], system: HybridSystem) -> int:
     """Return the configuration for wall states of a sequence."""
     return system.configuration(
-        [_mode(element, wall, 0.0) for wall, element in zip(walls, system.elements, strict=True)]
+        [_regime(element, wall, 0.0) for wall, element in zip(walls, system.elements, strict=True)]
     )
 
 
-def _mode_after(law: Law, mode: int, kind: int) -> int:
-    """Return the number of the mode of a sliding mass after an event."""
-    names, signals = list(law.modes), list(law.modes.values())[mode].signals
+def _regime_after(law: Law, regime: int, kind: int) -> int:
+    """Return the number of the regime of a sliding mass after an event."""
+    names, signals = list(law.regimes), list(law.regimes.values())[regime].signals
 
     def targets(signals: tuple[Signal, ...], row: str, end: int | None = None) -> tuple[str, ...]:
         ends = [signal.ends for signal in signals if getattr(signal.row, row)]
-        exits: list[Exit | None] = [pair[e][1] for pair in ends for e in (0, 1) if end in (None, e)]
-        return next(exit_.to for exit_ in exits if exit_ is not None)
+        transitions: list[Transition | None] = [pair[e][1] for pair in ends for e in (0, 1) if end in (None, e)]
+        return next(transition.to for transition in transitions if transition is not None)
 
     if kind in (kinds.FLOOR, kinds.CEILING, kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE):
         end = int(kind in (kinds.CEILING, kinds.CEILING_BOUNCE))
         is_bounce = kind in (kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE)
         name = targets(signals, "gap", end)[0 if is_bounce else -1]
-        if is_bounce and law.modes[name].force is None:  # an impact without rebound, and an immediate separation
-            name = targets(law.modes[name].signals, "hold")[0]
+        if is_bounce and law.regimes[name].force is None:  # an impact without rebound, and an immediate separation
+            name = targets(law.regimes[name].signals, "hold")[0]
     elif kind in (kinds.STOP, kinds.REVERSE):
         name = targets(signals, "speed")[0]
         if kind == kinds.REVERSE:
             moves_up = any(signal.row.speed and signal.low == 0.0 for signal in signals)
-            name = targets(law.modes[name].signals, "hold", int(moves_up))[0]
+            name = targets(law.regimes[name].signals, "hold", int(moves_up))[0]
     else:
-        row = "memory" if law.has_memory else "hold"
+        row = "slider" if law.has_slider else "hold"
         name = targets(signals, row, {kinds.SLIP_LOW: 0, kinds.SLIP_HIGH: 1}.get(kind))[0]
     return names.index(name)
 
@@ -293,8 +295,10 @@ def make_plan(
     walls: list[list[int]] = [start.tolist()]
     for kind, damper in zip(events, dampers, strict=True):
         wall = walls[-1].copy()
-        if wall[damper] >= kinds.MODES:
-            wall[damper] = kinds.MODES + _mode_after(system.elements[damper].law, wall[damper] - kinds.MODES, kind)
+        if wall[damper] >= kinds.REGIMES:
+            wall[damper] = kinds.REGIMES + _regime_after(
+                system.elements[damper].law, wall[damper] - kinds.REGIMES, kind
+            )
         else:
             wall[damper] = WALL_AFTER_EVENT[kind]
             if wall[damper] == kinds.FLYING and not system.detached[damper]:

@@ -10,7 +10,7 @@ from rig.core.numerics.jit import cached_njit
 def exponential(matrix: Array, time: float, norm_bound: float) -> Array:
     """Compute the exponential of `matrix` times `time` by a Taylor series with scaling and squaring.
 
-    `norm_bound`: upper bound of the norm of the matrix after balancing of its rows and columns, 1/s.
+    `norm_bound`: upper bound of the norm of the matrix after balancing of its rows and columns [1/s].
     """
     norm, halvings = norm_bound * abs(time), 0
     while norm > 0.25 and halvings < 60:
@@ -38,7 +38,7 @@ def exponential_derivative(
 ) -> Array:
     """Differentiate exp(A t) z(0) with respect to a parameter on which both A and z(0) depend.
 
-    `matrix`, `start`: A and z(0); `time`: t, s; `norm_bound`: as in `exponential`. The derivative s of z obeys
+    `matrix`, `start`: A and z(0); `time`: t [s]; `norm_bound`: as in `exponential`. The derivative s of z obeys
     s' = A s + (dA) z, which is integrated by Taylor series over substeps.
     """
     n = matrix.shape[0]

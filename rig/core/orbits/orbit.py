@@ -279,9 +279,9 @@ class OrbitFamily:
         guard_scales |= dict.fromkeys((kinds.SEPARATION, kinds.SLIP_LOW, kinds.SLIP_HIGH), acceleration)
         guard_scales |= dict.fromkeys((kinds.STOP, kinds.REVERSE), omega * length)
         self.residual_scale = scale[:-1].copy()
-        with_memory = [element.law.has_memory for element in system.elements]
+        with_slider = [element.law.has_slider for element in system.elements]
         self.residual_scale[first_instant:] = [
-            length if kind in (kinds.SLIP_LOW, kinds.SLIP_HIGH) and with_memory[j] else guard_scales.get(kind, length)
+            length if kind in (kinds.SLIP_LOW, kinds.SLIP_HIGH) and with_slider[j] else guard_scales.get(kind, length)
             for kind, j in zip(plan.sequence.kind.tolist(), plan.sequence.damper.tolist(), strict=True)
         ]
         self.bodies = problem.scene.structure.bodies

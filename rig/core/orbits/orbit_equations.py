@@ -14,8 +14,9 @@ from rig.core.numerics.jit import cached_njit
 
 IndexArray = NDArray[np.int64]
 #: Columns of `Equations.signals`: factors of the gap [m], of the speed [m/s], of the holding force per mass [m/s²] and
-#: of the memory [m], and the limits. A row without factors is unused. A force with memory is divided by its stiffness.
-GAP, SPEED, HOLD, MEMORY, LOW, HIGH = range(6)
+#: of the slider displacement [m], and the limits. A row without factors is unused. A force with a slider is divided by
+#: its stiffness.
+GAP, SPEED, HOLD, SLIDER, LOW, HIGH = range(6)
 
 
 class Equations(NamedTuple):
@@ -31,16 +32,16 @@ class Equations(NamedTuple):
     """Coordinate of the gap of an element, -1 for a detached mass; int64, shape (elements,)."""
     base_coordinate: IndexArray
     """Coordinate that is subtracted from the coordinate of the gap, -1 if none is; int64, shape (elements,)."""
-    memory_coordinate: IndexArray  # Coordinate of the memory, -1 without memory; int64, shape (elements,)
+    slider_coordinate: IndexArray  # Coordinate of the slider displacement, -1 without slider; int64, shape (elements,)
     wall_gap: Array  # Gap at the lower and the upper wall [m]; shape (elements, 2)
     hold_offset: Array
     """Holding force per mass on both walls, minus the acceleration of the body [m/s²]; shape (elements, 2)."""
     stiffness: Array
     damping: Array  # `stiffness` and `damping` of both walls in finite-duration contact; shape (elements, 2)
-    first_mode: IndexArray
-    """Row in `signals` of the first mode of an element that slides with friction, otherwise -1; shape (elements,)."""
+    first_regime: IndexArray
+    """Row in `signals` of the first regime of an element that slides with friction, otherwise -1; shape (elements,)."""
     signals: Array
-    """Signals of the modes of these elements; the columns are the constants above; shape (modes, signals, 6)."""
+    """Signals of the regimes of these elements; the columns are the constants above; shape (regimes, signals, 6)."""
     moves_freely: NDArray[np.bool_]  # Whether the gap is a coordinate without a spring; shape (elements,)
     gravity: float
     omega: float  # Angular frequency of the drive [rad/s]

@@ -20,8 +20,8 @@ from rig.core.orbits.event_sequence import (
     configuration_of,
     derive_plan,
     make_plan,
-    modes_from_walls,
-    walls_from_modes,
+    regimes_from_walls,
+    walls_from_regimes,
 )
 from rig.core.orbits.newton import IterationLimits
 from rig.core.orbits.orbit import CONTACT_KINDS, LIMITS, Orbit, solve
@@ -44,8 +44,8 @@ EARLY_LIMITS = IterationLimits(corrections=8, first_size=0.5, growth=0.5)
 MAX_EARLY_CHANGE = 0.2
 # A motion is in steady state if it changes by at most this fraction from period to period.
 MAX_STEADY_CHANGE = 1e-7
-# A search that has found no repetition attempts each number of periods if the motion changes by at most this fraction
-# from period to period.
+# If no repetition is detected, Newton's method is tried with each number of periods, provided that the motion changes
+# by at most this fraction per period.
 MAX_ALMOST_PERIODIC_CHANGE = 1e-6
 # A motion settles to an orbit if its relative distance from the orbit is at most this.
 MAX_ORBIT_DISTANCE = 0.05
@@ -180,16 +180,16 @@ def _simulate(propagator: Propagator, steps: float, periods: int) -> Trajectory:
 def start_propagator(
     problem: OrbitProblem, setting: OperatingPoint, from_linear_response: bool = False
 ) -> tuple[Propagator, float]:
-    """Return a propagator at the start of a period, with riding dampers, and its steps per period.
+    """Return a propagator at the start of a period, with resting dampers, and its steps per period.
 
     The initial state is that of the scene; `from_linear_response` adds the steady vibration of the linear structure
-    with all dampers riding.
+    with all dampers at rest.
     """
     system = problem.varied_system(setting)
     propagator, steps = tone_propagator(system, problem.amplitudes(setting), 2 * np.pi * setting.frequency)
     state = system.initial.copy()
     if from_linear_response:
-        plan = make_plan([], [], walls_from_modes(system.start_modes, system), 1, system)
+        plan = make_plan([], [], walls_from_regimes(system.start_regimes, system), 1, system)
         equations, _ = problem.equations(setting, plan)
         a, n = equations.generator[0], system.states
         # x = X (cos wt, sin wt): the first column of X is the state at the start.
@@ -250,11 +250,11 @@ def shortest_cycle(orbit: Orbit) -> tuple[Plan, OperatingPoint, Array] | None:
 def simulate_cycle(propagator: Propagator, steps: float, repetition: int) -> tuple[Plan, Array]:
     """Simulate one cycle; return the plan of its events, and the orbit's unknowns (see `rig.core.orbits.shooting`)."""
     system, state = propagator.system, propagator.state
-    modes = state.mode.copy()
+    regimes = state.regime.copy()
     heights, velocities = state.height.copy(), state.velocity.copy()
     initial_state = state.z[: system.states].copy()
     trajectory = _simulate(propagator, steps, repetition)
-    plan, order = derive_plan(trajectory, modes, state.mode, repetition, system)
+    plan, order = derive_plan(trajectory, regimes, state.regime, repetition, system)
     instants = trajectory.event_segment[order] * steps * propagator.tables.step + trajectory.event_offset[order]
     flights = np.array([[heights[j], velocities[j]] for j in plan.flying]).ravel()
     return plan, np.concatenate([initial_state, flights, instants])
@@ -266,7 +266,7 @@ def set_to_orbit(propagator: Propagator, orbit: Orbit) -> None:
     n, walls = system.states, orbit.plan.sequence.wall[0]
     state.z[:n] = orbit.unknowns[:n]
     propagator.start_period(1.0)
-    state.mode[:], state.multiplicity[:] = modes_from_walls(walls, state.z, system), 0
+    state.regime[:], state.multiplicity[:] = regimes_from_walls(walls, state.z, system), 0
     flights = orbit.unknowns[n : n + 2 * len(orbit.plan.flying)].reshape(-1, 2)
     state.height[orbit.plan.flying], state.velocity[orbit.plan.flying] = flights.T
     state.counters[CONFIGURATION] = configuration_of(walls.tolist(), system)

@@ -1,7 +1,7 @@
 """The periodic-orbit problem of a scene: the equations of motion and their derivatives at any operating point.
 
 A *setting* is an operating point. One of its values is the *parameter*, over which orbits are continued. A contact
-*configuration* states which dampers are in contact with which wall (`HybridSystem.strides`). A *riding*
+*configuration* states which dampers are in contact with which wall (`HybridSystem.strides`). A *resting*
 damper is at rest on a wall, so its mass is added to its body. A *plan* is the sequence of contact events in one cycle.
 The *mass factor* multiplies the masses of all dampers.
 """
@@ -16,9 +16,9 @@ from scipy.linalg import matrix_balance
 
 from rig.core.base.arrays import Array
 from rig.core.base.errors import SceneError
-from rig.core.laws.law import Mode
+from rig.core.laws.law import Regime
 from rig.core.orbits.event_sequence import Plan, slides
-from rig.core.orbits.orbit_equations import GAP, HIGH, HOLD, LOW, MEMORY, SPEED, EquationDerivatives, Equations
+from rig.core.orbits.orbit_equations import GAP, HIGH, HOLD, LOW, SLIDER, SPEED, EquationDerivatives, Equations
 from rig.core.scene.scene import Scene
 from rig.core.settings.quantities import FREQUENCY, LENGTH, RATIO, Kind, positive_value, positive_values
 from rig.core.system.assembly import assemble
@@ -119,7 +119,7 @@ class OrbitProblem:
         self._body_coordinate = self.system.body_coordinate.astype(np.int64)
         self._gap_coordinate = self.system.gap_coordinate.astype(np.int64)
         self._base_coordinate = self.system.base_coordinate.astype(np.int64)
-        self._memory_coordinate = np.array([element.memory for element in self.system.elements], dtype=np.int64)
+        self._slider_coordinate = np.array([element.slider for element in self.system.elements], dtype=np.int64)
         self._finite_contact = self.system.finite_contact
         self._driven_input = self.system.inputs.index(self.scene.at_driven("shaker"))
         self.reference = reference_of(self.scene, self.system)
@@ -235,7 +235,7 @@ class OrbitProblem:
             wall_gap_derivative = _finite_difference(wide.wall_gap, none.wall_gap)
             hold_offset_derivative = _finite_difference(wide.hold_offset, none.hold_offset)
         period = plan.repetition / setting.frequency
-        first_mode, signals = _sliding_signals(system)
+        first_regime, signals = _sliding_signals(system)
         return Equations(
             generator=generator,
             norm_bound=np.maximum(matrices.norm_bound, omega),
@@ -245,12 +245,12 @@ class OrbitProblem:
             restitution=system.element_restitution,
             gap_coordinate=self._gap_coordinate,
             base_coordinate=self._base_coordinate,
-            memory_coordinate=self._memory_coordinate,
+            slider_coordinate=self._slider_coordinate,
             wall_gap=system.wall_gap,
             hold_offset=system.hold_offset,
             stiffness=system.wall_stiffness,
             damping=system.wall_damping,
-            first_mode=first_mode,
+            first_regime=first_regime,
             signals=signals,
             moves_freely=_moves_freely(system),
             gravity=float(system.gravity),
@@ -406,7 +406,7 @@ def vary(setting: OperatingPoint, parameter: str) -> Callable[[float], Operating
 
 
 def _riding_mass_and_forces(system: HybridSystem, configuration: int) -> tuple[Array, Array]:
-    """Return mass matrix and constant forces, including masses and weights of a configuration's riding dampers."""
+    """Return mass matrix and constant forces, including masses and weights of a configuration's resting dampers."""
     riding = np.array([j for j in system.held(configuration) if system.detached[j]], dtype=np.intp)
     rows, masses = system.body_coordinate[riding], system.element_mass[riding]
     added_mass = np.zeros_like(system.mass)
@@ -415,21 +415,21 @@ def _riding_mass_and_forces(system: HybridSystem, configuration: int) -> tuple[A
 
 
 def _sliding_signals(system: HybridSystem) -> tuple[NDArray[np.int64], Array]:
-    """Return `first_mode` and `signals` of `Equations`."""
-    first_mode = np.full(len(system.elements), -1, dtype=np.int64)
-    modes: list[tuple[Element, Mode]] = []
+    """Return `first_regime` and `signals` of `Equations`."""
+    first_regime = np.full(len(system.elements), -1, dtype=np.int64)
+    regimes: list[tuple[Element, Regime]] = []
     for j in np.flatnonzero(slides(system)):
-        first_mode[j] = len(modes)
-        modes += [(system.elements[j], mode) for mode in system.elements[j].law.modes.values()]
-    signals = np.zeros((len(modes), max((len(mode.signals) for _, mode in modes), default=0), HIGH + 1))
-    for (element, mode), rows in zip(modes, signals, strict=True):
-        for signal, row in zip(mode.signals, rows, strict=False):
-            unit = element.mass if signal.row.hold else signal.row.memory or 1.0
+        first_regime[j] = len(regimes)
+        regimes += [(system.elements[j], regime) for regime in system.elements[j].law.regimes.values()]
+    signals = np.zeros((len(regimes), max((len(regime.signals) for _, regime in regimes), default=0), HIGH + 1))
+    for (element, regime), rows in zip(regimes, signals, strict=True):
+        for signal, row in zip(regime.signals, rows, strict=False):
+            unit = element.mass if signal.row.hold else signal.row.slider or 1.0
             row[[GAP, SPEED, HOLD]] = signal.row.gap, signal.row.speed, signal.row.hold
-            if signal.row.memory:
-                row[[GAP, MEMORY]] = signal.row.gap / unit, 1.0
+            if signal.row.slider:
+                row[[GAP, SLIDER]] = signal.row.gap / unit, 1.0
             row[[LOW, HIGH]] = signal.low / unit, signal.high / unit
-    return first_mode, signals
+    return first_regime, signals
 
 
 def _moves_freely(system: HybridSystem) -> NDArray[np.bool_]:

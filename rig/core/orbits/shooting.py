@@ -24,7 +24,7 @@ from rig.core.orbits.orbit_equations import (
     HIGH,
     HOLD,
     LOW,
-    MEMORY,
+    SLIDER,
     SPEED,
     EquationDerivatives,
     Equations,
@@ -83,7 +83,7 @@ def _propagate(
     equations: Equations, derivatives: EquationDerivatives, configuration: int, motion: MotionState,
     start_time: float, end_time: float, start_column: int, end_column: int, end_derivative: float,
 ) -> None:  # fmt: skip
-    """Propagate the motion between two instants (s): x -> exp(A (t1 - t0)) x, dampers fall freely.
+    """Propagate the motion between two instants [s]: x -> exp(A (t1 - t0)) x, dampers fall freely.
 
     `start_column`: column of the start instant among the unknowns; negative for t = 0, which is not an unknown.
     `end_column`: column of the unknown that determines the end instant. `end_derivative`: derivative of the end instant
@@ -278,43 +278,44 @@ def _finite_contact_condition(
 def signal_of(signals: Array, kind: int) -> tuple[int, int]:
     """Return the signal and the end of its interval (`LOW`, `HIGH`) that an event of a sliding mass reaches.
 
-    `signals`: signals of the mode; `kind`: kind of the event.
+    `signals`: signals of the regime; `kind`: kind of the event.
     """
     column = HOLD
     if kind in (kinds.STOP, kinds.REVERSE):
         column = SPEED
     elif kind in (kinds.FLOOR, kinds.CEILING, kinds.FLOOR_BOUNCE, kinds.CEILING_BOUNCE):
         column = GAP
-    lane = 0
-    while signals[lane, column] == 0.0 and (column != HOLD or signals[lane, MEMORY] == 0.0):
-        lane += 1
+    slot = 0
+    while signals[slot, column] == 0.0 and (column != HOLD or signals[slot, SLIDER] == 0.0):
+        slot += 1
     if kind in (kinds.CEILING, kinds.CEILING_BOUNCE, kinds.SLIP_HIGH):
-        return lane, HIGH
+        return slot, HIGH
     if kind in (kinds.FLOOR, kinds.FLOOR_BOUNCE, kinds.SLIP_LOW):
-        return lane, LOW
-    return lane, LOW if signals[lane, LOW] > -np.inf else HIGH
+        return slot, LOW
+    return slot, LOW if signals[slot, LOW] > -np.inf else HIGH
 
 
 @cached_njit
 def _sliding_event(
-    equations: Equations, derivatives: EquationDerivatives, configuration: int, kind: int, modes: IndexArray, j: int,
+    equations: Equations, derivatives: EquationDerivatives, configuration: int, kind: int, regimes: IndexArray, j: int,
     motion: MotionState, time: float, row: int, jacobian: Array,
 ) -> tuple[float, float]:  # fmt: skip
     """Apply an event of an element that slides with friction; return its condition, and the closing speed [m/s].
 
-    The condition is that a signal is at its limit. `modes`: rows of the modes before and after in `Equations.signals`.
+    The condition is that a signal is at its limit. `regimes`: rows of the regimes before and after in
+    `Equations.signals`.
     """
     x, dx, nq, n_unknowns = motion.x, motion.dx, equations.inverse_mass.shape[1], motion.dx.shape[1] - 1
     speed, closing_speed = nq + equations.gap_coordinate[j], 0.0
-    base, memory = equations.base_coordinate[j], equations.memory_coordinate[j]
-    lane, end = signal_of(equations.signals[modes[0]], kind)
-    signal = equations.signals[modes[0], lane]
-    if signal[MEMORY] != 0.0:
-        residual = signal[GAP] * along_gap(equations, j, x) + signal[MEMORY] * x[memory] - signal[end]
-        jacobian[row] = signal[GAP] * dx[equations.gap_coordinate[j]] + signal[MEMORY] * dx[memory]
+    base, slider = equations.base_coordinate[j], equations.slider_coordinate[j]
+    slot, end = signal_of(equations.signals[regimes[0]], kind)
+    signal = equations.signals[regimes[0], slot]
+    if signal[SLIDER] != 0.0:
+        residual = signal[GAP] * along_gap(equations, j, x) + signal[SLIDER] * x[slider] - signal[end]
+        jacobian[row] = signal[GAP] * dx[equations.gap_coordinate[j]] + signal[SLIDER] * dx[slider]
         if base >= 0:
             jacobian[row] -= signal[GAP] * dx[base]
-        jacobian[row, n_unknowns] -= derivatives.signals[modes[0], lane, end]
+        jacobian[row, n_unknowns] -= derivatives.signals[regimes[0], slot, end]
     elif signal[GAP] != 0.0:
         residual, closing_speed = _apply_impact_of_coordinate(
             equations, derivatives, configuration, kind, j, motion, row, jacobian
@@ -324,21 +325,21 @@ def _sliding_event(
         jacobian[row] = dx[speed]
         if base >= 0:
             jacobian[row] -= dx[nq + base]
-        if memory >= 0:
-            # The force does not jump, so the memory follows from the slip force and the gap.
-            sticking = equations.signals[modes[1], 0]
-            x[memory] = (sticking[end] - sticking[GAP] * along_gap(equations, j, x)) / sticking[MEMORY]
-            dx[memory] = -sticking[GAP] / sticking[MEMORY] * dx[equations.gap_coordinate[j]]
+        if slider >= 0:
+            # The force does not jump, so the slider displacement follows from the slip force and the gap.
+            sticking = equations.signals[regimes[1], 0]
+            x[slider] = (sticking[end] - sticking[GAP] * along_gap(equations, j, x)) / sticking[SLIDER]
+            dx[slider] = -sticking[GAP] / sticking[SLIDER] * dx[equations.gap_coordinate[j]]
             if base >= 0:
-                dx[memory] += sticking[GAP] / sticking[MEMORY] * dx[base]
-            dx[memory, n_unknowns] += derivatives.signals[modes[1], 0, end] / sticking[MEMORY]
+                dx[slider] += sticking[GAP] / sticking[SLIDER] * dx[base]
+            dx[slider, n_unknowns] += derivatives.signals[regimes[1], 0, end] / sticking[SLIDER]
     else:
         wall = kinds.RIDES_FLOOR
         residual = -signal[end] + _contact_force_condition(
             equations, derivatives, configuration, j, wall, motion, time, row, jacobian
         )
-        jacobian[row, n_unknowns] -= derivatives.signals[modes[0], lane, end]
-    if equations.signals[modes[1], 0, HOLD] != 0.0:
+        jacobian[row, n_unknowns] -= derivatives.signals[regimes[0], slot, end]
+    if equations.signals[regimes[1], 0, HOLD] != 0.0:
         x[speed], dx[speed] = 0.0, 0.0
     return residual, closing_speed
 
@@ -347,16 +348,16 @@ def _sliding_event(
 def _write_neutral_rows(equations: Equations, sequence: Sequence, residual: Array, jacobian: Array) -> None:
     """Replace the periodicity rows of gaps that the motion does not determine; Newton's iteration then keeps them.
 
-    The motion of a mass without suspension does not depend on its gap between two impacts on walls. The memory of a
-    joint that always sticks is free, and the rate of change of a memory is zero.
+    The motion of a mass without suspension does not depend on its gap between two impacts on walls. The slider
+    displacement of a joint that always sticks is free, and the rate of change of a slider is zero.
     """
     nq = equations.inverse_mass.shape[1]
-    for j in range(equations.first_mode.shape[0]):
-        memory, stops = equations.memory_coordinate[j], False
-        if memory >= 0:
+    for j in range(equations.first_regime.shape[0]):
+        slider, stops = equations.slider_coordinate[j], False
+        if slider >= 0:
             for k in range(sequence.kind.shape[0]):
                 stops = stops or (sequence.damper[k] == j and sequence.kind[k] == kinds.STOP)
-            for is_neutral, i in ((not stops, memory), (True, nq + memory)):
+            for is_neutral, i in ((not stops, slider), (True, nq + slider)):
                 if is_neutral:
                     residual[i] = 0.0
                     jacobian[i] = 0.0
@@ -430,10 +431,10 @@ def shoot(
         time = event_time
         motion.x[n], motion.x[n + 1], motion.x[n + 2] = np.cos(omega * time), np.sin(omega * time), 1.0
         j, kind = sequence.damper[k], sequence.kind[k]
-        if equations.first_mode[j] >= 0:
+        if equations.first_regime[j] >= 0:
             residual[row], closing_speed[k] = _sliding_event(
                 equations, derivatives, configuration, kind,
-                equations.first_mode[j] + sequence.wall[k : k + 2, j] - kinds.MODES, j, motion, time, row, jacobian,
+                equations.first_regime[j] + sequence.wall[k : k + 2, j] - kinds.REGIMES, j, motion, time, row, jacobian,
             )  # fmt: skip
         elif kind == kinds.SEPARATION:
             residual[row] = _contact_force_condition(

@@ -51,8 +51,8 @@ MAX_STEPS = 6
 MAX_CORRECTIONS = 6
 # Newton's iteration is stopped if the first correction after a prediction exceeds this fraction of the predicted change
 # from the previous point, or if a correction exceeds this fraction of the previous correction. In designs of dampers
-# for the bundled scenes, 0.4 % of the predictions that converged exceeded these limits, and 97 % of the predictions
-# that did not converge in six corrections.
+# for the bundled scenes, these limits stop 97 % of the iterations that would not converge in six corrections, and 0.4 %
+# of those that would.
 MAX_CORRECTION_RATIO = 0.5
 # A prediction is rejected if its error exceeds this fraction of the change from the previous point.
 MAX_PREDICTION_ERROR = 0.3
@@ -63,7 +63,7 @@ MAX_PREDICTION_RATIO = 10.0
 EXTRAPOLATION_POINTS = 4
 # A motion without repetition after this number of periods of the drive is irregular.
 MAX_PERIODS = 1500
-# Periods over which an irregular motion is averaged.
+# Number of periods over which an irregular motion is averaged.
 AVERAGED_PERIODS = 64
 
 
@@ -212,7 +212,7 @@ def orbit_response(
         motion at the previous value.
     parameter : {'frequency', 'force', 'drive', 'clearance', 'mass_ratio'}
         Varied parameter: Hz, level of the scene's test (a force, N, or a drive in the unit of the shaker's drive),
-        clearance of all dampers (m), factor on their masses.
+        clearance of all dampers [m], factor on their masses.
     frequency : float or str, optional
         Hz, or text with a unit; needed unless it is the parameter.
     progress : callable, optional

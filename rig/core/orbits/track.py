@@ -87,7 +87,7 @@ def _sample_states(
 ) -> None:
     """Write the states (points + 1, states + 3) of a segment into `x`, and their rates A x into `rate`.
 
-    `initial`: state at the start of the segment (the first `states` values are used); `time`: start, s; `step`: s.
+    `initial`: state at the start of the segment (the first `states` values are used); `time`: start [s]; `step`: s.
     """
     n, a, omega = x.shape[1] - 3, equations.generator[configuration], equations.omega
     flow = exponential(a, step, equations.norm_bound[configuration])
@@ -109,7 +109,7 @@ def _sample_states(
 def _extend_range(extremes: Array, x: Array, rate: Array, step: float) -> None:
     """Extend the range of each coordinate by its extremes in a segment, including turning points within steps.
 
-    `x`, `rate`: states and their rates A x at instants at a distance of `step`, s.
+    `x`, `rate`: states and their rates A x at instants at a distance of `step` [s].
     """
     nq = extremes.shape[0]
     for i in range(x.shape[0]):
@@ -131,9 +131,9 @@ def _sample_guard(
     """Write the guard of damper j along a segment, with two derivatives, into `guard`; see `Track.guards`.
 
     `a`: generator of the segment; `initial`: state, heights and velocities at its start; `x`, `rate`: states and their
-    rates; `step`: time between them, s.
+    rates; `step`: time between them [s].
     """
-    if wall >= kinds.MODES:
+    if wall >= kinds.REGIMES:
         return  # `rig.core.orbits.admissibility` examines the signals of sliding masses
     nq, nd = equations.inverse_mass.shape[1], equations.body_coordinate.shape[0]
     n, body, gravity = x.shape[1] - 3, equations.body_coordinate[j], equations.gravity

@@ -1,8 +1,8 @@
 """The energy balance of a run: work of the drive, stored energy, and dissipated energy.
 
 Power and dissipation are quadratic forms of the state. Both are integrated over every interval between samples and
-breaks (contact events) by Gauss-Legendre quadrature of the exact flow. Losses in impacts are the jumps of kinetic
-energy. No term is computed as the difference of the other terms, so the residual is a test of the engine.
+discontinuities (contact events) by Gauss-Legendre quadrature of the exact flow. Losses in impacts are the jumps of
+kinetic energy. No term is computed as the difference of the other terms, so the residual is a test of the engine.
 
 A table index is the position of a contact configuration (which dampers are in contact with which wall) in the flow
 tables. A segment is a time interval under one drive, such as a sample interval.
@@ -142,7 +142,7 @@ def fourier_integral(
     """Integrate z(t) e^{-i omega t} over a motion, shape (size,).
 
     `segment_states`, `durations`: as for `energy_balance`; `omega`: rad/s.
-    Intervals end at breaks, so the quadrature has its full order.
+    Intervals end at discontinuities, so the quadrature has its full order.
     """
     total = np.zeros(tables.size, dtype=np.complex128)
     nodes, node_weights = _GAUSS_RULE
@@ -161,18 +161,19 @@ def fourier_integral(
 def _intervals(
     tables: FlowTables, trajectory: Trajectory, segment_states: Array, durations: Array
 ) -> tuple[Array, NDArray[np.int64], Array, Array]:
-    """Divide the motion at segment ends and breaks: initial state, table index, duration [s] and start time [s]."""
+    """Divide the motion at segment ends and discontinuities: initial state, table index, duration and start [s]."""
     size = tables.size
     segments = len(durations)
-    # An interval begins with each segment, at offset 0, and at each break in a segment.
-    segment = np.concatenate([np.arange(segments), trajectory.break_segment])
-    offset = np.concatenate([np.zeros(segments), trajectory.break_offset])
+    # An interval begins with each segment, at offset 0, and at each discontinuity in a segment.
+    segment = np.concatenate([np.arange(segments), trajectory.discontinuity_segment])
+    offset = np.concatenate([np.zeros(segments), trajectory.discontinuity_offset])
     states = np.concatenate([segment_states[:, :size], trajectory.state_after[:, :size]])
-    # Preserve the order of breaks, because several may occur at one instant.
+    # Preserve the order of discontinuities, because several may occur at one instant.
     order = np.lexsort((np.arange(len(segment)), offset, segment))
     segment, offset = segment[order], offset[order]
     first_index = trajectory.table_index_before[0] if len(trajectory.table_index_before) else trajectory.table_index[0]
-    # Only breaks change the table index (-1: unchanged); other intervals have the index of the previous interval.
+    # Only discontinuities change the table index (-1: unchanged); other intervals have the index of the previous
+    # interval.
     new_indices = np.concatenate([np.full(segments, -1), trajectory.table_index_after])[order]
     new_indices[0] = first_index if new_indices[0] < 0 else new_indices[0]
     last_change = np.maximum.accumulate(np.where(new_indices >= 0, np.arange(len(new_indices)), 0))
@@ -277,12 +278,12 @@ def _spring_energy(system: HybridSystem, numbers: NDArray[np.int64], states: Arr
         forces = [force or Row() for force in element.law.forces]
         stiffness = np.array([-force.gap for force in forces])[number]
         rest = np.array([force.rest for force in forces])[number]
-        if element.memory < 0:
+        if element.slider < 0:
             energy += 0.5 * stiffness * (element.along_gap(states) - rest) ** 2
             continue
         # The spring in series with a slider has the same force as the slider.
         constant = np.array([force.constant for force in forces])[number]
-        force_on_gap = constant - stiffness * (element.along_gap(states) - states[:, element.memory])
+        force_on_gap = constant - stiffness * (element.along_gap(states) - states[:, element.slider])
         energy += 0.5 * force_on_gap**2 / max(-force.gap for force in forces)
     return energy
 
@@ -328,7 +329,7 @@ def _stored_energy(tables: FlowTables, forms: QuadraticForms, state: State) -> f
     system = tables.system
     n, body = system.coordinates, system.damper_coordinate
     z = state.z[: tables.size]
-    contact = tables.contacts(state.mode)[: system.dampers]
+    contact = tables.contacts(state.regime)[: system.dampers]
     is_flying = contact == FLIGHT
     wall_height = z[body] + np.where(contact == CEILING, system.clearance, 0.0)
     height = np.where(is_flying, state.height[: system.dampers], wall_height)
@@ -341,8 +342,9 @@ def _stored_energy(tables: FlowTables, forms: QuadraticForms, state: State) -> f
 
 
 def _impact_losses(system: HybridSystem, trajectory: Trajectory) -> float:
-    """Return the kinetic energy lost at the breaks [J], summed over the jumps of velocity."""
-    # The difference of the total energies before and after each break would add a rounding error for every break.
+    """Return the kinetic energy lost at the discontinuities [J], summed over the jumps of velocity."""
+    # The difference of the total energies before and after each discontinuity would add a rounding error for every
+    # discontinuity.
     n = system.coordinates
     before, after = trajectory.state_before[:, n : 2 * n], trajectory.state_after[:, n : 2 * n]
     damper_before, damper_after = trajectory.damper_velocity_before, trajectory.damper_velocity_after

@@ -13,29 +13,29 @@ from rig.core.base.arrays import Array
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion of all points at the samples of a block, and at the breaks between them.
+    """Motion of all points at the samples of a block, and at the discontinuities between them.
 
-    A *break* is a discontinuity of velocity or acceleration.
+    A *discontinuity* is a jump of velocity or acceleration.
 
     Attributes
     ----------
     first : int
         Index of the first sample, counted from the start of the run.
     displacement, velocity, acceleration : ndarray, shape (points, samples)
-        m, m/s and m/s²; at a sample that coincides with a break, the value just after the break.
+        m, m/s and m/s²; at a sample that coincides with a discontinuity, the value just after the discontinuity.
     gap : ndarray, shape (dampers, samples)
         Height of each damper of the scene above its lower wall [m]: 0 if it is locked; for a bed of grains, rise of
         its center of mass.
     contact : ndarray of int8, shape (dampers, samples)
         0 in flight, 1 at the lower wall (always, if it is locked), 2 at the upper wall.
-    break_sample : ndarray of int64, shape (breaks,)
-        Index of the first sample at or after the break; in ascending order.
-    break_offset : ndarray, shape (breaks,)
-        Time of the break after the previous sample [s]: above 0, at most one sample interval.
-    break_displacement : ndarray, shape (points, breaks)
+    discontinuity_sample : ndarray of int64, shape (discontinuities,)
+        Index of the first sample at or after the discontinuity; in ascending order.
+    discontinuity_offset : ndarray, shape (discontinuities,)
+        Time of the discontinuity after the previous sample [s]: above 0, at most one sample interval.
+    discontinuity_displacement : ndarray, shape (points, discontinuities)
         m.
-    break_velocity, break_acceleration : ndarray, shape (2, points, breaks)
-        Before and after the break, m/s and m/s².
+    discontinuity_velocity, discontinuity_acceleration : ndarray, shape (2, points, discontinuities)
+        Before and after the discontinuity, m/s and m/s².
     events : structured ndarray
         Impacts and separations, as `rig.simulate` lists them.
     """
@@ -46,11 +46,11 @@ class Motion:
     acceleration: Array
     gap: Array
     contact: NDArray[np.int8]
-    break_sample: NDArray[np.int64]
-    break_offset: Array
-    break_displacement: Array
-    break_velocity: Array
-    break_acceleration: Array
+    discontinuity_sample: NDArray[np.int64]
+    discontinuity_offset: Array
+    discontinuity_displacement: Array
+    discontinuity_velocity: Array
+    discontinuity_acceleration: Array
     events: NDArray[Any]
 
     def decimated(self, step: int, interval: float) -> Self:
@@ -59,9 +59,10 @@ class Motion:
         The block must end at a multiple of `step`. `interval`: sample interval of this motion [s].
         """
         selected = slice(-self.first % step, None, step)
-        # Number of the last retained sample before each break, and the time from it to the last original sample.
-        last_before = -(-self.break_sample // step) - 1  # rounded up
-        skipped = (self.break_sample - 1 - last_before * step) * interval
+        # Number of the last retained sample before each discontinuity, and the time from it to the last original
+        # sample.
+        last_before = -(-self.discontinuity_sample // step) - 1  # rounded up
+        skipped = (self.discontinuity_sample - 1 - last_before * step) * interval
         return replace(
             self,
             first=-(-self.first // step),  # rounded up
@@ -70,6 +71,6 @@ class Motion:
             acceleration=self.acceleration[:, selected],
             gap=self.gap[:, selected],
             contact=self.contact[:, selected],
-            break_sample=last_before + 1,
-            break_offset=self.break_offset + skipped,
+            discontinuity_sample=last_before + 1,
+            discontinuity_offset=self.discontinuity_offset + skipped,
         )

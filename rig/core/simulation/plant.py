@@ -53,8 +53,8 @@ class Plant:
         limits = self.system.drive_limit
         self._drive_limit = limits[:, None] if np.isfinite(limits).any() else None
         self._dampers = len(scene.dampers)
-        # Empty arrays for blocks without breaks or events, computed once.
-        self._no_breaks: tuple[Array, Array, Array] | None = None
+        # Empty arrays for blocks without discontinuities or events, computed once.
+        self._no_discontinuities: tuple[Array, Array, Array] | None = None
         self._no_events = event_table(
             np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0), self.system
         )
@@ -112,8 +112,10 @@ class Plant:
         """Return the motion of a block; segment s of the trajectory ends at sample `first_end` + s."""
         system, interval = self.system, 1.0 / self.rate
         displacement, velocity, acceleration, gap = self._propagator.motion_parts(buffer)
-        breaks = (
-            self._breaks(trajectory) if self._no_breaks is None or len(trajectory.state_before) else self._no_breaks
+        discontinuities = (
+            self._discontinuities(trajectory)
+            if self._no_discontinuities is None or len(trajectory.state_before)
+            else self._no_discontinuities
         )
         events = self._no_events
         if len(trajectory.event_segment):
@@ -128,30 +130,30 @@ class Plant:
             acceleration=acceleration,
             gap=self._for_all_dampers(gap, 0.0),
             contact=self._for_all_dampers(buffer.contact, FLOOR),
-            break_sample=first_end + trajectory.break_segment,
-            break_offset=np.minimum(trajectory.break_offset, interval),
-            break_displacement=breaks[0],
-            break_velocity=breaks[1],
-            break_acceleration=breaks[2],
+            discontinuity_sample=first_end + trajectory.discontinuity_segment,
+            discontinuity_offset=np.minimum(trajectory.discontinuity_offset, interval),
+            discontinuity_displacement=discontinuities[0],
+            discontinuity_velocity=discontinuities[1],
+            discontinuity_acceleration=discontinuities[2],
             events=events,
         )
 
-    def _breaks(self, trajectory: Trajectory) -> tuple[Array, Array, Array]:
-        """Return displacements, velocities and accelerations at the breaks of a block, as in `Motion`."""
+    def _discontinuities(self, trajectory: Trajectory) -> tuple[Array, Array, Array]:
+        """Return displacements, velocities and accelerations at the discontinuities of a block, as in `Motion`."""
         n, points = self.system.coordinates, len(self.system.points)
         before, after = trajectory.state_before, trajectory.state_after
         accelerations = self._propagator.accelerations(
             np.concatenate([before, after]),
             np.concatenate([trajectory.table_index_before, trajectory.table_index_after]),
         )
-        breaks = (
+        discontinuities = (
             np.ascontiguousarray(before[:, :points].T),
             np.array([before[:, n : n + points].T, after[:, n : n + points].T]),
             accelerations.reshape(n, 2, len(before))[:points].transpose(1, 0, 2),
         )
         if not len(before):
-            self._no_breaks = breaks
-        return breaks
+            self._no_discontinuities = discontinuities
+        return discontinuities
 
     def _for_all_dampers(self, rows: NDArray[Any], constant: float) -> NDArray[Any]:
         """Add rows with a constant for dampers that cannot move; shape (dampers, samples)."""

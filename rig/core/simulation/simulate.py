@@ -271,7 +271,7 @@ def _assemble_run(
     """Return the run from its initial state and a trajectory; row k of the trajectory is the end of segment k.
 
     `sample_rows`: rows that are samples; `segment_starts`, `durations`: starts and durations of the segments [s];
-    `segment_states`: states at the starts; `started`: elements that change their mode at t = 0, and kinds of these
+    `segment_states`: states at the starts; `started`: elements that change their regime at t = 0, and kinds of these
     events, shape (2, events).
     """
     system, end = propagator.system, propagator.snapshot()

@@ -476,7 +476,7 @@ def _next_level(trials: list[tuple[float, float]]) -> float:
         previous_level, previous_error = trials[-2]
         change = log_level - previous_level
         secant = (log_error - previous_error) / change if change else 1.0
-        # If the force hardly rises with the level (or falls, near a jump), a full secant step would be too large.
+        # If the force rises little with the level (or falls, near a jump), a full secant step would be too large.
         slope = secant if secant > 0.1 else 1.0
     step = -log_error / slope
     return log_level + float(np.clip(step, -np.log(2.0), np.log(2.0)))

@@ -22,7 +22,7 @@ _NEGLIGIBLE_ERROR = 1e-4
 # Two sweeps have the same motion if their responses differ by less than this fraction, which differences of settling
 # can reach.
 _SAME_MOTION = 1e-2
-# Listed peaks with few frequencies; a longer list would hide the other lines.
+# Maximum number of listed peaks with few frequencies; a longer list would hide the other lines.
 _MAX_LISTED = 8
 # Number of frequencies in a band without a number of tones.
 _POINTS = 101

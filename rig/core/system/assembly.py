@@ -136,23 +136,24 @@ def _joint(equations: Equations, joint: Stop | FrictionJoint, number: int) -> El
     if joint.restitution is not None:
         damping = dashpot(joint.stiffness, joint.restitution, accelerated_mass)
     declare: Callable[..., Law] = partial(stop, joint.stiffness, damping, upper is None)
-    clearance, memory = joint.gap, -1
+    clearance, slider = joint.gap, -1
     if joint.slip_force is not None:
         declare, clearance = partial(friction_joint, joint.stiffness), joint.slip_force / joint.stiffness
-        memory = equations.add_coordinate(1.0)  # no force acts on the memory, so its mass is arbitrary
-    return Element(declare, gap, gap, accelerated_mass, clearance, 0.0, number, is_joint=True, base=base, memory=memory)
+        slider = equations.add_coordinate(1.0)  # no force acts on the slider, so its mass is arbitrary
+    return Element(declare, gap, gap, accelerated_mass, clearance, 0.0, number, is_joint=True, base=base, slider=slider)
 
 
 def _with_joints_at_rest(scene: Scene, system: HybridSystem) -> HybridSystem:
-    """Return the system with its joints at the start in the modes of the static equilibrium."""
+    """Return the system with its joints at the start in the regimes of the static equilibrium."""
     # The equilibrium with assumed closed stops determines which stops are closed, until the set no longer changes.
     for _ in range(2 + 2 * len(scene.joints)):
         state = np.zeros(system.states)
         if scene.test is None or scene.test.start == "settled":
             state[: system.coordinates] = static_equilibrium(scene, system)
-        modes, present = system.joint_modes(state), system.elements[system.dampers :]
+        regimes, present = system.joint_regimes(state), system.elements[system.dampers :]
         joints = tuple(
-            replace(joint, start=list(joint.law.modes)[mode]) for joint, mode in zip(present, modes, strict=True)
+            replace(joint, start=list(joint.law.regimes)[regime])
+            for joint, regime in zip(present, regimes, strict=True)
         )
         if joints == present:
             break
@@ -242,8 +243,8 @@ def _initial_state(scene: Scene, system: HybridSystem) -> Array:
 def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
     """Return coordinates at rest under the weight of the dampers [m], without friction; `SceneError` if unsupported."""
     n = system.coordinates
-    memories = [element.memory for element in system.elements if element.memory >= 0]
-    frictionless = replace(system, elements=tuple(element for element in system.elements if element.memory < 0))
+    sliders = [element.slider for element in system.elements if element.slider >= 0]
+    frictionless = replace(system, elements=tuple(element for element in system.elements if element.slider < 0))
     force, constant = frictionless.contact_forces(frictionless.start)
     load = system.force_constant + constant
     np.subtract.at(load, system.damper_coordinate, system.detached_mass * system.gravity)
@@ -251,7 +252,7 @@ def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
         return np.zeros(n)
     stiffness = -(system.force_state + force)[:, :n]
     # No spring acts on a mass that slides freely; it remains in the middle.
-    free = {*system.gap_coordinate[: system.dampers].tolist(), *memories}
+    free = {*system.gap_coordinate[: system.dampers].tolist(), *sliders}
     supported = [i for i in range(n) if stiffness[i].any() or i not in free]
     stiffness, load = stiffness[np.ix_(supported, supported)], load[supported]
     if not stiffness.any() or (np.linalg.cond(stiffness) > MAX_CONDITION and _is_singular(stiffness)):
@@ -262,8 +263,8 @@ def static_equilibrium(scene: Scene, system: HybridSystem) -> Array:
     position = np.zeros(n)
     position[supported] = np.linalg.solve(stiffness, load)
     for element in system.elements:
-        if element.memory >= 0:
-            position[element.memory] = element.along_gap(position)
+        if element.slider >= 0:
+            position[element.slider] = element.along_gap(position)
     return position
 
 

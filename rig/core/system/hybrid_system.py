@@ -35,8 +35,8 @@ class Element:
     the gap [kg]. `clearance`: clearance of the damper, or the gap or slip displacement of the joint [m]. `restitution`:
     coefficient in the scene. `number`: number in the scene, from 1. `is_grains`: whether the damper is a bed of grains.
     `is_joint`: whether it is a joint. `base`: coordinate that is subtracted from `gap`; -1 if `gap` alone is the gap.
-    `start`: mode at the start; empty: the start mode of the law. `memory`: coordinate that is the memory of the law and
-    remains at rest; -1 without memory.
+    `start`: regime at the start; empty: the start regime of the law. `slider`: coordinate that is the slider
+    displacement of the law and remains at rest; -1 without slider.
     """
 
     declare: Callable[[float], Law]
@@ -50,7 +50,7 @@ class Element:
     is_joint: bool = False
     base: int = -1
     start: str = ""
-    memory: int = -1
+    slider: int = -1
 
     @property
     def name(self) -> str:
@@ -70,7 +70,7 @@ class Element:
     @property
     def distance(self) -> float:
         """Distance of the gap at rest from the nearest wall, or from the displacement at which it slips [m]."""
-        if self.memory >= 0:
+        if self.slider >= 0:
             return self.clearance
         return min((abs(wall.gap) for wall in self.law.walls), default=np.inf)
 
@@ -83,7 +83,7 @@ class Element:
     @property
     def key(self) -> tuple[object, ...]:
         """All values that determine the motion of the element, as a hashable tuple."""
-        return self.law.key, self.body, self.gap, self.base, self.memory, self.mass
+        return self.law.key, self.body, self.gap, self.base, self.slider, self.mass
 
 
 @dataclass(frozen=True)
@@ -292,16 +292,16 @@ class HybridSystem:
         return np.asarray(self.wall_stiffness.any(axis=1))
 
     @property
-    def take_off_acceleration(self) -> np.ndarray:
+    def separation_acceleration(self) -> np.ndarray:
         """Acceleration [m/s²] of the body at which each damper starts to move; infinite for a damper in motion."""
-        return np.array([self._take_off_acceleration(element) for element in self._damper_elements], dtype=np.float64)
+        return np.array([self._separation_acceleration(element) for element in self._damper_elements], dtype=np.float64)
 
-    def _take_off_acceleration(self, element: Element) -> float:
-        start = element.law.modes[element.law.start]
+    def _separation_acceleration(self, element: Element) -> float:
+        start = element.law.regimes[element.law.start]
         if not element.law.starts_at_rest or start.force is not None:
             return self.gravity if element.law.starts_at_rest else np.inf
         other = self.other_acceleration(element, start.wall_gap)
-        limits = [limit for signal in start.signals for limit, exit_ in signal.ends if exit_ is not None]
+        limits = [limit for signal in start.signals for limit, transition in signal.ends if transition is not None]
         return min(abs(limit / element.mass - other) for limit in limits)
 
     @property
@@ -327,35 +327,38 @@ class HybridSystem:
         """Number of possible configurations."""
         return prod(len(element.law.forces) for element in self.elements)
 
-    def configuration(self, modes: Sequence[str]) -> int:
-        """Return the configuration for the name of each element's mode."""
+    def configuration(self, regimes: Sequence[str]) -> int:
+        """Return the configuration for the name of each element's regime."""
         laws = (element.law for element in self.elements)
-        indices = (law.force_indices[mode] for law, mode in zip(laws, modes, strict=True))
+        indices = (law.force_indices[regime] for law, regime in zip(laws, regimes, strict=True))
         return sum(stride * index for stride, index in zip(self.strides, indices, strict=True))
 
     @property
     def start(self) -> int:
-        """Configuration in which every element is in the mode at its start: all dampers rest."""
+        """Configuration in which every element is in the regime at its start: all dampers rest."""
         return self.configuration([element.law.start for element in self.elements])
 
-    def joint_modes(self, state: np.ndarray) -> list[int]:
-        """Return the number of each joint's mode at a state, shape (states,).
+    def joint_regimes(self, state: np.ndarray) -> list[int]:
+        """Return the number of each joint's regime at a state, shape (states,).
 
-        A joint with memory sticks. If its force would exceed the limits, its memory in `state` is changed.
+        A joint with a slider sticks. If its force would exceed the limits, its slider displacement in `state` is
+        changed.
         """
-        modes = []
+        regimes = []
         for joint in self.elements[self.dampers :]:
             gap, speed = float(joint.along_gap(state)), float(joint.along_gap(state[self.coordinates :]))
-            mode = joint.law.start if joint.memory >= 0 else joint.law.mode_for(gap, speed)
-            if joint.memory >= 0:
-                state[joint.memory] = np.clip(state[joint.memory], gap - joint.clearance, gap + joint.clearance)
-            modes.append(list(joint.law.modes).index(mode))
-        return modes
+            regime = joint.law.start if joint.slider >= 0 else joint.law.regime_for(gap, speed)
+            if joint.slider >= 0:
+                state[joint.slider] = np.clip(state[joint.slider], gap - joint.clearance, gap + joint.clearance)
+            regimes.append(list(joint.law.regimes).index(regime))
+        return regimes
 
     @property
-    def start_modes(self) -> NDArray[np.int64]:
-        """Number of each element's mode at the start, shape (elements,)."""
-        return np.array([list(element.law.modes).index(element.law.start) for element in self.elements], dtype=np.int64)
+    def start_regimes(self) -> NDArray[np.int64]:
+        """Number of each element's regime at the start, shape (elements,)."""
+        return np.array(
+            [list(element.law.regimes).index(element.law.start) for element in self.elements], dtype=np.int64
+        )
 
     def force_indices(self, configurations: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the index of each element's force in `Law.forces`, shape of `configurations` and (elements,)."""
@@ -385,8 +388,8 @@ class HybridSystem:
                 for column, column_factor in element.direction:
                     force[i, column] += factor * column_factor * row.gap
                     force[i, n + column] += factor * column_factor * row.speed
-                if element.memory >= 0:
-                    force[i, element.memory] += factor * row.memory
+                if element.slider >= 0:
+                    force[i, element.slider] += factor * row.slider
                 constant[i] += factor * (row.constant - row.gap * row.rest)
         return force, constant
 

@@ -9,7 +9,8 @@ In the frame of the cavity, the velocities of the grains change by the negative 
 beginning of a step, the change by the body's acceleration over half a step is applied, and at the end the remainder of
 the exact change. The exchange is of second order in h, as is LAMMPS's scheme, and conserves momentum.
 
-A *break* is an instant at which a velocity or an acceleration of the structure jumps: an impact or a separation.
+A *discontinuity* is an instant at which a velocity or an acceleration of the structure jumps: an impact or a
+separation.
 """
 
 from dataclasses import fields, replace
@@ -192,21 +193,23 @@ class CoupledPropagator:
         self._fill_columns(samples, columns, at_ends, beds.force[:, :, ends], beds.gap[:, ends])
 
     def at_samples(self, trajectory: Trajectory) -> Trajectory:
-        """Renumber events and breaks by sample interval instead of time step; the states remain those of the steps."""
+        """Renumber events and discontinuities by sample interval instead of time step; the states remain."""
 
         def in_intervals(segment: NDArray[np.int64], offset: Array) -> tuple[NDArray[np.int64], Array]:
             """Convert numbers of steps, and times in steps, to numbers of sample intervals and times in these."""
             return segment // self.substeps, offset + (segment % self.substeps) * self.step
 
         event_segment, event_offset = in_intervals(trajectory.event_segment, trajectory.event_offset)
-        break_segment, break_offset = in_intervals(trajectory.break_segment, trajectory.break_offset)
+        discontinuity_segment, discontinuity_offset = in_intervals(
+            trajectory.discontinuity_segment, trajectory.discontinuity_offset
+        )
         return replace(
             trajectory,
             event_segment=event_segment,
             event_offset=event_offset,
             event_damper=self._elements_without_grains[trajectory.event_damper],
-            break_segment=break_segment,
-            break_offset=break_offset,
+            discontinuity_segment=discontinuity_segment,
+            discontinuity_offset=discontinuity_offset,
         )
 
     def accelerations(self, states: Array, table_indices: NDArray[np.int64]) -> Array:
@@ -266,13 +269,13 @@ def _with_bed_inputs(scene: Scene, system: HybridSystem, bodies: NDArray[np.intp
 
 
 def _join(empty_log: Trajectory, samples: StateSamples, event_logs: list[tuple[int, Trajectory]]) -> Trajectory:
-    """Join states, events and breaks of all steps to one trajectory; `empty_log` supplies arrays of the right types."""
+    """Join states, events and discontinuities of all steps to one trajectory; `empty_log`: empty arrays."""
     logs = {
         item.name: np.concatenate([getattr(empty_log, item.name), *(getattr(log, item.name) for _, log in event_logs)])
         for item in fields(Trajectory)
         if item.name not in StateSamples._fields
     }
-    for name in ("event_segment", "break_segment"):
+    for name in ("event_segment", "discontinuity_segment"):
         logs[name] = np.repeat(
             np.array([k for k, _ in event_logs], dtype=np.int64), [len(getattr(log, name)) for _, log in event_logs]
         )

@@ -17,8 +17,8 @@ from rig.core.laws.events import CEILING_IMPACT, EVENT_NAMES, FLOOR_IMPACT, NO_E
 from rig.core.laws.law import GAP
 from rig.studies.cost.first_order_form import FLIGHT, ComputedMotion, End, FirstOrderForm
 
-#: After a change of mode, detection of an event is suspended for this time, s, if its guard is at rounding level, such
-#: as the guard of a wall that a damper has just left.
+#: After a change of regime, detection of an event is suspended for this time, s, if its guard is at rounding level,
+#: such as the guard of a wall that a damper has just left.
 GUARD_PAUSE_S = 2e-5
 #: A guard is at rounding level if its value is at most this fraction of the magnitudes of its terms.
 AT_LIMIT = 1e-9
@@ -47,17 +47,17 @@ class SegmentSolver(Protocol):
 
 
 class _Contacts:
-    """Mode of each element, and the guards at which it ends."""
+    """Regime of each element, and the guards at which it ends."""
 
     def __init__(self, problem: FirstOrderForm, guard_pause: float) -> None:
         self.problem, self.guard_pause = problem, guard_pause
-        self.modes = list(problem.start_modes)
+        self.regimes = list(problem.start_regimes)
         self.events: list[tuple[float, int, str]] = []
         self._disabled_until: dict[tuple[int, int], float] = {}
         self._update()
 
     def _update(self) -> None:
-        self.matrix, ends = self.problem.flow(self.modes)
+        self.matrix, ends = self.problem.flow(self.regimes)
         self.ends = [(j, end) for j, own_ends in enumerate(ends) for end in own_ends]
         self.guards: list[Guard] = [
             self._guard(end.row, self._disabled_until.get((j, k), -np.inf))
@@ -71,28 +71,30 @@ class _Contacts:
         return lambda t, z: float(row @ z) if t > disabled_until else 1.0
 
     def leave(self, z: Array, now: float, j: int, end: End) -> None:
-        """Change the mode of an element at the end of its mode."""
-        if end.exit.event != NO_EVENT:
-            self.events.append((now, j, str(EVENT_NAMES[end.exit.event])))
-        candidates = self.problem.numbers(j, end.exit.to)
-        target = next((mode for mode in candidates if end.exit.event in IMPACTS or self._is_inside(z, j, mode)), None)
-        self.problem.leave(z, j, self.modes, end, candidates[-1] if target is None else target)
-        own_ends = self.problem.flow(self.modes)[1][j]
+        """Change the regime of an element at the end of its regime."""
+        if end.transition.event != NO_EVENT:
+            self.events.append((now, j, str(EVENT_NAMES[end.transition.event])))
+        candidates = self.problem.numbers(j, end.transition.to)
+        target = next(
+            (regime for regime in candidates if end.transition.event in IMPACTS or self._is_inside(z, j, regime)), None
+        )
+        self.problem.leave(z, j, self.regimes, end, candidates[-1] if target is None else target)
+        own_ends = self.problem.flow(self.regimes)[1][j]
         for k, end in enumerate(own_ends):
             self._disabled_until[j, k] = now + self.guard_pause if _is_at_limit(end, z) else -np.inf
         self._update()
 
-    def _is_inside(self, z: Array, j: int, mode: int) -> bool:
-        """Return whether no signal is beyond its limit in a mode."""
-        ends = self.problem.flow([*self.modes[:j], mode, *self.modes[j + 1 :]])[1][j]
+    def _is_inside(self, z: Array, j: int, regime: int) -> bool:
+        """Return whether no signal is beyond its limit in a regime."""
+        ends = self.problem.flow([*self.regimes[:j], regime, *self.regimes[j + 1 :]])[1][j]
         return all(end.row @ z >= 0.0 or _is_at_limit(end, z) for end in ends)
 
     def release(self, z: Array, now: float) -> None:
-        """Leave modes whose signals an event has moved beyond their limits, one after another."""
+        """Leave regimes whose signals an event has moved beyond their limits, one after another."""
         while beyond := [
             (j, end)
             for (j, end), guard in zip(self.ends, self.guards, strict=True)
-            if end.exit.event not in IMPACTS and guard(now, z) < 0.0
+            if end.transition.event not in IMPACTS and guard(now, z) < 0.0
         ]:
             self.leave(z, now, *beyond[0])
 
@@ -205,7 +207,9 @@ def penalty(problem: FirstOrderForm, contacts_per_period: int) -> ComputedMotion
             derivative += force_response.dot(-stiffness * penetration - (penetration != 0.0) * dashpot * gap_rate)
         return derivative
 
-    walls = [(j, end.row, str(EVENT_NAMES[end.exit.event])) for j, ends in enumerate(ends_in_flight) for end in ends]
+    walls = [
+        (j, end.row, str(EVENT_NAMES[end.transition.event])) for j, ends in enumerate(ends_in_flight) for end in ends
+    ]
     start = np.array(problem.start)
     start[problem.first_height : problem.first_height + dampers] -= system.damper_mass * system.gravity / stiffness
     solution = _solve_ivp(

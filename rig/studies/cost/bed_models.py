@@ -30,7 +30,7 @@ CONTACT_RESTITUTION = 0.05
 STEP_RATIOS = (0.1, 0.19)
 #: Ratio of the modulus of the grains to the modulus of softer grains.
 SOFTENING_RATIO = 10.0
-#: Periods over which the motion of grains is averaged (a block).
+#: Number of periods over which the motion of grains is averaged (a block).
 PERIODS = 20
 #: The simulation ends after this number of blocks, even if the motion is not in steady state.
 MAX_BLOCKS = 5

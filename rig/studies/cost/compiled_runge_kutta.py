@@ -57,8 +57,8 @@ class Contacts(NamedTuple):
     """Contact state of the dampers, and the event log."""
 
     state: NDArray[np.int64]  # `FLIGHT`, `FLOOR` or `CEILING`, (dampers,)
-    disabled_until: Array  # time at which the guard of each wall is enabled again, s, (dampers, 3)
-    time: Array  # of each event in the log, s
+    disabled_until: Array  # time at which the guard of each wall is enabled again [s], (dampers, 3)
+    time: Array  # of each event in the log [s]
     damper: NDArray[np.int64]  # of each event
     kind: NDArray[np.int64]  # of each event, an index of `EVENT_KINDS`
     logged_events: NDArray[np.int64]  # number of events in the log, an array of one element
@@ -79,7 +79,7 @@ class DormandPrince:
         """Compute the motion.
 
         `rtol`: relative tolerance; the absolute tolerance is a thousandth of `rtol`, as for the other adaptive solvers;
-        `guard_pause`: time for which a guard is disabled after the damper leaves the wall, s; `max_step`: s. Raises
+        `guard_pause`: time for which a guard is disabled after the damper leaves the wall [s]; `max_step`: s. Raises
         `RunError` if events repeat endlessly, or there are too many steps.
         """
         problem = self._problem
@@ -236,7 +236,7 @@ def _log_event(contacts: Contacts, t: float, j: int, kind: int) -> None:
 
 @inlined_kernel
 def _separate(tables: Tables, contacts: Contacts, t: float, z: Array, j: int, speed: float, guard_pause: float) -> None:
-    """Separate a damper from its wall; `speed`: its velocity afterwards, m/s."""
+    """Separate a damper from its wall; `speed`: its velocity afterwards [m/s]."""
     wall = contacts.state[j]
     z[tables.first_height + j] = z[tables.damper_coordinate[j]] + (tables.clearance[j] if wall == CEILING else 0.0)
     z[tables.first_height + contacts.state.shape[0] + j] = speed

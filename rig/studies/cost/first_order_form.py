@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
 from rig.core.base.errors import SceneError
-from rig.core.laws.law import Exit, Mode, Row
+from rig.core.laws.law import Regime, Row, Transition
 from rig.core.system.hybrid_system import Element, HybridSystem
 from rig.core.system.open_loop_drive import ToneDrive
 
-#: Mode of each element, by its number in the law.
-Modes = Sequence[int]
+#: Regime of each element, by its number in the law.
+Regimes = Sequence[int]
 
 #: Number of samples per period at which methods are compared.
 SAMPLES_PER_PERIOD = 16
-#: Modes of a bed with instantaneous contact, and the kind of the event that starts each of them.
+#: Regimes of a bed with instantaneous contact, and the kind of the event that starts each of them.
 FLIGHT, FLOOR, CEILING = 0, 1, 2
 EVENT_KINDS = ("separation", "floor", "ceiling")
 
@@ -37,11 +37,11 @@ class ComputedMotion:
 
 
 class End(NamedTuple):
-    """An end of a mode: the mode lasts while the product of the row with z is positive."""
+    """An end of a regime: the regime lasts while the product of the row with z is positive."""
 
     row: NDArray[Any]
     limit: float  # limit of the signal
-    exit: Exit
+    transition: Transition
 
 
 class FirstOrderForm:
@@ -58,7 +58,7 @@ class FirstOrderForm:
     pi
         Value of pi in that type.
     integrals : bool
-        Whether z ends with real and imaginary part of the integral of each coordinate times exp(-i w t).
+        Whether z ends with the real and imaginary parts of the integral of each coordinate times exp(-i w t).
 
     Attributes
     ----------
@@ -70,8 +70,8 @@ class FirstOrderForm:
         Coordinate of the body to which the gap of each element is measured.
     inverse_mass : ndarray, shape (elements,)
         Inverse mass of that body, 1/kg.
-    start_modes : list of int
-        Modes at the start.
+    start_regimes : list of int
+        Regimes at the start.
 
     Raises
     ------
@@ -112,8 +112,8 @@ class FirstOrderForm:
         )
         self._driven_columns = [*range(ns), *range(self.constant_index, self.constant_index + 3)]
         state = np.array(tone.state, dtype=np.float64)
-        joint_modes = system.joint_modes(state)
-        self.start_modes = [*system.start_modes.tolist()[: system.dampers], *joint_modes]
+        joint_regimes = system.joint_regimes(state)
+        self.start_regimes = [*system.start_regimes.tolist()[: system.dampers], *joint_regimes]
         self.start = [*self.exact(state), *self.exact(state[self.body]), *self.exact(state[n + self.body])]
         self.start += [self._unit, self._unit] + [self._zero] * (1 + 2 * self._integrals)
 
@@ -127,26 +127,26 @@ class FirstOrderForm:
         """Whether all elements are beds with instantaneous contact: no other mass falls freely."""
         return bool(self.system.detached.all())
 
-    def mode(self, j: int, modes: Modes) -> Mode:
-        """Return the present mode of an element."""
-        return list(self.system.elements[j].law.modes.values())[modes[j]]
+    def regime(self, j: int, regimes: Regimes) -> Regime:
+        """Return the current regime of an element."""
+        return list(self.system.elements[j].law.regimes.values())[regimes[j]]
 
     def numbers(self, j: int, names: Sequence[str]) -> list[int]:
-        """Return the numbers of modes of an element."""
-        return [list(self.system.elements[j].law.modes).index(name) for name in names]
+        """Return the numbers of regimes of an element."""
+        return [list(self.system.elements[j].law.regimes).index(name) for name in names]
 
-    def matrix(self, modes: Modes) -> NDArray[Any]:
-        """Compute M (size, size) in a combination of modes."""
-        return self._solve(modes)[0]
+    def matrix(self, regimes: Regimes) -> NDArray[Any]:
+        """Compute M (size, size) in a combination of regimes."""
+        return self._solve(regimes)[0]
 
-    def _solve(self, modes: Modes) -> tuple[NDArray[Any], NDArray[Any]]:
+    def _solve(self, regimes: Regimes) -> tuple[NDArray[Any], NDArray[Any]]:
         """Compute M (size, size), and rows (elements, size) whose products with z are the holding forces [N]."""
         n, ns, elements = self.system.coordinates, self.system.states, len(self.system.elements)
         mass, force, columns = self.mass.copy(), self._force.copy(), self._driven_columns
         matrix, hold = np.full((self.size, self.size), self._zero), np.full((elements, self.size), self._zero)
         held = []
         for j, element in enumerate(self.system.elements):
-            row = self.mode(j, modes).force
+            row = self.regime(j, regimes).force
             if row is not None and element.gap >= 0:
                 for i, factor in self._direction(element):
                     force[i] += factor * self.row(j, row)[columns]
@@ -191,7 +191,7 @@ class FirstOrderForm:
     def row(self, j: int, row: Row) -> NDArray[Any]:
         """Return a row of a law without holding force as a row vector, whose product with z is the value of the row."""
         element, n = self.system.elements[j], self.system.coordinates
-        gap, speed, constant, rest, memory = self.exact([row.gap, row.speed, row.constant, row.rest, row.memory])
+        gap, speed, constant, rest, slider = self.exact([row.gap, row.speed, row.constant, row.rest, row.slider])
         vector = np.full(self.size, self._zero)
         for i, factor in self._direction(element):
             vector[i] += factor * gap
@@ -202,20 +202,20 @@ class FirstOrderForm:
             vector[element.body] -= gap
             vector[height + len(self.system.elements)] += speed
             vector[n + element.body] -= speed
-        if element.memory >= 0:
-            vector[element.memory] += memory
+        if element.slider >= 0:
+            vector[element.slider] += slider
         vector[self.constant_index] += constant - gap * rest
         return vector
 
-    def flow(self, modes: Modes) -> tuple[NDArray[Any], list[list[End]]]:
-        """Return M and the ends of the mode of each element, in a combination of modes."""
-        matrix, hold = self._solve(modes)
+    def flow(self, regimes: Regimes) -> tuple[NDArray[Any], list[list[End]]]:
+        """Return M and the ends of the regime of each element, in a combination of regimes."""
+        matrix, hold = self._solve(regimes)
         ends = [
             [
-                End(side * self._distance(j, signal.row, limit, hold[j]), limit, exit_)
-                for signal in self.mode(j, modes).signals
-                for side, (limit, exit_) in zip((1, -1), signal.ends, strict=True)
-                if exit_ is not None
+                End(side * self._distance(j, signal.row, limit, hold[j]), limit, transition)
+                for signal in self.regime(j, regimes).signals
+                for side, (limit, transition) in zip((1, -1), signal.ends, strict=True)
+                if transition is not None
             ]
             for j in range(len(self.system.elements))
         ]
@@ -230,16 +230,16 @@ class FirstOrderForm:
         return vector
 
     def leave(
-        self, z: MutableSequence[Any] | Array, j: int, modes: MutableSequence[int], end: End, target: int
+        self, z: MutableSequence[Any] | Array, j: int, regimes: MutableSequence[int], end: End, target: int
     ) -> None:
-        """Change the mode in place: velocities after an impact, held gap and memory of the new mode."""
+        """Change the regime in place: velocities after an impact, held gap and slider of the new regime."""
         element, n, elements = self.system.elements[j], self.system.coordinates, len(self.system.elements)
-        before, height, speed = self.mode(j, modes), self.first_height + j, self.first_height + elements + j
-        modes[j] = target
-        after, rebound = self.mode(j, modes), self._zero
-        if end.exit.restitution is not None:
+        before, height, speed = self.regime(j, regimes), self.first_height + j, self.first_height + elements + j
+        regimes[j] = target
+        after, rebound = self.regime(j, regimes), self._zero
+        if end.transition.restitution is not None:
             # A mass that stays at its wall does not rebound: the impulse is that of a plastic impact.
-            rebound = self._collide(z, j, 0.0 if after.force is None else end.exit.restitution)
+            rebound = self._collide(z, j, 0.0 if after.force is None else end.transition.restitution)
         if element.gap < 0:
             limit = self.exact(before.wall_gap if before.force is None else end.limit)[()]
             z[height], z[speed] = z[element.body] + limit, z[n + element.body] + rebound
@@ -247,13 +247,13 @@ class FirstOrderForm:
             z[n + element.gap] = self._zero
             if after.wall:
                 z[element.gap] = self.exact(after.wall_gap)[()]
-        elif end.exit.restitution is not None:
+        elif end.transition.restitution is not None:
             z[element.gap], z[n + element.gap] = self.exact(end.limit)[()], rebound
-        if element.memory >= 0 and before.force is not None and after.force is not None and after.force.memory:
+        if element.slider >= 0 and before.force is not None and after.force is not None and after.force.slider:
             # The force does not jump.
-            z[element.memory] = self._zero
+            z[element.slider] = self._zero
             force = np.dot(self.row(j, before.force) - self.row(j, after.force), z)
-            z[element.memory] = force / self.exact(after.force.memory)[()]
+            z[element.slider] = force / self.exact(after.force.slider)[()]
 
     def _collide(self, z: MutableSequence[Any] | Array, j: int, restitution: float) -> Any:
         """Apply an impact by Newton's impact law to the bodies; return the speed of the gap after it."""

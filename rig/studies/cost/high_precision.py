@@ -1,9 +1,9 @@
 """Motions and periodic orbits to forty digits, the reference for the error of every method of `rig cost`.
 
-The engine provides the system matrices and the order of the events; the laws of the elements provide the modes between
-events. Each event is located again as the root of its signal in decimal arithmetic, and the flow between events is a
-Taylor series. Newton's method refines a periodic orbit to all digits, from the initial state computed by shooting. The
-difference between two precisions indicates the number of correct digits.
+The engine provides the system matrices and the order of the events; the laws of the elements provide the regimes
+between events. Each event is located again as the root of its signal in decimal arithmetic, and the flow between events
+is a Taylor series. Newton's method refines a periodic orbit to all digits, from the initial state computed by shooting.
+The difference between two precisions indicates the number of correct digits.
 """
 
 import decimal
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rig.core.base.errors import RunError
 from rig.core.laws.events import EVENT_NAMES, NO_EVENT
-from rig.core.orbits.event_sequence import modes_from_walls
+from rig.core.orbits.event_sequence import regimes_from_walls
 from rig.core.orbits.orbit import Orbit
 from rig.core.scene.scene import Scene
 from rig.core.simulation.simulate import Run
@@ -68,7 +68,7 @@ class ExactMotion:
 class ExactOrbit:
     """A steady response with far more digits than float64."""
 
-    real: NDArray[np.object_]  # real part of the compliance, m/N; Decimal, shape (bodies,)
+    real: NDArray[np.object_]  # real part of the compliance [m/N]; Decimal, shape (bodies,)
     imag: NDArray[np.object_]  # imaginary part
     residual: float  # difference between start and end of the orbit, relative to the motion
     agreement: float  # relative difference from the compliance computed with fewer digits
@@ -136,7 +136,7 @@ def events_of(events: Any, system: HybridSystem) -> list[Event]:
 class DecimalMotion:
     """Motion of a system in decimal arithmetic, given the order and approximate times of its events.
 
-    `z`: current state, as in `FirstOrderForm`; `modes`: mode of each element; `now`: current time [s]; `samples`:
+    `z`: current state, as in `FirstOrderForm`; `regimes`: regime of each element; `now`: current time [s]; `samples`:
     states at the sample times; `times`: event times [s].
     """
 
@@ -147,11 +147,11 @@ class DecimalMotion:
         with decimal.localcontext(self.context):
             self.form = FirstOrderForm(system, tone, 0, Decimal, PI, integrals)
         self._flows: dict[tuple[int, ...], tuple[NDArray[Any], list[list[End]], list[Any]]] = {}
-        self.begin(self.form.start, self.form.start_modes)
+        self.begin(self.form.start, self.form.start_regimes)
 
-    def begin(self, z: Vector, modes: Sequence[int]) -> None:
+    def begin(self, z: Vector, regimes: Sequence[int]) -> None:
         """Set the state at time 0."""
-        self.z, self.modes, self.now = list(z), list(modes), Decimal(0)
+        self.z, self.regimes, self.now = list(z), list(regimes), Decimal(0)
         self.samples: list[Vector] = []
         self.times: list[Decimal] = []
 
@@ -181,38 +181,38 @@ class DecimalMotion:
     def _to_event(
         self, guess: Decimal, j: int, kind: str, is_simultaneous: bool, next_kind: str | None, wall: int | None
     ) -> None:
-        """Advance to an event near `guess`, and change the mode; `is_simultaneous`: at the instant of another event."""
+        """Advance to an event near `guess`; change the regime; `is_simultaneous`: at the instant of another event."""
         if not is_simultaneous:
             self.advance(guess)
-        possible = list(self._possible_ends(j, self.modes[j], kind))
+        possible = list(self._possible_ends(j, self.regimes[j], kind))
         if not possible:
             raise self._not_reproduced(guess, j, kind)
-        self.modes[j], end = min(possible, key=lambda mode_and_end: self._root_distance(mode_and_end[1]))
+        self.regimes[j], end = min(possible, key=lambda regime_and_end: self._root_distance(regime_and_end[1]))
         if is_simultaneous and self._root_distance(end) > MAX_ROOT_DISTANCE_S:
             # The other event has moved a signal beyond its limit.
-            self.modes[j], end = min(possible, key=lambda mode_and_end: np.dot(mode_and_end[1].row, self.z))
+            self.regimes[j], end = min(possible, key=lambda regime_and_end: np.dot(regime_and_end[1].row, self.z))
         else:
             self._to_root(guess, end.row, j, kind)
-        candidates = self.form.numbers(j, end.exit.to)
-        target = next((mode for mode in candidates if self._continues(j, mode, next_kind, wall)), candidates[-1])
+        candidates = self.form.numbers(j, end.transition.to)
+        target = next((regime for regime in candidates if self._continues(j, regime, next_kind, wall)), candidates[-1])
         self.z = list(self.z)
-        self.form.leave(self.z, j, self.modes, end, target)
+        self.form.leave(self.z, j, self.regimes, end, target)
 
-    def _possible_ends(self, j: int, mode: int, kind: str) -> Iterable[tuple[int, End]]:
-        """Yield the exits of a mode with this kind of event; also of modes that follow it without an event."""
-        modes = [mode]
-        for each in modes:
-            for end in self._flow([*self.modes[:j], each, *self.modes[j + 1 :]])[1][j]:
-                if end.exit.event == NO_EVENT:
-                    modes += [number for number in self.form.numbers(j, end.exit.to) if number not in modes]
-                elif str(EVENT_NAMES[end.exit.event]) == kind:
+    def _possible_ends(self, j: int, regime: int, kind: str) -> Iterable[tuple[int, End]]:
+        """Yield the transitions of a regime with this kind of event, or of regimes that follow without one."""
+        regimes = [regime]
+        for each in regimes:
+            for end in self._flow([*self.regimes[:j], each, *self.regimes[j + 1 :]])[1][j]:
+                if end.transition.event == NO_EVENT:
+                    regimes += [number for number in self.form.numbers(j, end.transition.to) if number not in regimes]
+                elif str(EVENT_NAMES[end.transition.event]) == kind:
                     yield each, end
 
-    def _continues(self, j: int, mode: int, next_kind: str | None, wall: int | None) -> bool:
-        """Return whether the element's next event, or without one its contact at the end, can follow from a mode."""
+    def _continues(self, j: int, regime: int, next_kind: str | None, wall: int | None) -> bool:
+        """Return whether the element's next event, or without one its contact at the end, can follow from a regime."""
         if next_kind is not None:
-            return any(True for _ in self._possible_ends(j, mode, next_kind))
-        return wall is None or self.form.mode(j, [*self.modes[:j], mode]).wall == wall
+            return any(True for _ in self._possible_ends(j, regime, next_kind))
+        return wall is None or self.form.regime(j, [*self.regimes[:j], regime]).wall == wall
 
     def _root_distance(self, end: End) -> Decimal:
         """Return the time to the root of a signal by its rate [s]."""
@@ -256,13 +256,13 @@ class DecimalMotion:
         self.z, self.now = list(z), end_time
 
     def _flow(
-        self, modes: Sequence[int] | None = None
+        self, regimes: Sequence[int] | None = None
     ) -> tuple[NDArray[Any], list[list[End]], list[tuple[Vector, Callable[[Vector], Vector]]]]:
-        """Return matrix, ends of the modes, and sparse rows of the matrix: values and a function that selects states.
+        """Return matrix, ends of the regimes, and sparse rows of the matrix: values and a function that selects states.
 
-        `modes`: of all elements; None: the present modes.
+        `regimes`: of all elements; None: the current regimes.
         """
-        key = tuple(self.modes if modes is None else modes)
+        key = tuple(self.regimes if regimes is None else regimes)
         if key not in self._flows:
             matrix, ends = self.form.flow(key)
             rows = []
@@ -287,8 +287,10 @@ class _ClosedOrbit:
         self._motion = DecimalMotion(self._system, tone, digits, integrals=True)
         self._events = events_of(orbit.events, self._system)
         self._flying = orbit.plan.flying.tolist()
-        self._modes = modes_from_walls(orbit.plan.sequence.wall[0], orbit.unknowns[: self._system.states], self._system)
-        self._walls = [self._motion.form.mode(j, self._modes).wall for j in range(len(self._modes))]
+        self._regimes = regimes_from_walls(
+            orbit.plan.sequence.wall[0], orbit.unknowns[: self._system.states], self._system
+        )
+        self._walls = [self._motion.form.regime(j, self._regimes).wall for j in range(len(self._regimes))]
         first_height, elements = self._motion.form.first_height, len(self._system.elements)
         self._unknown_indices = list(range(self._system.states))
         self._unknown_indices += [k for j in self._flying for k in (first_height + j, first_height + elements + j)]
@@ -342,13 +344,13 @@ class _ClosedOrbit:
         z = list(motion.form.start)
         for k, value in zip(self._unknown_indices, start, strict=True):
             z[k] = value
-        motion.begin(z, self._modes)
+        motion.begin(z, self._regimes)
         motion.integrate(self._events, self._walls)
         motion.advance(self._end)
         return motion.z
 
     def compliance(self, start: Vector) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Compute the compliance of the bodies from first harmonics; return real and imaginary part [m/N]."""
+        """Compute the compliance of the bodies from first harmonics; return the real and imaginary parts [m/N]."""
         with decimal.localcontext(self._motion.context):
             n, bodies = self._system.coordinates, self._scene.structure.bodies
             end, first = self._integrate(start), self._motion.form.constant_index + 3

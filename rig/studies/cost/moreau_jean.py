@@ -31,8 +31,8 @@ class Step(NamedTuple):
     gap_rate: Array  # row vectors for the rate of this height
     clearance: Array  # m, (dampers,)
     restitution: Array  # (dampers,)
-    omega: float  # angular frequency of the drive, rad/s
-    length: float  # duration of the step, s
+    omega: float  # angular frequency of the drive [rad/s]
+    length: float  # duration of the step [s]
 
 
 def moreau_jean(problem: FirstOrderForm, steps: int) -> ComputedMotion:

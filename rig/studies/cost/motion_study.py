@@ -27,7 +27,7 @@ from rig.studies.cost.adaptive_solvers import GUARD_PAUSE_S, cvode_solver, integ
 from rig.studies.cost.first_order_form import SAMPLES_PER_PERIOD, ComputedMotion, FirstOrderForm
 from rig.studies.cost.high_precision import DIGITS, ExactMotion, events_of, exact_motion
 
-#: Periods of the drive that every method computes.
+#: Number of periods of the drive that every method computes.
 PERIODS = 20
 #: CPU time after which a method is stopped [s].
 MAX_CPU_S = 10.0
@@ -35,9 +35,9 @@ MAX_CPU_S = 10.0
 MIN_MEASURED_CPU_S = 0.05
 #: Stiffness of the penalty springs, as the ratio of drive period to contact duration.
 CONTACTS_PER_PERIOD = (30, 300, 3000)
-#: Steps per period of time stepping; multiples of the samples per period.
+#: Numbers of steps per period of time stepping; multiples of the samples per period.
 STEPS_PER_PERIOD = (320, 1600, 8000, 40_000)
-#: Samples per period of the engine's sampled drives.
+#: Numbers of samples per period of the engine's sampled drives.
 DRIVE_SAMPLES_PER_PERIOD = (64, 256, 1024, 4096)
 #: Maximum step of a general solver that misses no events, in periods of the drive.
 SHORT_STEP_RATIO = 1 / 40
@@ -56,10 +56,10 @@ class Point:
 
     method: str
     setting: str
-    cpu: float  # CPU time, s: per period of the drive for the motion, total for the steady state
+    cpu: float  # CPU time [s]: per period of the drive for the motion, total for the steady state
     error: float
     """Largest error of any displacement relative to the largest displacement; NaN if the method failed."""
-    event_error: float = np.nan  # largest error of an event's time, s; NaN if there are no events to compare
+    event_error: float = np.nan  # largest error of an event's time [s]; NaN if there are no events to compare
     is_correct: bool = True
     """Whether the result is valid: events in the correct order for each element; for the steady state, convergence."""
     note: str = ""  # remarks, or the reason for a failure

@@ -64,7 +64,7 @@ class Design(Result):
     modes : tuple of ModePeaks
         Peaks of the modes in the band and next to it, with and without the dampers.
     flight : Flight
-        Take-off level and flight height of the dampers.
+        Separation level and flight height of the dampers.
     tuned : TunedMass or None
         The best tuned mass damper (linear) with the total mass of the dampers; None if no mode moves its bodies.
     trials : tuple of Trial

@@ -1,4 +1,4 @@
-"""Take-off level and flight height of dampers, and the levels at which they reduce the peak of the response."""
+"""Separation level and flight height of dampers, and the levels at which they reduce the peak of the response."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Flight:
     if the motion at some frequency is irregular, or if the dampers reach their ceiling.
     """
 
-    take_off: float  # lowest level at which a damper takes off in the band, N or drive
+    take_off: float  # lowest level at which a damper separates in the band, N or drive
     body: int  # body of this damper, from 1
     height: float
 
@@ -41,7 +41,7 @@ class Flight:
 
 
 def compute_flight(objective: Objective, trial: Trial, is_ceiling_unreached: bool) -> Flight:
-    """Compute the take-off level of a trial's dampers, and their flight height if they do not reach the ceiling."""
+    """Compute the separation level of a trial's dampers, and their flight height if they do not reach the ceiling."""
     scene = _damped_scene(objective, trial)
     accelerations = damper_accelerations(scene, _frequencies(objective, trial)).max(axis=1)
     # The damper that takes off at the lowest level.

@@ -16,8 +16,8 @@ DEFAULT_POINTS = 48
 DEFAULT_ROWS = 36
 #: Frequencies are finely spaced within this fraction of a natural frequency on either side.
 RESONANCE_HALF_WIDTH = 0.02
-#: The default range of levels includes these multiples of the lowest take-off level.
-LEVEL_TO_TAKE_OFF_RATIOS = (0.5, 20.0)
+#: The default range of levels includes these multiples of the lowest separation level.
+LEVEL_TO_SEPARATION_RATIOS = (0.5, 20.0)
 #: The default range of levels includes these multiples of the level of the scene.
 LEVEL_TO_SCENE_LEVEL_RATIOS = (0.5, 4.0)
 #: The default range of clearances includes these multiples of the displacement amplitude of a damper on its floor.
@@ -94,14 +94,14 @@ def _test_range(scene: Scene) -> tuple[float, float]:
     return band if low < high else (0.8 * low, 1.2 * low)
 
 
-def take_off_levels(scene: Scene, frequency: Array) -> Array:
+def separation_levels(scene: Scene, frequency: Array) -> Array:
     """Compute the level at which the linear motion with resting dampers ends.
 
     At this level a bed reaches 1 g, a mass on a spring its wall, friction its limit, or the first joint closes or
     slips. `frequency`, shape (frequencies,): Hz. Returns shape (frequencies,), N, or the unit of the drive.
     """
     system = assemble(scene)
-    take_off = system.take_off_acceleration[np.isfinite(system.take_off_acceleration)]
+    take_off = system.separation_acceleration[np.isfinite(system.separation_acceleration)]
     gaps, distance = gaps_per_level(scene, system, 2.0 * np.pi * frequency)
     levels = [take_off[:, None] / damper_accelerations(scene, frequency), distance[:, None] / gaps]
     return np.asarray(np.concatenate(levels).min(axis=0))
@@ -113,7 +113,7 @@ def damper_accelerations(scene: Scene, frequency: Array) -> Array:
     All these dampers are on their floors. `frequency`: Hz. Returns shape (dampers, frequencies).
     """
     system = assemble(scene)
-    bodies = system.damper_coordinate[np.isfinite(system.take_off_acceleration)]
+    bodies = system.damper_coordinate[np.isfinite(system.separation_acceleration)]
     return np.stack([accelerations_per_level(scene, system, 2.0 * np.pi * f)[bodies] for f in frequency], axis=1)
 
 
@@ -128,9 +128,9 @@ def select_row_values(
     """Select levels or clearances, evenly spaced in the logarithm.
 
     `over`: "force", "drive" or "clearance"; `frequency`: Hz; `lowest`, `highest`: ends of the range. The default
-    range of levels contains the lowest take-off level. In the default range of clearances, a damper moves little at the
-    smallest and rarely reaches its ceiling at the largest. Unless both ends are given, one row is the scene's value.
-    Raises `SceneError` if the ends are not a valid range.
+    range of levels contains the lowest separation level. In the default range of clearances, a damper moves little at
+    the smallest and rarely reaches its ceiling at the largest. Unless both ends are given, one row is the scene's
+    value. Raises `SceneError` if the ends are not a valid range.
     """
     scene_value, default = (_clearances if over == "clearance" else _levels)(scene, frequency)
     low, high = default[0] if lowest is None else lowest, default[1] if highest is None else highest
@@ -148,8 +148,8 @@ def select_row_values(
 def _levels(scene: Scene, frequency: Array) -> tuple[float, tuple[float, float]]:
     """Return the scene's own level and the ends of the default range."""
     level = level_of(scene)
-    lowest_take_off = float(take_off_levels(scene, frequency).min()) or level
-    return level, _range_around(lowest_take_off, LEVEL_TO_TAKE_OFF_RATIOS, level, LEVEL_TO_SCENE_LEVEL_RATIOS)
+    lowest_separation = float(separation_levels(scene, frequency).min()) or level
+    return level, _range_around(lowest_separation, LEVEL_TO_SEPARATION_RATIOS, level, LEVEL_TO_SCENE_LEVEL_RATIOS)
 
 
 def _clearances(scene: Scene, frequency: Array) -> tuple[float, tuple[float, float]]:

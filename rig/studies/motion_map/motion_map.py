@@ -26,7 +26,7 @@ from rig.core.steady_response.frequency_response import SteadyContinuation
 from rig.core.system.assembly import assemble
 from rig.core.system.open_loop_drive import level_of, with_ideal_force
 from rig.core.system.structural_model import structural_model
-from rig.studies.motion_map.grid import select_frequencies, select_row_values, take_off_levels, vertical_axis
+from rig.studies.motion_map.grid import select_frequencies, select_row_values, separation_levels, vertical_axis
 
 if TYPE_CHECKING:
     import xarray
@@ -176,7 +176,7 @@ class MotionMap(Result):
         return np.where(self.repetition > 0, self.periods / self.frequency, np.nan)
 
     def draw_axes(self, ax: Axes) -> None:
-        """Label the axes; draw the take-off level, and the level or clearance of the scene."""
+        """Label the axes; draw the separation level, and the level or clearance of the scene."""
         from matplotlib.patheffects import withStroke
 
         (lowest_hz, *_, highest_hz), (lowest_value, *_, highest_value) = self.borders
@@ -267,7 +267,7 @@ def map_motion(
         repetition=np.array([[point.repetition for point in row] for row in points]),
         periods=np.array([[point.periods for point in row] for row in points]),
         cpu=np.array([[point.cpu for point in row] for row in points]),
-        take_off=take_off_levels(scene, frequency),
+        take_off=separation_levels(scene, frequency),
     )
 
 

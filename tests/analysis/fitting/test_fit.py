@@ -217,8 +217,8 @@ def test_dead_channel_is_omitted(tmp_path):
     with daq.open(path) as recording:
         samples = {name: recording.read(name) for name in recording.channels}
         infos, scene = list(recording.channels.values()), recording.scene
-    for dead_channels, expected_names in {"body2": ["body1", "body3"], "body1 body2 body3": []}.items():
-        rows = np.stack([0.0 * row if name in dead_channels else row for name, row in samples.items()])
+    for failed_channels, expected_names in {"body2": ["body1", "body3"], "body1 body2 body3": []}.items():
+        rows = np.stack([0.0 * row if name in failed_channels else row for name, row in samples.items()])
         synthetic.write(tmp_path / "b.mcap", scene, infos, rows, marks)
         with daq.open(tmp_path / "b.mcap") as recording:
             if expected_names:

@@ -9,7 +9,7 @@ import pytest
 import analysis
 import daq
 from analysis.core.responses.checks import channel_changes
-from analysis.core.responses.checks.dead_channels import dead_channels
+from analysis.core.responses.checks.failed_channels import failed_channels
 from analysis.core.responses.checks.gain_steps import step_warnings
 from rig.core.results.response import Response, stack
 from tests.analysis.responses import synthetic
@@ -215,7 +215,7 @@ def test_channel_that_dies_early_in_block_is_dead(random_test):
         samples = read("body3")
         samples[first:] *= 1e-6
         rec.read = lambda name, start=0, stop=None: (samples if name == "body3" else read(name))[start:stop]
-        assert dead_channels(rec) == {"body3": first}
+        assert failed_channels(rec) == {"body3": first}
 
 
 def test_signal_below_a_count_is_not_dead(random_test, tmp_path):
@@ -229,7 +229,7 @@ def test_signal_below_a_count_is_not_dead(random_test, tmp_path):
         marks = [(mark.kind, mark.first_sample, mark.last_sample, mark.fields) for mark in rec.markers]
         path = synthetic.write(tmp_path / "b.mcap", rec.scene, infos, samples, marks)
     with daq.open(path) as rec:
-        assert not dead_channels(rec)
+        assert not failed_channels(rec)
 
 
 def test_settling_sensor_is_not_dead(random_test, tmp_path):
@@ -239,7 +239,7 @@ def test_settling_sensor_is_not_dead(random_test, tmp_path):
         marks = [(mark.kind, mark.first_sample, mark.last_sample, mark.fields) for mark in rec.markers]
         path = synthetic.write(tmp_path / "b.mcap", rec.scene, list(rec.channels.values()), samples, marks)
     with daq.open(path) as rec:
-        assert not dead_channels(rec)
+        assert not failed_channels(rec)
 
 
 def test_noise_at_antiresonance_is_no_change_of_gain():

@@ -1,6 +1,6 @@
 """Motions in closed form (objects of `Motion`), and signal chains that measure these motions.
 
-A break is an instant between samples at which an impact changes the velocity abruptly.
+A discontinuity is an instant between samples at which an impact changes the velocity abruptly.
 """
 
 from dataclasses import dataclass, replace
@@ -37,7 +37,7 @@ class PointMotion:
 
 
 def motion_of(motions, rate, count, first=0):
-    """Return `count` samples of the motion of several points; an impact at one point is a break for all."""
+    """Return `count` samples of the motion of several points; an impact at one point is a discontinuity for all."""
     t = np.arange(first, first + count) / rate
     times = np.array(sorted({instant for point in motions for instant, _ in point.impacts}))
     break_samples = np.ceil(times * rate - 1e-9).astype(np.int64)
@@ -53,18 +53,18 @@ def motion_of(motions, rate, count, first=0):
         acceleration=a,
         gap=without_dampers,
         contact=without_dampers.astype(np.int8),
-        break_sample=break_samples,
-        break_offset=times - (break_samples - 1) / rate,
-        break_displacement=after[:, 0],
-        break_velocity=np.stack([before[:, 1], after[:, 1]]),
-        break_acceleration=np.stack([before[:, 2], after[:, 2]]),
+        discontinuity_sample=break_samples,
+        discontinuity_offset=times - (break_samples - 1) / rate,
+        discontinuity_displacement=after[:, 0],
+        discontinuity_velocity=np.stack([before[:, 1], after[:, 1]]),
+        discontinuity_acceleration=np.stack([before[:, 2], after[:, 2]]),
         events=np.zeros(0),
     )
 
 
 def cut(motion, first, stop):
     """Return part of a motion as a separate block."""
-    breaks = (motion.break_sample >= first) & (motion.break_sample < stop)
+    discontinuities = (motion.discontinuity_sample >= first) & (motion.discontinuity_sample < stop)
     columns = slice(first - motion.first, stop - motion.first)
     return replace(
         motion,
@@ -74,11 +74,11 @@ def cut(motion, first, stop):
         acceleration=motion.acceleration[:, columns],
         gap=motion.gap[:, columns],
         contact=motion.contact[:, columns],
-        break_sample=motion.break_sample[breaks],
-        break_offset=motion.break_offset[breaks],
-        break_displacement=motion.break_displacement[:, breaks],
-        break_velocity=motion.break_velocity[:, :, breaks],
-        break_acceleration=motion.break_acceleration[:, :, breaks],
+        discontinuity_sample=motion.discontinuity_sample[discontinuities],
+        discontinuity_offset=motion.discontinuity_offset[discontinuities],
+        discontinuity_displacement=motion.discontinuity_displacement[:, discontinuities],
+        discontinuity_velocity=motion.discontinuity_velocity[:, :, discontinuities],
+        discontinuity_acceleration=motion.discontinuity_acceleration[:, :, discontinuities],
     )
 
 

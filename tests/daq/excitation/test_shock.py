@@ -1,4 +1,4 @@
-"""Shock tests: pulses within their tolerance, messages of tests that give up, and a device with a queue."""
+"""Shock tests: pulses within their tolerance, messages of tests that abort, and a device with a queue."""
 
 from pathlib import Path
 from typing import Any

@@ -27,7 +27,7 @@ class BenchRun(BenchLoop):
         self.reports: list[tuple[float, str]] = []  # completed fraction, message
         self.drives: list[Array] = []  # windows, shape (inputs, samples)
         self.blocks: list[Array] = []  # readings, shape (channels, samples)
-        self.reason = ""  # message of a test that gave up
+        self.reason = ""  # message of a test that aborted
 
     def mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
         self.marks.append((kind, first, stop, fields))

@@ -83,11 +83,11 @@ def true_motion(first: int, samples: int, dampers: int = 0, points: int = 4, rat
         acceleration=displacement + 2.0,
         gap=np.tile(5e-4 + 1e-9 * sample_number, (dampers, 1)),
         contact=np.tile((sample_number % 3).astype(np.int8), (dampers, 1)),
-        break_sample=np.array(impact_samples, dtype=np.int64),
-        break_offset=np.full(len(impact_samples), 1.0 / rate),
-        break_displacement=np.zeros((points, len(impact_samples))),
-        break_velocity=np.zeros((2, points, len(impact_samples))),
-        break_acceleration=np.zeros((2, points, len(impact_samples))),
+        discontinuity_sample=np.array(impact_samples, dtype=np.int64),
+        discontinuity_offset=np.full(len(impact_samples), 1.0 / rate),
+        discontinuity_displacement=np.zeros((points, len(impact_samples))),
+        discontinuity_velocity=np.zeros((2, points, len(impact_samples))),
+        discontinuity_acceleration=np.zeros((2, points, len(impact_samples))),
         events=np.array([(n / rate, 1, "floor", 0.25) for n in impact_samples], dtype=EVENT_TYPE),
     )
 

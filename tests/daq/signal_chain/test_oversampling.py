@@ -75,9 +75,11 @@ def test_oversampled_motion_equals_motion_at_samples():
     expected = Plant(scene, 2000.0).advance(drive)
     assert result.displacement == pytest.approx(expected.displacement, abs=1e-12)
     assert np.array_equal(result.contact, expected.contact)
-    instants = [(motion.break_sample - 1) / 2000.0 + motion.break_offset for motion in (result, expected)]
+    instants = [
+        (motion.discontinuity_sample - 1) / 2000.0 + motion.discontinuity_offset for motion in (result, expected)
+    ]
     assert instants[0] == pytest.approx(instants[1], abs=1e-10)
-    assert np.all((result.break_offset > 0.0) & (result.break_offset <= 1 / 2000.0 + 1e-15))
+    assert np.all((result.discontinuity_offset > 0.0) & (result.discontinuity_offset <= 1 / 2000.0 + 1e-15))
 
 
 @pytest.mark.parametrize(("rate", "expected"), [(77.0, 52), (400.0, 10), (5120.0, 2)])

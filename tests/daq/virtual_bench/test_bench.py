@@ -35,7 +35,7 @@ def test_block_size_changes_no_sample(scene: rig.Scene) -> None:
         assert [block.first for block in blocks] == edges[:-1]
         np.testing.assert_array_equal(np.concatenate([block.samples for block in blocks], axis=1), whole.samples)
         np.testing.assert_array_equal(np.concatenate([block.overload for block in blocks], axis=1), whole.overload)
-        for name in ("displacement", "gap", "break_offset", "break_sample"):
+        for name in ("displacement", "gap", "discontinuity_offset", "discontinuity_sample"):
             joined = np.concatenate([getattr(block.motion, name) for block in blocks], axis=-1)
             np.testing.assert_array_equal(joined, getattr(whole.motion, name))
 

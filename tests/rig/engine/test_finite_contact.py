@@ -190,5 +190,5 @@ def test_block_size_changes_no_finite_contact() -> None:
             np.concatenate([getattr(block, name) for block in blocks], axis=1), getattr(single_block, name)
         )
     np.testing.assert_array_equal(np.concatenate([block.events for block in blocks]), single_block.events)
-    # Accelerations are finite: at a break (the instant of a contact event) no velocity jumps.
-    np.testing.assert_array_equal(single_block.break_velocity[0], single_block.break_velocity[1])
+    # Accelerations are finite: at a discontinuity (the instant of a contact event) no velocity jumps.
+    np.testing.assert_array_equal(single_block.discontinuity_velocity[0], single_block.discontinuity_velocity[1])

@@ -3,7 +3,7 @@
 From a guard's values and slopes at both ends of a step, the engine computes a lower bound. A positive lower bound
 proves that the guard is positive over the step. Otherwise the engine locates the first zero of the guard's power
 series. `tau` is the time from the start of the step, in full time steps; `length` is the end of a step, which may be
-shorter than a full step. The contact of a damper, and its mode, is FLIGHT, FLOOR or CEILING.
+shorter than a full step. The contact of a damper, and its regime, is FLIGHT, FLOOR or CEILING.
 """
 
 from functools import cache
@@ -82,9 +82,9 @@ def test_lower_bound_after_a_double_zero_is_exact(half_curvature: float, end: fl
 def test_series_bounds_contain_the_guard(length: float) -> None:
     engine = propagator()
     model, state, bound = engine.tables.model, engine.state, engine.workspace.bound
-    state.mode[:] = FLIGHT, FLOOR, CEILING
+    state.regime[:] = FLIGHT, FLOOR, CEILING
     signals = engine.workspace.signals
-    load_signals(model.laws, state.mode, signals.row)
+    load_signals(model.laws, state.regime, signals.row)
     # The signal depends on the position of the body in flight, and on its acceleration in contact.
     rows = model.laws.elements.position_index.copy()
     rows[1:] = model.laws.elements.velocity_index[1:]
@@ -95,7 +95,7 @@ def test_series_bounds_contain_the_guard(length: float) -> None:
     bound_by_series(model, signals, state_series, length, state.z, end_state, bound)
     for j in range(3):
         series = np.polynomial.Polynomial(state_series[:N_COEFFICIENTS, rows[j]])
-        if state.mode[j] != FLIGHT:
+        if state.regime[j] != FLIGHT:
             series = series.deriv() / model.step
             index = first_acceleration + model.laws.elements.position_index[j]
             for z, tau in ((state.z, 0.0), (end_state, length)):
@@ -110,9 +110,9 @@ def test_series_bounds_contain_the_guard(length: float) -> None:
 def test_series_bound_of_finite_contact_is_infinite() -> None:
     engine = propagator("2 ms")
     model, work = engine.tables.model, engine.workspace
-    load_signals(model.laws, engine.state.mode, work.signals.row)
+    load_signals(model.laws, engine.state.regime, work.signals.row)
     bound_by_series(model, work.signals, work.state_series, 1.0, engine.state.z, work.end_state, work.bound)
-    assert (work.bound[work.signals.indices[work.signals.row[model.laws.elements.first_lane], BOUND]] == np.inf).all()
+    assert (work.bound[work.signals.indices[work.signals.row[model.laws.elements.first_slot], BOUND]] == np.inf).all()
 
 
 class Step:
@@ -134,10 +134,12 @@ class Step:
             # A gap between the walls in flight; in contact, an overlap with the wall.
             gap = (0.5 + 0.48 * np.sin(position[j])) * CLEARANCE
             z[model.laws.elements.gap_coordinate[j]] = [gap, -0.1 * gap, CLEARANCE + 0.1 * gap][contacts[j]]
-        modes = [list(element.law.modes)[contact] for element, contact in zip(system.elements, contacts, strict=True)]
-        self.configuration = system.configuration(modes)
+        regimes = [
+            list(element.law.regimes)[contact] for element, contact in zip(system.elements, contacts, strict=True)
+        ]
+        self.configuration = system.configuration(regimes)
         self.matrix, self.offset = (array.astype(float) for array in engine.tables.generator(self.configuration))
-        state.mode[:] = contacts
+        state.regime[:] = contacts
         state.height[:] = z[model.laws.elements.position_index] + (0.5 + 0.48 * np.sin(position)) * CLEARANCE
         state.velocity[:] = 0.1 * speed
         scaled, term = self.matrix * model.step, (self.matrix @ z + self.offset) * model.step
@@ -148,9 +150,9 @@ class Step:
         self.table_index = engine.tables.table_index(self.configuration)
         bound = engine.tables.flow.bound[self.table_index][:size]
         self.bounds = engine.tables.flow.bound_constant[self.table_index] + np.abs(z) @ bound
-        load_signals(model.laws, state.mode, engine.workspace.signals.row)
+        load_signals(model.laws, state.regime, engine.workspace.signals.row)
         self.bound = self.bounds[
-            engine.workspace.signals.indices[engine.workspace.signals.row[model.laws.elements.first_lane], BOUND]
+            engine.workspace.signals.indices[engine.workspace.signals.row[model.laws.elements.first_slot], BOUND]
         ]
 
     def guards(self, tau: np.ndarray) -> list[tuple[int, np.ndarray]]:
@@ -214,8 +216,8 @@ class Step:
         unproven_low, unproven_high = screen(model.gravity, state, work, length, length * model.step)
         if unproven_low | unproven_high:
             expand_state(flow, model.step, self.table_index, state.z, work.state_series)
-        tau, lane, _ = first_event(model, state, work, length, unproven_low, unproven_high)
-        return bool(unproven_low | unproven_high), tau, int(work.signals.indices[work.signals.row[lane], ELEMENT])
+        tau, slot, _ = first_event(model, state, work, length, unproven_low, unproven_high)
+        return bool(unproven_low | unproven_high), tau, int(work.signals.indices[work.signals.row[slot], ELEMENT])
 
 
 def draw_state(engine: Propagator, rng: np.random.Generator) -> np.ndarray:
@@ -288,7 +290,7 @@ def test_one_guard_below_its_margin_is_detected(contacts, seed, duration, low_gu
     model, state, columns = engine.tables.model, engine.state, engine.tables.size
     z = state.z
     z[model.laws.elements.position_index] = 1e-4 * rng.standard_normal(3)
-    state.mode[:] = contacts
+    state.regime[:] = contacts
     state.velocity[:] = 0.01 * rng.standard_normal(3)
     gap = rng.uniform(0.1, 0.9, 3) * CLEARANCE
     drop = model.gravity * duration**2 / 2
@@ -304,7 +306,7 @@ def test_one_guard_below_its_margin_is_detected(contacts, seed, duration, low_gu
     if low_guard >= 0:
         margin[low_guard] = guard[low_guard] * (1 + 1e-9)
     signals = engine.workspace.signals
-    load_signals(model.laws, state.mode, signals.row)
+    load_signals(model.laws, state.regime, signals.row)
     signals.lowest[:] = signals.numbers[signals.row, LOWER] + margin
     signals.highest[:] = signals.numbers[signals.row, UPPER] - margin
     assert inside_margins(model.gravity, state, signals, z, duration) == (low_guard < 0)

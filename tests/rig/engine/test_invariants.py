@@ -1,7 +1,7 @@
 """Laws of any motion: no penetration, compressive contact, balance of momentum and energy, no effect of blocks.
 
-A break is an instant at which a velocity or an acceleration jumps: an impact or a separation. A motion lists the values
-before and after each break. The contact of a damper is FLIGHT, FLOOR or CEILING.
+A discontinuity is an instant at which a velocity or an acceleration jumps: an impact or a separation. A motion lists
+the values before and after each discontinuity. The contact of a damper is FLIGHT, FLOOR or CEILING.
 """
 
 from itertools import product
@@ -152,10 +152,18 @@ def test_block_size_changes_no_bit(scene: rig.Scene, seed: int) -> None:
     plant = rig.Plant(scene, rate)
     block_starts = np.sort(random.integers(0, 300, 6))
     blocks = [plant.advance(block) for block in np.split(drive, block_starts, axis=1)]
-    for field in ("displacement", "velocity", "acceleration", "gap", "contact", "break_velocity", "break_acceleration"):
+    for field in (
+        "displacement",
+        "velocity",
+        "acceleration",
+        "gap",
+        "contact",
+        "discontinuity_velocity",
+        "discontinuity_acceleration",
+    ):
         joined = np.concatenate([getattr(block_motion, field) for block_motion in blocks], axis=-1)
         np.testing.assert_array_equal(joined, getattr(single_block, field))
-    for field in ("break_sample", "break_offset", "events"):
+    for field in ("discontinuity_sample", "discontinuity_offset", "events"):
         np.testing.assert_array_equal(
             np.concatenate([getattr(block_motion, field) for block_motion in blocks]), getattr(single_block, field)
         )
@@ -181,16 +189,19 @@ def test_impact_conserves_momentum(scene: rig.Scene, seed: int) -> None:
     rate = 30 * scene.test.frequency
     motion = rig.Plant(scene, rate).advance(drive)
     system = assemble(scene)
-    time = (motion.break_sample - 1) / rate + motion.break_offset
+    time = (motion.discontinuity_sample - 1) / rate + motion.discontinuity_offset
     contacts = np.full(system.dampers, FLOOR)
     contacts[[int(e["damper"]) - 1 for e in motion.events if e["time"] == 0.0]] = FLIGHT
     events = motion.events[motion.events["time"] > 0.0]
-    # Several breaks may coincide within rounding error. The list of events does not show to which break each belongs.
-    for breaks in np.split(np.arange(time.size), np.flatnonzero(np.diff(time) > SIMULTANEITY_S) + 1):
-        if breaks.size:
-            simultaneous = list(events[np.abs(time[breaks, None] - events["time"]).min(axis=0) <= 1e-12])
-            next_contacts = contacts_after_breaks(system, motion, breaks.tolist(), simultaneous, contacts)
-            assert next_contacts is not None, f"no assignment of {simultaneous} to breaks {breaks} conserves momentum"
+    # Several discontinuities may coincide within rounding error. The list of events does not show to which
+    # discontinuity each belongs.
+    for discontinuities in np.split(np.arange(time.size), np.flatnonzero(np.diff(time) > SIMULTANEITY_S) + 1):
+        if discontinuities.size:
+            simultaneous = list(events[np.abs(time[discontinuities, None] - events["time"]).min(axis=0) <= 1e-12])
+            next_contacts = contacts_after_breaks(system, motion, discontinuities.tolist(), simultaneous, contacts)
+            assert next_contacts is not None, (
+                f"no assignment of {simultaneous} to discontinuities {discontinuities} conserves momentum"
+            )
             contacts = next_contacts
 
 
@@ -201,18 +212,19 @@ SIMULTANEITY_S = 1e-9
 MIN_SEPARATION_SPEED = 1e-6
 
 
-def contacts_after_breaks(system, motion, breaks, events, contacts):
-    """Return the contacts after several breaks, or None if no assignment of the events conserves momentum.
+def contacts_after_breaks(system, motion, discontinuities, events, contacts):
+    """Return the contacts after several discontinuities, or None if no assignment of the events conserves momentum.
 
-    `breaks`: indices of the breaks; `events`: to be assigned to the breaks in order; `contacts`: before the breaks.
+    `discontinuities`: indices of the discontinuities; `events`: to be assigned to the discontinuities in order;
+    `contacts`: before the discontinuities.
     """
-    if not breaks:
+    if not discontinuities:
         return contacts if not events else None
-    # `count`: number of events that are assigned to the first break.
+    # `count`: number of events that are assigned to the first discontinuity.
     for count in range(len(events) + 1):
-        after = contacts_after_break(system, motion, breaks[0], events[:count], contacts)
+        after = contacts_after_break(system, motion, discontinuities[0], events[:count], contacts)
         next_contacts = (
-            None if after is None else contacts_after_breaks(system, motion, breaks[1:], events[count:], after)
+            None if after is None else contacts_after_breaks(system, motion, discontinuities[1:], events[count:], after)
         )
         if next_contacts is not None:
             return next_contacts
@@ -220,8 +232,8 @@ def contacts_after_breaks(system, motion, breaks, events, contacts):
 
 
 def contacts_after_break(system, motion, k, events, contacts):
-    """Return the contacts after break k with these events; None if they do not conserve momentum."""
-    before, after = motion.break_velocity[:, :, k]
+    """Return the contacts after discontinuity k with these events; None if they do not conserve momentum."""
+    before, after = motion.discontinuity_velocity[:, :, k]
     impulse = system.mass @ (after - before)
     scale = np.abs(system.mass @ np.abs(before)).max() + np.abs(impulse).max()
     contacts, closing_speeds, separated = contacts.copy(), {}, set()

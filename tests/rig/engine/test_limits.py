@@ -160,5 +160,5 @@ def test_motion_from_rest_starts_without_gravity() -> None:
     run = rig.simulate(scene, 0.5, rate=2000.0)
     assert set(run.events["damper"]) == {1, 2, 3, 4}
     assert (run.gap[1:] > -1e-15).all()
-    # The table moves at all 3000 breaks, most of them without a jump: 11 J together, and the work is 0.09 mJ.
+    # The table moves at all 3000 discontinuities, most of them without a jump: 11 J together, and the work is 0.09 mJ.
     assert abs(run.energy.residual) < 1e-12 * abs(run.energy.work)

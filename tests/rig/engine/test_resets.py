@@ -1,7 +1,7 @@
 """Contact laws at impacts and separations, compared with explicit mechanics: momentum, separations and velocities.
 
 `state.z` has the displacements and velocities of the bodies; `state.height` and `state.velocity` are those of dampers
-in flight. `state.mode` of a bed is FLIGHT, FLOOR or CEILING. `TABLE_INDEX` -1 means that the matrices of the
+in flight. `state.regime` of a bed is FLIGHT, FLOOR or CEILING. `TABLE_INDEX` -1 means that the matrices of the
 contacts have not been looked up.
 
 `state.multiplicity` is the multiplicity of the gap's zero for a damper that has just left a wall: 1 after a rebound, 2
@@ -26,7 +26,7 @@ from rig.core.engine.resets import (
     impact,
     separate_tensile,
 )
-from rig.core.engine.state import N_EVENTS, PRESENT_SEGMENT, TABLE_INDEX, State, mode_number
+from rig.core.engine.state import N_EVENTS, PRESENT_SEGMENT, TABLE_INDEX, State, regime_number
 from rig.core.laws.events import CEILING, FLIGHT, FLOOR, SEPARATION
 from rig.core.numerics.complementarity import AT_LOW, FREE, ROUNDING
 from rig.core.system.assembly import assemble
@@ -38,7 +38,7 @@ CLEARANCE = 2e-3  # m
 SIGN = {FLOOR: 1.0, CEILING: -1.0}
 # End of the interval of the gap at each wall.
 END = {FLOOR: LOW, CEILING: HIGH, FLIGHT: NONE}
-MODES = {FLIGHT: "flight", FLOOR: "floor", CEILING: "ceiling"}
+REGIMES = {FLIGHT: "flight", FLOOR: "floor", CEILING: "ceiling"}
 FINITE_MODES = {FLIGHT: "free", FLOOR: "on floor", CEILING: "on ceiling"}
 
 
@@ -74,8 +74,8 @@ def impact_and_separate(engine: Propagator, damper: int, wall: int) -> None:
     """Apply the impact of a damper on a wall 0.25 s after the start of segment 7; then separate tensile contacts."""
     after, model, work = engine.tables.flow.after, engine.tables.model, engine.workspace.contact
     engine.log.counts[PRESENT_SEGMENT], engine.log.present_offset[0] = 7, 0.25
-    m, end = mode_number(model.laws.elements, engine.state.mode, damper), END[wall]
-    impact(after, model, engine.state, engine.log, damper, m, model.laws.exit[m, 0, end], end, work)
+    m, end = regime_number(model.laws.elements, engine.state.regime, damper), END[wall]
+    impact(after, model, engine.state, engine.log, damper, m, model.laws.transition[m, 0, end], end, work)
     separate_tensile(after, model, engine.state, engine.log, work)
 
 
@@ -85,7 +85,7 @@ def randomize(engine: Propagator, contacts: list[int], seed: int) -> State:
     size = engine.tables.size
     state.z[:size] = 1e-3 * random.standard_normal(size)
     state.z[model.laws.elements.velocity_index] = random.standard_normal(3)
-    state.mode[:] = contacts
+    state.regime[:] = contacts
     state.height[:] = state.z[model.laws.elements.position_index] + random.uniform(0.2, 0.8, 3) * CLEARANCE
     state.velocity[:] = random.standard_normal(3)
     state.counters[TABLE_INDEX] = -1
@@ -99,7 +99,7 @@ CONTACTS = st.lists(st.sampled_from([FLIGHT, FLOOR, CEILING]), min_size=3, max_s
 def test_finite_contact_forces_equal_the_system_matrices(contacts: list[int], finite_contacts: int, seed: int) -> None:
     engine = propagator(0.1, finite_contacts=finite_contacts)
     state, model, system = randomize(engine, contacts, seed), engine.tables.model, engine.system
-    names = [(FINITE_MODES if j < finite_contacts else MODES)[wall] for j, wall in enumerate(contacts)]
+    names = [(FINITE_MODES if j < finite_contacts else REGIMES)[wall] for j, wall in enumerate(contacts)]
     force, constant = system.contact_forces(system.configuration(names))
     z, drive = state.z[: system.states], state.z[system.states : engine.tables.size]
     expected = (system.force_state + force) @ z + constant + system.force_constant
@@ -123,13 +123,13 @@ def test_impact_obeys_the_contact_laws(coupled, restitution, wall, contacts, imp
     contacts[impacting] = FLIGHT
     state, model = randomize(engine, contacts, seed), engine.tables.model
     position, body_velocity = state.z[model.laws.elements.position_index], state.z[model.laws.elements.velocity_index]
-    damper_velocity = np.where(state.mode == FLIGHT, state.velocity, body_velocity)
+    damper_velocity = np.where(state.regime == FLIGHT, state.velocity, body_velocity)
     sign, closing_speed = SIGN[wall], 0.1 + abs(damper_velocity[impacting])
     state.height[impacting] = height = position[impacting] + (CLEARANCE if wall == CEILING else 0.0)
     damper_velocity[impacting] = state.velocity[impacting] = body_velocity[impacting] - sign * closing_speed
     impact_and_separate(engine, impacting, wall)
     body_velocity_after = state.z[model.laws.elements.velocity_index]
-    damper_velocity_after = np.where(state.mode == FLIGHT, state.velocity, body_velocity_after)
+    damper_velocity_after = np.where(state.regime == FLIGHT, state.velocity, body_velocity_after)
 
     # Momentum is conserved. Impulses are compressive. They act on another damper only if it is in contact and its body
     # is coupled.
@@ -146,7 +146,7 @@ def test_impact_obeys_the_contact_laws(coupled, restitution, wall, contacts, imp
     if restitution:
         assert state.height[impacting] == height
         assert state.multiplicity[impacting] == sign
-    if state.mode[impacting] == wall:
+    if state.regime[impacting] == wall:
         assert state.multiplicity[impacting] == 0
 
     # The log has the impact and all separations.
@@ -157,7 +157,7 @@ def test_impact_obeys_the_contact_laws(coupled, restitution, wall, contacts, imp
     assert log.events.speed[k] == pytest.approx(closing_speed)
     separated = [int(j) for j in log.events.damper[:count][log.events.kind[:count] == SEPARATION]]
     rebounded = {impacting} if restitution else set()
-    assert {j for j in range(3) if walls[j] != FLIGHT and state.mode[j] == FLIGHT} - rebounded == set(separated)
+    assert {j for j in range(3) if walls[j] != FLIGHT and state.regime[j] == FLIGHT} - rebounded == set(separated)
     for j in separated:
         # A separated damper has its velocity before the impact, or the velocity of its wall after the impact.
         opening_speed = SIGN[walls[j]] * (damper_velocity_after[j] - body_velocity_after[j])
@@ -185,7 +185,7 @@ def test_separated_dampers_solve_the_complementarity_problem(coupled: bool, cont
     reaction = solve_by_enumeration(matrix, bias)
     separate_tensile(engine.tables.flow.after, model, state, engine.log, work)
     separated = in_contact[(reaction == 0.0) & (matrix @ reaction + bias > 1e-9)]
-    assert set(np.flatnonzero(state.mode == FLIGHT)) & set(in_contact) == set(separated)
+    assert set(np.flatnonzero(state.regime == FLIGHT)) & set(in_contact) == set(separated)
     assert engine.log.events.damper[: engine.log.counts[N_EVENTS]].tolist() == separated.tolist()
     for j in separated:
         on_floor = contacts[j] == FLOOR
@@ -240,7 +240,7 @@ def test_tension_within_rounding_does_not_separate(wall: int, coupled: bool, rat
     separate_tensile_dampers = _separate_coupled if coupled else _separate_independent
     engine.log.counts[PRESENT_SEGMENT], engine.log.present_offset[0] = 7, 0.25
     separate_tensile_dampers(engine.tables.flow.after, model, state, engine.log, work)
-    assert (state.mode[1] == FLIGHT) == separates and engine.log.counts[N_EVENTS] == separates
+    assert (state.regime[1] == FLIGHT) == separates and engine.log.counts[N_EVENTS] == separates
     if separates:
         log = engine.log
         assert (log.events.segment[0], log.events.offset[0], log.events.damper[0]) == (7, 0.25, 1)
@@ -252,7 +252,7 @@ def test_tension_within_rounding_does_not_separate(wall: int, coupled: bool, rat
 def test_only_a_negligible_rebound_comes_to_rest(wall: int, coupled: bool, closing_speed: float, stays: bool) -> None:
     engine = propagator(0.2 if coupled else 0.0, restitution=0.4)
     state, model = engine.state, engine.tables.model
-    state.mode[:], state.counters[TABLE_INDEX] = FLIGHT, -1
+    state.regime[:], state.counters[TABLE_INDEX] = FLIGHT, -1
     # The wall of body 1 accelerates towards its damper; the other dampers are far from their walls.
     state.z[model.laws.elements.position_index] = -1e-3 if wall == FLOOR else 1e-2
     state.z[model.laws.elements.velocity_index] = 0.25
@@ -263,10 +263,10 @@ def test_only_a_negligible_rebound_comes_to_rest(wall: int, coupled: bool, closi
         engine.system.mass @ state.z[model.laws.elements.velocity_index] + model.laws.elements.mass * state.velocity
     )
     impact_and_separate(engine, 0, wall)
-    assert state.mode.tolist() == [wall if stays else FLIGHT, FLIGHT, FLIGHT]
+    assert state.regime.tolist() == [wall if stays else FLIGHT, FLIGHT, FLIGHT]
     assert state.multiplicity[0] == (0 if stays else SIGN[wall])
     body_velocity = state.z[model.laws.elements.velocity_index]
-    damper_velocity = np.where(state.mode == FLIGHT, state.velocity, body_velocity)
+    damper_velocity = np.where(state.regime == FLIGHT, state.velocity, body_velocity)
     after = engine.system.mass @ body_velocity + model.laws.elements.mass * damper_velocity
     np.testing.assert_allclose(after, momentum, atol=1e-15)
     rebound_speed = SIGN[wall] * (damper_velocity[0] - body_velocity[0])
@@ -276,11 +276,11 @@ def test_only_a_negligible_rebound_comes_to_rest(wall: int, coupled: bool, closi
 def test_uncoupled_damper_stays_at_rest() -> None:
     engine = propagator(0.2, uncoupled=1)
     state, model = engine.state, engine.tables.model
-    state.mode[:], state.counters[TABLE_INDEX] = (FLIGHT, FLIGHT, FLOOR), -1
+    state.regime[:], state.counters[TABLE_INDEX] = (FLIGHT, FLIGHT, FLOOR), -1
     state.height[:], state.velocity[:] = state.z[model.laws.elements.position_index] + 0.5 * CLEARANCE, 0.0
     state.height[0], state.velocity[0] = state.z[model.laws.elements.position_index[0]], -0.5
     impact_and_separate(engine, 0, FLOOR)
-    assert state.z[model.laws.elements.velocity_index[2]] == 0.0 and state.mode.tolist() == [FLOOR, FLIGHT, FLOOR]
+    assert state.z[model.laws.elements.velocity_index[2]] == 0.0 and state.regime.tolist() == [FLOOR, FLIGHT, FLOOR]
     assert engine.log.counts[N_EVENTS] == 1
 
 
@@ -334,7 +334,7 @@ def test_damper_in_flight_touches_only_an_approaching_wall(gap, closing_speed, m
     # `gap`, `closing_speed`: to the floor; `wall`: the touched wall, or FLIGHT.
     engine = propagator(0.1)
     state, model = engine.state, engine.tables.model
-    state.mode[1] = FLIGHT
+    state.regime[1] = FLIGHT
     state.z[model.laws.elements.position_index[1]], state.z[model.laws.elements.velocity_index[1]] = -1.0 / 64, 0.5
     state.height[1], state.velocity[1] = -1.0 / 64 + gap, 0.5 - closing_speed
     state.multiplicity[1] = multiplicity

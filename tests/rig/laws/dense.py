@@ -1,8 +1,8 @@
 """Motion of a system under declared contact laws, with dense matrices in Python: an oracle for the engine.
 
 It reads the declarations (`rig.core.laws.law`) and shares with the engine only the isolation of roots. The state is
-X = (coordinates, velocities, drive, 1), where every gap is a coordinate, so that X' = A X in each combination of modes.
-Impulses and holding forces that act on several elements are found by enumeration.
+X = (coordinates, velocities, drive, 1), where every gap is a coordinate, so that X' = A X in each combination of
+regimes. Impulses and holding forces that act on several elements are found by enumeration.
 """
 
 from itertools import product
@@ -13,7 +13,7 @@ import numpy as np
 
 from rig.core.base.arrays import Array
 from rig.core.laws.events import NO_EVENT
-from rig.core.laws.law import SPEED, Exit, Law, Mode, Row
+from rig.core.laws.law import SPEED, Law, Regime, Row, Transition
 from rig.core.numerics.bernstein import BERNSTEIN, MAX_HALVINGS, N_COEFFICIENTS, NO_CROSSING, first_crossing
 from rig.core.numerics.simd import aligned_zeros
 from rig.core.system.hybrid_system import Drive, HybridSystem
@@ -24,32 +24,32 @@ MAX_RATE_TIMES_STEP = 0.5
 ROUNDING = 16 * 2.3e-16
 #: A signal is at its limit if it differs by less than this fraction of its terms.
 AT_LIMIT = 1e-12
-#: A mode ends at its own zero of the holding force, not by another event, if the force is below this fraction.
+#: A regime ends at its own zero of the holding force, not by another event, if the force is below this fraction.
 OWN_ZERO = 1e-9
 MAX_EVENTS = 10_000
 
 
 class Guard(NamedTuple):
-    """One end of a signal's interval: the mode is left where side * (row - limit) falls to zero."""
+    """One end of a signal's interval: the regime is left where side * (row - limit) falls to zero."""
 
     row: Row
     side: int
     limit: float
-    leave: Exit
+    leave: Transition
 
 
-def guards(mode: Mode) -> list[Guard]:
-    """Return the ends of all intervals of a mode."""
+def guards(regime: Regime) -> list[Guard]:
+    """Return the ends of all intervals of a regime."""
     return [
         Guard(signal.row, side, limit, leave)
-        for signal in mode.signals
+        for signal in regime.signals
         for side, (limit, leave) in zip((1, -1), signal.ends, strict=True)
         if leave is not None
     ]
 
 
 class Event(NamedTuple):
-    """A logged change of mode; `damper` from 0, time in s, closing speed in m/s."""
+    """A logged change of regime; `damper` from 0, time in s, closing speed in m/s."""
 
     time: float
     damper: int
@@ -58,14 +58,14 @@ class Event(NamedTuple):
 
 
 class Departure:
-    """The end of a mode: the guard that ended it, the known zeros of the speed, and the events (kind, speed)."""
+    """The end of a regime: the guard that ended it, the known zeros of the speed, and the events (kind, speed)."""
 
     def __init__(self, left: Guard, zeros: int, *events: tuple[int, float]) -> None:
         self.left, self.zeros, self.events = left, zeros, events
 
 
 class Touch(NamedTuple):
-    """An element that touches a wall, which pushes to one side; `guard`: it ends the mode there."""
+    """An element that touches a wall, which pushes to one side; `guard`: it ends the regime there."""
 
     element: int
     guard: Guard
@@ -90,7 +90,7 @@ class DenseMotion:
     """
 
     def __init__(self, system: HybridSystem, drive: Drive, state: Array) -> None:
-        """`state`: coordinates, velocities and drive; every element is in the mode at its start."""
+        """`state`: coordinates, velocities and drive; every element is in the regime at its start."""
         bodies, inputs = system.coordinates, drive.output
         assert system.states == 2 * bodies, "no further states"
         detached = [element for element in system.elements if element.gap < 0]
@@ -108,7 +108,7 @@ class DenseMotion:
         # Rows whose product with the coordinates is the gap: a joint between two bodies has two entries.
         self.directions = np.zeros((len(self.gaps), n))
         self.directions[np.arange(len(self.gaps)), self.gaps] = 1.0
-        self.memories = [element.memory for element in system.elements]
+        self.sliders = [element.slider for element in system.elements]
         for direction, element in zip(self.directions, system.elements, strict=True):
             if element.base >= 0:
                 direction[element.base] = -1.0
@@ -118,7 +118,7 @@ class DenseMotion:
                 self.mass[pair] += element.mass
                 self.force[[element.body, gap], -1] -= element.mass * system.gravity
         self.inverse_mass = np.linalg.inv(self.mass)
-        self.modes, self.time, self.lost = [law.start for law in self.laws], 0.0, 0.0
+        self.regimes, self.time, self.lost = [law.start for law in self.laws], 0.0, 0.0
         self.work = self.exchanged = 0.0
         self.events: list[Event] = []
         self.state = np.concatenate(
@@ -132,13 +132,13 @@ class DenseMotion:
     def advance(self, end: float) -> None:
         """Continue the motion to a time, s."""
         while self.time < end:
-            equations = self._equations(self.modes)
+            equations = self._equations(self.regimes)
             step = min(equations.step, end - self.time)
             terms = (equations.powers @ self.state) * _powers(step / equations.step)[:, None]
             crossings = [
                 (self._crossing(self._row(j, guard, equations.hold), terms, self._zeros.get((j, k), 0)), j, k)
-                for j, mode in self._present_modes()
-                for k, guard in enumerate(guards(mode))
+                for j, regime in self._present_regimes()
+                for k, guard in enumerate(guards(regime))
             ]
             first = min(crossings, default=(NO_CROSSING, 0, 0))
             tau = min(first[0], 1.0)
@@ -148,39 +148,39 @@ class DenseMotion:
                 self._zeros = {}
             if first[0] != NO_CROSSING:
                 assert len(self.events) < MAX_EVENTS
-                self._leave(first[1], guards(self.laws[first[1]].modes[self.modes[first[1]]])[first[2]])
+                self._leave(first[1], guards(self.laws[first[1]].regimes[self.regimes[first[1]]])[first[2]])
 
     def stored_energy(self) -> float:
         """Return the kinetic energy and the energy in the springs of the elements, J."""
         velocity = self.state[self.n : 2 * self.n]
         energy = 0.5 * float(velocity @ self.mass @ velocity)
-        return energy + sum(self._spring_energy(j, mode) for j, mode in self._present_modes())
+        return energy + sum(self._spring_energy(j, regime) for j, regime in self._present_regimes())
 
-    def _spring_energy(self, j: int, mode: Mode) -> float:
-        """Return the energy in the spring of an element in a mode, J."""
-        force = mode.force or Row()
-        if self.memories[j] >= 0:
-            stiffness = max(-each.force.gap for each in self.laws[j].modes.values() if each.force is not None)
+    def _spring_energy(self, j: int, regime: Regime) -> float:
+        """Return the energy in the spring of an element in a regime, J."""
+        force = regime.force or Row()
+        if self.sliders[j] >= 0:
+            stiffness = max(-each.force.gap for each in self.laws[j].regimes.values() if each.force is not None)
             return 0.5 * float(self._plain_row(j, force) @ self.state) ** 2 / stiffness
         return -0.5 * force.gap * float(self.directions[j] @ self.state[: self.n] - force.rest) ** 2
 
-    def _present_modes(self) -> list[tuple[int, Mode]]:
-        """Return number and mode of every element."""
-        return [(j, law.modes[name]) for j, (law, name) in enumerate(zip(self.laws, self.modes, strict=True))]
+    def _present_regimes(self) -> list[tuple[int, Regime]]:
+        """Return number and regime of every element."""
+        return [(j, law.regimes[name]) for j, (law, name) in enumerate(zip(self.laws, self.regimes, strict=True))]
 
-    def _equations(self, modes: list[str]) -> Equations:
-        """Return the equations of motion in a combination of modes."""
-        key = tuple(modes)
+    def _equations(self, regimes: list[str]) -> Equations:
+        """Return the equations of motion in a combination of regimes."""
+        key = tuple(regimes)
         if key not in self._cache:
-            self._cache[key] = self._new_equations(modes)
+            self._cache[key] = self._new_equations(regimes)
         return self._cache[key]
 
-    def _new_equations(self, modes: list[str]) -> Equations:
+    def _new_equations(self, regimes: list[str]) -> Equations:
         n, force = self.n, self.force.copy()
         generator = np.zeros((self.size, self.size))
         generator[:n, n : 2 * n] = np.eye(n)
         generator[2 * n : -1, 2 * n : -1] = self.generator
-        forces = [law.modes[name].force for law, name in zip(self.laws, modes, strict=True)]
+        forces = [law.regimes[name].force for law, name in zip(self.laws, regimes, strict=True)]
         for j, row in enumerate(forces):
             if row is not None:
                 force += np.outer(self.directions[j], self._plain_row(j, row))
@@ -204,8 +204,8 @@ class DenseMotion:
         """Return a row without holding force as a row of the state."""
         values = np.zeros(self.size)
         values[: self.n], values[self.n : 2 * self.n] = row.gap * self.directions[j], row.speed * self.directions[j]
-        if self.memories[j] >= 0:
-            values[self.memories[j]] = row.memory
+        if self.sliders[j] >= 0:
+            values[self.sliders[j]] = row.slider
         values[-1] = row.constant - row.gap * row.rest
         return values
 
@@ -231,19 +231,19 @@ class DenseMotion:
             power = float(velocity @ self.force @ state)
             self.work += weight * tau * step * power
             self.exchanged += weight * tau * step * abs(power)
-            for j, mode in self._present_modes():
-                speed, force = float(self.directions[j] @ velocity), mode.force or Row()
+            for j, regime in self._present_regimes():
+                speed, force = float(self.directions[j] @ velocity), regime.force or Row()
                 self.lost -= weight * tau * step * (force.speed * speed + force.constant) * speed
 
     def _leave(self, j: int, guard: Guard) -> None:
-        """Apply an exit of element j: jump of velocities, next mode, known zeros of its guards, and the events."""
-        energy, hold = self.stored_energy(), self._equations(self.modes).hold
+        """Apply a transition of element j: jump of velocities, next regime, zeros of its guards, and the events."""
+        energy, hold = self.stored_energy(), self._equations(self.regimes).hold
         departures: dict[int, Departure] = {}
         row = self._row(j, guard, hold)
         is_own_zero = bool(abs(row @ self.state) <= OWN_ZERO * (np.abs(row) @ np.abs(self.state)))
         if guard.leave.restitution is not None:
             self._collide(j, guard, departures)
-        elif self._mode(j).force is None:
+        elif self._regime(j).force is None:
             # Gap and speed are zero, and their accelerations if the force that holds the element is at its limit.
             departures[j] = Departure(guard, 1 + is_own_zero, (guard.leave.event, 0.0))
             self._enter(j, guard.leave.to[0])
@@ -251,9 +251,9 @@ class DenseMotion:
             departures[j] = Departure(guard, 0, (guard.leave.event, abs(self._speed(j))))
             possible = [name for name in guard.leave.to if self._is_possible(j, name, guard)]
             self._enter(j, [*possible, guard.leave.to[-1]][0])
-            for i, mode in self._present_modes():
+            for i, regime in self._present_regimes():
                 stops = [
-                    item for k, item in enumerate(guards(mode)) if item.row == SPEED and not self._zeros.get((i, k))
+                    item for k, item in enumerate(guards(regime)) if item.row == SPEED and not self._zeros.get((i, k))
                 ]
                 if guard.row == SPEED and stops and abs(self._speed(i)) <= self._speed_rounding():
                     departures[i] = Departure(stops[0], 0, (stops[0].leave.event, 0.0))
@@ -265,9 +265,9 @@ class DenseMotion:
             self._zeros |= {(i, k): value for k, value in enumerate(self._known_zeros(i, departure))}
             self.events += [Event(self.time, i, kind, speed) for kind, speed in departure.events if kind != NO_EVENT]
 
-    def _mode(self, j: int) -> Mode:
-        """Return the present mode of an element."""
-        return self.laws[j].modes[self.modes[j]]
+    def _regime(self, j: int) -> Regime:
+        """Return the present regime of an element."""
+        return self.laws[j].regimes[self.regimes[j]]
 
     def _speed(self, j: int) -> float:
         """Return the rate of change of a gap, m/s."""
@@ -277,17 +277,17 @@ class DenseMotion:
         """Return the largest speed of a gap that may be a rounding error of zero, m/s."""
         magnitude = np.abs(self.state[: 2 * self.n]).reshape(2, -1).max(axis=1)
         # A displacement changes the velocity by its ratio to the step, within a step.
-        return ROUNDING * float(magnitude[1] + magnitude[0] / self._equations(self.modes).step)
+        return ROUNDING * float(magnitude[1] + magnitude[0] / self._equations(self.regimes).step)
 
     def _enter(self, j: int, name: str) -> None:
-        """Change the mode of an element; the speed of a held element is exactly zero, and a memory keeps the force."""
-        before, after = self._mode(j).force, self.laws[j].modes[name].force
-        self.modes[j] = name
-        if before is not None and after is not None and after.memory:
-            self.state[self.memories[j]] = 0.0
+        """Change the regime of an element; the speed of a held element is exactly zero; a slider keeps the force."""
+        before, after = self._regime(j).force, self.laws[j].regimes[name].force
+        self.regimes[j] = name
+        if before is not None and after is not None and after.slider:
+            self.state[self.sliders[j]] = 0.0
             change = self._plain_row(j, before) - self._plain_row(j, after)
-            self.state[self.memories[j]] = float(change @ self.state) / after.memory
-        if self._mode(j).force is None:
+            self.state[self.sliders[j]] = float(change @ self.state) / after.slider
+        if self._regime(j).force is None:
             self.state[self.n + self.gaps[j]] = 0.0
 
     def _collide(self, j: int, guard: Guard, departures: dict[int, Departure]) -> None:
@@ -296,7 +296,7 @@ class DenseMotion:
         self.state[self.gaps[j]] = guard.limit
         touched += [touch for i in range(len(self.laws)) if i != j and (touch := self._touch(i)) is not None]
         before = {i: self._speed(i) for i in range(len(self.laws))}
-        sticks = [i for i, mode in self._present_modes() if mode.force is None]
+        sticks = [i for i, regime in self._present_regimes() if regime.force is None]
         direction = np.zeros((len(touched), n))
         direction[np.arange(len(touched)), [self.gaps[touch.element] for touch in touched]] = [t.side for t in touched]
         matrix, approach = direction @ self.inverse_mass @ direction.T, direction @ self.state[n : 2 * n]
@@ -319,29 +319,29 @@ class DenseMotion:
                 moves_away = rebound > 0.0 if acts else touch.side * self._speed(i) > self._speed_rounding()
                 self._enter(i, leave.to[0] if moves_away else leave.to[-1])
         velocity = np.abs(self.state[n : 2 * n]).max() + np.abs(list(before.values())).max()
-        for i, mode in self._present_modes():
-            for guard in guards(mode):
-                # A joint with memory has no mass: its speed is outside the interval at the next step.
-                if guard.row == SPEED and self.memories[i] < 0 and guard.side * self._speed(i) < 0.0:
+        for i, regime in self._present_regimes():
+            for guard in guards(regime):
+                # A joint with a slider has no mass: its speed is outside the interval at the next step.
+                if guard.row == SPEED and self.sliders[i] < 0 and guard.side * self._speed(i) < 0.0:
                     # Friction is finite, so that the impact has reversed the motion.
                     departures[i] = Departure(guard, 0, (guard.leave.event, 0.0))
-                    self.modes[i] = guard.leave.to[0]
+                    self.regimes[i] = guard.leave.to[0]
                     sticks.append(i)
         for i in sticks:
             if abs(self._speed(i)) <= ROUNDING * velocity:
                 self.state[n + self.gaps[i]] = 0.0
                 continue
-            away = next(item for item in guards(self._mode(i)) if item.side * self._speed(i) > 0.0)
+            away = next(item for item in guards(self._regime(i)) if item.side * self._speed(i) > 0.0)
             events = departures[i].events if i in departures else ()
             departures[i] = Departure(away, 0, *events, (away.leave.event, 0.0))
             self._enter(i, away.leave.to[0])
 
     def _touch(self, i: int) -> Touch | None:
         """Return the wall that element i touches: it rests on the wall, or its gap is at the limit and closing."""
-        for guard in guards(self._mode(i)):
+        for guard in guards(self._regime(i)):
             distance, largest = abs(self.state[self.gaps[i]] - guard.limit), np.abs(self.state[: self.n]).max()
             closes = guard.side * self._speed(i) < 0.0 and distance <= AT_LIMIT * largest
-            if guard.row.hold and len(guards(self._mode(i))) == 1:
+            if guard.row.hold and len(guards(self._regime(i))) == 1:
                 return Touch(i, guard, guard.side, 0.0)
             if guard.leave.restitution is not None and closes:
                 return Touch(i, guard, guard.side, guard.leave.restitution)
@@ -349,13 +349,13 @@ class DenseMotion:
 
     def _release(self, departures: dict[int, Departure]) -> None:
         """Release the elements whose holding forces are outside their intervals, by enumeration of those released."""
-        held = [(j, guards(mode)) for j, mode in self._present_modes() if mode.force is None]
+        held = [(j, guards(regime)) for j, regime in self._present_regimes() if regime.force is None]
         choices = [[None, *ends] for _, ends in held]
         for choice in sorted(product(*choices), key=lambda ends: sum(end is not None for end in ends)):
-            modes = list(self.modes)
+            regimes = list(self.regimes)
             for (j, _), end in zip(held, choice, strict=True):
-                modes[j] = modes[j] if end is None else end.leave.to[0]
-            equations = self._equations(modes)
+                regimes[j] = regimes[j] if end is None else end.leave.to[0]
+            equations = self._equations(regimes)
             rate = equations.generator @ self.state
             tolerance = ROUNDING * (np.abs(equations.generator) @ np.abs(self.state))
             if all(
@@ -384,7 +384,7 @@ class DenseMotion:
         j, guard = touch.element, touch.guard
         if touch.restitution * abs(self._speed(j)) <= self._speed_rounding():
             return True
-        trial = [*self.modes[:j], guard.leave.to[0], *self.modes[j + 1 :]]
+        trial = [*self.regimes[:j], guard.leave.to[0], *self.regimes[j + 1 :]]
         equations = self._equations(trial)
         row = self._row(j, guard, equations.hold)
         approach = -float(row @ (equations.generator @ (equations.generator @ self.state)))
@@ -392,10 +392,10 @@ class DenseMotion:
         return approach > 0.0 and (touch.restitution * self._speed(j)) ** 2 < 2 * approach * ROUNDING * height
 
     def _is_possible(self, j: int, name: str, left: Guard) -> bool:
-        """Return whether the first term of every guard that is not zero is positive in a mode."""
-        equations = self._equations([*self.modes[:j], name, *self.modes[j + 1 :]])
+        """Return whether the first term of every guard that is not zero is positive in a regime."""
+        equations = self._equations([*self.regimes[:j], name, *self.regimes[j + 1 :]])
         terms = equations.powers @ self.state
-        for guard in guards(self.laws[j].modes[name]):
+        for guard in guards(self.laws[j].regimes[name]):
             row = self._row(j, guard, equations.hold)
             series = terms[:N_COEFFICIENTS] @ row
             magnitude = (np.abs(terms[:N_COEFFICIENTS]) @ np.abs(row)).sum()
@@ -406,15 +406,15 @@ class DenseMotion:
         return True
 
     def _zeros_of_change(self, guard: Guard, left: Guard, is_at_limit: bool) -> int:
-        """Return the known zeros of a guard after an exit from a mode that is not held."""
+        """Return the known zeros of a guard after a transition from a regime that is not held."""
         is_same = (guard.row, guard.limit) == (left.row, left.limit)
         is_touched = bool(guard.row.gap and left.row.gap) and not left.row.hold
         return int(is_at_limit and (is_same or is_touched))
 
     def _known_zeros(self, j: int, departure: Departure) -> list[int]:
-        """Return the number of leading terms of each guard of element j that are zero, after it changed its mode."""
-        hold, counts = self._equations(self.modes).hold, []
-        for guard in guards(self._mode(j)):
+        """Return the number of leading terms of each guard of element j that are zero, after it changed its regime."""
+        hold, counts = self._equations(self.regimes).hold, []
+        for guard in guards(self._regime(j)):
             row = self._row(j, guard, hold)
             # A gap whose limit is 0 has no other terms than itself, so that the largest coordinate counts.
             scale = np.abs(self.state)

@@ -110,11 +110,11 @@ def free_states(orbit: rig.Orbit) -> list[int]:
     propagator, _ = start_propagator(OrbitProblem(orbit.problem.scene), orbit.operating_point)
     set_to_orbit(propagator, orbit)
     system, fixed = propagator.system, set[int]()
-    for element, mode in zip(system.elements, propagator.state.mode, strict=True):
-        if propagator.tables.model.laws.modes.is_held[mode]:
+    for element, regime in zip(system.elements, propagator.state.regime, strict=True):
+        if propagator.tables.model.laws.regimes.is_held[regime]:
             fixed |= {element.gap, system.coordinates + element.gap}
-        if element.memory >= 0:  # the rate of a memory is zero
-            fixed.add(system.coordinates + element.memory)
+        if element.slider >= 0:  # the rate of a slider is zero
+            fixed.add(system.coordinates + element.slider)
     # The gap of a sliding mass without walls has no effect.
     free_gaps = [damper.friction is not None and damper.clearance == np.inf for damper in orbit.problem.scene.dampers]
     fixed |= {element.gap for element, is_free in zip(system.elements, free_gaps, strict=False) if is_free}

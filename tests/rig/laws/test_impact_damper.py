@@ -8,7 +8,7 @@ import pytest
 
 import rig
 from rig.core.system.structural_model import receptance
-from rig.studies.motion_map.grid import take_off_levels
+from rig.studies.motion_map.grid import separation_levels
 
 
 def one_body(**damper: Any) -> rig.Scene:
@@ -44,7 +44,7 @@ def test_map_starts_at_the_level_of_first_contact() -> None:
     scene = driven(6.0)
     motion_map = rig.map_motion(scene, frequencies=[9.0, 10.0], values=[0.9, 1.1])
     assert motion_map.kind.shape == (2, 2)
-    [level] = take_off_levels(scene, np.array([10.0]))
+    [level] = separation_levels(scene, np.array([10.0]))
     at_level = driven(level)
     orbit = rig.periodic_orbit(at_level.replace(dampers=[at_level.dampers[0].without_walls()]), 10.0)
     assert -orbit.columns()["gap 1_m"].min() == pytest.approx(1e-3, rel=1e-3)

@@ -5,12 +5,12 @@ from math import inf
 
 import pytest
 
-from rig.core.laws.law import GAP, HOLD, Exit, Law, Mode, Signal, faults
+from rig.core.laws.law import GAP, HOLD, Law, Regime, Signal, Transition, faults
 from rig.core.laws.particle_bed import particle_bed
 from rig.core.laws.spring_mass import spring_mass
 from rig.core.laws.wall_contact import wall_contact
 
-STAY = Exit(("rest",))
+STAY = Transition(("rest",))
 
 
 @pytest.mark.parametrize("clearance", [1e-3, inf])
@@ -27,22 +27,22 @@ def test_walls_around_a_spring_have_no_faults(walls, below, above):
 
 
 @pytest.mark.parametrize(
-    ("mode", "fault"),
+    ("regime", "fault"),
     [
-        (Mode((Signal(GAP, 0.0, inf, Exit(("flight",))),)), "'flight' has no mode"),
-        (Mode((Signal(GAP, 1.0, 0.0, STAY, STAY),)), "is empty"),
-        (Mode((Signal(HOLD, 0.0, inf, STAY),)), "not held"),
-        (Mode((Signal(GAP, 0.0, inf, STAY),), None), "constant while"),
-        (Mode((Signal(GAP, 0.0),)), "does not agree"),
+        (Regime((Signal(GAP, 0.0, inf, Transition(("flight",))),)), "'flight' has no regime"),
+        (Regime((Signal(GAP, 1.0, 0.0, STAY, STAY),)), "is empty"),
+        (Regime((Signal(HOLD, 0.0, inf, STAY),)), "not held"),
+        (Regime((Signal(GAP, 0.0, inf, STAY),), None), "constant while"),
+        (Regime((Signal(GAP, 0.0),)), "does not agree"),
     ],
 )
-def test_fault_of_declaration_is_found(mode: Mode, fault: str) -> None:
-    [found] = faults(Law({"rest": mode}, "rest"))
+def test_fault_of_declaration_is_found(regime: Regime, fault: str) -> None:
+    [found] = faults(Law({"rest": regime}, "rest"))
     assert fault in found
 
 
 def test_unknown_start_is_a_fault() -> None:
-    assert faults(Law({"rest": Mode(())}, "flight")) == ["the start 'flight' is not a mode"]
+    assert faults(Law({"rest": Regime(())}, "flight")) == ["the start 'flight' is not a regime"]
 
 
 def test_rest_on_both_walls_shares_tables() -> None:

@@ -12,7 +12,7 @@ from rig.core.orbits.periodic_orbit import set_to_orbit, start_propagator
 from rig.core.orbits.problem import OrbitProblem
 from rig.core.system.assembly import assemble
 from rig.core.system.structural_model import receptance
-from rig.studies.motion_map.grid import take_off_levels, vertical_axis
+from rig.studies.motion_map.grid import separation_levels, vertical_axis
 
 MASS, STIFFNESS, MASS_RATIO = 1.0, 4e3, 0.05
 MIXED = {"body": 2, "mass_ratio": "6 %", "clearance": "0.98 mm"}
@@ -121,7 +121,7 @@ def test_explanation_states_frequency_and_damping_ratio() -> None:
 
 def test_only_walls_limit_the_level() -> None:
     mixed = with_particle_damper()
-    assert np.isfinite(take_off_levels(mixed, np.array([20.0, 49.0]))).all()
+    assert np.isfinite(separation_levels(mixed, np.array([20.0, 49.0]))).all()
     with pytest.raises(rig.SceneError, match="no damper that can hit a wall"):
         vertical_axis(TUNED, None)
 

@@ -10,7 +10,7 @@ import rig
 from rig.core.base.errors import SceneError
 from rig.core.system.assembly import assemble
 from rig.core.system.structural_model import receptance
-from rig.studies.motion_map.grid import take_off_levels
+from rig.studies.motion_map.grid import separation_levels
 
 
 def two_bodies(*joints: dict[str, Any], force: float = 10.0, **changes: Any) -> rig.Scene:
@@ -57,7 +57,7 @@ def test_curve_of_orbits_ends_where_a_stop_opens() -> None:
 
 def test_map_starts_at_the_level_of_first_contact() -> None:
     scene = two_bodies({"between": ["ground", 1], "gap": 1e-4, "stiffness": 1e5})
-    [level] = take_off_levels(scene, np.array([15.0]))
+    [level] = separation_levels(scene, np.array([15.0]))
     assert rig.frequency_response(scene.replace(test={**SINE, "force": 0.99 * level}), [15.0]).impacts.sum() == 0.0
     assert rig.frequency_response(scene.replace(test={**SINE, "force": 1.01 * level}), [15.0]).impacts.sum() > 0.0
 

@@ -14,7 +14,7 @@ from rig.core.base.output_files import create_folder
 from rig.core.settings.quantities import LENGTH
 from rig.core.system.open_loop_drive import with_ideal_force
 from rig.core.system.structural_model import receptance
-from rig.studies.motion_map.grid import select_frequencies, select_row_values, take_off_levels, vertical_axis
+from rig.studies.motion_map.grid import select_frequencies, select_row_values, separation_levels, vertical_axis
 from rig.studies.motion_map.motion_map import KINDS, summarize_map, write_map
 from tests.rig.grains.scenes import with_grains
 from tests.rig.this_process import pieces_in_this_process
@@ -65,10 +65,10 @@ def test_take_off_level_accelerates_damper_at_1_g() -> None:
     compliance = receptance(scene, frequency, riding=(1, 2, 3))
     accelerance = np.abs(compliance).max(axis=0) * (2 * np.pi * frequency) ** 2
     np.testing.assert_allclose(
-        take_off_levels(with_ideal_force(scene), frequency) * accelerance, scene.gravity, rtol=1e-9
+        separation_levels(with_ideal_force(scene), frequency) * accelerance, scene.gravity, rtol=1e-9
     )
     np.testing.assert_allclose(
-        take_off_levels(scene, frequency), take_off_levels(with_ideal_force(scene), frequency), rtol=1e-6
+        separation_levels(scene, frequency), separation_levels(with_ideal_force(scene), frequency), rtol=1e-6
     )
 
 
@@ -78,7 +78,7 @@ def test_rows_include_value_of_scene_and_take_off() -> None:
     levels = select_row_values(scene, "force", frequency)
     # The scene has a force of 3.3 N and a clearance of 0.98 mm.
     assert np.isclose(levels, 3.3, rtol=1e-12).sum() == 1
-    assert levels[0] < take_off_levels(scene, frequency).min() < levels[-1]
+    assert levels[0] < separation_levels(scene, frequency).min() < levels[-1]
     clearances = select_row_values(scene, "clearance", frequency)
     assert np.isclose(clearances, 0.98e-3, rtol=1e-12).sum() == 1
     assert np.allclose(np.diff(np.log(clearances)), np.log(clearances[1] / clearances[0]))

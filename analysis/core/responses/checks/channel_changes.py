@@ -63,7 +63,7 @@ _MIN_UNIFORMITY = 2.0
 # Largest change of the other channels' gains at a step, relative to it, unless they change by the same factor.
 _MAX_COMMON = 0.25
 # A channel whose gain falls below this fraction has failed: only noise and crosstalk remain.
-_DEAD_RATIO = 0.05
+_FAILED_RATIO = 0.05
 # Smallest power of the largest input at an evaluated line, relative to the mean; at other lines, noise dominates.
 _MIN_POWER = 1e-3
 
@@ -206,7 +206,7 @@ def describe_change(name: str, ratio: float, place: str) -> str:
     """Describe a change of the gain of a channel by a ratio, NaN if it may be a delay, at a time or a frequency."""
     factor = format_number(float(f"{ratio:.2g}"))
     change = "or its delay changes" if np.isnan(ratio) else f"changes by a factor of {factor}"
-    if abs(ratio) < _DEAD_RATIO:
+    if abs(ratio) < _FAILED_RATIO:
         change = "drops to zero (disconnected or failed)"
     return (
         f"{name}: its gain {change} at about {place}, in contrast to the other channels. Check mounting, cable and "

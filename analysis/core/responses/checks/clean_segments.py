@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis.core.recordings.slices import read_slices
-from analysis.core.responses.checks.dead_channels import dead_channels
+from analysis.core.responses.checks.failed_channels import failed_channels
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array
 from rig.core.settings.quantities import ACCELERATION, FORCE, parse
@@ -15,7 +15,7 @@ from rig.core.settings.quantities import ACCELERATION, FORCE, parse
 OVERLOADED = "overloaded"
 LOST = "lost"
 SETTLING = "settling"
-DEAD = "disconnected or failed"
+FAILED = "disconnected or failed"
 # Number of blocks (periods of the lowest frequency) at the end that determine mean and scatter after settling.
 _SETTLED_BLOCKS = 32
 # The second half of a test with at least this number of blocks is assumed to be settled.
@@ -53,7 +53,7 @@ def find_flaws(rec: Recording, channels: Collection[str], first: int, stop: int)
         for gap in rec.gaps
         if set(gap.channels) & set(channels)
     ]
-    all_flaws += [Flaw(dead, rec.samples, name, DEAD) for name, dead in dead_channels(rec).items() if name in channels]
+    all_flaws += [Flaw(k, rec.samples, name, FAILED) for name, k in failed_channels(rec).items() if name in channels]
     return sorted((flaw for flaw in all_flaws if flaw.first < stop and flaw.stop > first), key=lambda flaw: flaw.first)
 
 
@@ -102,7 +102,7 @@ def remedy(rec: Recording, all_flaws: Sequence[Flaw]) -> str:
     remedies = {
         OVERLOADED: f"lower the level, widen the range (converter: range){sensor}",
         SETTLING: "switch the sensors on earlier",
-        DEAD: "check cable and sensor",
+        FAILED: "check cable and sensor",
     }
     text = ", and ".join(remedies[reason] for reason in remedies if reason in reasons)
     text = text or "check the recording with `daq info`"
@@ -115,7 +115,7 @@ def settling_flaws(rec: Recording, names: Sequence[str], first: int, stop: int, 
     `lowest`: lowest excited frequency [Hz]. Over a period of this frequency, the mean of the motion is zero. A mean
     that differs from later means is therefore an error of the sensor, and in a force channel an apparent force.
     """
-    stop = min([stop, *(dead for name, dead in dead_channels(rec).items() if name in names)])
+    stop = min([stop, *(dead for name, dead in failed_channels(rec).items() if name in names)])
     block_samples = int(np.ceil(rec.rate / lowest))
     n_blocks = (stop - first) // block_samples
     if n_blocks < _MIN_BLOCKS:

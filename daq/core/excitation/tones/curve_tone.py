@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 # The input gain is estimated from this number of points measured without feedback: several, because each has noise.
 _FLANK_POINTS = 3
-# Drives that correct a point; more are needed only where the curve is lost.
+# Maximum number of drives that correct a point; more are needed only if the control has lost the curve.
 _MAX_DRIVES = 8
 # A change of the frequency (in Hz) of less than this number divided by the dead time (in s) is made within one window.
 _SMALL_TURN = 0.05
@@ -29,10 +29,10 @@ _SMALL_TURN = 0.05
 class Point(NamedTuple):
     """A settled point of a curve."""
 
-    frequency: float  # frequency of the tone, Hz
-    motion: float  # displacement amplitude, m
+    frequency: float  # frequency of the tone [Hz]
+    motion: float  # displacement amplitude [m]
     level: float  # amplitude of the force or drive
-    pole: complex  # pole of the mode relative to the tone, 1/s; 0 before it is known
+    pole: complex  # pole of the mode relative to the tone [1/s]; 0 before it is known
 
 
 class CurveTone(EnvelopeTone):
@@ -85,7 +85,7 @@ class CurveTone(EnvelopeTone):
         return super().amplitudes(readings, phases)
 
     def point(self) -> Point:
-        """Return the present point, which has settled."""
+        """Return the current point, which has settled."""
         level = self.amplitude if self._force is None else float(np.mean(self._forces))
         return Point(self.frequency, abs(self.motion), level, -self._gain * self.envelope / self.motion)
 
@@ -111,10 +111,10 @@ class CurveTone(EnvelopeTone):
     def hold_at(self, frequency: float, motion: float) -> Generator[Array, Array, Point | None]:
         """Settle at a frequency in Hz and an amplitude in m by feedback; return the point, None if it did not settle.
 
-        A small change of frequency needs a short transition, in which an unstable motion hardly grows.
+        A small change of frequency needs a short transition, in which the growth of an unstable motion is negligible.
         """
         if not self._gain:
-            # A lost motion has shown that the model of the mode is wrong.
+            # The model of the mode was discarded, because the control lost the motion.
             return None
         self._is_flank = False
         transition_s = 0.0 if abs(frequency - self.frequency) * self.dead_time < _SMALL_TURN else TRANSITION_S
@@ -122,5 +122,5 @@ class CurveTone(EnvelopeTone):
         return self.point() if settled else None
 
     def is_holdable(self, point: Point, ratio: float) -> bool:
-        """Return whether |l| times the dead time at a point is below a fraction of its stability limit."""
+        """Return whether feedback can hold a point: |pole| times dead time is at most `ratio` times its limit."""
         return 0.0 < abs(point.pole) * self.dead_time <= ratio * MAX_POLE_TIMES_DEAD_TIME

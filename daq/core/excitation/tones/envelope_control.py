@@ -65,9 +65,9 @@ _MIN_MULTIPLE = 0.01
 _COMPARED_ORDERS = 1.0, 1.5
 # Number of windows at rest from which the noise is estimated, to 20 %.
 _NOISE_WINDOWS = 12
-# Variance of the envelopes by noise in a measurement, relative to that at rest, which a few windows determine roughly.
+# Assumed ratio of the noise variance in a measurement to that at rest, which a few windows determine only roughly.
 _NOISE_MARGIN = 2.0
-# The motion has left its target if it deviates by more than this multiple of the tolerance, more than it scatters.
+# The motion has left its target if it deviates by more than this multiple of the tolerance; it scatters by less.
 _LEFT_RATIO = 2.0
 
 
@@ -123,10 +123,10 @@ class EnvelopeControl:
 class Held(NamedTuple):
     """A measurement at constant envelope."""
 
-    motion: complex  # mean envelope, m
+    motion: complex  # mean envelope [m]
     drive: complex  # mean envelope
     invasive: float  # root mean square of the changes of the drive by the control, relative to the drive
-    growth: float  # rate at which the motion left its target with a constant drive, 1/s; 0 if it stayed
+    growth: float  # rate at which the motion left its target with a constant drive [1/s]; 0 if it stayed
     repetition: int  # number of periods of the tone after which the motion repeats, as far as noise permits; 0: none
 
 
@@ -141,8 +141,8 @@ class EnvelopeTone(SteadyTone):
         self._quantity, self._settle = controlled, settle
         self.forget_mode()
         self.direction = 1.0 + 0j  # phase of the drive relative to that of the envelopes, as e^{i phase}
-        self.motion = 0j  # last envelope of the controlled motion, m
-        self.noise = 0.0  # standard deviation of the envelope in a window by noise, m
+        self.motion = 0j  # last envelope of the controlled motion [m]
+        self.noise = 0.0  # standard deviation of the envelope in a window by noise [m]
         self.scatter = 0.0  # relative standard deviation of the last drives
         self._multiples: list[str] = []  # motions that repeat after several periods
         self._readings: list[Array] = []  # of the first channel of the motion, since the last measurement began
@@ -189,7 +189,7 @@ class EnvelopeTone(SteadyTone):
         return amplitudes
 
     def measure_noise(self) -> Generator[Array, Array, None]:
-        """Estimate the noise of the envelope at rest, at the present frequency, and the noise of the quantization."""
+        """Estimate the noise of the envelope at rest, at the current frequency, and the noise of the quantization."""
         yield from wait_for_sensors(self.station)
         envelopes = []
         for _ in range(_NOISE_WINDOWS):
@@ -314,7 +314,7 @@ class EnvelopeTone(SteadyTone):
         return Held(motion, drive, invasive, growth, repetition)
 
     def mark_measured(self, first: int, held: Held, settled: bool, **fields: Any) -> None:
-        """Mark the measurement from a given sample to the present sample."""
+        """Mark the measurement from a given sample to the current sample."""
         self.station.mark(
             "measure", first, self.station.now, drive=abs(held.drive),
             force=abs(held.drive) if self.station.force_is_drive else None,
@@ -349,7 +349,7 @@ def irregularity(samples: Array, frequency: float, rate: float) -> list[float]:
     """Return the differences of a motion after 1, 2, ... periods, relative to its amplitude at its frequency in Hz.
 
     Chaotic and quasi-periodic motions do not repeat, even if their envelopes at the frequency are nearly constant. A
-    slow drift hardly counts. `rate`: sample rate [Hz].
+    the effect of slow drift is negligible. `rate`: sample rate [Hz].
 
     >>> t = np.arange(400)
     >>> doubled, beating = (np.sin(t) + 0.1 * np.sin(ratio * t) for ratio in (0.5, 0.43))

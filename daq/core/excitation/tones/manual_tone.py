@@ -24,7 +24,7 @@ _DEVIATING_WINDOWS = 5
 
 
 class ToneControls:
-    """Frequency (Hz) and force amplitude (N) of the operator; they take effect with the next window of the drive.
+    """Frequency [Hz] and force amplitude [N] of the operator; they take effect with the next window of the drive.
 
     `highest`: highest permitted frequency [Hz].
 

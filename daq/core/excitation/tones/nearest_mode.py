@@ -7,7 +7,7 @@ import numpy as np
 
 from rig.core.base.arrays import Array, ComplexArray
 
-# Fewest observations for the estimate of a mode, which has four unknowns.
+# Minimum number of observations for the estimate of a mode, which has four unknowns.
 _MIN_OBSERVATIONS = 6
 # Observations older than this multiple of the memory (time constant of their weights) are discarded: their weights are
 # below exp(-3) = 5 %.
@@ -18,15 +18,15 @@ _SEARCH_INTERVAL = 4
 _SEARCH_FREQUENCIES = np.geomspace(0.6, 1.7, 24)
 # Damping ratios of the search for a different mode.
 _SEARCH_DAMPING = np.array([0.005, 0.03])
-# A different mode replaces the present mode if the ratio of their residuals is below this value, so noise does not
+# A different mode replaces the current mode if the ratio of their residuals is below this value, so noise does not
 # exchange the modes.
 _MAX_RESIDUAL_RATIO = 0.7
-# The search around the present mode begins with this frequency step, relative to the mode's frequency.
+# The search around the current mode begins with this frequency step, relative to the mode's frequency.
 _INITIAL_STEP = 0.01
 # Limits of the relative frequency step.
 _MIN_STEP = 1e-4
 _MAX_STEP = 0.03
-# The frequency step is multiplied by this factor if the present frequency remains the best.
+# The frequency step is multiplied by this factor if the current frequency remains the best.
 _STEP_DECREASE = 0.6
 # The frequency step is multiplied by this factor if another frequency is better.
 _STEP_INCREASE = 1.5
@@ -95,7 +95,7 @@ class NearestMode:
             best = best_local
         if best >= local_poles.size:
             self._step = _INITIAL_STEP
-        elif best // 3 == 1:  # the present frequency, with one of its three damping ratios
+        elif best // 3 == 1:  # the current frequency, with one of its three damping ratios
             self._step = max(_MIN_STEP, _STEP_DECREASE * self._step)
         else:
             self._step = min(_MAX_STEP, _STEP_INCREASE * self._step)
@@ -103,7 +103,7 @@ class NearestMode:
         self.pole, self.gain, self.residual_term = (complex(values[best]) for values in estimates)
 
     def _poles_around(self) -> ComplexArray:
-        """Return poles around the present pole, frequency by frequency; the present frequency is in the middle."""
+        """Return poles around the current pole, frequency by frequency; the current frequency is in the middle."""
         angular_frequency, damping = self.pole.imag, -self.pole.real / self.pole.imag
         steps = np.array([-1.0, 0.0, 1.0])
         angular_frequencies = angular_frequency * (1 + self._step * steps)

@@ -30,7 +30,7 @@ _FREQUENCIES, _MODULATIONS = 2001, 400
 class LoopSettings(NamedTuple):
     """Settings of a `PhaseLoop`."""
 
-    slope_rate: float  # inverse of the slope of the phase over angular frequency, 1/s
+    slope_rate: float  # inverse of the slope of the phase over angular frequency [1/s]
     proportional: float  # weight of the proportional part
     slowness: float  # factor on the length of the windows
 

@@ -251,7 +251,7 @@ class Settling:
         return (max(magnitudes) - min(magnitudes)) / max(magnitudes[-1], _SMALLEST)
 
     def phase_change(self) -> float:
-        """Phase change of the first quantity's transient between observations, rad.
+        """Phase change of the first quantity's transient between observations [rad].
 
         The result is infinite if no law was determined.
         """

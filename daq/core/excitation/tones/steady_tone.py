@@ -36,13 +36,13 @@ WINDOW_S = 0.1
 _MAX_FORCE_RATIO = 3.0
 # Largest sudden change of the drive with a negligible transient, as ln(new / old).
 _MAX_SUDDEN_CHANGE = 0.03
-# The drive is changed as soon as the predicted force changed over the last observations by less than this fraction of
-# its deviation from the level.
+# The drive is updated once the predicted force is stable: its change over the last observations is below this fraction
+# of its deviation from the level.
 _MAX_PREDICTION_CHANGE = 0.3
 # A measurement longer than twice this number of samples is evaluated in blocks of this size or more, to limit the
 # memory.
 _BLOCK_SAMPLES = 1 << 16
-# Steps that a warning lists; a longer list would hide the remedy.
+# Maximum number of steps that a warning lists; a longer list would hide the remedy.
 _MAX_LISTED = 8
 
 
@@ -249,7 +249,7 @@ class SteadyTones:
                 samples = window
                 for (tone, detector), new_drive in zip(observed, new_drives, strict=True):
                     if abs(math.log(new_drive / tone.amplitude)) >= _MAX_SUDDEN_CHANGE:
-                        # The transient of a mode beats with the drive. A transition of two beat periods hardly excites
+                        # The transient of a mode beats with the drive. A transition of two beat periods rarely excites
                         # the mode.
                         two_beats = round(window * 4 * np.pi / detector.phase_change())
                         samples = max(samples, min(station.samples(_MAX_TRANSITION_S), two_beats))
@@ -315,7 +315,7 @@ class SteadyTone(Tone, SteadyTones):
 
 
 def _new_drive(tone: Tone, detector: Settling) -> float:
-    """Return the next drive of a tone: the present one if it is correct, or if the force is not yet predictable."""
+    """Return the next drive of a tone: the current one if it is correct, or if the force is not yet predictable."""
     control, drive = tone.control, tone.amplitude
     if control is None:
         return drive
@@ -400,7 +400,7 @@ class AmplitudeControl:
         return drive * max(math.exp(-_MAX_LOG_STEP), min(1.0, self.level / force))
 
     def next_drive(self, drive: float, force: float) -> float:
-        """Compute the next drive amplitude, at most `limit`, from the present drive and its steady force in N."""
+        """Compute the next drive amplitude, at most `limit`, from the current drive and its steady force in N."""
         log_drive, error = math.log(drive), math.log(self.level / max(force, _MIN_FORCE_RATIO * self.level))
         slope = 1.0
         if self._previous is not None and abs(log_drive - self._previous[0]) > _MIN_LOG_DIFFERENCE:

@@ -21,13 +21,13 @@ _MIN_SAMPLES = 1024
 # Shortest block, in periods of the lowest frequency.
 _MIN_PERIODS = 4.0
 # Minimum number of failed blocks at the end.
-_MIN_DEAD = 2
+_MIN_FAILED = 2
 # Maximum number of blocks before the failed ones with which they are compared.
 _COMPARED = 8
 # Minimum number of blocks, or of impacts, in a test that is checked: parts of fewer cannot be compared.
 _MIN_BLOCKS = 4
 # A signal has failed if it is below this fraction of the previous signal: only noise and crosstalk remain.
-_DEAD_RATIO = 0.01
+_FAILED_RATIO = 0.01
 # A signal that falls by more than this factor in several steps has settled; one that fails falls in one step, or in two
 # at the beginning of a block.
 _MAX_FALL = 10.0
@@ -39,20 +39,20 @@ _MIN_CONTRAST = 10.0
 _PEAK_RATIO = 3.0
 
 # For each open recording: the first invalid sample of each failed channel.
-_dead_channels_of: WeakKeyDictionary[Recording, dict[str, int]] = WeakKeyDictionary()
+_failed_channels_of: WeakKeyDictionary[Recording, dict[str, int]] = WeakKeyDictionary()
 
 
-def dead_channels(rec: Recording) -> dict[str, int]:
+def failed_channels(rec: Recording) -> dict[str, int]:
     """Return the first invalid sample of each failed channel; computed once while a file is open."""
-    if rec not in _dead_channels_of:
-        _dead_channels_of[rec] = _find(rec)
-    return _dead_channels_of[rec]
+    if rec not in _failed_channels_of:
+        _failed_channels_of[rec] = _find(rec)
+    return _failed_channels_of[rec]
 
 
-def dead_channel_warnings(rec: Recording, names: Sequence[str], responses: Sequence[str]) -> list[str]:
+def failed_channel_warnings(rec: Recording, names: Sequence[str], responses: Sequence[str]) -> list[str]:
     """Return a warning for each of the channels `names` that fails; `responses`: channels other than the reference."""
     warnings = []
-    for name, first in dead_channels(rec).items():
+    for name, first in failed_channels(rec).items():
         others = ", ".join(other for other in responses if other != name)
         remedy = (
             f"To use the other channels to the end, choose them (`response`: {others})."
@@ -85,7 +85,7 @@ def _find(rec: Recording) -> dict[str, int]:
     is_motion = np.array([rec.channels[name].quantity != "force" for name in names])
     dead = {}
     for row, name in enumerate(names):
-        block = _first_dead_block(levels[row])
+        block = _first_failed_block(levels[row])
         info = rec.channels[name]
         min_level = 0.0 if info.volts_per_count is None else _MIN_COUNTS * info.unit_per_count
         if block is None or np.median(levels[row, max(block - 1 - _COMPARED, 0) : block - 1]) < min_level:
@@ -95,7 +95,7 @@ def _find(rec: Recording) -> dict[str, int]:
         others = others & (np.arange(len(names)) != row)
         falls = [_fall(level, block) for level in levels[others]]
         if min(falls, default=0.0) < _fall(levels[row], block) / _MIN_CONTRAST:
-            dead[name] = _first_dead_sample(rec, name, int(starts[block - 1]), int(starts[block]), samples)
+            dead[name] = _first_invalid_sample(rec, name, int(starts[block - 1]), int(starts[block]), samples)
     return dead
 
 
@@ -117,14 +117,14 @@ def _level(rec: Recording, name: str, start: int, samples: int) -> float:
     return float(block.std()) if block.size else np.nan
 
 
-def _first_dead_block(levels: Array) -> int | None:
+def _first_failed_block(levels: Array) -> int | None:
     """Return the first of the last blocks in which a channel has failed."""
-    for block in range(_MIN_DEAD, levels.size - _MIN_DEAD + 1):
+    for block in range(_MIN_FAILED, levels.size - _MIN_FAILED + 1):
         # The last block before may be invalid in part.
         before = levels[max(block - 1 - _COMPARED, 0) : block - 1]
         falls = levels[max(block - 3, 0) : block] > _MAX_FALL * levels[max(block - 3, 0) + 1 : block + 1]
         has_settled = falls.sum() > 1 and (falls.size < 3 or falls[0])
-        if levels[block:].max() < _DEAD_RATIO * before.min() and not has_settled:
+        if levels[block:].max() < _FAILED_RATIO * before.min() and not has_settled:
             return block
     return None
 
@@ -135,7 +135,7 @@ def _fall(levels: Array, block: int) -> float:
     return before / max(float(np.median(levels[block:])), 1e-300)
 
 
-def _first_dead_sample(rec: Recording, name: str, first: int, last: int, samples: int) -> int:
+def _first_invalid_sample(rec: Recording, name: str, first: int, last: int, samples: int) -> int:
     """Return the first invalid sample of a channel, between the first samples of two successive blocks."""
     readings = rec.read(name, first, min(last + samples, rec.samples))
     dead = readings[last - first :]

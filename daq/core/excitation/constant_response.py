@@ -15,7 +15,7 @@ import numpy as np
 from daq.core.excitation import stepped_sine
 from daq.core.excitation.controlled import controlled
 from daq.core.excitation.procedure import Form, FormValues
-from daq.core.excitation.station import Excitation, Station, TestAborted
+from daq.core.excitation.station import AbortedTest, Excitation, Station
 from daq.core.excitation.stepped_sine import StepsProcedure
 from daq.core.excitation.tones.envelope_control import MAX_POLE_TIMES_DEAD_TIME, EnvelopeTone
 from rig.core.base.arrays import Array
@@ -109,7 +109,7 @@ class ConstantResponseProcedure(StepsProcedure["ConstantResponse"]):
     duration_ratio = 1.5
 
     def excite(self, station: Station, test: ConstantResponse) -> Excitation:
-        """Run the test; raise `TestAborted` if no dwell reached its level."""
+        """Run the test; raise `AbortedTest` if no dwell reached its level."""
         tone = HeldMotion(station, test)
         yield from tone.measure_noise()
         settled = yield from stepped_sine.excite(station, test, tone)
@@ -128,7 +128,7 @@ class ConstantResponseProcedure(StepsProcedure["ConstantResponse"]):
                 f"{dead_time:.2g} s. Use a converter filter with a shorter delay."
             )
         if not settled:
-            raise TestAborted(" ".join([f"the motion of {test.at} reached the level at no frequency.", *messages]))
+            raise AbortedTest(" ".join([f"the motion of {test.at} reached the level at no frequency.", *messages]))
         for message in messages:
             station.warn(message)
         tone.warn_of_multiples()

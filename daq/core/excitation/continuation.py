@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 from daq.core.excitation.constant_response import AT_LIMIT_RATIO
 from daq.core.excitation.controlled import measured_force
 from daq.core.excitation.procedure import Form, FormValues
-from daq.core.excitation.station import Excitation, Station, TestAborted
+from daq.core.excitation.station import AbortedTest, Excitation, Station
 from daq.core.excitation.stepped_sine import SteadyTonesProcedure, expected_wait
 from daq.core.excitation.tones.curve_tone import CurveTone, Point
 from daq.core.excitation.tones.envelope_control import (
@@ -431,7 +431,7 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
     duration_ratio = 3.0
 
     def excite(self, station: Station, test: Continuation) -> Excitation:
-        """Follow the curve of each level; raise `TestAborted` if none reached a fold or the end of the band."""
+        """Follow the curve of each level; raise `AbortedTest` if none reached a fold or the end of the band."""
         force = None if test.level_key == "drive" or station.force_is_drive else measured_force(station)
         tone, failures, useless = CurveTone(station, test, force), list[str](), 0
         yield from tone.measure_noise()
@@ -457,7 +457,7 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
                 )
             yield tone.end()
         if useless == len(test.levels):
-            raise TestAborted(failures[0])
+            raise AbortedTest(failures[0])
         for message in failures:
             station.warn(message)
         tone.warn_of_multiples()

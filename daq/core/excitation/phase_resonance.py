@@ -12,7 +12,7 @@ import numpy as np
 from daq.core.excitation.controlled import controlled, displacement, measured_force
 from daq.core.excitation.lock_in import whole_periods
 from daq.core.excitation.procedure import Form, FormValues
-from daq.core.excitation.station import Excitation, Station, TestAborted
+from daq.core.excitation.station import AbortedTest, Excitation, Station
 from daq.core.excitation.stepped_sine import SteadyTonesProcedure
 from daq.core.excitation.tones.phase_loop import PhaseLoop
 from daq.core.excitation.tones.phase_plant import loop_settings
@@ -121,7 +121,7 @@ class PhaseResonanceProcedure(SteadyTonesProcedure["PhaseResonance"]):
     duration_ratio = 2.0
 
     def excite(self, station: Station, test: PhaseResonance) -> Excitation:
-        """Lock the phase at each level, and measure at constant frequency; raise `TestAborted` without any lock."""
+        """Lock the phase at each level, and measure at constant frequency; raise `AbortedTest` without any lock."""
         tone, failures = _PhaseTone(station, test), list[str]()
         frequency, drive = test.frequency, 0.0
         for number, level in enumerate(test.levels):
@@ -170,7 +170,7 @@ class PhaseResonanceProcedure(SteadyTonesProcedure["PhaseResonance"]):
                 failures.append(_failure(station, test, tone, level, measured))
         yield tone.end()
         if len(failures) == len(test.levels):
-            raise TestAborted(failures[0])
+            raise AbortedTest(failures[0])
         for message in failures:
             station.warn(message)
         station.report(1.0, "done")

@@ -16,7 +16,7 @@ from daq.core.excitation.profiles.identification import EXPECTED_PERIODS, identi
 from daq.core.excitation.profiles.random_control_check import line_warnings
 from daq.core.excitation.profiles.spectrum_control import SCATTER_DB, AveragedSpectra, NoiseSource, updated
 from daq.core.excitation.profiles.spectrum_shaping import lines_between
-from daq.core.excitation.station import Excitation, Station, TestAborted
+from daq.core.excitation.station import AbortedTest, Excitation, Station
 from rig.core.base.arrays import Array
 from rig.core.scene.excitation.profile import limits_drive
 
@@ -71,7 +71,7 @@ class SpectrumControl:
         rms = float(np.sqrt(np.sum(self.drive) * self.station.rate / self.period))
         share = float(erfc(self.station.output_limit / (rms * np.sqrt(2.0)))) if rms > 0.0 else 0.0
         if share > _MAX_CLIPPED:
-            raise TestAborted(
+            raise AbortedTest(
                 f"at full level, {100 * share:.0f} % of the drive samples are clipped by the output. Lower the profile."
             )
 
@@ -97,7 +97,7 @@ class SpectrumControl:
         worst = int(np.argmax(deviation))
         if np.mean(above) > test.abort_lines:
             peak = f"{deviation[worst]:.1f} dB at {self.frequency[worst]:.4g} Hz"
-            raise TestAborted(
+            raise AbortedTest(
                 f"aborted at a level of {level:g} dB: {100 * np.mean(above):.0f} % of the lines exceed the profile by "
                 f"more than {test.abort:g} dB, the largest by {peak}. "
                 "Lower test.speed, or limit the response of a channel."
@@ -154,7 +154,7 @@ class RandomControlProcedure(Procedure["RandomControl"]):
                 if share >= _MIN_WITHIN and station.now - first >= station.samples(test.hold):
                     break
                 if updates >= _MAX_UPDATES and share < _MIN_WITHIN:
-                    raise TestAborted(
+                    raise AbortedTest(
                         f"at {level:g} dB only {100 * share:.0f} % of the lines are within {test.tolerance:g} dB after "
                         f"{updates} updates. Increase test.lines or test.tolerance."
                     )

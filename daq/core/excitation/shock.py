@@ -14,7 +14,7 @@ from daq.core.excitation.procedure import Form, Procedure
 from daq.core.excitation.profiles.identification import EXPECTED_PERIODS, MIN_COHERENCE, accelerations, identify
 from daq.core.excitation.profiles.spectrum_shaping import lines_between
 from daq.core.excitation.profiles.wave_replication import HalfSinePulse, Pulse, Replication, SpectrumPulse
-from daq.core.excitation.station import Excitation, Station, TestAborted
+from daq.core.excitation.station import AbortedTest, Excitation, Station
 from rig.core.base.errors import SceneError
 from rig.core.scene.excitation.profile import from_decibels
 from rig.core.scene.excitation.shock import PULSE_POSITION
@@ -107,7 +107,7 @@ class ShockProcedure(Procedure["Shock"]):
         total, number, is_within, message, deviations = n_practice + test.repeats, 0, False, "", list[float]()
         while levels or not is_within:
             if number == n_practice:
-                raise TestAborted(f"after {number} practice pulses {message}. {_remedy(deviations)}")
+                raise AbortedTest(f"after {number} practice pulses {message}. {_remedy(deviations)}")
             level = levels.pop(0) if levels else test.practice[-1]
             number += 1
             station.report(number / total, f"practice pulse {number} at {level:g} dB")

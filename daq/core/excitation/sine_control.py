@@ -28,7 +28,7 @@ from daq.core.excitation.profiles.sine_control_check import (
 )
 from daq.core.excitation.profiles.spectrum_shaping import lines_between
 from daq.core.excitation.profiles.sweep_control import estimate_amplitudes, observation_samples
-from daq.core.excitation.station import Excitation, Station, TestAborted
+from daq.core.excitation.station import AbortedTest, Excitation, Station
 from rig.core.base.arrays import Array
 from rig.core.numerics.runs import runs_of
 from rig.core.results.text import format_decimals
@@ -174,7 +174,7 @@ class SineSweep:
             observation = Observation(max(now - length, 0), now, frequency, deviation, int(np.argmin(ratios)) - 1)
             if deviation > self.test.abort and drive > 0.0:
                 names = " and ".join(self.test.control.channels)
-                raise TestAborted(
+                raise AbortedTest(
                     f"aborted at {format_decimals(frequency, 1)} Hz: {names} is {deviation:.1f} dB above the profile. "
                     "Sweep more slowly, or add a limit."
                 )

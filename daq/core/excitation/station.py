@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 Excitation = Generator[Array, Array, None]
 
 
-class TestAborted(RunError):
+class AbortedTest(RunError):
     """A test cannot continue; the loop that runs it then ramps the drive to zero."""
 
 
@@ -149,12 +149,12 @@ class Station:
         return min(self.drive_limit, volts * DRIVE_PER_VOLT[shaker.drive_unit])
 
     def check_output(self, drive: float, requiring: str, remedy: str) -> None:
-        """Raise `TestAborted` if a drive exceeds `output_limit`; `requiring`: subject of the message."""
+        """Raise `AbortedTest` if a drive exceeds `output_limit`; `requiring`: subject of the message."""
         shaker = self.scene.driven_shaker
         assert shaker is not None
         if drive > self.output_limit:
             unit = shaker.drive_unit
-            raise TestAborted(
+            raise AbortedTest(
                 f"{requiring} requires a drive of {drive:.3g} {unit}; the output gives {self.output_limit:.3g} {unit}. "
                 f"{remedy}"
             )

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.core.excitation.station import Excitation, Station, TestAborted
+from daq.core.excitation.station import AbortedTest, Excitation, Station
 from daq.core.measurement.limits import ControlLoss, Limits
 from daq.core.virtual_bench.bench import Bench, Block
 from rig.core.base.arrays import Array
@@ -32,7 +32,7 @@ def ramp_down(last: Array, samples: int) -> Array:
     return (last[:, -1:] + (last[:, -1:] - last[:, :1]) * index) * (1 + np.cos(np.pi * index / samples)) / 2
 
 
-class LimitReached(TestAborted):
+class LimitReached(AbortedTest):
     """A channel exceeded its abort limit, or the controlled force could no longer be measured."""
 
 
@@ -102,10 +102,10 @@ class BenchLoop(ABC):
                     # The last samples of the test are still delayed in the converter's filter.
                     self.acquire(np.repeat(self._last_drive[:, -1:], self.bench.latency, axis=1))
                 return True
-            except TestAborted as reason:
+            except AbortedTest as reason:
                 message = self._control.describe(str(reason), self.station.now)
                 self.acquire(ramp_down(self._last_drive, self.station.samples(RAMP_S)))
-                raise TestAborted(message) from reason
+                raise AbortedTest(message) from reason
         return False
 
     def ending_error(self, readings: Array) -> BaseException | None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from daq.core.excitation.station import Excitation, Station, TestAborted
+from daq.core.excitation.station import AbortedTest, Excitation, Station
 from daq.core.measurement.bench_loop import RAMP_S, ramp_down
 from rig.core.base.arrays import Array
 from rig.core.scene.shaker import DRIVE_PER_VOLT
@@ -61,7 +61,7 @@ def run_on_device(
             drive = test.send(play(drive))
     except StopIteration:
         play(np.repeat(last[:, -1:], station.latency, axis=1))
-    except TestAborted:
+    except AbortedTest:
         play(ramp_down(last, station.samples(RAMP_S)))
         raise
     finally:

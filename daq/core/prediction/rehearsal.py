@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from daq.core.excitation import excitation, procedure_of
 from daq.core.excitation.sensor_settling import settling_time
-from daq.core.excitation.station import TestAborted
+from daq.core.excitation.station import AbortedTest
 from daq.core.measurement.bench_loop import BenchLoop
 from daq.core.recording.recorder import Recorder
 from daq.core.virtual_bench.bench import Bench, Block
@@ -127,7 +127,7 @@ class Rehearsal(BenchLoop):
         test = excitation(self.station)
         try:
             self.complete = self.run_test(test, next(test), max_duration)
-        except TestAborted as reason:
+        except AbortedTest as reason:
             self.aborted = str(reason)
         self.seconds = self.station.now / self.rate
         return self

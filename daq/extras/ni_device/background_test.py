@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.core.excitation import Excitation, Station, excitation
-from daq.core.excitation.station import TestAborted
+from daq.core.excitation.station import AbortedTest
 from daq.core.measurement.bench_loop import RAMP_S, ramp_down
 from daq.core.signal_chain.oversampling import DriveInterpolator
 from rig.core.base.arrays import Array
@@ -124,7 +124,7 @@ class BackgroundTest:
                 self._start_ramp()
             else:
                 self._start_block(self._test.send(readings))
-        except TestAborted as error:
+        except AbortedTest as error:
             self._reason = str(error)
             self._start_ramp()
         except StopIteration:

@@ -88,4 +88,4 @@ def test_unused_option_names_its_recordings(stepped_path, tmp_path):
     assert "--unit has no effect on a.mcap: a recording states its units" in result.output
     for options in (["--theory"], ["--block", "2"], ["--reference", "table"]):
         failed = CliRunner().invoke(app, ["frf", str(tmp_path / "b.csv"), *options])
-        assert "leave" in str(failed.exception).lower()
+        assert "omit" in str(failed.exception).lower()

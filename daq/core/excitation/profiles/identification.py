@@ -11,7 +11,7 @@ import numpy as np
 
 from daq.core.excitation.profiles.spectrum_shaping import Lines, crossfade, sum_of_tones
 from daq.core.excitation.sensor_settling import wait_for_sensors
-from daq.core.excitation.station import Station, TestAborted
+from daq.core.excitation.station import AbortedTest, Station
 from rig.core.base.arrays import Array, ComplexArray
 
 #: Lines with a lower coherence are not used.
@@ -119,12 +119,12 @@ def identify(
     level = float(np.sqrt(np.mean(wave**2)))
     station.mark("identification", first, station.now, drive=level, coherent=round(share, 3))
     if not abs(measured[:, 0]).any():
-        raise TestAborted(
+        raise AbortedTest(
             f"the readings of {station.channels[rows[0]].name} are constant while the drive changes. Check its cable, "
             "whether it is at the end of its range, and for an IEPE sensor converter.excitation and converter.coupling."
         )
     if share < _MIN_SHARE:
-        raise TestAborted(
+        raise AbortedTest(
             f"{station.channels[rows[0]].name} does not follow the drive: for {100 * (1 - share):.0f} % of the "
             f"required power, the coherence is below {MIN_COHERENCE:g}. Use a more sensitive sensor, a smaller "
             "converter.range, or a higher level."

@@ -348,8 +348,8 @@ def _growth(motions: ComplexArray, target: float, window: float, tolerance: floa
 def irregularity(samples: Array, frequency: float, rate: float) -> list[float]:
     """Return the differences of a motion after 1, 2, ... periods, relative to its amplitude at its frequency in Hz.
 
-    Chaotic and quasi-periodic motions do not repeat, even if their envelopes at the frequency are nearly constant. A
-    the effect of slow drift is negligible. `rate`: sample rate [Hz].
+    Chaotic and quasi-periodic motions do not repeat, even if their envelopes at the frequency are nearly constant. The
+    effect of slow drift is negligible. `rate`: sample rate [Hz].
 
     >>> t = np.arange(400)
     >>> doubled, beating = (np.sin(t) + 0.1 * np.sin(ratio * t) for ratio in (0.5, 0.43))

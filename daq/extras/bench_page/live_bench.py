@@ -169,8 +169,11 @@ class TestController:
 
     @property
     def details(self) -> str:
-        """Settings of the last test that are not fields of the page, such as the rate of a sweep."""
-        return "" if self._test is None else ", ".join(self._test[1].details)
+        """Settings of the last test that are not fields of the page, such as the rate of a sweep.
+
+        The settings of a single impact are those of one of the averaged impacts.
+        """
+        return "" if self._test is None or self._single_impact else ", ".join(self._test[1].details)
 
     @property
     def band(self) -> tuple[float, float] | None:
@@ -336,6 +339,11 @@ class TestController:
         self._test, self.target, self.message = None, None, "NI clients drive the outputs"
         self._monitor.start_estimate(frf, None, lambda: band)
 
+    def end_client_estimate(self) -> None:
+        """End the estimate of responses to the drive of NI clients."""
+        self._monitor.end_estimate()
+        self.message = "NI clients stopped driving the outputs"
+
     def _on_mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
         if kind == "hit":
             # The operator can accept or reject impacts until the test ends.
@@ -369,7 +377,7 @@ class TestController:
             if reason
             else "stopped"
             if self.is_aborted
-            else f"{self.settings.kind} test completed"
+            else f"{self._single_impact or f'{self.settings.kind} test'} completed"
         )
 
 
@@ -398,12 +406,17 @@ class LiveBench:
 
     def _follow_clients(self, bench: Any, block: Any) -> None:
         """Estimate responses while tasks of clients drive outputs; a listener of the chassis."""
-        drives = bool(self.chassis.outputs) and not self.controller.running
+        drives = self.is_driven_by_clients
         if drives and not self._clients_drive:
             self.controller.start_client_estimate()
         elif self._clients_drive and not drives and not self.controller.running:
-            self.monitor.end_estimate()
+            self.controller.end_client_estimate()
         self._clients_drive = drives
+
+    @property
+    def is_driven_by_clients(self) -> bool:
+        """Whether tasks of NI clients drive outputs, so that no test can start."""
+        return bool(self.chassis.outputs) and not self.controller.running
 
     @property
     def state(self) -> str:

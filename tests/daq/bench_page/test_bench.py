@@ -244,6 +244,8 @@ def test_single_hits_of_equal_settings_are_averaged(bench):
         averages.append(bench.monitor.frf.curves().averages)
         tests.append(bench.controller.tests)
     assert averages == [1, 2, 1] and tests == [1, 1, 2]
+    # The settings of one impact do not describe the average, nor does its end complete the test.
+    assert bench.controller.details == "" and bench.controller.message == "impact 1 completed"
 
 
 @pytest.mark.parametrize("bench", ["hammer"], indirect=True)
@@ -270,9 +272,11 @@ def test_clients_see_a_frequency_response(bench):
         assert bench.monitor.is_estimating and bench.monitor.frf is not None
         # Level and rate are those of a test, not of a client.
         assert bench.controller.target is None and bench.controller.details == ""
+        assert bench.is_driven_by_clients and bench.controller.message == "NI clients drive the outputs"
         del bench.chassis.outputs["task"]
         bench._follow_clients(None, None)
     assert not bench.monitor.is_estimating
+    assert not bench.is_driven_by_clients and "stopped" in bench.controller.message
 
 
 def test_live_peak_next_to_a_gap_has_no_damping():

@@ -253,6 +253,29 @@ def test_texts_and_scales_suit_the_values(bench, browser):
     assert value(f"inMillimeters({panel}).curves[0].y[0]") == 1.5
 
 
+@pytest.mark.thorough
+def test_touch_screen_has_hints_for_touch(bench, browser):
+    browser.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
+    browser.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride", {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
+    )
+    browser.get(bench[0])
+    wait_for(browser, lambda: element(browser, "state").text == "ready")
+    value = functools.partial(value_of, browser)
+    assert "two taps" in value("CURSOR_HINT")
+    # Each line of the message in the empty chart is inside its frame.
+    rows = "wrappedLines(response.chart.context, response.chart.hint, 300)"
+    assert len(value(rows)) == 2
+    assert value(f"Math.max(...{rows}.map((row) => response.chart.context.measureText(row).width))") <= 300
+    # The last two taps are the cursors.
+    browser.execute_script(
+        "for (const x of [100, 200, 300]) $('frf').dispatchEvent(Object.assign(new MouseEvent('click', {clientX: x})))"
+    )
+    assert value("response.chart.cursors.length") == 2 and value(
+        "response.chart.cursors[0] < response.chart.cursors[1]"
+    )
+
+
 def _options(channel):
     return nidaqmx.GrpcSessionOptions(channel, "")
 

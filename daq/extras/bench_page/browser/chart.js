@@ -51,7 +51,7 @@ class Chart {
     if (this.hint && this.panels.every((panel) => !panel.curves.length)) {
       context.font = "15px system-ui, sans-serif";
       [context.textAlign, context.textBaseline] = ["center", "middle"];
-      text(context, this.hint, (LEFT + this.width) / 2, this.height / 3);
+      wrappedLines(context, this.hint, this.width - LEFT - RIGHT - 16).forEach((row, k) => text(context, row, (LEFT + this.width - RIGHT) / 2, this.height / 3 + 20 * k));
     }
     for (const [k, x] of this.cursors.entries()) this.drawCursor(x, "AB"[k], top - GAP);
   }
@@ -153,6 +153,14 @@ function line(context, x0, y0, x1, y1, color, dash = []) {
   context.lineTo(x1, y1);
   context.stroke();
   context.setLineDash([]);
+}
+
+// The lines of a text, at most `width` px wide; a longer word is not broken.
+function wrappedLines(context, string, width) {
+  return string.split(" ").reduce((rows, word) => {
+    const longer = `${rows[rows.length - 1]} ${word}`;
+    return context.measureText(longer).width <= width ? [...rows.slice(0, -1), longer] : [...rows, word];
+  }, [""]).filter(Boolean).map((row) => row.trim());
 }
 
 function text(context, string, x, y) {

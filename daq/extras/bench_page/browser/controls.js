@@ -66,7 +66,7 @@ const controls = {
       title.hidden = field.hidden = !shown.includes(name);
       if (document.activeElement !== field) field.value = state.settings[name] ?? "";
     }
-    $("start").disabled = $("hit").disabled = state.running;
+    $("start").disabled = $("hit").disabled = state.running || state.is_driven_by_clients;
     $("stop").disabled = !state.running;
     $("stop").classList.toggle("live", state.running);
     $("record").checked = state.enabled;

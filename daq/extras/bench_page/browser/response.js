@@ -12,7 +12,9 @@ const response = {
     fillLegend($("legend"), this.channels);
     make($("legend"), "small").id = "thin";
     $("frf").addEventListener("click", (event) => {
-      this.chart.cursors[event.shiftKey ? 1 : 0] = this.nearest(this.chart.value(event.offsetX));
+      const { chart } = this, frequency = this.nearest(chart.value(event.offsetX));
+      if (IS_TOUCH) chart.cursors = [...chart.cursors, frequency].slice(-2);
+      else chart.cursors[event.shiftKey ? 1 : 0] = frequency;
       this.draw();
     });
     $("frf").addEventListener("dblclick", () => { this.chart.cursors = []; this.draw(); });
@@ -135,7 +137,7 @@ const response = {
       const [[f, i], [g, k]] = cursors;
       rows.push(["B − A", `${digits(g - f, 4)} Hz`, ...curves.rows.map((row) => `${digits(20 * Math.log10(row.magnitude[k] / row.magnitude[i]), 3)} dB`)]);
     }
-    fillTable($("cursors"), rows.length ? [["cursor", "frequency", ...curves.rows.map((row) => row.name)], ...rows] : [[curves ? "Click: cursor A. Shift and click: cursor B. Double-click: none." : ""]]);
+    fillTable($("cursors"), rows.length ? [["cursor", "frequency", ...curves.rows.map((row) => row.name)], ...rows] : [[curves ? CURSOR_HINT : ""]]);
     const peaks = this.head?.peaks ?? [];
     if (!peaks.length) return $("peaks").replaceChildren();
     const uncertain = peaks.map((peak) => this.isUncertain(peak));
@@ -152,6 +154,9 @@ const response = {
   },
 };
 
+// A touch screen has no shift key.
+const IS_TOUCH = matchMedia("(hover: none)").matches;
+const CURSOR_HINT = IS_TOUCH ? "The last two taps are cursors A and B." : "Click: cursor A. Shift and click: cursor B. Double-click: none.";
 // Color of the last test: its curves lie behind those of the present test.
 const LAST = "#8994a0";
 // Below this coherence, or where the phase scatters, the magnitude is a thin line and the phase is omitted.

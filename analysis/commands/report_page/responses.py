@@ -85,13 +85,15 @@ def response_charts(measurements: Sequence[Measurement], baseline_name: str) -> 
         levels = names if several and len(with_responses) == 1 else [""] * len(group)
         labels = _mode_marks(sweeps, baseline, group, styles, levels)
         chart = response_chart(group, names, styles, marks, labels, view)
-        tests = {each.label: _test_text(each) for each in with_responses}
+        # Later charts repeat kind of test and level, because a chart is also read or saved alone.
+        tests = {each.label: excitation_text(each.rec) if charts else _test_text(each) for each in with_responses}
         equal = len(set(tests.values())) == 1
         texts = [text if equal else f"{label}: {text}" for label, text in tests.items() if text]
         test = "; ".join(dict.fromkeys(texts))
-        sentences = _SENTENCE_END.split(f"{chart.caption} Test: {test}." if test else chart.caption)
-        # Later charts do not repeat the sentences of the first.
-        charts.append(replace(chart, caption=" ".join(text for text in sentences if text not in stated)))
+        sentences = _SENTENCE_END.split(chart.caption)
+        # Later charts do not repeat the other sentences of the first.
+        shown = [text for text in sentences if text not in stated] + [f"Test: {test}."] * bool(test)
+        charts.append(replace(chart, caption=" ".join(shown)))
         stated.update(sentences)
     return charts
 

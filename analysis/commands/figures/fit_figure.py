@@ -63,7 +63,11 @@ def _draw(curve_axes: Axes, residual_axes: Axes, compared: Comparison) -> None:
         curve_axes.plot(np.insert(frequency, breaks, np.nan), line, "-", lw=0.8, color=style.color)
     log_axis(curve_axes, [factor * abs(curves.value)])
     curve_axes.set_ylabel(f"|x / {curves.reference}| / ({unit})")
-    add_title(curve_axes, curves.label)
+    test, details = curves.scene.test, [curves.label]
+    if test is not None:
+        # With several levels, the label names the level.
+        details += [test.title, test.level_text(curves.scene.driven_shaker) if len(test.levels) == 1 else ""]
+    add_title(curve_axes, ", ".join(filter(None, details)))
     log_axis(residual_axes, [compared.normalized_residuals], max_decades=5.0)
     residual_axes.axhline(2.0, color="#555555", lw=0.6)
     residual_axes.set_ylabel("residual / standard uncertainty")

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy.ndimage
 from numpy.typing import NDArray
 
 from daq.core.excitation import Station
@@ -32,6 +33,14 @@ _EXCITED_RATIO = 1e-3
 _LOBE_LINES = 2.0
 # Minimum number of averages for a coherence; with a single average it is 1 for any data.
 _MIN_COHERENCE_AVERAGES = 2
+# Below its first determined line, the response to impacts is omitted: there the end of the window, which cuts the decay
+# of the resonances, contributes more than this fraction of the spectrum. This error is coherent among impacts.
+_MAX_TRUNCATION_RATIO = 0.5
+# The contribution of the end is the scatter of the spectrum over ends in the last part of the window: at least a period
+# of the lowest resonance, and short enough that the decay is nearly constant.
+_END_RATIOS = np.linspace(0.9, 1.0, 9)
+# Number of lines over which power and error are averaged.
+_AVERAGED_LINES = 5
 # Relation of the true magnitude to the estimate: equal; higher, because the response clipped; lower, because the force
 # clipped; unknown, because both clipped.
 RELATIONS = "", "≥", "≤", "?"
@@ -109,7 +118,8 @@ class LiveFrf:
         # RMS of the force in the last block [N]; None before the first block, or if the force clipped.
         self.force_rms: float | None = None
         self._block_sums = _SpectrumSums(len(self._rows), self._line_indices.size)
-        self._impacts: list[tuple[Impact, ComplexArray]] = []
+        # Impact, spectra of all channels, and power of the truncation error of each response (responses, lines).
+        self._impacts: list[tuple[Impact, ComplexArray, Array]] = []
 
     def add(self, readings: Array, overload: NDArray[np.bool_], band: tuple[float, float] | None) -> None:
         """Add the next readings of a continuous test, and their overloads, both of shape (channels, samples).
@@ -144,20 +154,23 @@ class LiveFrf:
     def add_impact(self, impact: Impact) -> None:
         """Add the window of an impact; it is used as long as the impact is accepted."""
         window = impact.readings[:, : self._block_samples]
-        padding = self._block_samples - window.shape[1]
-        self._impacts.append((impact, self._spectra(np.pad(window, ((0, 0), (0, padding))))))
+        cut = []
+        for samples in np.rint(_END_RATIOS * window.shape[1]).astype(int).tolist():
+            cut.append(self._spectra(np.pad(window[:, :samples], ((0, 0), (0, self._block_samples - samples)))))
+        # A sinusoidal change with the end has an amplitude of √2 standard deviations.
+        self._impacts.append((impact, cut[-1], 2.0 * np.var(cut, axis=0)[self._rows]))
 
     @property
     def version(self) -> tuple[int, list[bool]]:
         """Cache key of `curves`: number of averaged blocks, and whether each impact is accepted."""
-        return int(self._block_sums.count.sum()), [impact.accepted for impact, _ in self._impacts]
+        return int(self._block_sums.count.sum()), [impact.accepted for impact, *_ in self._impacts]
 
     def curves(self) -> LiveCurves | None:
         """Return the current estimate; None before the first block."""
         sums = self._block_sums
         if self._impacts:
             sums = _SpectrumSums(len(self._rows), self._line_indices.size)
-            for impact, spectra in self._impacts:
+            for impact, spectra, _ in self._impacts:
                 if impact.accepted:
                     sums.add(*self._force_and_motion(spectra), self._relation(impact.overloaded))
         if not sums.count.any():
@@ -174,8 +187,22 @@ class LiveFrf:
             coherence = np.abs(sums.cross) ** 2 / (force * sums.motion)
             value = np.asarray(sums.cross / force, dtype=complex)
         coherence[:, sums.count < _MIN_COHERENCE_AVERAGES] = np.nan
+        for row, first in enumerate(self._first_determined()):
+            value[row, :first] = coherence[row, :first] = np.nan
         rms = np.sqrt(np.where(excited, sums.force_power, np.nan) / np.maximum(sums.count, 1))
         return LiveCurves(self.names, self.frequency, value, coherence, sums.relation, rms, sums.count)
+
+    def _first_determined(self) -> list[int]:
+        """Return the first line of each response to accepted impacts that the end of the window does not dominate."""
+        accepted = [(spectra[self._rows], error) for impact, spectra, error in self._impacts if impact.accepted]
+        if not accepted:
+            return []
+        motion = np.sum([np.abs(spectra) ** 2 for spectra, _ in accepted], axis=0)
+        error = np.sum([each for _, each in accepted], axis=0)
+        # Averaged over lines, because a single line has a small error by chance.
+        motion, error = (scipy.ndimage.uniform_filter1d(each, _AVERAGED_LINES, axis=1) for each in (motion, error))
+        is_determined = error < _MAX_TRUNCATION_RATIO**2 * motion
+        return [int(row.argmax()) if row.any() else row.size for row in is_determined]
 
     def _drop(self, samples: int) -> None:
         """Remove the oldest pending samples."""

@@ -302,6 +302,7 @@ def test_omitted_points_are_drawn_as_crosses():
     curves = replace(demo, frequency=np.arange(10.0, 14.0), value=value, sensors=demo.sensors[:1])
     result = SimpleNamespace(compared=[Comparison(curves, value, is_fitted, np.ones((1, 4)), 1.0)])
     axes = fit_figure(result).axes  # type: ignore[arg-type]
+    assert axes[0].get_title(loc="left").startswith("demo, stepped sine, ")
     assert axes[1].get_title(loc="left") == "Residual 100 % of the curve, rms, 1 point omitted"
     for ax in axes:
         crosses = [line for line in ax.lines if line.get_marker() == "x"]

@@ -321,6 +321,23 @@ def test_noise_has_few_live_peaks(bench, averages):
     assert curves.averages == averages and len(largest_peaks(flat, 100)) <= 2
 
 
+@pytest.mark.parametrize("bench", ["hammer"], indirect=True)
+@pytest.mark.parametrize(("ratio", "lowest"), [(2e-3, (15.0, 55.0)), (5e-2, (1.0, 5.0))])
+def test_truncated_decay_hides_low_frequencies(bench, ratio, lowest):
+    rate, rest = 1024.0, 2.0
+    time = np.arange(round(rest * rate)) / rate
+    # Acceleration after an impulse at 0.1 s, of a single mode at 61.83 Hz with the given damping ratio.
+    omega, since = 2.0 * np.pi * 61.83, np.maximum(time - 0.1, 0.0)
+    velocity = np.exp(-ratio * omega * since) * np.cos(omega * since) * (time >= 0.1)
+    pulse = np.where(abs(time - 0.1) < 0.004, np.cos(np.pi * (time - 0.1) / 0.008), 0.0)
+    motion = np.convolve(pulse, np.gradient(velocity, 1.0 / rate))[: time.size]
+    frf = LiveFrf(bench.chassis.bench.scene, bench.monitor.channels, rate, rest, (2.0, 400.0))
+    frf.add_impact(SimpleNamespace(readings=np.array([motion, motion, pulse]), accepted=True, overloaded=[]))
+    curves = frf.curves()
+    first = curves.frequency[np.isfinite(curves.value[0])][0]
+    assert lowest[0] <= first <= lowest[1]
+
+
 def test_peak_list_names_highest_determined_channel():
     f = np.linspace(1.0, 20.0, 1901)
     low, high = (1.0 / (f0**2 - f**2 + 2j * 0.01 * f0 * f) for f0 in (5.0, 12.0))

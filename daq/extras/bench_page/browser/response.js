@@ -66,8 +66,9 @@ const response = {
     if (this.band) return this.band;
     const shown = this.curves ?? this.previous;
     if (!shown) return [1, 100];
-    const last = shown.rows[0].magnitude.findLastIndex((value) => isFinite(value)), high = shown.frequency[Math.max(last, 1)];
-    return [Math.max(shown.frequency.find((value) => value > 0), high / 10 ** DECADES), high];
+    const last = Math.max(...shown.rows.map((row) => row.magnitude.findLastIndex((value) => isFinite(value)))), high = shown.frequency[Math.max(last, 1)];
+    const low = shown.frequency.find((value, k) => value > 0 && shown.rows.some((row) => isFinite(row.magnitude[k])));
+    return [Math.max(low ?? 0, high / 10 ** DECADES), high];
   },
 
   draw() {
@@ -119,7 +120,7 @@ const response = {
 
   nearest(frequency) {
     if (!this.curves) return frequency;
-    return this.curves.frequency.reduce((best, f, k) => (isFinite(this.curves.rows[0].magnitude[k]) && Math.abs(f - frequency) < Math.abs(best - frequency) ? f : best), Infinity);
+    return this.curves.frequency.reduce((best, f, k) => (this.curves.rows.some((row) => isFinite(row.magnitude[k])) && Math.abs(f - frequency) < Math.abs(best - frequency) ? f : best), Infinity);
   },
 
   // Return whether the curve is thin at a peak.

@@ -68,7 +68,7 @@ def response_charts(measurements: Sequence[Measurement], baseline_name: str) -> 
     with_responses = [measurement for measurement in measurements if measurement.sweeps]
     frfs = [frf for measurement in with_responses for sweep in measurement.sweeps for frf in sweep.frfs]
     several = len({frf.label for frf in frfs}) > 1
-    charts = []
+    charts = list[Chart]()
     stated = set[str]()
     for key in dict.fromkeys((frf.ratio if several else frf.input) for frf in frfs):
         group = [frf for frf in frfs if key == (frf.ratio if several else frf.input)]

@@ -24,8 +24,6 @@ from rig.core.system.structural_model import natural_modes
 
 # Number of points of a theoretical curve: its resonances remain smooth when a reader enlarges the figure.
 _POINTS = 3000
-# Elements of the matrices that are solved in one call; the limit keeps the memory at 16 MB.
-_MAX_ELEMENTS = 1_000_000
 
 
 class TheoreticalModes(NamedTuple):
@@ -43,8 +41,7 @@ def linear_theory(rec: Recording, frf: Response) -> Response:
     else:
         scene, drive = _scene_under_force(rec), _force_input(rec, frf)
     system = assemble(scene)
-    blocks = np.array_split(2.0 * np.pi * frequency, 1 + _POINTS * system.states**2 // _MAX_ELEMENTS)
-    states = np.hstack([riding_response(system, drive, omega) for omega in blocks])
+    states = riding_response(system, drive, 2.0 * np.pi * frequency)
     if frf.reference == "table":
         states = states / states[system.points.index(rec.scene.at_driven("table"))]
     curve = Response.curve(

@@ -12,7 +12,7 @@ from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
 from rig.core.scene.scene import Scene
 from rig.core.system.assembly import assemble, matrices_without_free_beds
-from rig.core.system.open_loop_drive import riding_equations, riding_response
+from rig.core.system.open_loop_drive import riding_equations, riding_response, solve_harmonic
 
 
 def scene_of_test(model: Scene, curves: Curves) -> Scene:
@@ -88,8 +88,8 @@ def linear_derivatives(
         pairs = zip(equations, changed_equations, strict=True)
         d_descriptor, d_state, d_input = ((new - old) / change for old, new in pairs)
         right_sides.append(d_state @ states + d_input[:, None] - 1j * omega * (d_descriptor @ states))
-    system_matrix = 1j * omega[:, None, None] * descriptor_matrix - state_matrix
-    solution = np.linalg.solve(system_matrix, np.array(right_sides).transpose(2, 1, 0)).transpose(2, 1, 0)
+    right_side = np.array(right_sides).transpose(2, 1, 0)
+    solution = solve_harmonic(descriptor_matrix, state_matrix, right_side, omega).transpose(2, 1, 0)
     bodies = test_scene.structure.bodies
     derivatives = solution[:, :bodies]
     if curves.reference == "table":

@@ -25,6 +25,8 @@ _MIN_GAIN_FREQUENCIES = 400
 _MAX_GAIN_ERROR = 1e-3
 # Halvings of an interval of this interpolation: its ends are then a millionth apart.
 _MAX_HALVINGS = 20
+# Maximum number of elements in the matrices of several frequencies that are solved in one call (16 MB).
+_MAX_ELEMENTS = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -180,15 +182,31 @@ def riding_response(system: HybridSystem, name: str, omega: float | Array) -> Co
     state_matrix[n : 2 * n] = np.linalg.solve(mass, state_matrix[n : 2 * n])
     right_side = input_vector[:, None].astype(complex)
     right_side[n : 2 * n, 0] = np.linalg.solve(mass, input_vector[n : 2 * n])
-    j_omega = 1j * np.asarray(omega)[..., None, None]
     try:
-        states = np.linalg.solve(j_omega * np.eye(ns) - state_matrix, right_side).astype(np.complex128, copy=False)
+        states = solve_harmonic(np.eye(ns), state_matrix, right_side, np.ravel(omega))[..., 0]
     except np.linalg.LinAlgError:
         raise SceneError(
             f"the undamped rig has no steady state at {np.ravel(omega)[0] / (2 * np.pi):.6g} Hz, its "
             "resonance. Add structure.damping, choose another frequency, or give drive instead of force."
         ) from None
-    return np.moveaxis(states[..., 0], -1, 0)
+    return states.T.reshape((ns, *np.shape(omega)))
+
+
+def solve_harmonic(
+    descriptor_matrix: Array, state_matrix: Array, right_side: ComplexArray, omega: Array
+) -> ComplexArray:
+    """Solve (j omega E - G) x = b at each frequency [rad/s], in blocks of limited memory.
+
+    E, G: shape (states, states); b: shape (states, columns), or (frequencies, states, columns) as the result.
+    """
+    right_sides = np.broadcast_to(right_side, (omega.size, *right_side.shape[-2:]))
+    solution = np.empty(right_sides.shape, dtype=np.complex128)
+    step = max(1, _MAX_ELEMENTS // state_matrix.size)
+    for first in range(0, omega.size, step):
+        block = slice(first, first + step)
+        matrices = 1j * omega[block, None, None] * descriptor_matrix - state_matrix
+        solution[block] = np.linalg.solve(matrices, right_sides[block])
+    return solution
 
 
 def sampled_drive(scene: Scene, system: HybridSystem, samples: int, rate: float) -> Array:

@@ -6,6 +6,7 @@ import pytest
 import rig
 from rig.core.system.assembly import assemble
 from rig.core.system.open_loop_drive import drive_per_level, riding_response, sampled_drive, tone_drive
+from tests.peak_memory import peak_memory
 
 
 @pytest.mark.parametrize("spacing", ["linear", "log"])
@@ -45,3 +46,21 @@ def test_drive_of_a_table_is_the_command() -> None:
     assert tone.state[row] == pytest.approx(table.real)
     assert tone.state[system.coordinates + row] == pytest.approx((2j * np.pi * 60.0 * table).real)
     assert abs(table) == pytest.approx(1e-3 * abs(riding_response(system, "shaker", 2.0 * np.pi * 60.0)[row]))
+
+
+def test_memory_of_one_more_frequency_is_small() -> None:
+    scene = rig.load("fig4-structure").replace(
+        structure={"masses": [1.0] * 30, "springs": ["1 MN/m"] * 30, "damping": {"modal": 0.01}}, channels=None
+    )
+    system, peaks = assemble(scene), []
+    for count in (1000, 2000):
+        peaks.append(peak_memory(riding_response, system, "shaker", np.linspace(1.0, 1000.0, count))[0])
+    # A complex matrix of 60 states and more would take 58 kB.
+    assert peaks[1] - peaks[0] < 10_000 * 1000
+
+
+def test_response_is_independent_of_other_frequencies() -> None:
+    system, omega = assemble(rig.load("fig4-structure")), np.linspace(10.0, 400.0, 40_000)
+    states = riding_response(system, "shaker", omega)
+    for index in (0, 12_345, omega.size - 1):
+        np.testing.assert_array_equal(states[:, index], riding_response(system, "shaker", float(omega[index])))

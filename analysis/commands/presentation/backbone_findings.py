@@ -30,7 +30,7 @@ def present_backbone(recordings: OpenRecordings, paths: Sequence[Path], output: 
 def _draw(result: Backbone, figure: Figure, axes: Axes) -> None:
     result.draw(axes)
     axes.margins(x=0.08)
-    common = common_error_text(result.amplitude, result.amplitude_common)
+    common = common_error_text(result.amplitude, result.amplitude_own, result.amplitude_expanded)
     add_caption(
         figure, "Numbers: level of each point. Dotted lines only join the points. Bars: 95 % intervals.", common
     )

@@ -81,7 +81,7 @@ def present_continuation(
             axes.plot([], [], ls=dashes, label=name, **line)
         omissions = [f"{text}." for text in result.omissions()]
         computed = ["Exact: computed from the scene."] * bool(exact)
-        common = common_error_text(result.amplitude, result.amplitude_common)
+        common = common_error_text(result.amplitude, result.amplitude_own, result.amplitude_expanded)
         add_legend_below(figure, "Bars: 95 % intervals.", common, *computed, *omissions)
 
     title = "Response at constant level"

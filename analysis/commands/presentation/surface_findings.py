@@ -36,7 +36,7 @@ def present_surface(
         else:
             result.draw(axes)
             bars = "Bars: 95 % intervals of the force, which include the uncertainty of the amplitude"
-            common = common_error_text(result.force, result.force_common)
+            common = common_error_text(result.force, result.force_own, result.force_expanded)
             add_legend_below(
                 figure, f"{bars} times the slope of the curve.", common.replace("points", "points of a level")
             )

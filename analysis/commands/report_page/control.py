@@ -73,7 +73,7 @@ def _profile_chart(check: ProfileCheck) -> Chart:
 def _tracking_chart(result: AmplitudeCurve | Backbone) -> Chart:
     """Return a chart of the amplitude against frequency of followed curves or resonances."""
     curves, parts = list[Curve](), result.parts()
-    amplitude, bound = 1e3 * result.amplitude, 1e3 * (result.amplitude_expanded - result.amplitude_common)
+    amplitude, bound = 1e3 * result.amplitude, 1e3 * result.amplitude_own
     for part in parts:
         if not any(part.style == curve.style for curve in curves):
             path = np.any([other.selected for other in parts if other.style == part.style], axis=0)
@@ -82,7 +82,7 @@ def _tracking_chart(result: AmplitudeCurve | Backbone) -> Chart:
     difference = float(np.nanmax(abs(result.force / result.level - 1.0))) if result.unit == "N" else 0.0
     notes = [
         "Points in the order of the test, with 95 % intervals.",
-        common_error_text(result.amplitude, result.amplitude_common),
+        common_error_text(result.amplitude, result.amplitude_own, result.amplitude_expanded),
         "Hollow circles: motions that are unstable at constant force." * any(not part.is_stable for part in parts),
         f"The measured force differs from its level by up to {format_percent(difference)}."
         * (difference > FORCE_TOLERANCE),

@@ -191,7 +191,7 @@ def budget(curve: Response, highest: Peak) -> str:
         point = curve.peak_line()
     result = curve.budget(curve.response, float(curve.frequency[point]))
     factor = result.expanded / result.combined if result.combined else 2.0
-    least = float(f"{_NEGLIGIBLE_RATIO * result.combined:.1g}")
+    least = float(f"{_NEGLIGIBLE_RATIO * result.combined:.1g}") if isfinite(result.combined) else 0.0
     rows = [
         (
             name, evaluation, f"< {least:g}" if standard < least else format_number(float(f"{standard:.2g}")),

@@ -310,7 +310,7 @@ def _densities(
     segments = max(1, (stop - start) // (size // 2) - 1)
     freedom = 2.0 * max(1.0, _INDEPENDENT_RATIO * segments)
     quantiles = freedom / stats.chi2.ppf([0.975, 0.025], freedom)
-    for _, name in test.named_channels:
+    for name in dict.fromkeys(name for _, name in test.named_channels):
         density = signal.welch(_finite(rec, name, start, stop), rec.rate, "hann", size, size // 2)[1][inside]
         values = density * _power_factor(rec.channels[name], lines[inside])
         rows[name] = values, values * quantiles[0], values * quantiles[1]

@@ -70,8 +70,8 @@ class Backbone(Result):
         95 % interval [Hz].
     amplitude, amplitude_expanded : ndarray, shape (n,)
         Displacement of the body and half of its 95 % interval [m].
-    amplitude_common : ndarray, shape (n,)
-        Part of `amplitude_expanded` that is common to all points [m].
+    amplitude_own : ndarray, shape (n,)
+        As `amplitude_expanded`, without the tolerances of the sensors, which all points share [m].
     damping, damping_expanded : ndarray, shape (n,)
         Damping ratio and half of its 95 % interval.
     settled : ndarray of bool, shape (n,)
@@ -91,7 +91,7 @@ class Backbone(Result):
     natural_frequency_expanded: Array
     amplitude: Array
     amplitude_expanded: Array
-    amplitude_common: Array
+    amplitude_own: Array
     damping: Array
     damping_expanded: Array
     settled: NDArray[np.bool_]
@@ -165,7 +165,7 @@ class Backbone(Result):
         line = {"color": color, "ls": ":", "lw": 1.0, "marker": "o", "markersize": 4.5}
         bars = complete_style(style, label=self.label, capsize=2, elinewidth=1.0, **line)
         ax.errorbar(
-            self.frequency, 1e3 * self.amplitude, 1e3 * (self.amplitude_expanded - self.amplitude_common),
+            self.frequency, 1e3 * self.amplitude, 1e3 * self.amplitude_own,
             self.frequency_expanded, **bars,
         )  # fmt: skip
         span, right = float(np.ptp(self.frequency)), np.sort(self.frequency)
@@ -219,8 +219,8 @@ def backbone(rec: Recording) -> Backbone:
         output_at = {output.at: index for index, output in enumerate(response.outputs)}
         at_body = body_motion(response, body)
         held_output, values = at_body.output, response.value[line, :, 0]
-        force, amplitude, relative, common = (
-            float(column[line]) for column in (at_body.force, at_body.amplitude, at_body.relative, at_body.common)
+        force, amplitude, relative, own = (
+            float(column[line]) for column in (at_body.force, at_body.amplitude, at_body.relative, at_body.own)
         )
         turn = 2.0 * np.pi
         phase_error = float(np.remainder(np.angle(values[held_output]) - prescribed_phase + np.pi, turn) - np.pi)
@@ -242,7 +242,7 @@ def backbone(rec: Recording) -> Backbone:
             **mode._asdict(),
             "amplitude": amplitude,
             "amplitude_expanded": relative * amplitude,
-            "amplitude_common": common * amplitude,
+            "amplitude_own": own * amplitude,
             "settled": marker.fields.get("settled") is not False,
         })  # fmt: skip
     return Backbone(

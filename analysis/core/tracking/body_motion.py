@@ -20,7 +20,7 @@ class BodyMotion(NamedTuple):
     force: Array  # amplitude [N]; NaN if it is not known
     amplitude: Array  # displacement [m]
     relative: Array  # half of the 95 % interval of the response, relative to the response
-    common: Array  # part of `relative` that is common to all lines: the tolerances of the sensors
+    own: Array  # as `relative`, without the tolerances of the sensors, which all lines share
     settled: NDArray[np.bool_]
 
 
@@ -85,17 +85,17 @@ def body_motion(response: Response, location: str) -> BodyMotion:
     force = np.full(size, np.nan) if response.amplitude is None else response.amplitude
     settled = np.ones(size, dtype=bool) if response.unsteady is None else ~response.unsteady
     relative, own = (each.expanded()[:, k, 0] / magnitude for each in (response, response.without(SENSITIVITY)))
-    common = np.subtract(relative, own, out=np.zeros(size), where=np.isfinite(relative))
-    return BodyMotion(k, force, magnitude * force, relative, common, settled)
+    return BodyMotion(k, force, magnitude * force, relative, own, settled)
 
 
-def common_error_text(value: Array, common: Array) -> str:
-    """Write the largest part of the intervals that is common to all points, which bars in a figure do not contain.
+def common_error_text(value: Array, own: Array, expanded: Array) -> str:
+    """Write that bars in a figure exclude the errors of the sensors, and the largest relative interval with them.
 
-    >>> common_error_text(np.array([1.0, 2.0]), np.array([0.05, 0.1]))
-    'Common to all points and not drawn: tolerances of the sensors, up to 5 %.'
+    >>> common_error_text(np.array([1.0, 2.0]), np.array([0.01, 0.02]), np.array([0.05, 0.1]))
+    'Bars exclude the tolerances of the sensors, which all points share; with them, 95 % intervals are up to ± 5 %.'
     """
-    largest = float(np.nanmax(common / value, initial=0.0))
-    return f"Common to all points and not drawn: tolerances of the sensors, up to {format_percent(largest)}." * (
-        largest > 0.0
-    )
+    largest = float(np.nanmax(expanded / value, initial=0.0, where=own < expanded))
+    return (
+        "Bars exclude the tolerances of the sensors, which all points share; with them, 95 % intervals are up to "
+        f"± {format_percent(largest)}."
+    ) * (largest > 0.0)

@@ -69,8 +69,8 @@ class AmplitudeCurve(Result):
         Frequency and half of the 95 % interval of the frequency that has this amplitude at the level [Hz].
     amplitude, amplitude_expanded : ndarray, shape (n,)
         Displacement of the body and half of its 95 % interval [m].
-    amplitude_common : ndarray, shape (n,)
-        Part of `amplitude_expanded` that is common to all points [m].
+    amplitude_own : ndarray, shape (n,)
+        As `amplitude_expanded`, without the tolerances of the sensors, which all points share [m].
     stable, settled : ndarray of bool, shape (n,)
         Whether the motion is stable at constant force, and whether steady state was reached.
     folds : tuple of Fold
@@ -87,7 +87,7 @@ class AmplitudeCurve(Result):
     frequency_expanded: Array
     amplitude: Array
     amplitude_expanded: Array
-    amplitude_common: Array
+    amplitude_own: Array
     stable: NDArray[np.bool_]
     settled: NDArray[np.bool_]
     folds: tuple[Fold, ...]
@@ -193,8 +193,7 @@ class AmplitudeCurve(Result):
         for name, (color, _, marker), part, is_stable in self.parts():
             face = color if is_stable else "white"
             points = complete_style(style, color=color, marker=marker, ms=4, ls="", elinewidth=0.7, zorder=3)
-            own = self.amplitude_expanded - self.amplitude_common
-            x, y, bound = (column[part] for column in (self.frequency, 1e3 * self.amplitude, 1e3 * own))
+            x, y, bound = (column[part] for column in (self.frequency, 1e3 * self.amplitude, 1e3 * self.amplitude_own))
             ax.errorbar(x, y, bound, markerfacecolor=face, label=name, **points)
         for level in dict.fromkeys(fold.level for fold in self.folds):
             folds = [fold for fold in self.folds if fold.level == level]
@@ -266,7 +265,7 @@ def continuation(rec: Recording) -> AmplitudeCurve:
             "frequency_expanded": bound,
             "amplitude": motion.amplitude,
             "amplitude_expanded": motion.relative * motion.amplitude,
-            "amplitude_common": motion.common * motion.amplitude,
+            "amplitude_own": motion.own * motion.amplitude,
             "stable": n_passed % 2 == 0,
             "settled": settled,
         })  # fmt: skip

@@ -55,8 +55,8 @@ class ForceSurface(Result):
     force, force_expanded : ndarray, shape (n,)
         Force amplitude and half of its 95 % interval at the stated displacement amplitude [N]. The interval includes
         the uncertainty of the displacement, which changes the force by the slope between the measured amplitudes.
-    force_common : ndarray, shape (n,)
-        Part of `force_expanded` that is common to all points of a level [N].
+    force_own : ndarray, shape (n,)
+        As `force_expanded`, without the tolerances of the sensors, which all points share [N].
     """
 
     label: str
@@ -66,7 +66,7 @@ class ForceSurface(Result):
     stiffness: ComplexArray
     force: Array
     force_expanded: Array
-    force_common: Array
+    force_own: Array
 
     force_bound = renamed("force_bound", "force_expanded")
 
@@ -169,8 +169,7 @@ class ForceSurface(Result):
             along = chosen[np.argsort(self.frequency[chosen])]
             label = f"{1e3 * float(np.median(self.amplitude[along])):.3g} mm"
             bars = complete_style(style, label=label, color=color, marker=marker, ms=3, lw=0.8, capsize=2)
-            own = self.force_expanded[along] - self.force_common[along]
-            ax.errorbar(self.frequency[along], self.force[along], own, **bars)
+            ax.errorbar(self.frequency[along], self.force[along], self.force_own[along], **bars)
         ax.set(xlabel="frequency / Hz", ylabel="force / N")
 
 
@@ -201,9 +200,9 @@ def force_surface(rec: Recording) -> ForceSurface:
     for response in frequency_responses(rec):
         motion = body_motion(response, location)
         value = response.value[:, motion.output, 0]
-        columns = (response.frequency, motion.amplitude, 1.0 / value, motion.force, motion.relative, motion.common)
+        columns = (response.frequency, motion.amplitude, 1.0 / value, motion.force, motion.relative, motion.own)
         parts.append([column[motion.settled] for column in columns])
-    frequency, amplitude, stiffness, force, relative, common = map(np.concatenate, zip(*parts, strict=True))
+    frequency, amplitude, stiffness, force, relative, own = map(np.concatenate, zip(*parts, strict=True))
     if not frequency.size:
         raise RecordingError(
             f"{rec.path}: no point reached steady state. Increase test.settle.longest, and record again."
@@ -214,8 +213,8 @@ def force_surface(rec: Recording) -> ForceSurface:
         # An error of the response may be caused by an error of the force.
         slope = np.maximum(slope, 1.0)
     body = rec.scene.structure.label(location)
-    expanded, common = (slope * part * force for part in (relative, common))
-    return ForceSurface(rec.scene.name, body, frequency, amplitude, stiffness, force, expanded, common)
+    expanded, own = (slope * part * force for part in (relative, own))
+    return ForceSurface(rec.scene.name, body, frequency, amplitude, stiffness, force, expanded, own)
 
 
 def largest_slopes(frequency: Array, amplitude: Array, force: Array) -> Array:

@@ -13,7 +13,7 @@ def curve_of(settled: bool) -> AmplitudeCurve:
     return AmplitudeCurve(
         "test", "body 1", "N", (9.0, 10.5), level=ones, force=ones, frequency=np.array([10.0, 10.2, 10.5]),
         frequency_expanded=0.01 * ones, amplitude=1e-3 * ones, amplitude_expanded=1e-5 * ones,
-        amplitude_common=6e-6 * ones, stable=np.full(3, True), settled=np.full(3, settled), folds=(),
+        amplitude_own=4e-6 * ones, stable=np.full(3, True), settled=np.full(3, settled), folds=(),
     )  # fmt: skip
 
 

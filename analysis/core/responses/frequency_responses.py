@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from analysis.core.recordings.names import takes_path
-from analysis.core.responses.checks.channel_changes import change_warnings
+from analysis.core.responses.checks.channel_changes import change_warnings, without_mean_delay
 from analysis.core.responses.checks.failed_channels import failed_channel_warnings
 from analysis.core.responses.checks.tone_steps import sweep_warnings
 from analysis.core.responses.driven_forces import relative_forces, strong_forces, weak_force_warnings
@@ -115,7 +115,10 @@ def frequency_responses(
     if own_estimator.jumps:
         texts_of_sweeps = sweep_warnings(rec, own_estimator.tones(request), used, computed)
         computed = [response.warn(*texts) for response, texts in zip(computed, texts_of_sweeps, strict=True)]
-    return [replace(response, test=kind.value).warn(*warnings) for response in computed]
+    return [
+        replace(response, test=kind.value, warnings=without_mean_delay((*response.warnings, *warnings)))
+        for response in computed
+    ]
 
 
 @takes_path

@@ -22,6 +22,7 @@ import scipy
 from numpy.typing import NDArray
 
 from analysis.core.responses.checks.clean_segments import clean_segments, find_flaws
+from analysis.core.responses.checks.delays import CONSTANT_DELAY
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results import format_number
@@ -66,6 +67,8 @@ _MAX_COMMON = 0.25
 _FAILED_RATIO = 0.05
 # Smallest power of the largest input at an evaluated line, relative to the mean; at other lines, noise dominates.
 _MIN_POWER = 1e-3
+# Words by which the warning of a delay that changes is recognized.
+_DELAY_CHANGE = " on, in contrast to the other channels"
 
 
 @dataclass(frozen=True)
@@ -197,9 +200,15 @@ def describe_delay(name: str, delay: float, place: str, reference: str = "") -> 
     senses = ("late", "early") if delay > 0.0 else ("early", "late")
     alternative = f", or {reference} {senses[1]}," if reference else ""
     return (
-        f"{name} seems to be {abs(1e3 * delay):.2g} ms {senses[0]}{alternative} from about {place} on, in contrast to "
-        "the other channels. Check cable and time base, and record again; until then, its responses are wrong."
+        f"{name} seems to be {abs(1e3 * delay):.2g} ms {senses[0]}{alternative} from about {place}{_DELAY_CHANGE}. "
+        "Check cable and time base, and record again; until then, its responses are wrong."
     )
+
+
+def without_mean_delay(warnings: Sequence[str]) -> tuple[str, ...]:
+    """Omit the warning of a constant delay if the delay of a channel changes: it would state a mean over the test."""
+    has_change = any(_DELAY_CHANGE in text for text in warnings)
+    return tuple(text for text in warnings if not (has_change and CONSTANT_DELAY in text))
 
 
 def describe_change(name: str, ratio: float, place: str) -> str:

@@ -65,6 +65,8 @@ _PARTS = 3
 _COVERAGE = 4.0
 # Two curves are late by the same time, or a curve is not late, within this fraction of the delay.
 _MAX_OTHER_DELAY = 0.2
+# Words by which the warning of a constant delay is recognized.
+CONSTANT_DELAY = "the phases of the modes increase in proportion to frequency"
 
 
 class _Delay(NamedTuple):
@@ -113,8 +115,8 @@ def delayed_channels(curves: Sequence[Response], source: str) -> str:
     # A force without a name of its own has an article, the names of channels keep their letters.
     late = "The " + late.removeprefix("the ") if late.startswith("the ") else late
     return (
-        f"{late}: the phases of the modes increase in proportion to frequency. Check cable, "
-        "filter and time base of this channel, and give its delay in the table of `daq import`."
+        f"{late}: {CONSTANT_DELAY}. Check cable, filter and time base of this channel, and give its delay in the table "
+        "of `daq import`."
     )
 
 

@@ -21,15 +21,15 @@ _BLOCK = re.compile(r"(.*[._])?(npts|n_?fft|n_?samples|block(_?(size|length))?)"
 _SPACING = re.compile(r"(.*[._])?(df|delta_?f|resolution|x_values\.increment)", re.IGNORECASE)
 # Name of the frequency of the first line [Hz], in files of Testlab.
 _START = re.compile(r"(.*\.)?x_values\.start_value")
-# Names of arrays of angular frequencies, or of frequencies in kHz, and their factors to Hz.
+# Names of arrays of angular frequencies, or of frequencies in kHz, their units, and the factors to Hz.
 _FREQUENCY_FACTORS = (
-    (re.compile(r"(.*\.)?(w|om(ega)?)([_(].*)?|.*_rad.*", re.IGNORECASE), 0.5 / np.pi),
-    (re.compile(r".*_khz", re.IGNORECASE), 1e3),
+    (re.compile(r"(.*\.)?(w|om(ega)?)([_(].*)?|.*_rad([_/]?s|ps|_per_s)?", re.IGNORECASE), "rad/s", 0.5 / np.pi),
+    (re.compile(r".*_khz", re.IGNORECASE), "kHz", 1e3),
 )
 # Name of the unit of the values.
 _UNIT = re.compile(r"(?!(frequency|freq|x|time)[._@]?units?)(.*[._@])?(units?|y_values\.quantity\.label)")
 # Name of a cross spectrum.
-_SPECTRUM = re.compile(r"spec|csd|cpsd", re.IGNORECASE)
+_SPECTRUM = re.compile(r"(^|[._])(c?p?sd|(cross)?spec(trum|tra)?)([._(\d]|$)", re.IGNORECASE)
 # Minimum number of complex values of a response; a shorter array is more likely a setting than a response.
 _MIN_LINES = 4
 
@@ -100,8 +100,11 @@ def _frequencies(path: Path, arrays: Mapping[str, NDArray[Any]], lines: int) -> 
     candidates = named or rising
     if len(candidates) == 1:
         [(name, array)] = candidates.items()
-        factor = next((factor for names, factor in _FREQUENCY_FACTORS if names.fullmatch(name)), 1.0)
-        return factor * array
+        for names, unit, factor in _FREQUENCY_FACTORS:
+            if names.fullmatch(name):
+                warn(f"{path}: the frequencies {name!r} are read in {unit}. If they are in Hz, name them 'frequency'.")
+                return factor * array
+        return array
     if candidates:
         raise RecordingError(
             f"{path}: the frequencies may be {' or '.join(candidates)}. Name the array of frequencies in Hz "

@@ -355,9 +355,10 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
             phase_unit, phase = pair["phase"]
             if phase_unit and not _ANGLE.fullmatch(phase_unit):
                 raise SceneError(f"{path}: {name}: its phase has the unit {phase_unit!r}. Export it in deg or rad.")
-            if not phase_unit and abs(phase).max() <= _MAX_RADIANS:
+            largest = float(np.nanmax(abs(phase), initial=0.0))
+            if not phase_unit and largest <= _MAX_RADIANS:
                 raise SceneError(
-                    f"{path}: {name}: its phase has no unit and is at most {abs(phase).max():.3g}: it may be in rad "
+                    f"{path}: {name}: its phase has no unit and is at most {largest:.3g}: it may be in rad "
                     "or in degrees. Add the unit to the name of the column, such as 'phase [rad]'."
                 )
             value = first_column * np.exp(1j * (phase if phase_unit.startswith("rad") else np.radians(phase)))

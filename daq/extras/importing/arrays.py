@@ -19,6 +19,7 @@ from daq.extras.importing.clock import (
     looks_like_times,
     rate_of_interval,
     time_scale,
+    warn,
     warn_used_as_times,
 )
 from daq.extras.importing.matlab_file import ATTRIBUTE_MARK, MAX_DEPTH, matlab_arrays
@@ -121,7 +122,11 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
         require_memory_with_program(in_memory + _CLOCK_BYTES * max(array.shape), f"{path}: importing it")
         if array.ndim == 1:
             times_in = f"{path}: the times in {name!r}"
-            scale = time_scale(_stated_unit(arrays, name), times_in)
+            scale = 1.0
+            try:
+                scale = time_scale(_stated_unit(arrays, name), times_in)
+            except RecordingError as error:
+                warn(f"{error}. The times are read in s. If this is wrong, correct the unit.")
             clocks[name] = clock_of_times(scale * array.astype(float), 0.0, times_in)
             continue
         # There are more samples than channels, in either orientation.

@@ -40,6 +40,9 @@ _ROUNDING = 0.005
 # Dates from 1954 to 2119, in days since 1900 (spreadsheets) and since the year 0 (MATLAB).
 _DATES_IN_DAYS = ((20e3, 80e3), (713e3, 774e3))
 _SECONDS_PER_DAY = 86400.0
+# Dates in days have more than this number of samples per second. The rates of times in s of the day, such as 8640 Hz,
+# would be less if these times were days.
+_MIN_RATE = 0.99
 # Largest date in s since 1970: the year 5138. Dates since 1973 in ms exceed it.
 _MAX_DATE = 1e11
 # Relative deviation of a rate from a number of two digits, or a power of two, that still is this number.
@@ -62,11 +65,17 @@ class Clock(NamedTuple):
 def time_scale(unit: str, where: str) -> float:
     """Return a unit of time in s, and 1 without a unit; raise `RecordingError` if it is not a unit of time.
 
-    >>> time_scale("msec", "a"), time_scale("", "a")
-    (0.001, 1.0)
+    The unit may precede a date, as netCDF files write it, or a comment.
+
+    >>> time_scale("msec", "a"), time_scale("", "a"), time_scale("s (relative)", "a")
+    (0.001, 1.0, 1.0)
+    >>> time_scale("days since 2026-11-30", "a")
+    86400.0
     """
+    name = re.sub(r"\s*\(.*|\s+since\s.*", "", unit.strip().lower())
+    text = "24 h" if name in ("d", "day", "days") else f"1 {re.sub('sec$', 's', name)}"
     try:
-        return parse(f"1 {re.sub('sec$', 's', unit.lower())}", TIME) if unit else 1.0
+        return parse(text, TIME) if name else 1.0
     except ValueError as error:
         raise RecordingError(f"{where}: {error}; expected a unit of time such as s or ms") from None
 
@@ -230,9 +239,10 @@ def require_even(
         raise RecordingError(f"{where}: {start:.6g} is probably a date in ms, µs or ns. Save the times in s.")
     days = rate / _SECONDS_PER_DAY
     is_round = min(abs(float(f"{days:.1e}") / days - 1.0), abs(2.0 ** round(math.log2(days)) / days - 1.0)) < _ROUNDNESS
-    if is_round and any(low < start < high for low, high in _DATES_IN_DAYS):
+    if is_round and days > _MIN_RATE and any(low < start < high for low, high in _DATES_IN_DAYS):
         raise RecordingError(
-            f"{where}: {start:.9g} is probably a date in days, as in spreadsheets and MATLAB. Save the times in s."
+            f"{where}: {start:.9g} is probably a date in days, as in spreadsheets and MATLAB. Save the times in s, or "
+            "start at 0."
         )
     deviation = abs(times - start - numbers / rate)
     uneven = np.flatnonzero(~(deviation * rate <= _MAX_DEVIATION + resolution * rate))

@@ -12,14 +12,25 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from os import SEEK_END
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from mcap.records import Channel, Chunk, Message, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.opcode import Opcode
 
-from daq.core.mcap_file.chunk import Damage
+from daq.core.mcap_file.chunk import (
+    CHUNK_HEAD,
+    MAGIC,
+    RECORD_HEAD,
+    Damage,
+    StoredMessage,
+    parse_message,
+    record_at,
+    records_in,
+    unpack_chunk,
+)
+from daq.core.mcap_file.summary import parse_record
 from daq.core.recording import layout
 from daq.extras.importing.clock import Clock, clock_of_times, rate_of_interval
 from daq.extras.importing.signal import Signal
@@ -34,6 +45,8 @@ _RATES = ("sample_rate_hz", "sample_rate", "sampleRate", "rate", "fs")
 # Largest memory for decoding, bytes per byte of a message, measured with JSON numbers `0.0,` (a list and an array) and
 # with protobuf numbers of one byte.
 _DECODED_BYTES = 20
+# Number of copies of a schema or channel record in memory at a time.
+_DESCRIPTION_COPIES = 4
 # Memory of a field in addition to its numbers [bytes].
 _FIELD_BYTES = 3000
 # Memory of each message of a field in addition to its numbers [bytes].
@@ -86,47 +99,62 @@ class _TopicReader:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._schemas: dict[int, Schema] = {}
-        self._channels: dict[int, Channel] = {}
+        self._descriptions: dict[int, dict[int, Any]] = {Opcode.SCHEMA: {}, Opcode.CHANNEL: {}}
         self._decoders: dict[int, Decoder | None] = {}
         self._in_memory = 0
         self.fields: dict[tuple[str, str], _TopicField] = {}
         self.units: dict[str, str] = {}
 
     def read(self, file: IO[bytes]) -> None:
-        """Read the records in their order."""
-        size = self._path.stat().st_size
-        for record in StreamReader(file, emit_chunks=True, record_size_limit=size).records:
-            chunk_bytes, records = 0, [record]
-            if isinstance(record, Chunk):
-                chunk_bytes = record.uncompressed_size + len(record.data)
-                self._require_memory(chunk_bytes)
-                records = breakup_chunk(record, validate_crc=True)
-            for each in records:
-                if isinstance(each, Schema):
-                    self._schemas[each.id] = each
-                elif isinstance(each, Channel):
-                    self._channels[each.id] = each
-                elif isinstance(each, Message):
-                    self._add_message(each, chunk_bytes)
+        """Read the data section, record by record."""
+
+        def read(position: int, length: int) -> bytes:
+            file.seek(position)
+            return file.read(length)
+
+        end = file.seek(0, SEEK_END)
+        if read(0, len(MAGIC)) != MAGIC:
+            raise Damage("the file does not begin with the MCAP signature")
+        position, opcode = len(MAGIC), 0
+        while opcode != Opcode.DATA_END:
+            opcode, content = record_at(read, position, end, end)
+            position += RECORD_HEAD.size + len(content)
+            if opcode != Opcode.CHUNK:
+                self._process_record(opcode, content, len(content))
+                continue
+            size = CHUNK_HEAD.unpack_from(content)[2] if len(content) >= CHUNK_HEAD.size else 0
+            self._require_memory(size + len(content))
+            records = unpack_chunk(content, largest=size)
+            for inner_opcode, inner_content in records_in(records, len(records)):
+                self._process_record(inner_opcode, inner_content, len(content) + len(records))
 
     def _require_memory(self, extra_bytes: float) -> None:
         require_memory_with_program(self._in_memory + extra_bytes, f"{self._path}: importing it")
 
-    def _add_message(self, message: Message, chunk_bytes: int) -> None:
-        channel = self._channels.get(message.channel_id)
+    def _process_record(self, opcode: int, content: memoryview, chunk_bytes: int) -> None:
+        """Process a record; `chunk_bytes` is the memory of the chunk that contains it."""
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            self._in_memory += _DESCRIPTION_COPIES * len(content)
+            self._require_memory(chunk_bytes)
+            record = parse_record(opcode, content)
+            self._descriptions[opcode][record.id] = record
+        elif opcode == Opcode.MESSAGE:
+            self._add_message(parse_message(content), chunk_bytes)
+
+    def _add_message(self, message: StoredMessage, chunk_bytes: int) -> None:
+        channel = self._descriptions[Opcode.CHANNEL].get(message.channel)
         if channel is None:
-            raise Damage(f"a message belongs to channel {message.channel_id}, which no earlier record describes")
-        schema = self._schemas.get(channel.schema_id)
+            raise Damage(f"a message belongs to channel {message.channel}, which no earlier record describes")
+        schema = self._descriptions[Opcode.SCHEMA].get(channel.schema_id)
         if channel.topic.startswith(layout.RAW) and schema is not None and schema.name.startswith("shotrig."):
             raise RecordingError(f"{self._path} is a recording already. Use it directly with `analysis` and `daq`.")
-        if message.channel_id not in self._decoders:
-            self._decoders[message.channel_id] = _decoder(schema, channel.message_encoding)
-        decoder = self._decoders[message.channel_id]
+        if message.channel not in self._decoders:
+            self._decoders[message.channel] = _decoder(schema, channel.message_encoding)
+        decoder = self._decoders[message.channel]
         if decoder is None:
             return
         self._require_memory(chunk_bytes + _DECODED_BYTES * len(message.data))
-        content = decoder(message.data)
+        content = decoder(bytes(message.data))
         self.units.setdefault(channel.topic, str(channel.metadata.get("unit", "")))
         for name, values in _numeric_fields(content):
             if (channel.topic, name) not in self.fields:

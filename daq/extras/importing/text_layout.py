@@ -1,6 +1,7 @@
 """Layout of a text table: encoding, delimiter, decimal mark, and the names and units in its heading."""
 
 import csv
+import math
 import re
 from collections.abc import Container, Sequence
 from datetime import UTC, datetime
@@ -141,7 +142,7 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
                 continue
             layout = Layout(encoding, delimiter, decimal_comma, number, [], [])
             if _are_numbers(cells, decimal_comma):
-                _require_heading(path, number, lines[number - 1 : number], layout, len(cells))
+                _require_heading(path, number, lines[max(number - 1, 0) : number + 2], layout, len(cells))
                 if any(map(_SCALE.fullmatch, lines[:number])) and all(map(_INTEGER.fullmatch, cells[1:])):
                     warn(
                         f"{path}: the scale factor of its heading is not applied to its integers. {GIVE_VALUE_OF_COUNT}"
@@ -162,14 +163,30 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
     )
 
 
-def _require_heading(path: Path, number: int, above: Sequence[str], layout: Layout, count: int) -> None:
-    """Raise `RecordingError` if the line above the first line of numbers is a row that begins with a number."""
-    cells = split_cells("".join(above), layout.delimiter)
-    is_row = len(cells) == count > 1 and _is_number(cells[0], 0, layout.decimal_comma)
-    if text := next((cell for cell in cells[1:] if is_row and parse_number(cell, layout.decimal_comma) is None), ""):
+def _require_heading(path: Path, number: int, lines: Sequence[str], layout: Layout, count: int) -> None:
+    """Raise `RecordingError` if the line above the first line of numbers is a row with a text.
+
+    `lines` are this line and the next two. A row begins with a number that continues the times below, or with a number
+    before other numbers.
+    """
+    cells, *below = (split_cells(line, layout.delimiter) for line in lines)
+    if len(cells) != count or count < 2 or not _is_number(cells[0], 0, layout.decimal_comma):
+        return
+    texts = [cell for k, cell in enumerate(cells) if cell and not _is_number(cell, k, layout.decimal_comma)]
+    first, *times = (_number_or_time(row[0], layout.decimal_comma) for row in (cells, *below) if row)
+    is_row = sum(map(bool, cells)) > len(texts) + 1 or (
+        len(times) == 2 and times[1] > times[0] and math.isclose(times[0] - first, times[1] - times[0], rel_tol=0.1)
+    )
+    if is_row and texts:
         raise RecordingError(
-            f"{path}, line {number}: {text!r:.40} is not a number. Correct the cell, or remove the line."
+            f"{path}, line {number}: {texts[0]!r:.40} is not a number. Correct the cell, or remove the line."
         )
+
+
+def _number_or_time(cell: str, decimal_comma: bool) -> float:
+    """Return a number, or a time of day in s; NaN for other cells."""
+    values = (parse_number(cell, decimal_comma), stamp_seconds(cell))
+    return next((value for value in values if value is not None), math.nan)
 
 
 def _require_other_delimiter(path: Path, lines: Sequence[str], layout: Layout) -> None:
@@ -178,10 +195,13 @@ def _require_other_delimiter(path: Path, lines: Sequence[str], layout: Layout) -
     if layout.delimiter != "," or not all(_INTEGER.fullmatch(cell) for row in rows for cell in row):
         return
     count = sum(map(bool, rows[0])) if rows else 0
-    has_names = not _INTEGER.fullmatch(names[0])
-    has_zeros = any(re.match(r"0\d", cell) for row in rows for cell in row[1:])
-    has_other_count = has_names and 1 < len(names) < count
-    if has_other_count or (has_zeros and (len(names) != count or not has_names)):
+    # A line such as ``Sample rate,51200 Hz`` contains no names.
+    has_names = not any(re.match(r"\W*(\d|$)", cell) for cell in names[:2])
+    # Decimals have leading zeros; if the numbers in the first column have zeros, too, all numbers have a fixed width.
+    zeros = {k for row in rows for k, cell in enumerate(row) if re.match(r"0\d", cell)}
+    has_zeros = bool(zeros) and 0 not in zeros
+    has_double_count = has_names and count == 2 * len(names) > 2
+    if has_double_count or (has_zeros and (len(names) != count or not has_names)):
         raise RecordingError(
             f"{path}: commas separate its columns, and seem to be decimal marks, too. Export it with semicolons."
         )

@@ -22,7 +22,7 @@ _OTHER_QUANTITIES = {
     "°c": "temperature", "degc": "temperature", "rpm": "speed of rotation", "a": "current", "ma": "current",
 }  # fmt: skip
 # Names of settings that state the value of one count of a converter.
-_SCALE_NAMES = re.compile(r"(.*[._@])?(scal(e|ing)(_?factor)?|gain|factor|lsb|slope|cal\w*)", re.IGNORECASE)
+_SCALE_NAMES = re.compile(r"(.*[._@])?((scal(e|ing)|cal(ibration)?)(_?factor)?|gain|factor|lsb|slope)", re.IGNORECASE)
 #: Remedy for integers that are counts of a converter.
 GIVE_VALUE_OF_COUNT = "Give the value of one count as the unit, such as unit: 0.0005 g, in the channel table."
 _SPELLINGS = {

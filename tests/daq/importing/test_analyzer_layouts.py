@@ -1,5 +1,6 @@
 """Tables that analyzers export as text: names and units of the columns are recognized."""
 
+import warnings
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -305,6 +306,24 @@ def test_ambiguous_numbers_are_refused(text: str, message: str, tmp_path: Path) 
         [signal.read(0, signal.samples) for signal in signals_of(tmp_path / "a.csv", stack)]
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Sample rate,51200\n7,3,11\n14,6,22\n21,9,33\n",
+        "Gain,2\n7,3,11,2\n14,6,22,4\n21,9,33,6\n28,9,44,8\n",
+        "Fs,1000 Hz\n7,3,11,2\n14,6,22,4\n21,9,33,6\n28,9,44,8\n",
+        "force,tip\n7,3,11\n14,6,22\n21,9,33\n",
+        "01,3,01\n02,6,02\n03,9,03\n",
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*has no heading; its first column rises evenly")
+def test_other_lines_above_integers_are_read(text: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with ExitStack() as stack:
+        columns = [signal.read(0, signal.samples).tolist()[:3] for signal in signals_of(tmp_path / "a.csv", stack)]
+    assert [3.0, 6.0, 9.0] in columns
+
+
 @pytest.mark.parametrize("rows", ["0,5,\n1,6,\n2,7,\n", "00,5\n01,6\n02,7\n", "0,05\n1,06\n2,07\n"])
 def test_integers_are_no_decimals(rows: str, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("Time (s),tip (g)\n" + rows)
@@ -340,13 +359,23 @@ def test_scale_of_integers_is_reported(ending: str, tmp_path: Path) -> None:
         signals_of(path, stack)
 
 
-@pytest.mark.parametrize("first", ["0.0;OL;1.0", "10:00:00;0.5;OL"])
+@pytest.mark.parametrize("first", ["0.0;OL;1.0", "10:00:00;0.5;OL", "0.0;OL;OL", "10:00:00;OL;OL"])
 def test_text_among_first_numbers_is_refused(first: str, tmp_path: Path) -> None:
     stamp = first.partition(";")[0]
     rows = [f"{stamp[:-1]}{number};0.5;1.0" for number in range(1, 6)]
     (tmp_path / "a.csv").write_text("\n".join(["Time;force (N);tip (g)", first, *rows]), encoding="utf-8")
     with ExitStack() as stack, pytest.raises(RecordingError, match="line 2: 'OL' is not a number"):
         signals_of(tmp_path / "a.csv", stack)
+
+
+@pytest.mark.parametrize("heading", ["1;Kraft", "10;Kraft", "2026-11-30 10:00:00;start"])
+@pytest.mark.filterwarnings("ignore:.*its first column rises evenly")
+def test_heading_may_begin_with_number(heading: str, tmp_path: Path) -> None:
+    rows = "".join(f"{time:.8f};{tip:.6f}\n" for time, _, tip in SAMPLES)
+    (tmp_path / "a.csv").write_text(f"{heading}\n{rows}", encoding="utf-8")
+    with ExitStack() as stack:
+        signal = signals_of(tmp_path / "a.csv", stack)[-1]
+        np.testing.assert_allclose(signal.read(0, 300), SAMPLES[:, 2], atol=1e-6)
 
 
 def test_decimal_commas_may_be_quoted(tmp_path: Path) -> None:
@@ -444,15 +473,33 @@ def test_exponents_of_fortran_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(curve.value, ACCELERANCE, rtol=1e-7)
 
 
-@pytest.mark.parametrize(("name", "factor"), [("omega", 2 * np.pi), ("freq_rad_s", 2 * np.pi), ("f_kHz", 1e-3)])
-def test_unit_in_name_of_frequencies_is_read(name: str, factor: float, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "unit", "factor"),
+    [("omega", "rad/s", 2 * np.pi), ("freq_rad_s", "rad/s", 2 * np.pi), ("f_kHz", "kHz", 1e-3)],
+)
+def test_unit_in_name_of_frequencies_is_read(name: str, unit: str, factor: float, tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", H=ACCELERANCE, **{name: factor * FREQUENCY})
+    with pytest.warns(RunWarning, match=f"'{name}' are read in {unit}"):
+        [curve] = analysis.read_frfs(tmp_path / "a.npz", unit="m/s^2/N")
+    np.testing.assert_allclose(curve.frequency, FREQUENCY)
+
+
+@pytest.mark.parametrize("name", ["f_radial", "Hz_radial"])
+def test_name_of_direction_is_no_unit(name: str, tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", H=ACCELERANCE, **{name: FREQUENCY})
     [curve] = analysis.read_frfs(tmp_path / "a.npz", unit="m/s^2/N")
     np.testing.assert_allclose(curve.frequency, FREQUENCY)
 
 
+def test_response_of_specimen_is_no_spectrum(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", H=ACCELERANCE, H_specimen=ACCELERANCE, f=FREQUENCY)
+    assert len(analysis.read_frfs(tmp_path / "a.npz", unit="m/s^2/N")) == 2
+
+
 def test_phase_needs_unit_below_pi(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.txt", "f [Hz]\ttip mag [m/s²/N]\ttip phase\n", np.radians(POLAR))
+    rows = np.radians(POLAR)
+    rows[0, 1:] = np.nan
+    path = write(tmp_path / "a.txt", "f [Hz]\ttip mag [m/s²/N]\ttip phase\n", rows)
     with pytest.raises(SceneError, match=r"may be in rad or in degrees.*'phase \[rad\]'"):
         analysis.read_frfs(path)
 
@@ -479,6 +526,43 @@ def test_unit_of_times_is_read(ending: str, tmp_path: Path) -> None:
     with ExitStack() as stack:
         [signal] = signals_of(path, stack)
         assert signal.rate == pytest.approx(1024.0)
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor"),
+    [("seconds since 2026-11-30 10:00:00", 1.0), ("ms (relative)", 1e3), ("days since 2026-11-30", 1 / 86400)],
+)
+def test_units_of_netcdf_times_are_read(unit: str, factor: float, tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["time"], file["tip"] = factor * TIME, SAMPLES[:, 2]
+        file["time"].attrs["units"] = unit
+    with ExitStack() as stack:
+        [signal] = signals_of(tmp_path / "a.h5", stack)
+        assert signal.rate == pytest.approx(1024.0)
+
+
+@pytest.mark.parametrize("unit", ["-", "1", "samples"])
+def test_other_units_of_times_are_reported(unit: str, tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["time"], file["tip"] = TIME, SAMPLES[:, 2]
+        file["time"].attrs["units"] = unit
+    with ExitStack() as stack, pytest.warns(RunWarning, match=r"time.* in s"):
+        [signal] = signals_of(tmp_path / "a.h5", stack)
+        assert signal.rate == pytest.approx(1024.0)
+
+
+def test_seconds_of_day_are_no_dates(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", time=36000.0 + np.arange(300) / 8640.0, tip=SAMPLES[:, 2])
+    with ExitStack() as stack:
+        [signal] = signals_of(tmp_path / "a.npz", stack)
+        assert signal.rate == pytest.approx(8640.0)
+
+
+def test_date_of_calibration_is_no_scale(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", tip=np.arange(-20, 20), calibration_date=20260401, calendar=1, fs=1024.0)
+    with ExitStack() as stack, warnings.catch_warnings():
+        warnings.simplefilter("error", RunWarning)
+        signals_of(tmp_path / "a.npz", stack)
 
 
 def test_phase_in_other_units_is_refused(tmp_path: Path) -> None:

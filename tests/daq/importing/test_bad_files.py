@@ -14,7 +14,7 @@ import h5py
 import nptdms
 import numpy as np
 import pytest
-from mcap.writer import Writer
+from mcap.writer import CompressionType, Writer
 from scipy.io import savemat, wavfile
 from typer.testing import CliRunner
 
@@ -250,11 +250,15 @@ def test_dead_and_implausible_channels_are_reported(tmp_path):
     assert "force ('force' of a.tdms) reads up to" in message and "wrong unit or sensitivity" in message
 
 
-def write_json_topic(path: Path, messages: list[bytes]) -> None:
-    """Write all messages of one topic into one chunk of any unpacked size."""
+def write_json_topic(
+    path: Path, messages: list[bytes], schemas: int = 0, compression: CompressionType = CompressionType.ZSTD
+) -> None:
+    """Write all messages of one topic, and schemas of 100 kB, into one chunk of any unpacked size."""
     with path.open("wb") as file:
-        writer = Writer(file, chunk_size=1 << 40)
+        writer = Writer(file, chunk_size=1 << 40, compression=compression, repeat_schemas=False)
         writer.start()
+        for number in range(schemas):
+            writer.register_schema(f"{number}", "jsonschema", bytes(100_000))
         channel = writer.register_channel("/a", "json", 0)
         for time, data in enumerate(messages):
             writer.add_message(channel, 1_000_000 * time, data, 1_000_000 * time)
@@ -262,10 +266,10 @@ def write_json_topic(path: Path, messages: list[bytes]) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="not every system can limit a process")
-@pytest.mark.parametrize("form", ["npz", "mat", "chunk", "message", "fields", "uff", "csv"])
+@pytest.mark.parametrize("form", ["npz", "mat", "chunk", "message", "fields", "schemas", "uff", "csv"])
 def test_file_that_exceeds_memory_is_rejected(form, tmp_path, monkeypatch):
     # The program itself takes 200 MB.
-    monkeypatch.setenv("SHOTRIG_MEMORY", "202 MB" if form in ("csv", "npz") else "200 MB")
+    monkeypatch.setenv("SHOTRIG_MEMORY", "202 MB" if form in ("csv", "npz", "schemas") else "200 MB")
     path = tmp_path / f"zeros.{form}"
     match form:
         case "npz":
@@ -280,12 +284,22 @@ def test_file_that_exceeds_memory_is_rejected(form, tmp_path, monkeypatch):
                 "chunk": [b'{"a": 1.0}' + 100_000_000 * b" "],
                 "message": [b'{"a": [' + 10_000_000 * b"0.0," + b"0.0]}"],
                 "fields": [json.dumps({f"{k}": 1.0 for k in range(100_000)}).encode()],
+                "schemas": [b'{"a": 1.0}'],
             }
-            write_json_topic(path, contents[form])
+            write_json_topic(path, contents[form], schemas=10 * (form == "schemas"))
             assert path.stat().st_size < 200_000
     with pytest.raises(ShotrigError, match=rf"{path.name}.* 0\.2(02)? GB.*SHOTRIG_MEMORY"):
         daq.import_files(path, make_scene(), tmp_path / "r.mcap", table=TABLE)
     assert not (tmp_path / "r.mcap").exists()
+
+
+def test_chunk_of_other_size_is_refused(tmp_path):
+    write_json_topic(tmp_path / "a.mcap", [b'{"a": 1.0}', 9000 * b" " + b'{"a": 2.0}'], compression=CompressionType.LZ4)
+    content = bytearray((tmp_path / "a.mcap").read_bytes())
+    # The size of the unpacked chunk is followed by a checksum and by the name of the compression.
+    struct.pack_into("<Q", content, content.index(b"lz4") - 16, 1000)
+    (tmp_path / "a.mcap").write_bytes(content)
+    assert "decompresses to a different size" in rejection_message(tmp_path / "a.mcap", tmp_path)
 
 
 @pytest.mark.parametrize("ending", ["npz", "npy"])

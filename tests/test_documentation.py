@@ -33,7 +33,11 @@ def blocks(page: Path) -> list[tuple[str, str]]:
 def commands(page: Path, *kinds: str) -> list[list[str]]:
     """Return the words of each command of this product in blocks of some kinds."""
     lines = [
-        shlex.split(line, comments=True) for kind, block in blocks(page) if kind in kinds for line in block.splitlines()
+        shlex.split(line, comments=True)
+        for kind, block in blocks(page)
+        if kind in kinds
+        # A backslash continues a command on the next line.
+        for line in block.replace("\\\n", " ").splitlines()
     ]
     return [words for words in lines if words and words[0] in PROGRAMS]
 

@@ -31,18 +31,20 @@ tone = {"kind": "sine", "frequency": band[0], "force": 1.0}
 orbits = rig.follow_orbits(scene.replace(test=tone, channels=None), "frequency", band)
 
 axes = plt.subplots(layout="constrained")[1]
-for number, branch in enumerate(orbits.branches):
-    amplitude = abs(branch.frf[0]) * [orbit.reference_amplitude for orbit in branch.orbits]
-    axes.plot(branch.value, 1e3 * amplitude, "#777777", lw=0.9, zorder=1, label=None if number else "exact orbits")
+amplitudes = [abs(b.frf[0]) * [orbit.reference_amplitude for orbit in b.orbits] for b in orbits.branches]
+for number, (branch, amplitude) in enumerate(zip(orbits.branches, amplitudes, strict=True)):
+    label = None if number else "exact orbits"
+    axes.plot(branch.value, 1e3 * amplitude, "#777777", lw=0.9, zorder=1, label=label)
 axes.plot(curve.frequency, 1e3 * curve.amplitude, "s", color="#AA4499", ms=3.5, label="measured at 1 N")
 backbone.draw(axes, label="backbone (numbers: force in N)", color="black")
 axes.legend()
-exact = np.concatenate([abs(b.frf[0]) * [orbit.reference_amplitude for orbit in b.orbits] for b in orbits.branches])
+exact = np.concatenate(amplitudes)
 exact_frequency = np.concatenate([branch.value for branch in orbits.branches])
 order = np.argsort(exact_frequency)
 inside = (curve.frequency > band[0]) & (curve.frequency < band[1])
 deviation = curve.amplitude / np.interp(curve.frequency, exact_frequency[order], exact[order]) - 1.0
-print(f"largest deviation of the {inside.sum()} measured points from exact orbits: {abs(deviation[inside]).max():.2%}")
+largest = abs(deviation[inside]).max()
+print(f"largest deviation of the {inside.sum()} measured points from exact orbits: {largest:.2%}")
 
 # %%
 # Random vibration of a shaker table with a profile. Where a limited channel would exceed its limit, the drive has a

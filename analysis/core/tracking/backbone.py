@@ -42,8 +42,6 @@ if TYPE_CHECKING:
 _FREQUENCY_DEVIATION_RATIO = 2.0
 # Largest quadrature part of other modes, in their in-phase part times the resonant mode's damping ratio.
 _MAX_QUADRATURE_PER_DAMPING = 10.0
-# Distance of the next point, relative to the axis, below which a label is on the left: labels must not overlap.
-_LABEL_RATIO = 0.08
 
 
 @dataclass(frozen=True, repr=False)
@@ -168,11 +166,10 @@ class Backbone(Result):
             self.frequency, 1e3 * self.amplitude, 1e3 * self.amplitude_own,
             self.frequency_expanded, **bars,
         )  # fmt: skip
-        span, right = float(np.ptp(self.frequency)), np.sort(self.frequency)
-        for frequency, amplitude, level in self.marks():
-            # The label is on the side where no other point is near.
-            following = right[right > frequency]
-            is_left = following.size > 0 and following[0] - frequency < _LABEL_RATIO * span
+        marks = self.marks()
+        for k, (frequency, amplitude, level) in enumerate(marks):
+            # The label is on the side away from the next point, and from the previous point at the end.
+            is_left = marks[k + 1 if k + 1 < len(marks) else k - 1][0] > frequency
             ax.annotate(
                 level, (frequency, 1e3 * amplitude), (-7 if is_left else 7, 5), textcoords="offset points",
                 fontsize=8, ha="right" if is_left else "left",

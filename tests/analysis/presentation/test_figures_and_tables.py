@@ -6,6 +6,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,6 +30,7 @@ from analysis.commands.presentation.theory import theoretical_modes
 from analysis.core.modal.modes import Modes, UncertainMode
 from analysis.core.modal_models.lscf import ChartPole
 from analysis.core.recordings.names import baseline_label, belongs_to, excitation_text
+from analysis.core.tracking.backbone import Backbone
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import BASELINE, BODIES, RECORDINGS, faded, recording_styles
 from rig.core.results.response import Response
@@ -503,3 +505,16 @@ def test_phase_axis_is_common_to_figures_of_compliances() -> None:
     value = 1.0 / ((13.0**2 - f**2 + 0.5j * f) * (35.0**2 - f**2 + 1.0j * f))
     _, phase_axes, _ = frf_figure([Response.curve(f, value, "body2")], "").axes
     assert phase_axes.get_yticks().tolist() == [-270.0, -180.0, -90.0, 0.0]
+
+
+@pytest.mark.parametrize(("frequencies", "sides"), [([48.0, 49.0, 49.2], "rrl"), ([49.2, 49.0, 48.0], "llr")])
+def test_labels_of_levels_avoid_the_next_point(frequencies, sides) -> None:
+    values = np.array([1.0, 2.0, 3.0])
+    points = SimpleNamespace(
+        body="body1", label="", frequency=np.array(frequencies), amplitude=values, amplitude_expanded=0.1 * values,
+        amplitude_common=0.0 * values, frequency_expanded=0.0 * values,
+        marks=lambda: [(f, 1.0, "1 N") for f in frequencies],
+    )  # fmt: skip
+    axes = Figure().add_subplot()
+    Backbone.draw(points, axes)  # type: ignore[arg-type]
+    assert "".join(text.get_ha()[0] for text in axes.texts) == sides

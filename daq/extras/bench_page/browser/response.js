@@ -155,8 +155,8 @@ const response = {
   },
 };
 
-// A touch screen has no shift key.
-const IS_TOUCH = matchMedia("(hover: none)").matches;
+// A touch screen has no shift key. A browser without a pointing device, which draws pictures, is no touch screen.
+const IS_TOUCH = matchMedia("(pointer: coarse)").matches;
 const CURSOR_HINT = IS_TOUCH ? "The last two taps are cursors A and B." : "Click: cursor A. Shift and click: cursor B. Double-click: none.";
 // Color of the last test: its curves lie behind those of the present test.
 const LAST = "#8994a0";

@@ -511,8 +511,8 @@ def test_phase_axis_is_common_to_figures_of_compliances() -> None:
 def test_labels_of_levels_avoid_the_next_point(frequencies, sides) -> None:
     values = np.array([1.0, 2.0, 3.0])
     points = SimpleNamespace(
-        body="body1", label="", frequency=np.array(frequencies), amplitude=values, amplitude_expanded=0.1 * values,
-        amplitude_common=0.0 * values, frequency_expanded=0.0 * values,
+        body="body1", label="", frequency=np.array(frequencies), amplitude=values, amplitude_own=0.1 * values,
+        frequency_expanded=0.0 * values,
         marks=lambda: [(f, 1.0, "1 N") for f in frequencies],
     )  # fmt: skip
     axes = Figure().add_subplot()

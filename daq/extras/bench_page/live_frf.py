@@ -184,7 +184,8 @@ class LiveFrf:
             excited[strongest + beyond[0] if beyond.size else excited.size :] = False
         force = np.where(excited, sums.force, np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
-            coherence = np.abs(sums.cross) ** 2 / (force * sums.motion)
+            # Without noise, rounding would exceed 1.
+            coherence = np.minimum(np.abs(sums.cross) ** 2 / (force * sums.motion), 1.0)
             value = np.asarray(sums.cross / force, dtype=complex)
         coherence[:, sums.count < _MIN_COHERENCE_AVERAGES] = np.nan
         for row, first in enumerate(self._first_determined()):

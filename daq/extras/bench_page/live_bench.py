@@ -336,13 +336,8 @@ class TestController:
             self.frf_unavailable_reason = str(error)
             return
         self.tests += 1
-        self._test, self.target, self.message = None, None, "NI clients drive the outputs"
+        self._test, self.target = None, None
         self._monitor.start_estimate(frf, None, lambda: band)
-
-    def end_client_estimate(self) -> None:
-        """End the estimate of responses to the drive of NI clients."""
-        self._monitor.end_estimate()
-        self.message = "NI clients stopped driving the outputs"
 
     def _on_mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
         if kind == "hit":
@@ -410,13 +405,18 @@ class LiveBench:
         if drives and not self._clients_drive:
             self.controller.start_client_estimate()
         elif self._clients_drive and not drives and not self.controller.running:
-            self.controller.end_client_estimate()
+            self.monitor.end_estimate()
         self._clients_drive = drives
 
     @property
     def is_driven_by_clients(self) -> bool:
         """Whether tasks of NI clients drive outputs, so that no test can start."""
         return bool(self.chassis.outputs) and not self.controller.running
+
+    @property
+    def message(self) -> str:
+        """The message of the last test, which is also that after NI clients have driven the outputs."""
+        return "NI clients drive the outputs" if self.is_driven_by_clients else self.controller.message
 
     @property
     def state(self) -> str:

@@ -151,7 +151,7 @@ class Page:
         return {
             "state": bench.state,
             "running": controller.running,
-            "message": controller.message,
+            "message": bench.message,
             "is_driven_by_clients": bench.is_driven_by_clients,
             "problem": recordings.problem or next(reversed(bench.chassis.problems), ""),
             "progress": controller.progress if controller.running else None,

@@ -272,11 +272,25 @@ def test_clients_see_a_frequency_response(bench):
         assert bench.monitor.is_estimating and bench.monitor.frf is not None
         # Level and rate are those of a test, not of a client.
         assert bench.controller.target is None and bench.controller.details == ""
-        assert bench.is_driven_by_clients and bench.controller.message == "NI clients drive the outputs"
+        assert bench.is_driven_by_clients and bench.message == "NI clients drive the outputs"
         del bench.chassis.outputs["task"]
         bench._follow_clients(None, None)
     assert not bench.monitor.is_estimating
-    assert not bench.is_driven_by_clients and "stopped" in bench.controller.message
+    assert not bench.is_driven_by_clients
+
+
+@pytest.mark.parametrize("bench", ["sine"], indirect=True)
+def test_clients_leave_message_of_aborted_test(bench):
+    bench.controller._on_end("a client has taken the output")
+    with bench.chassis.changed:
+        bench.chassis.outputs["task"] = None
+        bench._follow_clients(None, None)
+        during = bench.message
+        del bench.chassis.outputs["task"]
+        bench._follow_clients(None, None)
+    assert (during, bench.message) == (
+        "NI clients drive the outputs", "test ended: a client has taken the output"
+    )  # fmt: skip
 
 
 def test_live_peak_next_to_a_gap_has_no_damping():
@@ -305,6 +319,16 @@ def test_damping_interval_contains_the_true_value():
         )  # fmt: skip
         (peak,) = largest_peaks(curves, 1)
         assert abs(peak.damping - ratio) < peak.expanded < 0.5 * ratio
+
+
+@pytest.mark.parametrize("bench", ["sweep"], indirect=True)
+def test_exact_response_has_full_coherence(bench):
+    frf = LiveFrf(bench.chassis.bench.scene, bench.monitor.channels, 1024.0, 1.0, (5.0, 400.0))
+    force = np.random.default_rng(1).standard_normal(512 * 9)
+    readings = np.array([0.3 * force, 0.7 * force, force])
+    frf.add(readings, np.zeros(readings.shape, bool), (5.0, 400.0))
+    coherence = frf.curves().coherence
+    assert coherence.max() == 1.0 and coherence.min() > 1.0 - 1e-9
 
 
 @pytest.mark.parametrize("bench", ["sweep"], indirect=True)

@@ -58,6 +58,8 @@ def shock_response(acceleration: Array, rate: float, frequency: Array, q: float)
             extremes[k] = [
                 max(pair) for pair in zip(extremes[k].tolist(), map(_largest, (response, -response)), strict=True)
             ]
+    # Comparisons ignore NaN, but the states of the filters keep it.
+    extremes[np.isnan(states).any(axis=1)] = np.nan
     return extremes[:, 0, 1], -extremes[:, 1, 1]
 
 

@@ -60,6 +60,13 @@ def test_filtered_half_sine_agrees_with_closed_form(offset: float, highest: floa
     assert computed[1] == pytest.approx(exact[1], abs=5e-3)
 
 
+@pytest.mark.parametrize("highest", [50.0, 400.0])
+def test_gap_gives_no_extremes(highest: float) -> None:
+    motion = np.ones(3000)
+    motion[1500] = np.nan
+    assert np.isnan(shock_response(motion, 1000.0, np.array([10.0, highest]), 10.0)).all()
+
+
 def test_stiff_oscillator_follows_its_base() -> None:
     time = np.arange(4096) / 4096.0
     motion = np.sin(2 * np.pi * 3.0 * time) * np.sin(np.pi * time) ** 2

@@ -32,8 +32,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 BLUE, RED = COLORS[:2]
-#: Colors of the responses with dampers, for successive levels.
+#: Colors, line styles and markers of the responses with dampers, for successive levels. The numbers of each have no
+#: common factor, so the styles of 60 levels differ.
 LEVEL_COLORS = RED, "#E69F00", "#8C2D04"
+_LEVEL_LINES = "-", "--", "-.", ":"
+_LEVEL_MARKERS = "os^Dv"
 # Number of frequencies of the drawn response without dampers: about one per pixel.
 _RESPONSE_POINTS = 800
 #: A clearance is at a limit of the search if it differs from the limit by at most this fraction.
@@ -305,20 +308,21 @@ def _draw_reductions(axes: Axes, design: Design) -> None:
 
 
 def _draw_responses(axes: Axes, design: Design) -> None:
-    """Draw the largest response of all bodies without dampers, and with dampers with the peaks of each mode."""
+    """Draw the largest response of the watched bodies without and with dampers, and the peaks of the modes."""
     objective = replace(design.question, density=FINE_DENSITY)
     scene, (low, high) = objective.scenes[0], objective.band
     (name, unit, factor), level_unit = design.question.response_display, design.question.level.unit
     peaks = [mode.undamped.frequency for mode in design.modes if mode.in_band]
     frequency = np.unique(np.concatenate([np.geomspace(low, high, _RESPONSE_POINTS), peaks]))
-    bare = abs(linear_response(scene.replace(dampers=[]), frequency)).max(axis=0)
+    rows = [body - 1 for body in objective.bodies]
+    bare = abs(linear_response(scene.replace(dampers=[]), frequency)[rows]).max(axis=0)
     axes.plot(frequency, factor * bare, color=BASELINE, lw=1.0, label="without dampers")
     damped_scene = scene.replace(dampers=design.best.choice.dampers(objective.impact_law))
     problem, coarse = OrbitProblem(damped_scene), objective.frequencies(damped_scene)
     for number, level in enumerate(objective.levels):
-        color, dashes, marker = LEVEL_COLORS[number % 3], ("-", "--", "-.")[number % 3], "os^"[number % 3]
+        color, dashes, marker = level_style(number)
         response = response_at_level(problem, level, coarse)
-        axes.plot(coarse, factor * abs(response.frf).max(axis=0), color=color, ls=dashes, lw=1.0)
+        axes.plot(coarse, factor * abs(response.frf[rows]).max(axis=0), color=color, ls=dashes, lw=1.0)
         damped = [mode.damped[number] for mode in design.modes if mode.in_band]
         axes.plot(
             [peak.frequency for peak in damped], [factor * peak.magnitude for peak in damped], marker, color=color,
@@ -333,6 +337,13 @@ def _draw_responses(axes: Axes, design: Design) -> None:
     set_log_scale(axes.yaxis, 5)
     _add_legend_below(axes)
     axes.set_title("Response without and with dampers")
+
+
+def level_style(number: int) -> tuple[str, str, str]:
+    """Return color, line style and marker of a level, by its number from 0."""
+    cycles: tuple[Sequence[str], ...] = LEVEL_COLORS, _LEVEL_LINES, _LEVEL_MARKERS
+    color, line, marker = (cycle[number % len(cycle)] for cycle in cycles)
+    return color, line, marker
 
 
 def _add_legend_below(axes: Axes) -> None:

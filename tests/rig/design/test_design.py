@@ -29,7 +29,15 @@ from rig.studies.design.check import Expected
 from rig.studies.design.choice import FINE_DENSITY, INSTANTANEOUS, Choice
 from rig.studies.design.design import chart_levels
 from rig.studies.design.evaluator import Evaluator
-from rig.studies.design.figure import _draw_responses, clearance_label, describe_check, grain_check, summary, write
+from rig.studies.design.figure import (
+    _draw_responses,
+    clearance_label,
+    describe_check,
+    grain_check,
+    level_style,
+    summary,
+    write,
+)
 from rig.studies.design.request import mass_limit, parse_request
 from rig.studies.design.worst_peak import Peak, response_at_level
 from tests.rig.this_process import pieces_in_this_process, reduce_chart_and_check
@@ -134,6 +142,10 @@ def test_damaged_table_loses_no_trial(tmp_path: Path) -> None:
 
 def test_drawing_shows_clearance_of_heaviest_damper() -> None:
     assert "in body 4 / mm" in clearance_label(Choice((3, 4), (0.01, 0.06), (8e-3, 7e-3)))
+
+
+def test_levels_have_different_styles() -> None:
+    assert len({level_style(number) for number in range(60)}) == 60
 
 
 @pytest.mark.thorough

@@ -173,13 +173,13 @@ register("numba:compile", _Compiling())
 
 
 class _Kernel:
-    """A compiled function whose dispatcher of numba is created at its first use.
+    """A compiled function whose dispatcher of numba is created at its first use; its arguments are positional.
 
     Most kernels are used only in the stored code of other kernels. Their dispatchers would take 2 % of the CPU time of
     `rig explain`.
     """
 
-    _lock = threading.Lock()  # for the configuration of numba
+    _lock = threading.RLock()  # for the configuration of numba
 
     def __init__(self, function: Callable[..., object], options: dict[str, Any]) -> None:
         functools.update_wrapper(self, function)
@@ -188,7 +188,13 @@ class _Kernel:
     def __call__(self, *arguments: Any) -> Any:
         return self._dispatcher(*arguments)
 
+    def __reduce__(self) -> str:
+        # As a function, a kernel is copied and pickled as a reference.
+        return self._function.__qualname__
+
     def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
         return getattr(self._dispatcher, name)
 
     @functools.cached_property
@@ -197,9 +203,13 @@ class _Kernel:
         folder = code_folder(_source_folder(self._function))
         compiler = numba.njit if callees is None or _CONFIG.DISABLE_JIT else callees.njit
         with self._lock:
+            if "_dispatcher" in vars(self):
+                # Another thread has created it.
+                return vars(self)["_dispatcher"]
             previous, _CONFIG.CACHE_LOCATOR_CLASSES = _CONFIG.CACHE_LOCATOR_CLASSES, "rig.core.numerics.jit.CodeFolder"
             try:
-                return compiler(self._function, cache=folder is not None, **self._options)
+                dispatcher = compiler(self._function, cache=folder is not None, **self._options)
+                return vars(self).setdefault("_dispatcher", dispatcher)
             finally:
                 _CONFIG.CACHE_LOCATOR_CLASSES = previous
 

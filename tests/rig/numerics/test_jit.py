@@ -5,7 +5,9 @@ The tests compile the small modules below, which form a package `kernels`.
 
 from __future__ import annotations
 
+import copy
 import os
+import pickle
 import shutil
 import subprocess
 import sys
@@ -14,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.core.numerics import jit
+from rig.core.numerics import bernstein, jit
 
 ROOT = Path(__file__).parents[3]
 # Modules of the package.
@@ -70,7 +72,7 @@ import sys
 if {plain}:
     sys.modules["rig.core.numerics.callees"] = None
 import numpy as np
-from rig.core.numerics import jit
+from rig.core.numerics import bernstein, jit
 from rig.core.numerics.bernstein import BERNSTEIN, MAX_HALVINGS, N_COEFFICIENTS, first_crossing
 from rig.core.numerics.simd import aligned_zeros, multiply
 
@@ -306,6 +308,17 @@ def test_digest_covers_imported_kernels(tmp_path: Path, monkeypatch: pytest.Monk
         assert digest(engine) != before
         changed.write_bytes(source)
     assert digest(engine) == before
+
+
+def test_kernel_is_copied_and_pickled_as_reference() -> None:
+    kernel = bernstein._split
+    assert copy.copy(kernel) is copy.deepcopy(kernel) is pickle.loads(pickle.dumps(kernel)) is kernel
+
+
+def test_kernel_used_by_two_threads_has_one_dispatcher() -> None:
+    # In Python 3.12, the second thread computes the property again if it has waited for the first.
+    kernel = bernstein._split
+    assert jit._Kernel.__dict__["_dispatcher"].func(kernel) is jit._Kernel.__dict__["_dispatcher"].func(kernel)
 
 
 def test_kernel_of_two_signatures_is_called_itself(kernels: Path) -> None:

@@ -111,15 +111,10 @@ def _sampled(scene: Any) -> list[Any]:
     noise = np.random.default_rng(1).standard_normal((len(plant.inputs), samples.size))
     scale = np.array([{"N": 6.0, "V": 2.0, "m": 3e-4}[unit] for unit in plant.drive_units])
     motion = plant.advance(scale[:, None] * (np.sin(220.0 * samples / RATE) + 0.3 * noise))
-    names = (
-        "displacement",
-        "velocity",
-        "acceleration",
-        "gap",
-        "contact",
-        "discontinuity_offset",
-        "discontinuity_acceleration",
-    )
+    names = ["displacement", "velocity", "acceleration", "gap", "contact"]
+    # Older versions name a discontinuity a break.
+    name = "discontinuity" if hasattr(motion, "discontinuity_offset") else "break"
+    names += [f"{name}_offset", f"{name}_acceleration"]
     return [*(getattr(motion, name) for name in names), motion.events["time"], motion.events["speed"]]
 
 

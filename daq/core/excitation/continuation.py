@@ -35,7 +35,7 @@ from daq.core.excitation.tones.envelope_control import (
     MAX_POLE_TIMES_DEAD_TIME,
 )
 from rig.core.base.arrays import Array
-from rig.core.results.text import format_decimals
+from rig.core.results.text import format_decimals, format_frequencies
 
 if TYPE_CHECKING:
     from rig.core.scene.excitation import Continuation
@@ -443,10 +443,11 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
                 failures.append(f"{at_level}, {len(curve.points)} points: {loss}.")
                 useless += not curve.folds
             if curve.irregular:
-                irregular = ", ".join(dict.fromkeys(f"{frequency:.5g}" for frequency in curve.irregular))
+                frequencies = [*curve.irregular, *(point.frequency for point in curve.points)]
+                is_irregular = [k < len(curve.irregular) for k in range(len(frequencies))]
                 station.warn(
-                    f"{at_level}: the motion is irregular at {irregular} Hz. These points are omitted. Choose a level "
-                    "with a periodic motion, often a higher one."
+                    f"{at_level}: the motion is irregular at {format_frequencies(frequencies, is_irregular)}. These "
+                    "points are omitted. Choose a level with a periodic motion, often a higher one."
                 )
             if curve.gaps:
                 ends = ", ".join(f"{start:.5g} to {end:.5g}" for start, end in curve.gaps)
@@ -455,12 +456,12 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
                     "the period has doubled, or the impacts in a period change. Folds in this range are not measured. "
                     "Reduce test.step."
                 )
+            tone.warn_of_multiples()
             yield tone.end()
         if useless == len(test.levels):
             raise AbortedTest(failures[0])
         for message in failures:
             station.warn(message)
-        tone.warn_of_multiples()
         station.report(1.0, "done")
 
     def waits(self, test: Continuation, scene: Scene) -> float:

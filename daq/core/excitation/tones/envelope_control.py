@@ -9,7 +9,7 @@ In steady state U is constant, so the drive is a pure tone even if the motion ha
 change the motion that it holds. (J. Sieber, B. Krauskopf, Nonlinear Dynamics 51 (2008) 365.)
 """
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Generator, Sequence
 from math import ceil
 from typing import Any, NamedTuple
@@ -24,6 +24,7 @@ from daq.core.excitation.tones.nearest_mode import NearestMode
 from daq.core.excitation.tones.settling import Settling
 from daq.core.excitation.tones.steady_tone import MAX_TOLERANCE, TRANSITION_S, SteadyTone, half_cosine
 from rig.core.base.arrays import Array, ComplexArray
+from rig.core.results.text import format_frequencies
 from rig.core.scene.excitation import FORCE_TOLERANCE
 from rig.core.scene.excitation.kind import Settle
 
@@ -144,7 +145,8 @@ class EnvelopeTone(SteadyTone):
         self.motion = 0j  # last envelope of the controlled motion [m]
         self.noise = 0.0  # standard deviation of the envelope in a window by noise [m]
         self.scatter = 0.0  # relative standard deviation of the last drives
-        self._multiples: list[str] = []  # motions that repeat after several periods
+        # Frequencies [Hz] and repetitions of the steady motions at each level.
+        self._repetitions = defaultdict[float, list[tuple[float, int]]](list)
         self._readings: list[Array] = []  # of the first channel of the motion, since the last measurement began
         self._observed = 0.0, 0j, 0j  # frequency and envelopes of motion and drive in the last observation of the mode
 
@@ -320,16 +322,20 @@ class EnvelopeTone(SteadyTone):
             force=abs(held.drive) if self.station.force_is_drive else None,
             settled=settled, invasive=held.invasive, repetition=held.repetition, **fields,
         )  # fmt: skip
-        if settled and held.repetition > 1:
-            self._multiples.append(f"after {held.repetition} periods at {self.frequency:.5g} Hz")
+        if settled:
+            self._repetitions[fields["level"]].append((self.frequency, held.repetition))
 
     def warn_of_multiples(self) -> None:
-        """Warn of the measured motions that repeat only after several periods of the tone."""
-        if self._multiples:
-            self.station.warn(
-                f"The motion repeats {', '.join(dict.fromkeys(self._multiples))}. The measured amplitudes are those at "
-                "the frequency of the tone."
-            )
+        """Warn of the motions since the last call that repeat only after several periods of the tone."""
+        for level, motions in self._repetitions.items():
+            frequencies, repetitions = zip(*motions, strict=True)
+            for repetition in sorted({*repetitions} - {1}):
+                where = format_frequencies(frequencies, [each == repetition for each in repetitions])
+                self.station.warn(
+                    f"level {self.station.level_text(level)}: motions repeat after {repetition} periods of the "
+                    f"tone at {where}. Their amplitudes are those at the frequency of the tone, without subharmonics."
+                )
+        self._repetitions.clear()
 
 
 def _growth(motions: ComplexArray, target: float, window: float, tolerance: float) -> float:

@@ -110,7 +110,7 @@ def measure() -> Iterator[str]:
         per_sample = shortest / (SECONDS * RATE * len(LOCATIONS))
         yield (
             f"{name:36s} {per_sample * 1e9:6.1f} ns per channel and sample, {SECONDS / shortest:5.0f} times real time, "
-            f"{discontinuities / SECONDS:.0f} breaks a second"
+            f"{discontinuities / SECONDS:.0f} discontinuities a second"
         )
     scene = full_scene()
     for name, display in (("all effects, recorded", False), ("all effects, recorded with display", True)):

@@ -43,8 +43,9 @@ MODEL_ERROR = 3e-3
 _CONTACT_MODEL_ERROR = 2e-2
 # After the subtraction of a jump, this fraction of the jump remains while the sensor rings.
 RESIDUAL_RATIO = 0.02
-# An impact on a neighboring body causes a slightly curved slope change of the acceleration, which the fit can mistake
-# for a jump. Jumps below this multiple of the velocity change due to the slope change within one sample are rejected.
+# An impact on a neighboring body causes a slightly curved change of the slope of the acceleration, which the fit can
+# mistake for a jump. Jumps below this multiple of the velocity change due to the slope change within one sample are
+# rejected.
 _SLOPE_CHANGE_JUMP_RATIO = 1.0
 # For finite-duration contact, this fraction of its duration replaces the sample interval in the rejection above.
 _SLOPE_CHANGE_DURATION_RATIO = 1.0 / 6.0

@@ -76,7 +76,7 @@ def peak_windows(frequency: Array, values: Sequence[ComplexArray]) -> list[Windo
 
 def _half_width(frequency: Array, log_magnitude: Array, peak: int, drop: float) -> float:
     """Return half of the half-power width of a peak [Hz] from its steeper side, where the logarithm has fallen."""
-    # The side of the peak of another mode raises the curve on one side of the peak.
+    # The peak of another mode raises the curve on one side.
     below = log_magnitude < log_magnitude[peak] - drop
     distances = [
         abs(frequency[peak + int(np.argmax(below[peak::step])) * step] - frequency[peak])

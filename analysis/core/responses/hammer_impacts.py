@@ -69,14 +69,14 @@ class HammerImpacts:
                 f"{rec.path}: only {interval / rec.rate:.3g} s from an impact to the next impact (or to the end of the "
                 "recording); expected 0.2 s or more. Increase test.interval, and record again."
             )
-        unmarked, complete, dead = [], [], failed_channels(rec).get(channel, rec.samples)
+        unmarked, complete, failed = [], [], failed_channels(rec).get(channel, rec.samples)
         for (begin, end), stop in zip(arrivals, [*starts[1:], rec.samples], strict=True):
             force = rec.read(channel, begin, min(stop, begin + _MAX_SCAN_SAMPLES))
             noise = np.sqrt(np.nanmedian(np.diff(force) ** 2))
             force = abs(force - np.nanmedian(force))
             marked = float(np.nanmax(force[: end - begin + 1], initial=0.0))
             largest = float(np.nanmax(force, initial=0.0))
-            if marked < _MIN_MARKED_RATIO * largest and begin < dead:
+            if marked < _MIN_MARKED_RATIO * largest and begin < failed:
                 reason = (
                     f"reads at most {marked:.3g} N at the marker of the impact, {begin / rec.rate:.4g} s, and "
                     f"{largest:.3g} N elsewhere: the marker or the channel's delay is wrong"

@@ -67,7 +67,7 @@ class SpectrumControl:
         self._check_output()
 
     def _check_output(self) -> None:
-        """Give up if the output clips too many samples at full level."""
+        """Abort if the output clips too many samples at full level."""
         rms = float(np.sqrt(np.sum(self.drive) * self.station.rate / self.period))
         share = float(erfc(self.station.output_limit / (rms * np.sqrt(2.0)))) if rms > 0.0 else 0.0
         if share > _MAX_CLIPPED:
@@ -89,7 +89,7 @@ class SpectrumControl:
         return self.spectra.density / gain
 
     def assess(self, density: Array, level: float) -> float:
-        """Give up if too many lines are above the abort line; return the fraction of lines within the tolerance."""
+        """Abort if too many lines are above the abort line; return the fraction of lines within the tolerance."""
         test, margin = self.test, _SIGMAS * SCATTER_DB / np.sqrt(self.spectra.count)
         required = test.decibels(test.required(density, self.frequency))
         deviation = -required[0]

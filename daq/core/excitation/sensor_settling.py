@@ -63,7 +63,7 @@ def settling_time(info: ChannelInfo) -> float:
     bias_settling = next(
         (parse(text, TIME) for key, text in info.sensor.items() if key.endswith(".bias_settling")), 0.0
     )
-    # The step at power-on decays with the slowest poles, as many high-pass filters as zeros at 0 Hz.
+    # The step at power-on decays with the poles of the high-pass filters: the slowest poles, one per zero at 0 Hz.
     high_pass_rates = sorted(abs(pole.real) for pole in info.poles if pole)[: sum(zero == 0 for zero in info.zeros)]
     return min(_MAX_TIME_CONSTANTS * (bias_settling + sum(1.0 / rate for rate in high_pass_rates)), _MAX_SETTLING_S)
 

@@ -81,7 +81,7 @@ def _pulse(test: Shock, period: int, rate: float) -> Pulse:
 
 
 def _check_drive(station: Station, replication: Replication, test: Shock) -> None:
-    """Give up if the drive of the shock exceeds the output or the amplifier."""
+    """Abort if the drive of the shock exceeds the output or the amplifier."""
     remedy = "Lower the spectrum." if test.half_sine is None else "Shorten the width, or lower the peak."
     station.check_output(float(abs(replication.drive(1.0)).max()), "the pulse", remedy)
 

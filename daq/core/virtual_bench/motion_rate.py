@@ -105,7 +105,7 @@ def _motion_rows(motion: Motion) -> tuple[Array, Array, Array]:
 def _between_ticks(
     motion: Motion, forces: Array, last: list[Array], tick: float, instants: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Interpolate motion and drive at instants in `tick`s [s] after a block's first tick; `last`: tick before."""
+    """Interpolate motion and drive at instants in ticks after a block's first tick; `tick`: s; `last`: tick before."""
     n_last = 1 if last else 0
     at_ticks = np.arange(-n_last, forces.shape[1])
     discontinuities = (motion.discontinuity_sample - 1 - motion.first) + motion.discontinuity_offset / tick

@@ -88,7 +88,7 @@ def matrices_without_free_beds(scene: Scene) -> tuple[Array, Array, Array]:
 
 
 def _without_free_beds(scene: Scene, model: StructuralModel, weight: Array) -> Equations:
-    """Return equations of bodies and tables with inputs, and the (negative) weight of locked beds [N], (bodies,)."""
+    """Return equations of bodies and tables with inputs; `weight`: (negative) weight of locked beds [N], (bodies,)."""
     structure = model.with_bed_masses()
     ground = partial(ground_connection, scene.structure, structure)
     equations = Equations(structure.mass, structure.damping, structure.stiffness, weight, ground)

@@ -107,14 +107,14 @@ def force_per_drive(scene: Scene, system: HybridSystem, omega: float | Array) ->
 
 
 def accelerations_per_drive(scene: Scene, places: Sequence[str], omega: Array) -> Array:
-    """Return accelerations at places per drive [m/s²] with resting dampers; (places,) + omega.shape, rad/s."""
+    """Return accelerations at places per drive [m/s²] with resting dampers; (places,) + omega.shape; `omega`: rad/s."""
     system = assemble(scene)
     rows = [system.points.index(place) for place in places]
     return np.asarray(omega**2 * np.abs(riding_response(system, scene.at_driven("shaker"), omega)[rows]))
 
 
 def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float | Array) -> Array:
-    """Return accelerations of bodies per level [m/s²] with resting dampers; (bodies,) + omega.shape, rad/s."""
+    """Return accelerations of bodies per level [m/s²] with resting dampers; (bodies,) + omega.shape; `omega`: rad/s."""
     response = riding_response(system, scene.at_driven("shaker"), omega) * drive_per_level(scene, system, omega)
     return omega**2 * np.abs(response[: scene.structure.bodies])
 

@@ -185,7 +185,7 @@ def design(
         Largest number of dampers; fewer are chosen if they are as effective.
     clearance : (float, float) or (str, str), optional
         Range of clearances to search, such as ``0.2mm,3mm``. Default: dampers move little at the smallest clearance and
-        rarely reach the ceiling at the largest; designs without a ceiling are then included.
+        barely reach the ceiling at the largest; designs without a ceiling are then included.
     levels : sequence of float or str, optional
         Force amplitudes for which dampers are designed, such as ``1N,3N``. Default: 0.5, 1 and 2 times the force of
         the test.

@@ -129,7 +129,7 @@ def select_row_values(
 
     `over`: "force", "drive" or "clearance"; `frequency`: Hz; `lowest`, `highest`: ends of the range. The default
     range of levels contains the lowest separation level. In the default range of clearances, a damper moves little at
-    the smallest and rarely reaches its ceiling at the largest. Unless both ends are given, one row is the scene's
+    the smallest and barely reaches its ceiling at the largest. Unless both ends are given, one row is the scene's
     value. Raises `SceneError` if the ends are not a valid range.
     """
     scene_value, default = (_clearances if over == "clearance" else _levels)(scene, frequency)

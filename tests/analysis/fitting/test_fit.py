@@ -209,7 +209,7 @@ def test_unit_of_force_is_named(tmp_path):
     assert explained.text == "hammer reads 0.2248 times what the scene predicts (values in pounds-force, declared as N)"
 
 
-def test_dead_channel_is_omitted(tmp_path):
+def test_failed_channel_is_omitted(tmp_path):
     force = synthetic.band_noise(20.0, 5.0, 60.0)
     marks = [("measure", 0, round(20.0 * synthetic.RATE) - 1, {"from": 5.0, "to": 60.0})]
     test = "{kind: random, from: 5 Hz, to: 60 Hz, duration: 20 s, force: 1 N}"

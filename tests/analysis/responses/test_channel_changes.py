@@ -194,7 +194,7 @@ def test_changed_channel_of_few_tones_is_named(tmp_path):
 
 @pytest.mark.parametrize("kind", ["random_test", "stepped_sine", "swept_sine"])
 @pytest.mark.parametrize("channel", ["force", "body3"])
-def test_dead_channel_is_named_and_omitted(request, tmp_path, kind, channel):
+def test_failed_channel_is_named_and_omitted(request, tmp_path, kind, channel):
     path = request.getfixturevalue(kind)
     with daq.open(path) as rec:
         middle, time = rec.samples // 2, rec.samples // 2 / rec.rate
@@ -207,9 +207,9 @@ def test_dead_channel_is_named_and_omitted(request, tmp_path, kind, channel):
     assert np.median(abs(response.value[:, :, 0].T / value - 1.0)) < 0.01
 
 
-def test_channel_that_dies_early_in_block_is_dead(random_test):
+def test_failure_early_in_block_is_detected(random_test):
     with daq.open(random_test) as rec:
-        # A block has four periods of the lowest frequency; 0.5 % of the first dead one contains the signal.
+        # A block has four periods of the lowest frequency; 0.5 % of the first failed block contains the signal.
         block = 4 * round(rec.rate / 5.0)
         read, first = rec.read, 20 * block + block // 200
         samples = read("body3")
@@ -290,7 +290,7 @@ def test_channel_that_becomes_late_is_named(request, kind, row):
     assert re.match(rf"{channel} seems to be (1\.9|2) ms late from about", warning)
 
 
-def test_dead_hammer_is_named(impulses, tmp_path):
+def test_failed_hammer_is_named(impulses, tmp_path):
     [response] = responses_with_gain(impulses, tmp_path, ["hammer"], 1e-5, 640 + 3 * round(6.0 * synthetic.RATE) - 400)
     assert any(text.startswith("hammer: disconnected or failed") for text in response.warnings)
     assert not any("marker" in text for text in response.warnings)

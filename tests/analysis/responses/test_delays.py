@@ -45,10 +45,10 @@ def test_late_response_is_named(body: int, delay_s: float, text: str) -> None:
     assert warning.startswith(f"body{body} seems to be ({1e3 * abs(delay_s):.2g}") and text in warning
 
 
-def test_dead_channel_hides_no_late_channel() -> None:
-    *alive, last = curves_of(compliances(STIFFNESS_PROPORTIONAL), {2: 2e-3})
-    dead = last.scaled(np.zeros(FREQUENCY.size))
-    assert delayed_channels([*alive, dead], "the force").startswith("body2 seems to be (2")
+def test_failed_channel_hides_no_late_channel() -> None:
+    *valid, last = curves_of(compliances(STIFFNESS_PROPORTIONAL), {2: 2e-3})
+    failed = last.scaled(np.zeros(FREQUENCY.size))
+    assert delayed_channels([*valid, failed], "the force").startswith("body2 seems to be (2")
 
 
 def test_late_force_makes_all_responses_early() -> None:

@@ -187,7 +187,7 @@ def test_identification_stays_below_full_level(sensor: dict[str, Any]) -> None:
     assert abs(bench_run.drive[0, first:last]).max() < abs(bench_run.drive[0, start:stop]).max()
 
 
-def test_dead_control_channel_ends_weak_identification() -> None:
+def test_failed_control_channel_ends_weak_identification() -> None:
     table = {"name": "table", "at": "table", "accelerometer": {"sensitivity": "50 mV/g", "bias": "9 V"}}
     bench_run = run(scene().replace(shaker={"kind": "base"}, channels=[table]))
     assert "readings of table are constant" in bench_run.reason

@@ -238,7 +238,7 @@ def test_own_recording_is_not_imported(tmp_path):
     assert "is a recording already" in rejection_message(path, tmp_path)
 
 
-def test_dead_and_implausible_channels_are_reported(tmp_path):
+def test_constant_and_implausible_channels_are_reported(tmp_path):
     rows = random_samples(600)
     rows[0], rows[2] = 3.0, 1e9 * rows[2]
     WRITERS["tdms"][1](tmp_path / "a.tdms", rows)

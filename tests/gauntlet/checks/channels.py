@@ -1,6 +1,6 @@
 """Check of warnings of channels: the drawn recordings have no fault of a channel, so that no channel is blamed.
 
-Overloads, lost samples and double hits are drawn; they are no change of gain, no dead channel and no delay.
+Overloads, lost samples and double hits are drawn; they are no change of gain, no failed channel and no delay.
 """
 
 from __future__ import annotations

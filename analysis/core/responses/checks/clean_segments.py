@@ -115,7 +115,7 @@ def settling_flaws(rec: Recording, names: Sequence[str], first: int, stop: int, 
     `lowest`: lowest excited frequency [Hz]. Over a period of this frequency, the mean of the motion is zero. A mean
     that differs from later means is therefore an error of the sensor, and in a force channel an apparent force.
     """
-    stop = min([stop, *(dead for name, dead in failed_channels(rec).items() if name in names)])
+    stop = min([stop, *(failed for name, failed in failed_channels(rec).items() if name in names)])
     block_samples = int(np.ceil(rec.rate / lowest))
     n_blocks = (stop - first) // block_samples
     if n_blocks < _MIN_BLOCKS:

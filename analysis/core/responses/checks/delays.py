@@ -159,10 +159,10 @@ def _estimate_delays(curves: Sequence[Response]) -> list[_Delay | None]:
     magnitude = abs(value)
     valid = np.isfinite(value) & (magnitude > 0.0)
     # A failed channel determines nothing, and must not remove the lines of the others.
-    is_alive = 2 * valid.sum(axis=1) > valid.shape[1]
-    if not is_alive.all():
-        found = iter(_estimate_delays([curve for curve, alive in zip(curves, is_alive, strict=True) if alive]))
-        return [next(found) if alive else None for alive in is_alive]
+    is_valid = 2 * valid.sum(axis=1) > valid.shape[1]
+    if not is_valid.all():
+        found = iter(_estimate_delays([curve for curve, is_used in zip(curves, is_valid, strict=True) if is_used]))
+        return [next(found) if is_used else None for is_used in is_valid]
     lines = np.flatnonzero(valid.all(axis=0))
     lines = lines[np.unique(np.linspace(0, lines.size - 1, min(lines.size, _MAX_LINES)).astype(int))]
     if lines.size < _MIN_LINES:

@@ -83,7 +83,7 @@ def _find(rec: Recording) -> dict[str, int]:
     starts = first + np.arange(count) * ((stop - first) // count)
     levels = np.array([[_level(rec, name, start, samples) for start in starts.tolist()] for name in names])
     is_motion = np.array([rec.channels[name].quantity != "force" for name in names])
-    dead = {}
+    failed = {}
     for row, name in enumerate(names):
         block = _first_failed_block(levels[row])
         info = rec.channels[name]
@@ -95,8 +95,8 @@ def _find(rec: Recording) -> dict[str, int]:
         others = others & (np.arange(len(names)) != row)
         falls = [_fall(level, block) for level in levels[others]]
         if min(falls, default=0.0) < _fall(levels[row], block) / _MIN_CONTRAST:
-            dead[name] = _first_invalid_sample(rec, name, int(starts[block - 1]), int(starts[block]), samples)
-    return dead
+            failed[name] = _first_invalid_sample(rec, name, int(starts[block - 1]), int(starts[block]), samples)
+    return failed
 
 
 def _block_samples(rec: Recording, marks: Sequence[Marker]) -> int:
@@ -138,6 +138,6 @@ def _fall(levels: Array, block: int) -> float:
 def _first_invalid_sample(rec: Recording, name: str, first: int, last: int, samples: int) -> int:
     """Return the first invalid sample of a channel, between the first samples of two successive blocks."""
     readings = rec.read(name, first, min(last + samples, rec.samples))
-    dead = readings[last - first :]
-    is_alive = abs(readings - dead.mean()) > _PEAK_RATIO * abs(dead - dead.mean()).max()
-    return first + int(np.flatnonzero(is_alive)[-1:].sum()) + 1
+    failed = readings[last - first :]
+    is_valid = abs(readings - failed.mean()) > _PEAK_RATIO * abs(failed - failed.mean()).max()
+    return first + int(np.flatnonzero(is_valid)[-1:].sum()) + 1

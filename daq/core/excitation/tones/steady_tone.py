@@ -249,8 +249,8 @@ class SteadyTones:
                 samples = window
                 for (tone, detector), new_drive in zip(observed, new_drives, strict=True):
                     if abs(math.log(new_drive / tone.amplitude)) >= _MAX_SUDDEN_CHANGE:
-                        # The transient of a mode beats with the drive. A transition of two beat periods rarely excites
-                        # the mode.
+                        # The transient of a mode beats with the drive. A transition of two beat periods has
+                        # little effect on that mode.
                         two_beats = round(window * 4 * np.pi / detector.phase_change())
                         samples = max(samples, min(station.samples(_MAX_TRANSITION_S), two_beats))
                     detector.restart()

@@ -130,9 +130,9 @@ class Estimator:
     jumps: bool = False  # whether the motion may change to another branch at one frequency
     # Whether the lines are values of local models of a much finer spectrum; fewer lines then resolve a peak.
     resolves_between_lines: bool = False
-    # Returns the parts with equal excitation between which gains of a channel are compared; None without parts.
+    # Returns the parts with equal excitation between which gains and delays of a channel are compared.
     parts: Callable[[Request], list[Parts]] = lambda request: []
-    # Returns the intervals of single tones, whose samples are searched for changes of the gain.
+    # Returns the intervals of single tones, whose samples are searched for changes of the gain or the delay.
     tones: Callable[[Request], list[ToneInterval]] = lambda request: []
     # Returns the remedy for too few lines to interpolate a peak; argument: required spacing [Hz], infinite if unknown.
     peak_remedy: Callable[[float], str] = lambda needed: "Measure for longer"

@@ -11,6 +11,7 @@ import daq
 from analysis.core.responses.checks import channel_changes
 from analysis.core.responses.checks.failed_channels import failed_channels
 from analysis.core.responses.checks.gain_steps import step_warnings
+from analysis.core.responses.checks.tone_steps import ToneStep
 from rig.core.results.response import Response, stack
 from tests.analysis.responses import synthetic
 
@@ -135,6 +136,13 @@ def test_changed_channel_among_hits_is_named(impulses, tmp_path):
     first = 640 + 3 * round(6.0 * synthetic.RATE) - 400
     [warning] = warnings_with_gain(impulses, tmp_path, ["body1"], 1.5, first)
     assert warning.startswith("body1: its gain changes by a factor of 1.5 at about 18")
+
+
+def test_change_among_five_parts_is_detected():
+    for seed in range(20):
+        gains = np.array([1.0, 1.0, 0.5, 0.5, 0.5]) + 0.005 * np.random.default_rng(seed).standard_normal(5)
+        step = channel_changes._largest_step(gains, np.zeros(5), is_steady=False)
+        assert step is not None and step.part == 2
 
 
 def test_number_of_evaluated_parts_is_limited(impulses, monkeypatch):
@@ -287,7 +295,34 @@ def test_channel_that_becomes_late_is_named(request, kind, row):
         # The mean delay over the test is not reported.
         [warning] = [text for text in analysis.frfs(rec).warnings if "seems to be" in text]
     # Five samples are 1.95 ms.
-    assert re.match(rf"{channel} seems to be (1\.9|2) ms late from about", warning)
+    assert re.match(rf"{channel} seems to be (1\.9|2) ms late .*from about", warning)
+
+
+def test_delay_hides_no_gain_of_another_channel(random_test):
+    with daq.open(random_test) as rec:
+        read, middle = rec.read, rec.samples // 2
+        changed = {"body1": read("body1"), "body2": read("body2")}
+        changed["body1"][middle:] = changed["body1"][middle - 5 : -5]
+        changed["body2"][middle:] *= 0.5
+        rec.read = lambda name, start=0, stop=None: changed.get(name, read(name))[start:stop]
+        late, halved = (text for text in analysis.frfs(rec).warnings if "in contrast" in text)
+    assert late.startswith("body1 seems to be 2 ms late from about")
+    assert halved.startswith("body2: its gain changes by a factor of 0.5")
+
+
+def test_phase_of_tone_states_possible_delays():
+    # A delay of 2 ms is 0.6 periods of 300 Hz.
+    text = ToneStep("body2", 0, 1j * 2.0 * np.pi * 0.4, 300.0).describe(synthetic.RATE)
+    assert text.startswith("body2 seems to be 1.3 ms early or 2 ms late (or by whole periods of 3.3 ms more or less)")
+
+
+def test_phase_of_curve_states_possible_delays():
+    frequency = np.linspace(200.0, 500.0, 400)
+    value = 1.0 / (220.0**2 - frequency**2 + 4.4j * frequency)
+    late = value * np.exp(-2j * np.pi * 1e-3 * frequency * (frequency > 400.0))
+    curves = stack([Response.curve(frequency, each, f"body{k}") for k, each in enumerate((late, value))])
+    [text] = step_warnings(curves, is_linear=True)
+    assert text.startswith("body0 seems to be 1 ms late or 1.5 ms early (or by whole periods of 2.5 ms more or less)")
 
 
 def test_failed_hammer_is_named(impulses, tmp_path):

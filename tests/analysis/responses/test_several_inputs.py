@@ -1,5 +1,7 @@
 """Frequency response matrices of two simultaneous shakers, compared with closed form: bounds, coherences and modes."""
 
+import re
+
 import numpy as np
 import pytest
 import pyuff
@@ -151,14 +153,26 @@ def test_error_bars_exist_without_overloaded_realisation(multisine_path):
     assert np.isfinite(response.error).all() and "Realization 2 omitted" in " ".join(response.warnings)
 
 
-@pytest.mark.parametrize("channel", ["f1", "a2"])
-def test_channel_that_becomes_late_is_named(multisine_path, channel):
-    with daq.open(multisine_path) as rec:
+def warning_of_late_channel(path, channel):
+    """Return the warning of a recording whose channel is 4 samples late from the middle on."""
+    with daq.open(path) as rec:
         read, samples, first = rec.read, rec.read(channel), rec.samples // 2
         samples[first:] = samples[first - 4 : -4]
         rec.read = lambda name, start=0, stop=None: (samples if name == channel else read(name))[start:stop]
         [warning] = [text for text in analysis.frfs(rec).warnings if " on, in contrast" in text]
-    assert warning.startswith(f"{channel} seems to be 2 ms late from about")
+    return warning
+
+
+@pytest.mark.parametrize("channel", ["f1", "a2"])
+def test_channel_that_becomes_late_is_named(multisine_path, channel):
+    assert warning_of_late_channel(multisine_path, channel).startswith(f"{channel} seems to be 2 ms late from about")
+
+
+def test_late_force_blames_no_intact_response(tmp_path):
+    # The delay of f3 explains the responses of this structure better than that of a3.
+    masses, springs = ["0.74 kg", "0.82 kg", "1.3 kg"], ["25.2 kN/m", "25.2 kN/m", "17.1 kN/m"]
+    path = record_scene(tmp_path / "a.mcap", MULTISINE, 7, masses=masses, springs=springs)
+    assert re.match(r"f3 seems to be (1\.9|2) ms late from about", warning_of_late_channel(path, "f3"))
 
 
 def test_missing_experiment_omits_realisation(multisine_path):

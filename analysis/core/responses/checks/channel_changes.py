@@ -31,6 +31,8 @@ from rig.core.results import format_number
 _MIN_PARTS = 4
 # Minimum number of parts on either side of a step: a scatter needs several values.
 _MIN_SIDE = 2
+# Minimum number of parts without the part of the step: of fewer, the scatter of the others is too uncertain.
+_MIN_PARTS_WITHOUT_STEP = 6
 # Minimum number of periods of a steady response to one input: without a change, the periods are equal except for noise.
 _MIN_PERIODS = 2
 # Longest section of a random test, in samples; `_MAX_PERIODS` applies if it is longer.
@@ -61,6 +63,8 @@ _MIN_CLARITY = 0.5
 _TURNS_SPACING = 0.1
 # In steady responses, a step must exceed the deviations of single lines from the gain of their part by this factor.
 _MIN_UNIFORMITY = 2.0
+# Largest error of the delay of a channel, relative to that of a channel which may have caused the same change.
+_MAX_ERROR_RATIO = 0.5
 # Largest change of the other channels' gains at a step, relative to it, unless they change by the same factor.
 _MAX_COMMON = 0.25
 # A channel whose gain falls below this fraction has failed: only noise and crosstalk remain.
@@ -100,6 +104,19 @@ class _Step(NamedTuple):
         return self.after / self.before if self.before else np.inf
 
 
+class _Delay(NamedTuple):
+    """Change of the delay of a channel."""
+
+    channel: str
+    change: float  # s
+    time: str
+    error: float  # of the delays after the change [s]
+    reference: str  # channels that may have the opposite change instead
+
+    def describe(self) -> str:
+        return describe_delay(self.channel, self.change, self.time, self.reference)
+
+
 def sections(rec: Recording, channels: Collection[str], first: int, stop: int, low: float, high: float) -> Parts:
     """Return flawless sections of a random test between two samples; the sections of a long test have gaps."""
     spacing = (stop - first) // _SECTIONS
@@ -120,16 +137,36 @@ def change_warnings(rec: Recording, parts: Parts, channels: Sequence[str]) -> li
     if len(clean) < max(_MIN_PERIODS, len(inputs) + 1):
         return []
     compared = _Compared.of(spectra[:, : len(inputs)], spectra[:, len(inputs) :], frequency)
-    delayed = _delay_warnings(compared, clean, rec.rate, inputs, outputs, parts.is_steady)
-    if not delayed and 1 < len(inputs) <= len(outputs):
+    delays = _find_delays(compared, clean, rec.rate, inputs, outputs, parts.is_steady)
+    if 1 < len(inputs) <= len(outputs):
         # As many responses as inputs determine the inputs, of which a late one differs from the others.
         used = len(inputs)
         exchanged = _Compared.of(spectra[:, used : 2 * used], spectra[:, :used], frequency)
-        delayed = _delay_warnings(exchanged, clean, rec.rate, outputs[:used], inputs, parts.is_steady)
+        delays = _select(delays, _find_delays(exchanged, clean, rec.rate, outputs[:used], inputs, parts.is_steady))
+    warnings = [delay.describe() for delay in delays]
+    # The delay of an input, or of a channel that may be an input, changes the relative gains of all outputs.
+    if any(delay.reference or delay.channel in inputs for delay in delays):
+        return warnings
     has_one_steady_input = parts.is_steady and len(inputs) == 1
-    if delayed or len(clean) < (_MIN_PERIODS if has_one_steady_input else max(_MIN_PARTS, len(inputs) + _MIN_SIDE + 1)):
-        return delayed
-    return _gain_warnings(compared, clean, rec.rate, inputs, outputs, parts.is_steady)
+    if len(clean) < (_MIN_PERIODS if has_one_steady_input else max(_MIN_PARTS, len(inputs) + _MIN_SIDE + 1)):
+        return warnings
+    late = {delay.channel for delay in delays}
+    rows = [row for row, name in enumerate(outputs) if name not in late]
+    compared = replace(compared, measured=compared.measured[:, :, rows], predicted=compared.predicted[:, :, rows])
+    return warnings + _gain_warnings(compared, clean, rec.rate, inputs, [outputs[row] for row in rows], parts.is_steady)
+
+
+def _select(delays: list[_Delay], exchanged: list[_Delay]) -> list[_Delay]:
+    """Return the delays of responses or of inputs, whichever have the clearly smaller error; otherwise alternatives."""
+    if not delays or not exchanged:
+        return delays or exchanged
+    smaller, larger = sorted((delays, exchanged), key=lambda each: max(delay.error for delay in each))
+    if max(delay.error for delay in smaller) < _MAX_ERROR_RATIO * max(delay.error for delay in larger):
+        return smaller
+    return [
+        delay._replace(reference=" or ".join(each.channel for each in larger if each.change * delay.change < 0.0))
+        for delay in smaller
+    ]
 
 
 def _gain_warnings(
@@ -160,48 +197,56 @@ def _gain_warnings(
     return warnings
 
 
-def _delay_warnings(
+def _find_delays(
     compared: _Compared,
     starts: Sequence[int],
     rate: float,
     inputs: Sequence[str],
     outputs: Sequence[str],
     is_steady: bool,
-) -> list[str]:
-    """Return a warning for each channel whose delay changes."""
+) -> list[_Delay]:
+    """Return the change of each channel whose delay changes."""
     delays, limits = compared.delays()
     determined = np.flatnonzero(np.isfinite(delays).all(axis=1))
     delays, limits = delays[determined], limits[determined]
     outputs = [outputs[row] for row in determined.tolist()]
-    warnings = []
+    found = []
     for k, step in enumerate(_largest_step(*rows, is_steady) for rows in zip(delays, limits, strict=True)):
         if step is None or abs(step.change) < compared.min_delay:
             continue
-        time = _time(step, delays[k], starts, rate)
+        time, refined = _time(step, delays[k], starts, rate), delays
+        error = float(np.median(limits[k, step.part :]))
         if step.part >= len(inputs):
             # Predictions from the parts before the step contain no noise of those after it.
-            compared_with_before, _ = compared.predict(slice(step.part)).delays()
-            compared_with_before = compared_with_before[determined]
-            delays = np.where(np.isfinite(compared_with_before), compared_with_before, delays)
-            step = _changed(delays[k], step.part)
-        others = [_changed(other, step.part).change for other in np.delete(delays, k, axis=0)]
+            from_before, errors = (values[determined] for values in compared.predict(slice(step.part)).delays())
+            refined = np.where(np.isfinite(from_before), from_before, delays)
+            step, error = _changed(refined[k], step.part), float(np.median(errors[k, step.part :]))
+        others = [_changed(other, step.part).change for other in np.delete(refined, k, axis=0)]
         if all(abs(other) < _MAX_COMMON * abs(step.change) for other in others):
-            reference = "" if others else " or ".join(inputs)
-            warnings.append(describe_delay(outputs[k], step.change, time, reference))
+            found.append(_Delay(outputs[k], step.change, time, error, "" if others else " or ".join(inputs)))
         elif len(inputs) == 1 and all(abs(other - step.change) < _MAX_COMMON * abs(step.change) for other in others):
             # If all responses become early, the input has become late.
-            warnings.append(describe_delay(inputs[0], -step.change, time))
-            break
-    return warnings
+            return [*found, _Delay(inputs[0], -step.change, time, error, "")]
+    return found
 
 
-def describe_delay(name: str, delay: float, place: str, reference: str = "") -> str:
-    """Describe a change of the delay of a channel [s] at a time or a frequency; or of the opposite of its reference."""
+def describe_delay(name: str, delay: float, place: str, reference: str = "", period: float = 0.0) -> str:
+    """Describe a change of the delay of a channel [s] at a time or a frequency.
+
+    `reference`: channels that may have the opposite change instead; `period`: period of the tone whose phase shows the
+    change [s], 0 if the signal is no tone. The phase does not distinguish changes that differ by whole periods.
+    """
     senses = ("late", "early") if delay > 0.0 else ("early", "late")
-    alternative = f", or {reference} {senses[1]}," if reference else ""
+    change = f"{abs(1e3 * delay):.2g} ms {senses[0]}"
+    if period:
+        change += (
+            f" or {1e3 * (period - abs(delay)):.2g} ms {senses[1]} (or by whole periods of {1e3 * period:.2g} ms more "
+            "or less)"
+        )
+    alternative = f", or {reference} {'by the opposite' if period else senses[1]}," if reference else ""
     return (
-        f"{name} seems to be {abs(1e3 * delay):.2g} ms {senses[0]}{alternative} from about {place}{_DELAY_CHANGE}. "
-        "Check cable and time base, and record again; until then, its responses are wrong."
+        f"{name} seems to be {change}{alternative} from about {place}{_DELAY_CHANGE}. Check cable and time base, and "
+        "record again; until then, its responses are wrong."
     )
 
 
@@ -292,7 +337,7 @@ class _Compared:
         product = predicted.conj() * y
         product = product / np.maximum(abs(product), 1e-300)
         powers = [np.sum(abs(each) ** 2, axis=1, keepdims=True) for each in (predicted, y)]
-        # Lines without noise have unit weight. The prediction contains noise in the proportion of fitted to all values.
+        # Lines without noise have equal weights. The prediction contains the noise times the share of fitted values.
         noise = 1.0 - self.freedom
         weight = np.maximum(powers[0] / np.maximum(powers[1], 1e-300) - noise, 0.0) ** 2
         count = int(np.ceil(max(_MAX_TURNS, min(_MAX_DELAY_S * highest, _MAX_LONG_TURNS)) / _TURNS_SPACING))
@@ -315,8 +360,8 @@ class _Compared:
 
 
 def _sides(values: Array, part: int) -> tuple[Array, Array]:
-    """Return the values before and after a part, which the step divides; only many values can do without this part."""
-    return values[:part], values[part + (values.size > _MIN_PARTS) :]
+    """Return the values before and after a part, which the step divides; of few values, its value is after the step."""
+    return values[:part], values[part + (values.size >= _MIN_PARTS_WITHOUT_STEP) :]
 
 
 def _changed(values: Array, part: int) -> _Step:
@@ -333,7 +378,7 @@ def _largest_step(values: Array, limits: Array, is_steady: bool) -> _Step | None
     def scatter(part: int) -> float:
         return sum(float(np.var(side)) * side.size for side in _sides(values, part))
 
-    part = min(range(min_side, size - min_side + (size <= _MIN_PARTS)), key=scatter)
+    part = min(range(min_side, size - min_side + (size < _MIN_PARTS_WITHOUT_STEP)), key=scatter)
     step = _changed(values, part)
     limit = 0.0
     if is_steady or size < _MIN_PARTS:
@@ -348,7 +393,7 @@ def _largest_step(values: Array, limits: Array, is_steady: bool) -> _Step | None
 
 def _time(step: _Step, values: Array, starts: Sequence[int], rate: float) -> str:
     """Describe the instant of a step, which the value of its part shows to a tenth of the distance of two parts."""
-    if values.size <= _MIN_PARTS:
+    if values.size < _MIN_PARTS_WITHOUT_STEP:
         return f"{starts[step.part] / rate:.4g} s"
     share = round(float(np.clip((step.after - values[step.part]) / step.change, 0.0, 1.0)), 1)
     first, last = starts[step.part : step.part + 2]

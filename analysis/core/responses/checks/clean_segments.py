@@ -16,7 +16,7 @@ OVERLOADED = "overloaded"
 LOST = "lost"
 SETTLING = "settling"
 FAILED = "disconnected or failed"
-# Number of blocks (periods of the lowest frequency) at the end that determine mean and scatter after settling.
+# Number of blocks (periods of the lowest frequency) in the second half that determine mean and scatter after settling.
 _SETTLED_BLOCKS = 32
 # The second half of a test with at least this number of blocks is assumed to be settled.
 _MIN_BLOCKS = 16

@@ -3,9 +3,8 @@
 Near each frequency, a response is a rational function [1]_. The function is fitted to the points before and after an
 instant of the sweep. The fit is repeated with one more unknown: the ratio of the gains after and before, or the change
 of the delay. A step is reported if it explains nearly all of the residual, and the other curves have no step at this
-frequency. A change
-of the motion to another branch changes all curves, and their phases; a single curve of a nonlinear structure is not
-checked, because a fault is distinguished from such a change by the other curves.
+frequency. A change of the motion to another branch changes all curves, and their phases; a single curve of a nonlinear
+structure is not checked, because a fault is distinguished from such a change by the other curves.
 
 References
 ----------
@@ -116,7 +115,8 @@ def step_warnings(response: Response, is_linear: bool) -> list[str]:
 def _describe(name: str, log_ratio: complex, frequency: float, reference: str = "") -> str:
     """Describe a step of a channel; `reference`: the other channel that may be the cause."""
     if log_ratio.imag:
-        return describe_delay(name, -log_ratio.imag / (2.0 * np.pi * frequency), _place(frequency), reference)
+        delay = -log_ratio.imag / (2.0 * np.pi * frequency)
+        return describe_delay(name, delay, _place(frequency), reference, period=1.0 / frequency)
     blamed = f"{name} or {reference}" if reference else name
     return describe_change(blamed, float(np.exp(log_ratio.real)), _place(frequency))
 

@@ -54,7 +54,7 @@ _MAX_COMMON = 0.25
 _MIN_COUNTS = 8.0
 # Smallest rms residual over rms reading without drift that a step of `_MIN_CHANGE` in the searched part of a block
 # leaves in the model without a step. The amplitudes of the model are quadratic: they fit a step at 15 % of a block
-# worst, except for 0.18 of the step (0.25 in the middle). Readings below half of this value have no step.
+# worst, except for 0.18 of the step (0.25 in the middle). The factor 0.5 is a margin.
 _MIN_RESIDUAL = 0.5 * 0.18 * _MIN_CHANGE
 # Largest rms residual of another channel with the same step in its model, relative to that without the step.
 _MAX_FRACTION_OF_STEP = 0.7
@@ -92,7 +92,8 @@ class ToneStep(NamedTuple):
         """Describe the step; `rate`: samples per second."""
         place = f"{format_number(float(f'{self.frequency:.3g}'))} Hz ({self.sample / rate:.4g} s)"
         if self.log_ratio.imag:
-            return describe_delay(self.channel, -self.log_ratio.imag / (2.0 * np.pi * self.frequency), place)
+            delay = -self.log_ratio.imag / (2.0 * np.pi * self.frequency)
+            return describe_delay(self.channel, delay, place, period=1.0 / self.frequency)
         return describe_change(self.channel, float(np.exp(self.log_ratio.real)), place)
 
 
@@ -254,7 +255,7 @@ class _Fits(NamedTuple):
 def sweep_warnings(
     rec: Recording, intervals: Sequence[ToneInterval], channels: Sequence[str], responses: Sequence[Response]
 ) -> list[list[str]]:
-    """Return the warnings of changed gains for each response of a stepped or swept sine.
+    """Return the warnings of changed gains and delays for each response of a stepped or swept sine.
 
     In long recordings, the samples are searched only if a curve has a step. A step that appears only in a curve, not in
     the samples, is reported if it may lie between the intervals, or if noise hides the tone in the samples of the

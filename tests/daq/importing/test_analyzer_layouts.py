@@ -530,7 +530,12 @@ def test_unit_of_times_is_read(ending: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("unit", "factor"),
-    [("seconds since 2026-11-30 10:00:00", 1.0), ("ms (relative)", 1e3), ("days since 2026-11-30", 1 / 86400)],
+    [
+        ("seconds since 2026-11-30 10:00:00", 1.0),
+        ("ms (relative)", 1e3),
+        ("(ms)", 1e3),
+        ("days since 2026-11-30", 1 / 86400),
+    ],
 )
 def test_units_of_netcdf_times_are_read(unit: str, factor: float, tmp_path: Path) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:

@@ -157,6 +157,16 @@ def test_drawn_response_with_dampers_reaches_the_peak(design: rig.Design) -> Non
     assert max(response.get_ydata()) == pytest.approx(max(peak.get_ydata()), rel=0.02)
 
 
+@pytest.mark.thorough
+def test_drawn_responses_are_those_of_watched_bodies(design: rig.Design) -> None:
+    watched = replace(design.question, bodies=(1,))
+    with new_figure(3.0) as figure:
+        axes = figure.subplots()
+        _draw_responses(axes, replace(design, question=watched))
+    bare, *_ = axes.lines
+    assert max(bare.get_ydata()) == pytest.approx(1e6 * watched.bare_peak.magnitude, rel=1e-3)
+
+
 @given(levels=st.lists(st.floats(0.1, 50.0), min_size=1, max_size=5, unique=True).map(sorted))
 def test_charted_levels_extend_beyond_requested_levels(levels: list[float]) -> None:
     charted = chart_levels(levels)

@@ -23,13 +23,13 @@ _SPACING = re.compile(r"(.*[._])?(df|delta_?f|resolution|x_values\.increment)", 
 _START = re.compile(r"(.*\.)?x_values\.start_value")
 # Names of arrays of angular frequencies, or of frequencies in kHz, their units, and the factors to Hz.
 _FREQUENCY_FACTORS = (
-    (re.compile(r"(.*\.)?(w|om(ega)?)([_(].*)?|.*_rad([_/]?s|ps|_per_s)?", re.IGNORECASE), "rad/s", 0.5 / np.pi),
+    (re.compile(r"(.*\.)?(w|om(ega)?)([_(].*)?|.*_rad([^a-z].*|s|ps)?", re.IGNORECASE), "rad/s", 0.5 / np.pi),
     (re.compile(r".*_khz", re.IGNORECASE), "kHz", 1e3),
 )
 # Name of the unit of the values.
 _UNIT = re.compile(r"(?!(frequency|freq|x|time)[._@]?units?)(.*[._@])?(units?|y_values\.quantity\.label)")
 # Name of a cross spectrum.
-_SPECTRUM = re.compile(r"(^|[._])(c?p?sd|(cross)?spec(trum|tra)?)([._(\d]|$)", re.IGNORECASE)
+_SPECTRUM = re.compile(r"(^|[._])(c?p?sd|(cross|power|auto)*_?spec(trum|tra)?)(xy)?([._(\d]|$)", re.IGNORECASE)
 # Minimum number of complex values of a response; a shorter array is more likely a setting than a response.
 _MIN_LINES = 4
 

@@ -72,7 +72,7 @@ def time_scale(unit: str, where: str) -> float:
     >>> time_scale("days since 2026-11-30", "a")
     86400.0
     """
-    name = re.sub(r"(?<=\w)\s*\(.*|\s+since\s.*", "", unit.strip().lower())
+    name = re.sub(r"(?<=\w)\s*\(.*|\s+since\s.*", "", unit.strip(" []").lower())
     text = "24 h" if name in ("d", "day", "days") else f"1 {re.sub('sec$', 's', name)}"
     try:
         return parse(text, TIME) if name else 1.0

@@ -134,9 +134,11 @@ class _TopicReader:
     def _process_record(self, opcode: int, content: memoryview, chunk_bytes: int) -> None:
         """Process a record; `chunk_bytes` is the memory of the chunk that contains it."""
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            self._in_memory += _DESCRIPTION_COPIES * len(content)
-            self._require_memory(chunk_bytes)
+            self._require_memory(chunk_bytes + _DESCRIPTION_COPIES * len(content))
             record = parse_record(opcode, content)
+            # Writers may repeat a description in every chunk.
+            if record.id not in self._descriptions[opcode]:
+                self._in_memory += _DESCRIPTION_COPIES * len(content)
             self._descriptions[opcode][record.id] = record
         elif opcode == Opcode.MESSAGE:
             self._add_message(parse_message(content), chunk_bytes)

@@ -56,6 +56,8 @@ _GROUPED_RATE = re.compile(r"\d{1,3}(?:([., ])\d{3})(?:\1\d{3})*")
 _MAX_EXAMINED_ROWS = 50
 # A part of a number that a decimal comma separates.
 _INTEGER = re.compile(r"[-+]?\d+(?:e[-+]?\d+)?|", re.IGNORECASE)
+# An empty cell, or a number with or without a unit, as a setting has it.
+_SETTING = re.compile(r"[^\w.]*|\W*[\d.]+\s*[A-Za-z/%]*")
 # A line of a heading with the value of one count: ``Scale factor;0.0005``.
 _SCALE = re.compile(r"\W*(scal(e|ing)[ _-]?factor|multiplier|skalierungsfaktor)\W.*\d.*", re.IGNORECASE)
 # A column of texts at the end of the lines.
@@ -142,7 +144,8 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
                 continue
             layout = Layout(encoding, delimiter, decimal_comma, number, [], [])
             if _are_numbers(cells, decimal_comma):
-                _require_heading(path, number, lines[max(number - 1, 0) : number + 2], layout, len(cells))
+                if number:
+                    _require_heading(path, number, lines[number - 1 : number + 2], layout, len(cells))
                 if any(map(_SCALE.fullmatch, lines[:number])) and all(map(_INTEGER.fullmatch, cells[1:])):
                     warn(
                         f"{path}: the scale factor of its heading is not applied to its integers. {GIVE_VALUE_OF_COUNT}"
@@ -196,12 +199,13 @@ def _require_other_delimiter(path: Path, lines: Sequence[str], layout: Layout) -
         return
     count = sum(map(bool, rows[0])) if rows else 0
     # A line such as ``Sample rate,51200 Hz`` contains no names.
-    has_names = not any(re.match(r"\W*(\d|$)", cell) for cell in names[:2])
+    has_names = not any(_SETTING.fullmatch(cell) for cell in names[:2])
     # Decimals have leading zeros; if the numbers in the first column have zeros, too, all numbers have a fixed width.
     zeros = {k for row in rows for k, cell in enumerate(row) if re.match(r"0\d", cell)}
     has_zeros = bool(zeros) and 0 not in zeros
-    has_double_count = has_names and count == 2 * len(names) > 2
-    if has_double_count or (has_zeros and (len(names) != count or not has_names)):
+    # One more column than names is a decimal in a column that is no count, such as a time.
+    has_decimals = has_names and 1 < len(names) < count and (count == 2 * len(names) or "(" in names[0] + names[1])
+    if has_decimals or (has_zeros and (len(names) != count or not has_names)):
         raise RecordingError(
             f"{path}: commas separate its columns, and seem to be decimal marks, too. Export it with semicolons."
         )

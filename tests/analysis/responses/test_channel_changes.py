@@ -313,7 +313,13 @@ def test_delay_hides_no_gain_of_another_channel(random_test):
 def test_phase_of_tone_states_possible_delays():
     # A delay of 2 ms is 0.6 periods of 300 Hz.
     text = ToneStep("body2", 0, 1j * 2.0 * np.pi * 0.4, 300.0).describe(synthetic.RATE)
-    assert text.startswith("body2 seems to be 1.3 ms early or 2 ms late (or by whole periods of 3.3 ms more or less)")
+    assert text.startswith("body2 seems to be 1.3 ms early or 2 ms late (plus or minus whole periods of 3.3 ms)")
+
+
+def test_long_possible_delays_have_no_exponent():
+    text = channel_changes.describe_delay("body2", 1e-3, "5 Hz", "the force", period=0.2)
+    possible = "body2 seems to be 1 ms late or 200 ms early (plus or minus whole periods of 200 ms)"
+    assert text.startswith(f"{possible}, or the force has the opposite delay, from about 5 Hz on")
 
 
 def test_phase_of_curve_states_possible_delays():
@@ -322,7 +328,7 @@ def test_phase_of_curve_states_possible_delays():
     late = value * np.exp(-2j * np.pi * 1e-3 * frequency * (frequency > 400.0))
     curves = stack([Response.curve(frequency, each, f"body{k}") for k, each in enumerate((late, value))])
     [text] = step_warnings(curves, is_linear=True)
-    assert text.startswith("body0 seems to be 1 ms late or 1.5 ms early (or by whole periods of 2.5 ms more or less)")
+    assert text.startswith("body0 seems to be 1 ms late or 1.5 ms early (plus or minus whole periods of 2.5 ms)")
 
 
 def test_failed_hammer_is_named(impulses, tmp_path):

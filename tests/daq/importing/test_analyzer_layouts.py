@@ -295,6 +295,7 @@ def test_columns_of_texts_are_omitted(heading: str, texts: list[str], before: in
     [
         ("Time (s),tip (g)\n0,00,0,16\n0,01,0,25\n", "commas separate its columns, and seem to be decimal marks"),
         ("Time (s),tip (g)\n0,1,1,6\n0,2,2,5\n", "commas separate its columns, and seem to be decimal marks"),
+        ("Time (s),tip (g)\n0,0,5\n1,0,6\n2,1,7\n", "commas separate its columns, and seem to be decimal marks"),
         ("Time,tip (g)\n44321.500000000000,1\n44321.500011574074,2\n44321.500023148148,3\n", "a date in days"),
         ("time,tip (g)\n1620208800000.0,1\n1620208800001.0,2\n", "is probably a date in ms"),
         ("0.0,0.1,0.2\n0.0,1.6,1.7\n", "3 unnamed columns of 2 numbers"),
@@ -475,7 +476,7 @@ def test_exponents_of_fortran_are_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "unit", "factor"),
-    [("omega", "rad/s", 2 * np.pi), ("freq_rad_s", "rad/s", 2 * np.pi), ("f_kHz", "kHz", 1e-3)],
+    [("omega", "rad/s", 2 * np.pi), ("freq_rad_sec", "rad/s", 2 * np.pi), ("f_kHz", "kHz", 1e-3)],
 )
 def test_unit_in_name_of_frequencies_is_read(name: str, unit: str, factor: float, tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", H=ACCELERANCE, **{name: factor * FREQUENCY})
@@ -489,6 +490,21 @@ def test_name_of_direction_is_no_unit(name: str, tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", H=ACCELERANCE, **{name: FREQUENCY})
     [curve] = analysis.read_frfs(tmp_path / "a.npz", unit="m/s^2/N")
     np.testing.assert_allclose(curve.frequency, FREQUENCY)
+
+
+@pytest.mark.parametrize("name", ["CrossPowerSpectrum", "SpectrumXY", "H_csd"])
+def test_cross_spectrum_is_omitted(name: str, tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", H=ACCELERANCE, f=FREQUENCY, **{name: ACCELERANCE})
+    with pytest.warns(RunWarning, match=name):
+        [_] = analysis.read_frfs(tmp_path / "a.npz", unit="m/s^2/N")
+
+
+@pytest.mark.filterwarnings("ignore:.*has no heading; its first column rises evenly")
+def test_first_line_may_contain_nan(tmp_path: Path) -> None:
+    lines = "".join(f"{k / 100};{k};{k + 0.5}\n" for k in range(1, 30))
+    (tmp_path / "a.csv").write_text(f"0.0;NaN;0.5\n{lines}", encoding="utf-8")
+    with ExitStack() as stack:
+        assert [signal.rate for signal in signals_of(tmp_path / "a.csv", stack)] == [100.0, 100.0]
 
 
 def test_response_of_specimen_is_no_spectrum(tmp_path: Path) -> None:
@@ -534,6 +550,7 @@ def test_unit_of_times_is_read(ending: str, tmp_path: Path) -> None:
         ("seconds since 2026-11-30 10:00:00", 1.0),
         ("ms (relative)", 1e3),
         ("(ms)", 1e3),
+        ("[ms]", 1e3),
         ("days since 2026-11-30", 1 / 86400),
     ],
 )

@@ -237,13 +237,14 @@ def describe_delay(name: str, delay: float, place: str, reference: str = "", per
     change [s], 0 if the signal is no tone. The phase does not distinguish changes that differ by whole periods.
     """
     senses = ("late", "early") if delay > 0.0 else ("early", "late")
-    change = f"{abs(1e3 * delay):.2g} ms {senses[0]}"
+    shift, other, turn = (
+        f"{format_number(float(f'{1e3 * each:.2g}'))} ms" for each in (abs(delay), period - abs(delay), period)
+    )
+    change = f"{shift} {senses[0]}"
     if period:
-        change += (
-            f" or {1e3 * (period - abs(delay)):.2g} ms {senses[1]} (or by whole periods of {1e3 * period:.2g} ms more "
-            "or less)"
-        )
-    alternative = f", or {reference} {'by the opposite' if period else senses[1]}," if reference else ""
+        change += f" or {other} {senses[1]} (plus or minus whole periods of {turn})"
+    opposite = f"{reference} has the opposite delay" if period else f"{reference} {senses[1]}"
+    alternative = f", or {opposite}," if reference else ""
     return (
         f"{name} seems to be {change}{alternative} from about {place}{_DELAY_CHANGE}. Check cable and time base, and "
         "record again; until then, its responses are wrong."

@@ -141,12 +141,16 @@ def _steps_of_block(block: Array, phase: Array) -> dict[int, tuple[int, complex]
     # The offset is removed, because a large offset would hide the tone.
     rows = [row - row.mean() for row in block]
     steps: dict[int, tuple[int, complex]] = {}
-    if max(_residual(row, model) for row in rows) < _MIN_RESIDUAL:
+    residuals = [_residual(row, model) for row in rows]
+    if max(residuals) < _MIN_RESIDUAL:
         return steps
     added = _added_tones(model, terms, positions)
     for fits in (
-        [_Fits.of(row, model, positions) for row in rows],
-        [_Fits.of_phase(row, model, triangle, added, positions) for row in rows],
+        [_Fits.of(row, model, positions, residual) for row, residual in zip(rows, residuals, strict=True)],
+        [
+            _Fits.of_phase(row, model, triangle, added, positions, residual)
+            for row, residual in zip(rows, residuals, strict=True)
+        ],
     ):
         for number, fit in enumerate(fits):
             best = int(np.argmin(fit.remaining))
@@ -203,8 +207,8 @@ class _Fits(NamedTuple):
         return abs(complex(self.log_ratio[index])) if is_step else 0.0
 
     @classmethod
-    def of(cls, readings: Array, model: Array, positions: Array) -> _Fits:
-        """Fit a step before each position; `model`: orthonormal columns."""
+    def of(cls, readings: Array, model: Array, positions: Array, residual: float) -> _Fits:
+        """Fit a step before each position; `model`: orthonormal columns; `residual`: without a step."""
         projections = np.cumsum(model * readings[:, None], axis=0)
         powers = np.cumsum(readings**2)
         before, after = projections[positions - 1], projections[-1] - projections[positions - 1]
@@ -220,12 +224,17 @@ class _Fits(NamedTuple):
         tone_before = tone_powers[positions - 1]
         scale = np.maximum(tone_before + factor**2 * (tone_powers[-1] - tone_before), 1e-300)
         log_ratio = np.where(factor > 0.0, -np.log(np.maximum(factor, 1e-300)), 0.0)
-        residual = max(float(powers[-1] - projections[-1] @ projections[-1]), 0.0) / max(tone_powers[-1], 1e-300)
-        return cls(np.sqrt(residual), np.sqrt(remaining / scale), log_ratio.astype(complex))
+        return cls(residual, np.sqrt(remaining / scale), log_ratio.astype(complex))
 
     @classmethod
     def of_phase(
-        cls, readings: Array, model: Array, triangle: Array, added: tuple[Array, Array, Array], positions: Array
+        cls,
+        readings: Array,
+        model: Array,
+        triangle: Array,
+        added: tuple[Array, Array, Array],
+        positions: Array,
+        residual: float,
     ) -> _Fits:
         """Fit a step of the phase from each position on; `triangle`: model times triangle are the terms."""
         tone, projections, squares = added
@@ -248,7 +257,6 @@ class _Fits(NamedTuple):
         phase = np.angle(ratio)
         # A delay changes the phase, but not the magnitude.
         is_delay = abs(phase) > abs(np.log(np.maximum(abs(ratio), 1e-300)))
-        residual = np.sqrt(float(misfit @ misfit) / scale)
         return cls(residual, np.sqrt(remaining / scale), np.where(is_delay, 1j * phase, 0.0))
 
 
@@ -282,5 +290,5 @@ def _is_noisy(rec: Recording, intervals: Sequence[ToneInterval], channel: str) -
         readings = rec.read(channel, max(first, 0), min(first + samples, rec.samples))
         if np.isfinite(readings).all():
             model, _ = np.linalg.qr(_model(interval.phase(np.arange(readings.size) + middle - samples // 2)))
-            residuals.append(_Fits.of(readings - readings.mean(), model, np.array([readings.size // 2])).residual)
+            residuals.append(_residual(readings - readings.mean(), model))
     return bool(residuals) and float(np.median(residuals)) > _MAX_REMAINING

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.core.base.progress import CountProgress
 from rig.core.results.result import Result, join_columns
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from numpy.typing import NDArray
 
     from analysis.commands.presentation.comparison import Comparison
     from analysis.core.damper_motion.dampers import Dampers

@@ -1,7 +1,5 @@
 """The `rig` command line."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from functools import partial

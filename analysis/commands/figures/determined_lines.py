@@ -1,7 +1,5 @@
 """Which lines of a frequency response exceed their noise and their uncertainty, and where its phase is smooth."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -37,6 +37,7 @@ from analysis.core.modal.modes import Modes
 from analysis.core.recordings.names import OpenRecordings, relabel, scene_labels, with_recordings
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import default_reference, reference_of, response_channels
+from daq.core.recording.recording import Recording
 from rig.core.base.errors import SceneError
 from rig.core.base.progress import CountProgress
 from rig.core.results import format_decimals
@@ -48,7 +49,6 @@ from rig.core.results.uncertainty import SENSITIVITY
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from daq.core.recording.recording import Recording
 
 _HEADING = (
     "from", "to", "response", "reference", "mode_Hz", "change_dB", "change_low_dB", "change_high_dB", "shift_Hz",

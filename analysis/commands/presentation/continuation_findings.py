@@ -14,6 +14,8 @@ from analysis.commands.presentation.outputs import CommandOutput, with_recording
 from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.tracking.body_motion import common_error_text
 from analysis.core.tracking.continuation import AmplitudeCurve, continuation
+from daq.core.recording.recording import Recording
+from rig.core.base.arrays import Array
 from rig.core.base.figure_style import add_legend_below
 from rig.core.orbits.branches import follow_orbits
 from rig.core.orbits.orbit_curve import OrbitBranch
@@ -24,8 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from daq.core.recording.recording import Recording
-    from rig.core.base.arrays import Array
 
 _EXACT_COLOR = "#777777"
 

@@ -1,7 +1,5 @@
 """Output of `analysis dampers`: damper motion in stepped-sine tests as text, figures and tables."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path

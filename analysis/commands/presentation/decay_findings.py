@@ -1,10 +1,7 @@
 """Output of `analysis decay`: free decays as text, figures and tables."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,6 +14,7 @@ from analysis.commands.presentation.outputs import (
     with_recording_name,
 )
 from analysis.core.decays.free_decay import INITIAL_DECAY_DB, Decay, decay
+from analysis.core.decays.modal_decay import ModalDecay
 from analysis.core.recordings.names import (
     OpenRecordings,
     baseline_label,
@@ -28,9 +26,6 @@ from analysis.core.recordings.names import (
 from rig.core.base.palette import location_styles, recording_styles
 from rig.core.results.text import format_interval, format_limited, table_lines
 from rig.core.results.uncertainty import expand
-
-if TYPE_CHECKING:
-    from analysis.core.decays.modal_decay import ModalDecay
 
 #: Heading of the rows of `decay_rows`.
 DECAY_HEADING = (

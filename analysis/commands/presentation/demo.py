@@ -1,11 +1,8 @@
 """The demonstration: record the tests of Inoue, Yokomichi, Hiraki (2011) and reproduce its Figs 8 and 10b from them."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,9 +13,7 @@ from daq.core.measurement.run_report import is_recorded
 from rig.core.base.errors import SceneError
 from rig.core.base.output_files import allow_overwriting, create_folder
 from rig.core.base.workers import Workers
-
-if TYPE_CHECKING:
-    from rig.core.scene.scene import Scene
+from rig.core.scene.scene import Scene
 
 # Built-in scenes of the stepped sines and of the impact tests, which are also the names of the recordings.
 STEPPED_SINES = ("fig8-no-damper", "fig8-three-dampers")

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 from analysis.commands.presentation.outputs import CommandOutput, check_outputs, separate_stems, with_ending
 from analysis.commands.presentation.tables import write_table
-from analysis.core.recordings.names import full_test_text
+from analysis.core.recordings.names import OpenRecordings, full_test_text
+from daq.core.recording.recording import Recording
 from rig.core.base.figure_style import add_title, new_figure, save_figure
 from rig.core.results import Result
 
@@ -16,8 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from analysis.core.recordings.names import OpenRecordings
-    from daq.core.recording.recording import Recording
 
 R = TypeVar("R", bound=Result)
 

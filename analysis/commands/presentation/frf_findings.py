@@ -1,12 +1,9 @@
 """Output of `analysis frf`: frequency responses as text, figures and tables."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -37,6 +34,7 @@ from analysis.core.responses.errors.systematic import tolerance
 from analysis.core.responses.estimator import Blocks, estimator_of
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.extras.formats.frf_files import is_frf_file
+from daq.core.recording.recording import Recording
 from rig.core.base.palette import recording_styles
 from rig.core.base.progress import CountProgress
 from rig.core.results import format_interval, format_percent
@@ -45,9 +43,6 @@ from rig.core.results.response import MOTIONS, Response
 from rig.core.results.text import table_lines
 from rig.core.results.uncertainty import SENSITIVITY, SYSTEMATIC
 from rig.core.scene.presets import preset_note
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
 
 # Maximum number of resonances that are listed individually; a longer list would hide the other lines.
 _MAX_LISTED = 8

@@ -4,23 +4,18 @@ A command must be able to analyze its files, and each option must have an effect
 suitable command or option.
 """
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from analysis.core.recordings.names import OpenRecordings, scene_labels
 from analysis.core.responses.estimator import Blocks, estimator_of
 from analysis.extras.formats.frf_files import is_frf_file, read_frfs
 from daq.core.recording.recorded_test import TestKind
+from daq.core.recording.recording import Recording
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.base.input_files import duplicate_files
 from rig.core.results.response import Response
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
 
 
 def labels(recordings: OpenRecordings, paths: Sequence[Path]) -> list[str]:

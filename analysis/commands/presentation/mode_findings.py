@@ -29,6 +29,7 @@ from analysis.core.responses.estimator import Blocks
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import default_reference
 from analysis.extras.formats.frf_files import is_frf_file
+from daq.core.recording.recording import Recording
 from rig.core.base.output_files import prepare_outputs
 from rig.core.base.progress import CountProgress
 from rig.core.results import format_interval
@@ -38,7 +39,6 @@ from rig.core.results.uncertainty import expand
 
 if TYPE_CHECKING:
     from analysis.commands.presentation.theory import TheoreticalModes
-    from daq.core.recording.recording import Recording
 
 #: Two mode shapes with at least this modal assurance criterion (MAC) are usually considered the same.
 MIN_SAME_SHAPE_MAC = 0.9

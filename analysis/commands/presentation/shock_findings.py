@@ -1,10 +1,7 @@
 """Output of `analysis srs`: shock response spectra as text, figure and table."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from analysis.commands.presentation.outputs import (
     CommandOutput,
@@ -25,13 +22,11 @@ from analysis.core.signals.shock_spectrum import (
     srs,
 )
 from daq.core.recording.recorded_test import deviation_unit, shocks_of
+from daq.core.recording.recording import Recording
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import COLORS, add_legend_below, add_title, new_figure, save_figure, set_log_scale
 from rig.core.base.palette import BASELINE, location_style
 from rig.core.results.text import table_lines
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
 
 
 @with_recordings

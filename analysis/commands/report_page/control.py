@@ -1,7 +1,5 @@
 """Charts of tests that control the motion of channels: profiles, pulses and shock response spectra."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from analysis.commands.report_page.charts import (

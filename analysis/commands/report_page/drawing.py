@@ -1,23 +1,18 @@
 """SVG drawings of a report: the test rig of a scene, and animated mode shapes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from math import isfinite
-from typing import TYPE_CHECKING
 
 from analysis.commands.figures.modes_figure import is_known_shape
 from analysis.commands.report_page.tables import typeset
+from analysis.core.modal.modes import BodyShapes
 from rig.core.base.escaping import escape_html
 from rig.core.base.palette import DAMPER, HAMMER, TABLE, location_style, location_styles
 from rig.core.results import format_number
 from rig.core.results.uncertainty import expand
-
-if TYPE_CHECKING:
-    from analysis.core.modal.modes import BodyShapes
-    from rig.core.scene.joint import Joint
-    from rig.core.scene.scene import Scene
-    from rig.core.scene.shaker import Shaker
+from rig.core.scene.joint import Joint
+from rig.core.scene.scene import Scene
+from rig.core.scene.shaker import Shaker
 
 # Size of a body [px].
 _BODY_WIDTH = 150

@@ -1,7 +1,5 @@
 """Table of the results at several levels: natural and excitation frequency, damping, amplitude and energy."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Results of all analyses of the recordings of a report, computed once for its summary, tables and charts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """The report page: summary, results, settings, warnings and the commands that reproduce it."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from collections.abc import Sequence

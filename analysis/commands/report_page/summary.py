@@ -1,7 +1,5 @@
 """Summary at the top of a report: at most three texts, derived from the same results as its tables."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import chain
 from math import isfinite

@@ -14,16 +14,16 @@ from analysis.core.damper_motion.motion_types import DamperMotion, damper_motion
 from analysis.core.recordings.names import relabel
 from analysis.core.responses.measurands import motion_channel_at
 from analysis.core.responses.stepped_sine import Sweep, sweeps
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 from rig.core.base.progress import CountProgress
 from rig.core.results import Result, complete_style, format_percent
+from rig.core.scene.damper import Damper
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from daq.core.recording.recording import Recording
-    from rig.core.scene.damper import Damper
 
 #: Sentence on the impacts of a mass that does not fall freely: without walls, and with walls.
 _IMPACT_TEXTS = (

@@ -20,6 +20,8 @@ from analysis.core.recordings.slices import impact_ranges, interpolated
 from analysis.core.responses.errors.systematic import clock_deviation
 from analysis.core.responses.measurands import motion_channel, response_channels
 from daq.core.recording.markers import faulty_impacts
+from daq.core.recording.recording import Recording
+from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.base.renamed import renamed, renamed_parameter
@@ -30,8 +32,6 @@ from rig.core.system.structural_model import structural_model
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from daq.core.recording.recording import Recording
-    from daq.core.signal_chain.channel import ChannelInfo
 
 # Lower limit of the frequency range [Hz] that is searched for modes: drift of sensors dominates below.
 LOWEST_MODE_HZ = 2.0

@@ -17,6 +17,7 @@ from analysis.core.fitting.measured import Curves, measured_curves
 from analysis.core.fitting.parameters import Parameter, free_parameters, with_ratio_per_mode
 from analysis.core.fitting.problem import Group, Problem
 from analysis.core.recordings.names import as_context, require_recording
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError, SceneError, suggestion
 from rig.core.base.input_files import duplicate_files
@@ -30,7 +31,6 @@ from rig.core.system.structural_model import structural_model
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from daq.core.recording.recording import Recording
 
 # Printed descriptions of statuses (`Fitted.status`); the others are printed as they are.
 STATUS_TEXTS = {"roughly": "roughly determined"}

@@ -1,7 +1,5 @@
 """Errors of the force and the gains in impact tests due to noise and rounding of the readings."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 import numpy as np

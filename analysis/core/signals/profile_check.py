@@ -18,6 +18,8 @@ from analysis.core.recordings.names import takes_path
 from analysis.core.recordings.slices import interpolated, read_slices
 from daq.core.excitation.profiles.random_control_check import line_warnings
 from daq.core.excitation.profiles.sweep_control import estimate_amplitudes, observation_samples
+from daq.core.recording.recording import Recording
+from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import BASELINE, CurveStyle, location_styles
@@ -26,13 +28,11 @@ from rig.core.numerics.runs import runs_of
 from rig.core.results import Result, complete_style, format_frequencies
 from rig.core.scene.excitation.kind import Chirp
 from rig.core.scene.excitation.profile import limits_drive
+from rig.core.scene.excitation.profile_control import ProfileControl
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from daq.core.recording.recording import Recording
-    from daq.core.signal_chain.channel import ChannelInfo
-    from rig.core.scene.excitation.profile_control import ProfileControl
 
 # Distance from its limit below which a channel limits the drive [dB], if the control is below the profile.
 _NOTCH_DB = 1.5

@@ -24,6 +24,7 @@ from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import reference_of
 from analysis.core.tracking.body_motion import CurvePart, LevelPoint, body_motion, quantity_ranges
 from daq.core.recording.recorded_test import HELD_PHASE
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import location_styles
@@ -35,7 +36,6 @@ from rig.core.system.structural_model import structural_model
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from daq.core.recording.recording import Recording
 
 # Ratio of the frequency deviation that a phase deviation causes to that of a single mode. Contributions of other modes
 # to the phase make it larger than 1. The largest ratio with the scene `backbone` was 1.8.

@@ -19,6 +19,7 @@ from analysis.core.recordings.names import takes_path
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.tracking.body_motion import CurvePart, LevelPoint, body_motion
 from daq.core.recording.recorded_test import FOLLOWED_CURVE
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import level_styles
@@ -31,7 +32,6 @@ from rig.core.scene.excitation import FORCE_TOLERANCE
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from daq.core.recording.recording import Recording
 
 # Points on each side of a fold to which polynomials are fitted: as many as a parabola has coefficients.
 _FITTED = 3

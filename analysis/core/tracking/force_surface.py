@@ -19,6 +19,7 @@ from scipy.interpolate import Akima1DInterpolator
 from analysis.core.recordings.names import takes_path
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.tracking.body_motion import body_motion
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import recording_styles
@@ -28,7 +29,6 @@ from rig.core.results import Result, complete_style
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from daq.core.recording.recording import Recording
 
 # Minimum number of amplitudes at one frequency for interpolation by a curve instead of a straight line.
 _MIN_AMPLITUDES = 3

@@ -1,7 +1,5 @@
 """Reading of frequency responses from files of this and other programs: Universal Files, text tables and arrays."""
 
-from __future__ import annotations
-
 import csv
 import re
 import warnings

@@ -1,7 +1,5 @@
 """Reading of modes that another program estimated or computed: Universal Files with data sets 55."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -13,11 +13,11 @@ from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import COLORS, add_page_title, new_figure, save_with_table
 from rig.core.base.output_files import file_stem
 from rig.core.results.text import table_lines
+from rig.core.scene.scene import Scene
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from rig.core.scene.scene import Scene
 
 SCENE_COLOR = COLORS[1]
 CHANGED_COLOR = COLORS[0]

@@ -31,7 +31,6 @@ MAX_GENERATOR_NORM = 50.0
 _START, _SLOPE, _HALF_CURVATURE, _SIXTH_OF_THIRD = np.eye(4)[0], *cubic_coefficients(*np.eye(4))
 CUBIC_DERIVATIVES = np.array([_START, _SLOPE, 2.0 * _HALF_CURVATURE, 6.0 * _SIXTH_OF_THIRD])
 
-
 # Value, slope and curvature of the Legendre polynomials of degree 0, 1 and 2 at the start of the interval.
 LEGENDRE_DERIVATIVES = np.array([[1.0, 0.0, 0.0], [-1.0, 2.0, 0.0], [1.0, -6.0, 12.0]])
 

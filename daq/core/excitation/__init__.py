@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 from daq.core.excitation.controlled import controlled
 from daq.core.excitation.station import Excitation, Station
 from rig.core.base.errors import SceneError
+from rig.core.scene.excitation import KindOfTest, Test
+from rig.core.scene.scene import Scene
 
 if TYPE_CHECKING:
     from daq.core.excitation.procedure import Procedure
-    from rig.core.scene.excitation import KindOfTest, Test
-    from rig.core.scene.scene import Scene
 
 __all__ = ["Excitation", "Station", "excitation", "procedure_of", "test_of"]
 

@@ -5,10 +5,8 @@ complex envelope of the drive is controlled (`envelope_control`). (T. Karaagacli
 Process. 146 (2021) 107023.)
 """
 
-from __future__ import annotations
-
 from collections.abc import Generator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,11 +17,9 @@ from daq.core.excitation.station import AbortedTest, Excitation, Station
 from daq.core.excitation.stepped_sine import StepsProcedure
 from daq.core.excitation.tones.envelope_control import MAX_POLE_TIMES_DEAD_TIME, EnvelopeTone
 from rig.core.base.arrays import Array
-
-if TYPE_CHECKING:
-    from rig.core.scene.excitation import ConstantResponse
-    from rig.core.scene.excitation.kind import KindOfTest
-    from rig.core.scene.scene import Scene
+from rig.core.scene.excitation import ConstantResponse
+from rig.core.scene.excitation.kind import KindOfTest
+from rig.core.scene.scene import Scene
 
 # First drive, relative to the force that moves the structure's mass by the level: a resonance needs little.
 _FIRST_FORCE_RATIO = 0.05

@@ -15,13 +15,11 @@ the tone [1/s]. (J. Sieber et al., Phys. Rev. Lett. 100 (2008) 244101; L. Renson
 Bifurc. Chaos 27 (2017) 1730002.)
 """
 
-from __future__ import annotations
-
 import cmath
 import math
 from collections.abc import Generator, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from daq.core.excitation.constant_response import AT_LIMIT_RATIO
 from daq.core.excitation.controlled import measured_force
@@ -36,11 +34,9 @@ from daq.core.excitation.tones.envelope_control import (
 )
 from rig.core.base.arrays import Array
 from rig.core.results.text import format_decimals, format_frequencies
-
-if TYPE_CHECKING:
-    from rig.core.scene.excitation import Continuation
-    from rig.core.scene.excitation.kind import KindOfTest
-    from rig.core.scene.scene import Scene
+from rig.core.scene.excitation import Continuation
+from rig.core.scene.excitation.kind import KindOfTest
+from rig.core.scene.scene import Scene
 
 # Feedback starts where the product of |l| and dead time is below this fraction of its stability limit, and stops above
 # the limit.

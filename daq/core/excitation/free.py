@@ -1,14 +1,8 @@
 """Free vibration from the scene's initial state, without drive."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from daq.core.excitation.procedure import Procedure
 from daq.core.excitation.station import Excitation, Station
-
-if TYPE_CHECKING:
-    from rig.core.scene.excitation import Free
+from rig.core.scene.excitation import Free
 
 # Length of the windows in which the drive (here zero) is output [s].
 _WINDOW_S = 0.1

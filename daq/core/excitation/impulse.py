@@ -1,23 +1,17 @@
 """Impact test: half-sine hammer impacts on a body with the shaker at rest, and recording of the free decay."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from daq.core.excitation.procedure import Form, FormValues, Procedure
 from daq.core.excitation.sensor_settling import BASELINE_S, longest_duration, wait_for_sensors
 from daq.core.excitation.station import Excitation, Station
+from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.scene.excitation.impulse import Impulse
-
-if TYPE_CHECKING:
-    from daq.core.signal_chain.channel import ChannelInfo
-    from rig.core.scene.excitation.kind import KindOfTest
-    from rig.core.scene.scene import Scene
-
+from rig.core.scene.excitation.kind import KindOfTest
+from rig.core.scene.scene import Scene
 
 # Length of the windows in which the drive is output [s].
 _WINDOW_S = 0.1

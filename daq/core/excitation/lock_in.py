@@ -1,7 +1,5 @@
 """Complex amplitudes of channels at one or several frequencies (lock-in), by least squares over a window of samples."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import lru_cache

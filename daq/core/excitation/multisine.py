@@ -3,10 +3,7 @@
 Each realization has new random phases. With n shakers, it consists of n experiments.
 """
 
-from __future__ import annotations
-
 from collections.abc import Generator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,11 +20,8 @@ from daq.core.excitation.profiles.spectrum_shaping import (
 from daq.core.excitation.station import Excitation, Station
 from rig.core.base.arrays import Array
 from rig.core.results import format_percent
-
-if TYPE_CHECKING:
-    from rig.core.scene.excitation import Multisine
-    from rig.core.scene.scene import Scene
-
+from rig.core.scene.excitation import Multisine
+from rig.core.scene.scene import Scene
 
 # Largest relative difference of successive periods in steady state: the remaining transient is of this order.
 _TOLERANCE = 1e-4

@@ -1,11 +1,9 @@
 """Phase resonance: the frequency of a tone follows a resonance while the level is raised (backbone curve)."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Generator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,11 +18,9 @@ from daq.core.excitation.tones.settling import Settling
 from daq.core.excitation.tones.steady_tone import TRANSITION_S, WINDOW_S, SteadyTone
 from rig.core.base.arrays import Array
 from rig.core.results.text import format_decimals
-
-if TYPE_CHECKING:
-    from rig.core.scene.excitation import PhaseResonance
-    from rig.core.scene.excitation.kind import KindOfTest
-    from rig.core.scene.scene import Scene
+from rig.core.scene.excitation import PhaseResonance
+from rig.core.scene.excitation.kind import KindOfTest
+from rig.core.scene.scene import Scene
 
 # Number of successive windows within the tolerance that lock the phase; the frequency is averaged over them.
 _LOCKED_WINDOWS = 8

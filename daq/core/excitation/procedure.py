@@ -3,21 +3,17 @@
 The module of a kind in this package defines a subclass of `Procedure` and its only instance, `PROCEDURE`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar, get_args
+from typing import Any, ClassVar, Generic, Literal, TypeVar, get_args
 
 from daq.core.excitation.sensor_settling import longest_duration
 from daq.core.excitation.station import Excitation, Station
+from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
 from rig.core.base.errors import SceneError
 from rig.core.scene.excitation.kind import KindOfTest, Pulses
-
-if TYPE_CHECKING:
-    from daq.core.signal_chain.channel import ChannelInfo
-    from rig.core.scene.scene import Scene
+from rig.core.scene.scene import Scene
 
 TestT = TypeVar("TestT", bound=KindOfTest)
 Detection = Literal["hits", "dwells", "start", "band"]

@@ -1,8 +1,6 @@
 """Random test: Gaussian noise in a frequency band, continuous or in bursts."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -12,11 +10,8 @@ from daq.core.excitation.procedure import Form, FormValues, Procedure
 from daq.core.excitation.profiles.spectrum_shaping import Lines, equal_amplitudes, equalize, lines_between
 from daq.core.excitation.station import Excitation, Station
 from rig.core.base.arrays import Array
-
-if TYPE_CHECKING:
-    from rig.core.scene.excitation import Random
-    from rig.core.scene.excitation.kind import KindOfTest
-
+from rig.core.scene.excitation import Random
+from rig.core.scene.excitation.kind import KindOfTest
 
 # Length of the shaping filter [s]; its frequency resolution is therefore 0.25 Hz.
 _FILTER_S = 4.0

@@ -3,10 +3,7 @@
 The terms are those of IEC 60068-2-64. Limits of other channels reduce the drive in their bands (notching).
 """
 
-from __future__ import annotations
-
 from collections.abc import Generator, Iterable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import erfc
@@ -17,14 +14,11 @@ from daq.core.excitation.profiles.random_control_check import line_warnings
 from daq.core.excitation.profiles.spectrum_control import SCATTER_DB, AveragedSpectra, NoiseSource, updated
 from daq.core.excitation.profiles.spectrum_shaping import lines_between
 from daq.core.excitation.station import AbortedTest, Excitation, Station
+from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
+from rig.core.scene.excitation import RandomControl
 from rig.core.scene.excitation.profile import limits_drive
-
-if TYPE_CHECKING:
-    from daq.core.signal_chain.channel import ChannelInfo
-    from rig.core.scene.excitation import RandomControl
-    from rig.core.scene.scene import Scene
-
+from rig.core.scene.scene import Scene
 
 # Averaged spectra for the first update at a level, and for the levels of the ramp: a scatter of about 1 dB.
 _FIRST_AVERAGES = 16

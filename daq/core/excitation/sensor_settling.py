@@ -1,18 +1,13 @@
 """Wait until the bias of the sensors has settled after power-on."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from daq.core.excitation.station import Excitation, Station
+from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
 from rig.core.settings.quantities import TIME, parse
-
-if TYPE_CHECKING:
-    from daq.core.signal_chain.channel import ChannelInfo
 
 # Recording time before the excitation [s]; it shows offsets and noise.
 BASELINE_S = 0.25

@@ -3,10 +3,8 @@
 IEC 60068-2-27 (half sine), IEC 60068-2-81 (shock response spectrum).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,13 +14,10 @@ from daq.core.excitation.profiles.spectrum_shaping import lines_between
 from daq.core.excitation.profiles.wave_replication import HalfSinePulse, Pulse, Replication, SpectrumPulse
 from daq.core.excitation.station import AbortedTest, Excitation, Station
 from rig.core.base.errors import SceneError
+from rig.core.scene.excitation import Shock
 from rig.core.scene.excitation.profile import from_decibels
 from rig.core.scene.excitation.shock import PULSE_POSITION
-
-if TYPE_CHECKING:
-    from rig.core.scene.excitation import Shock
-    from rig.core.scene.scene import Scene
-
+from rig.core.scene.scene import Scene
 
 # Practice pulses before the test aborts, unless the scene specifies more; convergent corrections need fewer.
 _MAX_PRACTICE = 3

@@ -1,8 +1,6 @@
 """Sine test: a tone of constant frequency and amplitude."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,11 +12,8 @@ from daq.core.excitation.tones.settling import Settling
 from daq.core.excitation.tones.steady_tone import WINDOW_S, SteadyTone
 from rig.core.base.arrays import Array
 from rig.core.results.text import format_decimals
-from rig.core.scene.excitation import Settle
-
-if TYPE_CHECKING:
-    from rig.core.scene.excitation import Sine
-    from rig.core.scene.excitation.kind import KindOfTest
+from rig.core.scene.excitation import Settle, Sine
+from rig.core.scene.excitation.kind import KindOfTest
 
 # Largest transient in steady state, relative to the amplitude: below the uncertainty of sensors.
 _TOLERANCE = 1e-3

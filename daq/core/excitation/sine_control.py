@@ -5,11 +5,9 @@ profile / control and limit / response of the limited channels (notching; S. Ric
 J. Debille, Virtual shaker testing, IMAC 2009). `sine_control_check.py` contains the stability of this loop.
 """
 
-from __future__ import annotations
-
 from collections.abc import Generator, Iterable, Sequence
 from math import log
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,17 +27,14 @@ from daq.core.excitation.profiles.sine_control_check import (
 from daq.core.excitation.profiles.spectrum_shaping import lines_between
 from daq.core.excitation.profiles.sweep_control import estimate_amplitudes, observation_samples
 from daq.core.excitation.station import AbortedTest, Excitation, Station
+from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
 from rig.core.numerics.runs import runs_of
 from rig.core.results.text import format_decimals
+from rig.core.scene.excitation import SineControl
 from rig.core.scene.excitation.profile import in_decibels
 from rig.core.scene.scene import Scene
 from rig.core.system.structural_model import structural_model
-
-if TYPE_CHECKING:
-    from daq.core.signal_chain.channel import ChannelInfo
-    from rig.core.scene.excitation import SineControl
-
 
 # The drive changes at the earliest after this number of samples, from which an amplitude and a phase can be estimated.
 _MIN_WINDOW_SAMPLES = 4

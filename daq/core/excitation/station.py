@@ -1,26 +1,21 @@
 """Interface of a test to the bench (its station): sample clock, drive inputs, channels, marks and messages."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from zlib import crc32
 
 import numpy as np
 
 from daq.core.excitation.lock_in import lock_in
+from daq.core.signal_chain.channel import ChannelInfo
+from rig import Scene
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RunError, SceneError
 from rig.core.base.progress import FractionProgress
 from rig.core.scene.presets import complete_from_preset
 from rig.core.scene.shaker import DRIVE_PER_VOLT, at_shaker
-
-if TYPE_CHECKING:
-    from daq.core.signal_chain.channel import ChannelInfo
-    from rig import Scene
-
 
 # A test as a coroutine: it yields the drive of the next window, shape (inputs, samples), and receives the readings of
 # the channels in that window, shape (channels, samples), in physical units.

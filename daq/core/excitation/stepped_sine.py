@@ -3,11 +3,9 @@
 A measurement contains whole periods.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Generator, Sequence
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,12 +16,10 @@ from daq.core.excitation.station import Excitation, Station
 from daq.core.excitation.tones.steady_tone import SteadyTone, listed
 from rig.core.base.arrays import Array
 from rig.core.results.text import format_decimals
-
-if TYPE_CHECKING:
-    from rig.core.scene.excitation import Continuation, PhaseResonance, SteppedSine
-    from rig.core.scene.excitation.kind import KindOfTest
-    from rig.core.scene.excitation.stepped_sine import SteppedTest
-    from rig.core.scene.scene import Scene
+from rig.core.scene.excitation import Continuation, PhaseResonance, SteppedSine
+from rig.core.scene.excitation.kind import KindOfTest
+from rig.core.scene.excitation.stepped_sine import SteppedTest
+from rig.core.scene.scene import Scene
 
 SteadyT = TypeVar("SteadyT", bound="SteppedTest | PhaseResonance | Continuation")
 StepsT = TypeVar("StepsT", bound="SteppedTest")

@@ -11,7 +11,7 @@ resonance then contains fewer periods than the identification of its mode requir
 from __future__ import annotations
 
 from collections.abc import Generator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -28,11 +28,8 @@ from daq.core.excitation.station import Excitation, Station
 from daq.core.excitation.tones.steady_tone import SteadyTone
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.text import format_decimals, format_percent
-
-if TYPE_CHECKING:
-    from rig.core.scene.excitation import SweptSine
-    from rig.core.scene.excitation.kind import KindOfTest
-
+from rig.core.scene.excitation import SweptSine
+from rig.core.scene.excitation.kind import KindOfTest
 
 # Number of periods between updates of the drive for a controlled force; fewer do not determine the amplitude.
 _WINDOW_PERIODS = 0.5

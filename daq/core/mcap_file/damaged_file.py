@@ -8,25 +8,21 @@ search continues at the following record. If none follows, the search continues 
 size of such records is limited.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 from mcap.opcode import Opcode
+from mcap.records import Attachment, Metadata
 
 from daq.core.mcap_file.chunk import CHUNK_HEAD, LARGEST_CHUNK, MAGIC, RECORD_HEAD, Damage, unpack_chunk
 from daq.core.mcap_file.reader import LARGEST_RECORD
 from daq.core.mcap_file.summary import parse_record
 from rig.core.base.errors import RecordingError
-
-if TYPE_CHECKING:
-    from mcap.records import Attachment, Metadata
 
 # The file is searched in blocks of this size.
 _SEARCH_BYTES = 1 << 20

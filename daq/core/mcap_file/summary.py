@@ -3,24 +3,20 @@
 The summary repeats schemas and channels, and has an index of every chunk, metadata record and attachment.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BytesIO
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from mcap.opcode import Opcode
+from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statistics
 from numpy.typing import NDArray
 
 from daq.core.mcap_file.chunk import RECORD_HEAD, Damage
-
-if TYPE_CHECKING:
-    from mcap.records import AttachmentIndex, Channel, MetadataIndex, Schema, Statistics
 
 # Maximum number of records of one kind in a summary, except chunk indexes; this limits the memory.
 MAX_RECORDS = 1 << 16

@@ -1,7 +1,5 @@
 """The test of a scene, run on its bench and recorded: `daq.record`."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import closing

@@ -4,15 +4,13 @@ A topic contains the samples of a channel, or of a true motion, as blocks in com
 needed are decoded.
 """
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Iterator
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from mcap.records import Channel
 from numpy.typing import NDArray
 
 from daq.core.mcap_file.reader import Container
@@ -22,9 +20,6 @@ from daq.core.signal_chain.field_checks import MAX_SAMPLES, NOT_ZERO, check
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 from rig.core.numerics.runs import runs_of
-
-if TYPE_CHECKING:
-    from mcap.records import Channel
 
 # Samples above which a request is compared with the file first: a wrong index must not exhaust the memory.
 _LARGE_RANGE = 1 << 22

@@ -1,17 +1,12 @@
 """Displacements for the drawing of a recorded rig: choice of the measured source, and integration without drift."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
-
-if TYPE_CHECKING:
-    from daq.core.signal_chain.channel import ChannelInfo
 
 # Corner of the high-pass filter [Hz]. Below this frequency, an integrated signal is mostly drift and noise.
 HIGH_PASS_HZ = 1.0

@@ -28,11 +28,11 @@ from daq.core.recording.layout import (
     flush_length,
 )
 from daq.core.recording.sample_groups import Group, Grouping
+from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
 
 if TYPE_CHECKING:
     from daq.core.recording.truth import Register, Truth
-    from daq.core.signal_chain.channel import ChannelInfo
     from rig.core.scene.scene import Scene
 
 # Highest sample rate [Hz] of the displayed waveforms: a viewer shows modes of the rig smoothly and stays fast.

@@ -14,9 +14,9 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from daq.core.recording.markers import Marker
+from daq.core.signal_chain.channel import ChannelInfo
 
 if TYPE_CHECKING:
-    from daq.core.signal_chain.channel import ChannelInfo
     from rig.core.scene.excitation import Test
     from rig.core.scene.scene import Scene
 

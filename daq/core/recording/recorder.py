@@ -3,8 +3,6 @@
 A commit writes a group of samples (about half a second), with its markers, to the disk.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -13,7 +11,7 @@ from functools import cache
 from importlib import metadata
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,18 +24,15 @@ from daq.core.recording import layout
 from daq.core.recording.committed_file import RESERVE, CommittedFile, DiskError, LostPathError
 from daq.core.recording.layout import Timebase
 from daq.core.recording.markers import MARKER_SCHEMA, Marker
-from daq.core.recording.recorded_test import SceneOutline
+from daq.core.recording.recorded_test import SceneOutline, TestKind
 from daq.core.recording.sample_block import SCHEMAS, block_schema, encode, stored_as
 from daq.core.recording.sample_groups import Group, Grouping
+from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
 from rig.core.base.ending_signals import delayed_interrupt
 from rig.core.base.errors import RecordingError, RunError
 from rig.core.scene.loading import SceneLike, scene_of
-
-if TYPE_CHECKING:
-    from daq.core.recording.recorded_test import TestKind
-    from daq.core.signal_chain.channel import ChannelInfo
-    from rig.core.simulation.motion import Motion
+from rig.core.simulation.motion import Motion
 
 # Size of the index of a chunk at the end of the file [bytes].
 _INDEX_BYTES_PER_CHUNK = 256

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
+from mcap.records import Channel
 from numpy.typing import NDArray
 
 from daq.core.mcap_file.reader import Container
@@ -35,7 +36,6 @@ from rig.core.results import Result, complete_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from mcap.records import Channel
 
     from rig.core.scene.excitation import Test
     from rig.core.scene.scene import Scene

@@ -4,8 +4,6 @@ An incomplete recording lacks its end, for example because the process was kille
 messages or a single record; it is intact if its checksum is right.
 """
 
-from __future__ import annotations
-
 import json
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
@@ -13,10 +11,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mcap.opcode import Opcode
-from mcap.records import Attachment
+from mcap.records import Attachment, Channel, Metadata, Schema
 
 from daq.core.mcap_file.chunk import Damage, StoredMessage, messages_in, records_in
 from daq.core.mcap_file.compression import zstd
@@ -35,9 +33,6 @@ from rig.core.base.escaping import escape_terminal
 from rig.core.base.input_files import as_path
 from rig.core.base.output_files import resolve_output
 from rig.core.numerics.runs import merge_spans
-
-if TYPE_CHECKING:
-    from mcap.records import Channel, Metadata, Schema
 
 # Indices of the first sample, and of the sample after the last.
 SampleRange = tuple[int, int]

@@ -8,22 +8,19 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq.core.drawing.palette import DAMPER, DRIVE, GROUND, Color, body_color
 from daq.core.drawing.stack import DEPTH, HEADROOM, PLATE, WALL, WIDTH, Stack, round_factor, walls
 from daq.core.mcap_file.protobuf import Schema, descriptor_set_bytes, text_field, varint, varints
 from rig.core.base.arrays import Array
+from rig.core.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from rig.core.scene.scene import Scene
-
     BoxGeometry = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 # Name of the fixed link of the robot, which does not move.

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from daq.core.mcap_file.chunk import MESSAGE_HEAD, RECORD_HEAD
 from daq.core.mcap_file.protobuf import Schema, descriptor_set_bytes, message_class, varint
 from daq.core.recording.layout import WRITER_REMEDY, Timebase
+from daq.core.signal_chain.channel import ChannelInfo
 from daq.core.signal_chain.field_checks import MAX_SAMPLES
 from rig.core.base.errors import RecordingError
 
 if TYPE_CHECKING:
-    from daq.core.signal_chain.channel import ChannelInfo
     from rig.core.scene.scene import Scene
 
 # Schema, protobuf type and numpy type for each storage type of samples.

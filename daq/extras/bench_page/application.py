@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
 from starlette.responses import FileResponse, PlainTextResponse, Response
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
@@ -21,8 +22,6 @@ from daq.extras.bench_page.page import REFRESH_S, Page
 from rig.core.base.output_files import temporary_folder
 
 if TYPE_CHECKING:
-    from starlette.requests import Request
-
     from daq.extras.bench_page.live_bench import LiveBench
 
 _BROWSER = Path(__file__).parent / "browser"

@@ -1,14 +1,12 @@
 """The function `daq.bench`: serves the instrument to NI clients, and its page to browsers."""
 
-from __future__ import annotations
-
 import contextlib
 import socket
 import sys
 import threading
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from daq.extras.bench_page.live_bench import LiveBench
 from daq.extras.ni_device.connecting import connect_scene
@@ -17,9 +15,7 @@ from daq.extras.ni_server.serve import collect_garbage_often, parse_address, wai
 from daq.extras.ni_server.service import Server
 from rig.core.base.errors import RunError, SceneError
 from rig.core.base.output_files import temporary_folder
-
-if TYPE_CHECKING:
-    from rig.core.scene.scene import Scene
+from rig.core.scene.scene import Scene
 
 # Longest time [s] for the start of the web server, even on a loaded computer.
 _MAX_START_S = 30.0

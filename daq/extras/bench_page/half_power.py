@@ -5,18 +5,13 @@ the lines as the limit of error of the half-power width: the window widens a pea
 var |H| = |H|² (1 - γ²) / (2 n γ²) (Bendat and Piersol, Random Data, 9.1).
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy
 
-from daq.extras.bench_page.live_frf import RELATIONS
+from daq.extras.bench_page.live_frf import RELATIONS, LiveCurves
 from rig.core.base.arrays import Array, ComplexArray
-
-if TYPE_CHECKING:
-    from daq.extras.bench_page.live_frf import LiveCurves
 
 # A peak must exceed the minima on both sides by at least this factor, so it has a half-power width, ...
 _MIN_RATIO = 2.0**0.5

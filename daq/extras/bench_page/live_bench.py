@@ -18,15 +18,15 @@ from daq.extras.bench_page.impacts import ImpactDetector
 from daq.extras.bench_page.live_frf import LiveFrf
 from daq.extras.bench_page.monitor import Monitor
 from daq.extras.bench_page.recordings import BenchRecordings
+from daq.extras.ni_device.chassis import Chassis
+from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError, ShotrigError
 from rig.core.scene.excitation import KINDS
+from rig.core.scene.scene import Scene
 from rig.core.system.structural_model import structural_model
 
 if TYPE_CHECKING:
     from daq.extras.ni_device.background_test import BackgroundTest
-    from daq.extras.ni_device.chassis import Chassis
-    from rig.core.base.arrays import Array, ComplexArray
-    from rig.core.scene.scene import Scene
 
 _NO_INPUT = "the scene has neither a shaker nor a hammer"
 _NO_FORCE = "the page controls forces, but the shaker exerts none; record the test with `daq record`"

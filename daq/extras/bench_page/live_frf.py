@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from daq.core.excitation import Station
 from daq.core.excitation.controlled import spring_force
+from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
+from rig.core.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from daq.core.signal_chain.channel import ChannelInfo
     from daq.extras.bench_page.impacts import Impact
-    from rig.core.scene.scene import Scene
 
 
 # A line is excited if it is at least this fraction of the largest line of the force's auto-spectrum; at other lines,

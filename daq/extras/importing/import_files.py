@@ -1,7 +1,5 @@
 """Recording made from time histories that were measured with other programs."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence

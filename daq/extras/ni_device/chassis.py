@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from daq.core.virtual_bench.bench import Bench, Block
 from daq.extras.ni_device.clock import Clock, Sleepers
 from daq.extras.ni_device.devices.modules import DeviceList, Module
 from daq.extras.ni_device.engines.acquisition import Acquisition, InputPlan
@@ -30,13 +31,12 @@ from daq.extras.ni_device.engines.generation import Generation, OutputBuffer, Ou
 from daq.extras.ni_device.engines.triggers import AnalogSource, OtherTask
 from daq.extras.ni_device.errors import Code, DaqError
 from daq.extras.ni_device.events import Events
+from rig.core.base.arrays import Array
 from rig.core.base.errors import RunError, ShotrigError, unexpected_text
 
 if TYPE_CHECKING:
-    from daq.core.virtual_bench.bench import Bench, Block
     from daq.extras.ni_device.settings.channels import Channel
     from daq.extras.ni_device.terminals import Terminals
-    from rig.core.base.arrays import Array
 
 # A number of ticks that exceeds any run, and whose sums do not overflow 64 bits.
 UNLIMITED_TICKS = 1 << 62

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from daq.core.virtual_bench.bench import samples_per_tick
+from daq.core.virtual_bench.bench import Bench, samples_per_tick
 from daq.extras.ni_device.devices.names import unflatten
 from daq.extras.ni_device.engines.acquisition import InputPlan
 from daq.extras.ni_device.engines.generation import OutputPlan
@@ -28,7 +28,6 @@ from daq.extras.ni_device.errors import Code, DaqError, invalid_value, unsupport
 from daq.extras.ni_device.values import Overwrite, Slope, TriggerType, WindowCondition, enum_member
 
 if TYPE_CHECKING:
-    from daq.core.virtual_bench.bench import Bench
     from daq.extras.ni_device.chassis import Chassis
     from daq.extras.ni_device.settings.task_settings import TaskSettings
 

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from daq.extras.ni_device.chassis import UNLIMITED_TICKS, Chassis, Runner
 from daq.extras.ni_device.engines.acquisition import Acquisition
 from daq.extras.ni_device.engines.log import TaskLog, open_log
+from daq.extras.ni_device.engines.triggers import Source
 from daq.extras.ni_device.errors import Code, DaqError, unsupported
 from daq.extras.ni_device.plans import input_plan
 from daq.extras.ni_device.values import LoggingMode, RelativeTo
 
 if TYPE_CHECKING:
-    from daq.extras.ni_device.engines.triggers import Source
     from daq.extras.ni_device.settings.channels import Channel
     from daq.extras.ni_device.settings.task_settings import TaskSettings
 

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 from daq.core.virtual_bench.bench import samples_per_tick
 from daq.extras.ni_device.chassis import UNLIMITED_TICKS, Chassis, Runner
 from daq.extras.ni_device.engines.generation import Generation, OutputBuffer, OutputPlan
+from daq.extras.ni_device.engines.triggers import Source
 from daq.extras.ni_device.errors import Code, DaqError
 from daq.extras.ni_device.plans import output_plan
 from rig.core.base.arrays import Array
 
 if TYPE_CHECKING:
-    from daq.extras.ni_device.engines.triggers import Source
     from daq.extras.ni_device.settings.channels import Channel
     from daq.extras.ni_device.settings.task_settings import TaskSettings
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from daq.core.excitation import Excitation as TestExcitation
 from daq.core.excitation import Station, excitation
 from daq.core.signal_chain.oversampling import choose_oversampling
-from daq.core.virtual_bench.bench import Bench
+from daq.core.virtual_bench.bench import Bench, Block
 from daq.extras.ni_device.background_test import BackgroundTest
 from daq.extras.ni_device.devices.modules import DEFAULT_RATES
 from daq.extras.ni_device.devices.sensor_teds import electronic_data_sheet
@@ -24,14 +24,13 @@ from daq.extras.ni_device.errors import Code, DaqError
 from daq.extras.ni_device.values import Coupling, Excitation
 from rig.core.base.progress import FractionProgress
 from rig.core.data_sheets.modules import module
+from rig.core.scene.measurement_chain import Channel as SceneChannel
 from rig.core.scene.presets import complete_from_preset, input_settings, needs_supply
+from rig.core.scene.scene import Scene
 from rig.core.scene.shaker import DRIVE_PER_VOLT
 
 if TYPE_CHECKING:
-    from daq.core.virtual_bench.bench import Block
     from daq.extras.ni_device.settings.channels import Channel
-    from rig.core.scene.measurement_chain import Channel as SceneChannel
-    from rig.core.scene.scene import Scene
 
 
 # Maximum number of ticks in a step of the bench: the overhead of a step is negligible, and responses are quick.

@@ -1,7 +1,5 @@
 """Connection to a rig in this process: `daq.connect`."""
 
-from __future__ import annotations
-
 import atexit
 import os
 import threading

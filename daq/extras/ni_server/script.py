@@ -1,7 +1,5 @@
 """Script for NI's client, run with the rig as its hardware: `daq run`."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

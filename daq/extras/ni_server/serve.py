@@ -1,7 +1,5 @@
 """Server of a rig for other processes and computers: `daq serve`."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import ipaddress

@@ -1,17 +1,16 @@
 """A recording in the rerun viewer: the rig in motion next to its channels, dampers and markers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
 from daq.core.drawing.rig_view import Extremes, RigView
 from daq.core.recording.layout import require_ordered_times
+from daq.core.recording.recording import Recording
 from daq.extras.viewer.blueprint import OVERLOAD_ENTITY, layout
 from daq.extras.viewer.description import markdown_page
 from daq.extras.viewer.marker_log import LabeledSegment, log_lines, overloads, phases
@@ -19,11 +18,6 @@ from daq.extras.viewer.recorded_motion import BLOCK_SAMPLES, RecordedMotion
 from daq.extras.viewer.viewer_stream import CurveSender, plots
 from rig.core.base.errors import SceneError
 from rig.core.base.progress import FractionProgress
-
-if TYPE_CHECKING:
-    import rerun.blueprint as rrb
-
-    from daq.core.recording.recording import Recording
 
 # Maximum number of drawn positions per second of the recording: enough for 50 Hz in slow motion.
 _MAX_FRAMES_PER_S = 1000.0

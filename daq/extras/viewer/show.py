@@ -1,7 +1,5 @@
 """The function `daq.replay`: shows a recording in the viewer, writes a file for the viewer, or draws a picture."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path

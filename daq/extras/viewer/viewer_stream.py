@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from daq.core.drawing.palette import body_color, channel_color
 from daq.extras.viewer.blueprint import ENVELOPE_ENTITY, TIMELINE
+from rig.core.scene.damper import Damper
 from rig.core.scene.scene import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
     from daq.core.drawing.rig_view import RigMotion, RigView
     from daq.core.signal_chain.channel import ChannelInfo
-    from rig.core.scene.damper import Damper
 
 CONTACTS = ("flight", "floor", "ceiling", "lost")
 # Colors of different lightness, so they remain distinct in a gray print; a damper in flight has its own color.

@@ -1,7 +1,5 @@
 """Errors and warnings meant for users; their messages state where and what was wrong, and what to do."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path

@@ -5,8 +5,6 @@ state. A signal is a function of the state whose limits end a regime (`rig.core.
 `rig.core.engine.flow_tables` computes both inputs.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

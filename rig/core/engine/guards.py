@@ -9,8 +9,6 @@ leading terms of its power series that are exactly zero. The magnitude of a guar
 terms, to which its rounding errors are proportional.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rig.core.base.arrays import Array

@@ -7,8 +7,6 @@ height. As a signal, the holding force is divided by the mass of the element: it
 the acceleration that gravity and other forces would give the mass.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import Any, NamedTuple

@@ -4,8 +4,6 @@ They are computed from the tables of `rig.core.engine.flow`, or for a system wit
 z' = A z + b. The time in a step of length h is tau h, 0 <= tau <= 1.
 """
 
-from __future__ import annotations
-
 from rig.core.base.arrays import Array
 from rig.core.engine.flow import Flow
 from rig.core.engine.workspace import Workspace

@@ -9,8 +9,6 @@ element. A discontinuity is an instant at which velocities or accelerations jump
 identifies the tables of a configuration (which forces act in the elements).
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -23,8 +23,6 @@ Pfeiffer, F., Glocker, C., "Multibody Dynamics with Unilateral Contacts", Wiley 
 laws on acceleration and on impulse level).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

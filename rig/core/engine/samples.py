@@ -3,8 +3,6 @@
 The kernel fills both sample by sample, so that a propagation of any length is one call of compiled code.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

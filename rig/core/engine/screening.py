@@ -10,8 +10,6 @@ every state is within its envelope, a guard that exceeds its *margin* at both en
 The margins are computed once for an envelope.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rig.core.base.arrays import Array

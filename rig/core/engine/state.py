@@ -5,8 +5,6 @@ velocities or accelerations jump. The configuration specifies which forces act i
 interval under one drive, such as a sample interval.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

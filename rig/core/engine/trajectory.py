@@ -5,8 +5,6 @@ velocities or accelerations jump. A segment is a time interval in which the driv
 sample interval (`rig.core.engine.propagator`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

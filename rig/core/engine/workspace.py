@@ -1,7 +1,5 @@
 """Scratch arrays of the kernel, which itself allocates no memory."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Kinds of events of all laws, their names for users, and the codes of contact with a wall."""
 
-from __future__ import annotations
-
 import numpy as np
 
 #: Codes of a damper's contact in results: no contact, floor, ceiling.

@@ -10,8 +10,6 @@ Jenkins, G. M., "Analysis of the stress-strain relationships in reactor grade gr
 Physics 13 (1962) 30-32.
 """
 
-from __future__ import annotations
-
 from rig.core.laws.events import SLIP, STOP
 from rig.core.laws.law import SPEED, Law, Regime, Row, Signal, Transition
 

@@ -19,8 +19,6 @@ Schwager, T., Poeschel, T., "Coefficient of restitution and linear-dashpot model
 465-469, Eqs 15-22.
 """
 
-from __future__ import annotations
-
 import math
 
 from rig.core.base.roots import bracketed_root

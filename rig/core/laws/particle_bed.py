@@ -4,8 +4,6 @@ The bed flies, or rests on a wall until the contact force falls to zero. At an i
 rebounds, or stays on the wall if the restitution or the rebound is zero.
 """
 
-from __future__ import annotations
-
 from math import inf
 
 from rig.core.laws.events import CEILING, CEILING_IMPACT, FLOOR, FLOOR_IMPACT, SEPARATION

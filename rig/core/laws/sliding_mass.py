@@ -11,8 +11,6 @@ Den Hartog, J. P., "Forced vibrations with combined Coulomb and viscous friction
 107-115.
 """
 
-from __future__ import annotations
-
 from math import inf
 
 from rig.core.laws.events import CEILING, CEILING_IMPACT, FLOOR, FLOOR_IMPACT, SLIP, STOP

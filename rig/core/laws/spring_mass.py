@@ -9,8 +9,6 @@ References
 Den Hartog, J. P., "Mechanical Vibrations", 4th ed., McGraw-Hill 1956, section 3.3.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from math import inf
 

@@ -10,8 +10,6 @@ Shaw, S. W., Holmes, P. J., "A periodically forced piecewise linear oscillator",
 (1983) 129-155.
 """
 
-from __future__ import annotations
-
 from math import inf
 
 from rig.core.laws.law import Law

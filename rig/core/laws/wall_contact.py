@@ -6,8 +6,6 @@ in a state named *recovers* until the penetration is zero. If the wall pushes th
 contact resumes.
 """
 
-from __future__ import annotations
-
 from math import inf
 
 from rig.core.laws.events import CEILING, CEILING_TOUCH, FLOOR, FLOOR_TOUCH, RELEASE

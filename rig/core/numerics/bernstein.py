@@ -11,8 +11,6 @@ Farouki, R. T., "The Bernstein polynomial basis: a centennial retrospective", Co
 Design 29 (2012) 379-419: conversion, subdivision, and the variation-diminishing property used here.
 """
 
-from __future__ import annotations
-
 from math import comb
 
 import numpy as np

@@ -17,8 +17,6 @@ Murty, K. G., "Linear Complementarity, Linear and Nonlinear Programming", Helder
 Pfeiffer, F., Glocker, C., "Multibody Dynamics with Unilateral Contacts", Wiley 1996, chapters 6 and 8.
 """
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -10,8 +10,6 @@ References
 Seydel, R., "Practical Bifurcation and Stability Analysis", Springer 2010, chapter 4.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 

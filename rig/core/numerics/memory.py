@@ -1,7 +1,5 @@
 """Memory limit of a computation, checked before it starts."""
 
-from __future__ import annotations
-
 import os
 import re
 

@@ -1,7 +1,5 @@
 """Runs: intervals of consecutive samples whose flag is set."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

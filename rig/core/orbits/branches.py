@@ -7,8 +7,6 @@ simulation from the border, and is then continued in the same way. A *setting* i
 parameters.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -43,7 +43,6 @@ from rig.core.steady_response.motion_type import combined_type, type_of
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-
 # Margins down to minus this value may be rounding errors of zero; below it an orbit is inadmissible.
 MARGIN_ROUNDING = 1e-9
 # Limits of Newton's iteration from an initial guess.

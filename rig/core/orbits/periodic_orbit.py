@@ -5,8 +5,6 @@ The motion is simulated until it almost repeats, and is then refined by Newton's
 sequence of contact events in a cycle. A *setting* is an operating point: frequency, force, clearance, mass ratio.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rig.core.base.arrays import Array

@@ -44,7 +44,6 @@ if TYPE_CHECKING:
 
     from rig.core.results.response import Response
 
-
 # Maximum number of continuation steps, including rejected steps, from one value to the next.
 MAX_STEPS = 6
 # Maximum number of Newton corrections after a prediction.

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, ValidationInfo
 
 from rig.core.base.errors import suggestion
 from rig.core.scene.body_names import GROUND, body_problems
-from rig.core.scene.measurement_chain import Channel, Converter
+from rig.core.scene.measurement_chain import Channel, Converter, RecordingSettings
 from rig.core.scene.shaker import KINDS, Shaker, as_tuple, at_shaker
 from rig.core.settings.problems import KeyPath, Problem, combined_error
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from rig.core.scene.damper import Damper
     from rig.core.scene.excitation import Test
     from rig.core.scene.joint import Joint
-    from rig.core.scene.measurement_chain import RecordingSettings
 
 ValidSections = Mapping[str, Any]
 

@@ -1,7 +1,5 @@
 """Loading of scenes from files, texts and mappings: search, reading and checks; all problems are reported together."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Container, Iterable, Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Motion of the rig's points over a block of drive samples, and its discontinuities: impacts and separations."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any, Self
 

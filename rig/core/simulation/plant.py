@@ -1,7 +1,5 @@
 """The rig as a plant in the sense of control engineering: drive samples are its input, motion its output."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

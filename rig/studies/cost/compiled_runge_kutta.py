@@ -7,8 +7,6 @@ at rest on a wall. Unlike the engine, the solver can miss a guard that crosses z
 E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd ed., 1993: step size in II.4.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

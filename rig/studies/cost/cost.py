@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
 #: Color and marker of each method: one hue per kind of method, distinguishable in print and with color blindness.
 STYLE_OF_METHOD = {
     "engine, tone": ("#c1272d", "*"),

@@ -1,7 +1,5 @@
 """The check of a design: a stepped-sine test around the largest peaks, and its expected results."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

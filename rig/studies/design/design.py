@@ -32,7 +32,6 @@ from rig.studies.design.worst_peak import Peak
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-
 #: Clearances of the chart (worst peak against clearance and force), relative to the clearances of the best design.
 CHART_CLEARANCES = np.geomspace(0.25, 4.0, 7)
 #: The levels of the chart extend beyond the requested levels by this factor.

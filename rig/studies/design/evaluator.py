@@ -4,8 +4,6 @@ A *choice* is a candidate design: bodies, masses and clearances of the dampers. 
 worst peaks. A *job* is the computation of one worst peak: of one choice, for one structure at one level.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import astuple
 from functools import partial

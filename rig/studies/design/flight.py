@@ -1,7 +1,5 @@
 """Separation level and flight height of dampers, and the levels at which they reduce the peak of the response."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Effect of the dampers on every mode of a structure, inside and outside the band of the design."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

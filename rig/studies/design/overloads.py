@@ -1,11 +1,8 @@
 """Prediction of the sensors and converter inputs that the check of a design overloads."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from shlex import quote
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,10 +12,8 @@ from rig.core.scene.presets import complete_from_preset
 from rig.core.scene.scene import STANDARD_GRAVITY, Scene
 from rig.core.system.assembly import assemble
 from rig.core.system.impact_acceleration import impact_acceleration
-
-if TYPE_CHECKING:
-    from rig.studies.design.check import Expected
-    from rig.studies.design.worst_peak import Peak
+from rig.studies.design.check import Expected
+from rig.studies.design.worst_peak import Peak
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """Ranking of candidate designs by the worst peak, then by the mean over all levels."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 import numpy as np

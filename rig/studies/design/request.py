@@ -1,7 +1,5 @@
 """Arguments of `rig design`: parsed, checked, and completed with defaults from the scene."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

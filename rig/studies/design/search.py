@@ -5,8 +5,6 @@ search requests choices. Workers compute the choices concurrently, and the searc
 complete.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace

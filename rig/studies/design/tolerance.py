@@ -1,7 +1,5 @@
 """The interval of clearances in which the worst peak of a design stays nearly the same: the tolerance of a design."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 

@@ -11,8 +11,6 @@ References
 Den Hartog, J. P., "Mechanical Vibrations", 4th ed., McGraw-Hill 1956, section 3.3.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from math import log, pi, sqrt

@@ -1,19 +1,14 @@
 """Check before a random test with profile control: spacing of the lines, and limits that end next to a resonance."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from math import ceil, pi
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from daq.core.signal_chain.channel import ChannelInfo
+from rig.core.scene.excitation.profile_control import ProfileControl
+from rig.core.scene.scene import Scene
 from rig.core.system.open_loop_drive import accelerations_per_drive
-
-if TYPE_CHECKING:
-    from daq.core.signal_chain.channel import ChannelInfo
-    from rig.core.scene.excitation.profile_control import ProfileControl
-    from rig.core.scene.scene import Scene
 
 # Largest change of the drive density from line to line [dB]: the largest slope at a resonance, 20 / ln(10) dB over half
 # of its half-power width, if the width contains two lines.

@@ -10,23 +10,19 @@ value is 1 / (2 D). Sidebands of a tone at an end of the band lie outside the ba
 there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from math import ceil, log, pi, sin
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
 from rig.core.numerics.runs import runs_of
+from rig.core.scene.excitation import SineControl
+from rig.core.scene.scene import Scene
 from rig.core.system.open_loop_drive import accelerations_per_drive
-
-if TYPE_CHECKING:
-    from daq.core.signal_chain.channel import ChannelInfo
-    from rig.core.scene.excitation import SineControl
-    from rig.core.scene.scene import Scene
 
 # The drive changes after this number of periods.
 WINDOW_PERIODS = 1.0

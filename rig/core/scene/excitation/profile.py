@@ -23,7 +23,6 @@ Decibels = Annotated[float, Quantity(LEVEL, above=0.0)]
 Ramp = tuple[Annotated[float, Quantity(LEVEL, below=0.0)], ...]
 Share = Annotated[float, Quantity(RATIO, above=0.0, below=1.0)]
 
-
 _UNITS = {"density": "(m/s²)²/Hz", "acceleration": "m/s²", "velocity": "m/s", "displacement": "m"}
 
 

@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.base.figure_types import Axes
 from rig.core.base.progress import CountProgress
 from rig.core.results.result import Result, join_columns
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from analysis.commands.presentation.comparison import Comparison
     from analysis.core.damper_motion.dampers import Dampers
     from analysis.core.modal.modes import Modes

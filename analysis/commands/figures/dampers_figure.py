@@ -1,10 +1,8 @@
 """Figure of damper motion in a stepped-sine test: type of motion in each body, and energy per period."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,11 +12,8 @@ from analysis.core.damper_motion.motion_types import DamperMotion
 from analysis.core.responses.spectral_lines import Lines
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import add_legend_below, add_title, cell_edges, frequency_axis, log_axis, new_figure
+from rig.core.base.figure_types import Axes, Figure
 from rig.core.base.palette import DAMPER, MOTIONS
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # Legend entries of the motions by name (`DamperMotion.name`), in the order of the legend.
 _LEGEND_TEXTS = {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,13 +10,9 @@ from analysis.core.decays.free_decay import Decay
 from analysis.core.decays.modal_decay import ModalDecay
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import add_caption, add_title, new_figure, set_log_scale
+from rig.core.base.figure_types import Axes, Figure
 from rig.core.base.palette import CurveStyle, body_style
 from rig.core.results.text import format_decimals
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 # Largest relative difference of the frequencies of one mode in different recordings: moving dampers shift them.
 _MAX_FREQUENCY_DIFFERENCE = 0.15

@@ -1,9 +1,7 @@
 """Figure of frequency responses: magnitude with its 95 % band, phase and coherence."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -30,13 +28,10 @@ from analysis.core.damper_motion.comparison import resonance_peaks
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
+from rig.core.base.figure_types import Axes, Figure
 from rig.core.base.palette import CurveStyle, faded, location_style, location_styles
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import CLOCK, SENSITIVITY, SYSTEMATIC
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # An interval below this fraction of the magnitude is narrower than the points, and is not explained.
 _MIN_VISIBLE_RATIO = 0.02

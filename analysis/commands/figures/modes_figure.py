@@ -1,9 +1,7 @@
 """Figure of a modal identification: measured FRFs with the model, stabilization diagram, mode shapes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,12 +11,10 @@ from analysis.core.modal.modes import Modes
 from rig.core.base.arrays import Array
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
+from rig.core.base.figure_types import Figure
 from rig.core.base.palette import faded, location_styles
 from rig.core.results.response import MAX_MARKERS, Response
 from rig.core.results.uncertainty import expand
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # A mode shape is faded if the expanded uncertainty of a component exceeds this fraction of the largest component.
 MAX_SHAPE_BOUND = 0.5

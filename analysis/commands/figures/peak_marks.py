@@ -1,20 +1,16 @@
 """Peaks of frequency responses in figures: which are marked, by which symbol, and where their labels are."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from analysis.commands.figures.determined_lines import MAX_POINTS, folds_back, has_scatter, is_determined, is_smooth
 from analysis.core.damper_motion.comparison import Peak, local_model
 from rig.core.base.arrays import Array
+from rig.core.base.figure_types import Axes
 from rig.core.results.resonances import Resonance
 from rig.core.results.response import MOTIONS, Response
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 # Only the highest of the arrows within this relative distance in frequency is drawn: they would hide the curves.
 _ARROW_RANGE = 0.02

@@ -1,10 +1,7 @@
 """Output of `analysis backbone`: natural frequency and damping ratio against amplitude."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from analysis.commands.presentation.figures_of_recordings import present_each
 from analysis.commands.presentation.outputs import CommandOutput
@@ -12,11 +9,8 @@ from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.tracking.backbone import Backbone, backbone
 from analysis.core.tracking.body_motion import common_error_text, level_rows
 from rig.core.base.figure_style import add_caption
+from rig.core.base.figure_types import Axes, Figure
 from rig.core.results.text import table_lines
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 @with_recordings

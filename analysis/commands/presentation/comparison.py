@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from itertools import product
 from math import isinf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,16 +39,13 @@ from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import default_reference, reference_of, response_channels
 from daq.core.recording.recording import Recording
 from rig.core.base.errors import SceneError
+from rig.core.base.figure_types import Axes
 from rig.core.base.progress import CountProgress
 from rig.core.results import format_decimals
 from rig.core.results.response import Response
 from rig.core.results.result import Result, complete_style
 from rig.core.results.text import table_lines
 from rig.core.results.uncertainty import SENSITIVITY
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 _HEADING = (
     "from", "to", "response", "reference", "mode_Hz", "change_dB", "change_low_dB", "change_high_dB", "shift_Hz",

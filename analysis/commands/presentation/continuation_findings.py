@@ -1,11 +1,9 @@
 """Output of `analysis continuation`: response curves with folds, and the exact orbits of the scene."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,15 +15,11 @@ from analysis.core.tracking.continuation import AmplitudeCurve, continuation
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array
 from rig.core.base.figure_style import add_legend_below
+from rig.core.base.figure_types import Axes, Figure
 from rig.core.orbits.branches import follow_orbits
 from rig.core.orbits.orbit_curve import OrbitBranch
 from rig.core.results import format_number
 from rig.core.results.text import format_quantity, table_lines
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 _EXACT_COLOR = "#777777"
 

@@ -1,22 +1,16 @@
 """Output of a command that draws and tabulates one result for each recording."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from analysis.commands.presentation.outputs import CommandOutput, check_outputs, separate_stems, with_ending
 from analysis.commands.presentation.tables import write_table
 from analysis.core.recordings.names import OpenRecordings, full_test_text
 from daq.core.recording.recording import Recording
 from rig.core.base.figure_style import add_title, new_figure, save_figure
+from rig.core.base.figure_types import Axes, Figure
 from rig.core.results import Result
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 R = TypeVar("R", bound=Result)
 

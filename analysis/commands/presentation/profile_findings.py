@@ -1,21 +1,15 @@
 """Output of `analysis profile`: motion of control and limited channels compared with the profile of the test."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from analysis.commands.presentation.figures_of_recordings import present_each
 from analysis.commands.presentation.outputs import CommandOutput
 from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.signals.profile_check import ProfileCheck, profile
 from rig.core.base.figure_style import add_legend_below, frequency_axis, log_axis
+from rig.core.base.figure_types import Axes, Figure
 from rig.core.results.text import table_lines
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 @with_recordings

@@ -1,10 +1,7 @@
 """Output of `analysis surface`: force against frequency and amplitude, and responses at constant force."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from analysis.commands.presentation.figures_of_recordings import present_each
 from analysis.commands.presentation.outputs import CommandOutput
@@ -12,13 +9,10 @@ from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.tracking.body_motion import common_error_text
 from analysis.core.tracking.force_surface import ForceSurface, force_surface
 from rig.core.base.figure_style import add_legend_below
+from rig.core.base.figure_types import Axes, Figure
 from rig.core.base.palette import level_styles
 from rig.core.results import format_number
 from rig.core.results.text import table_lines
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 @with_recordings

@@ -1,10 +1,8 @@
 """Dampers in stepped-sine tests: type of motion and dissipated energy at each frequency."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +15,10 @@ from analysis.core.responses.stepped_sine import Sweep, sweeps
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
+from rig.core.base.figure_types import Axes
 from rig.core.base.progress import CountProgress
 from rig.core.results import Result, complete_style, format_percent
 from rig.core.scene.damper import Damper
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 #: Sentence on the impacts of a mass that does not fall freely: without walls, and with walls.
 _IMPACT_TEXTS = (

@@ -4,10 +4,8 @@ Energy: backward integration (M. R. Schroeder, J. Acoust. Soc. Am. 37 (1965) 409
 on a floor of its body under gravity. It stays on the floor while the acceleration of the body is below 1 g.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy
@@ -24,14 +22,11 @@ from daq.core.recording.recording import Recording
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, SceneError
+from rig.core.base.figure_types import Axes
 from rig.core.base.renamed import renamed, renamed_parameter
 from rig.core.results import Result, complete_style, format_percent
 from rig.core.scene.scene import STANDARD_GRAVITY
 from rig.core.system.structural_model import structural_model
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 # Lower limit of the frequency range [Hz] that is searched for modes: drift of sensors dominates below.
 LOWEST_MODE_HZ = 2.0

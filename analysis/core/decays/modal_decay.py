@@ -1,21 +1,17 @@
 """Envelope of one mode of a free decay, and its damping ratio and natural frequency as functions of amplitude."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import scipy
 from scipy import fft
 
 from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.figure_types import Axes
 from rig.core.base.renamed import renamed
 from rig.core.results import Result, complete_style, format_quantity
 from rig.core.results.uncertainty import expand
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 # Largest relative difference of two spectral peaks of one mode: dampers shift a frequency during the decay.
 _SAME_MODE_RATIO = 0.1

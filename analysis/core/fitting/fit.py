@@ -1,11 +1,9 @@
 """Fit of a scene to recordings of the real structure, with a 95 % interval of each fitted value."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +18,7 @@ from analysis.core.recordings.names import as_context, require_recording
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError, SceneError, suggestion
+from rig.core.base.figure_types import Axes
 from rig.core.base.input_files import duplicate_files
 from rig.core.base.renamed import renamed
 from rig.core.numerics.blas_threads import with_one_blas_thread
@@ -27,10 +26,6 @@ from rig.core.results import Result, complete_style, format_number, format_perce
 from rig.core.scene.loading import SceneLike, scene_of
 from rig.core.scene.scene import Scene
 from rig.core.system.structural_model import structural_model
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 # Printed descriptions of statuses (`Fitted.status`); the others are printed as they are.
 STATUS_TEXTS = {"roughly": "roughly determined"}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import inf
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +14,11 @@ from analysis.core.modal_models.lscf import ChartPole
 from analysis.core.modal_models.pole_residue import modal_receptance
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
+from rig.core.base.figure_types import Axes
 from rig.core.base.renamed import renamed
 from rig.core.results import Result, complete_style, format_interval, format_percent, format_quantity
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import expand
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 # A damping ratio is determined if its relative standard uncertainty is at most a third: the ratio then differs from
 # zero by three standard deviations. Otherwise only an upper limit of the ratio is stated, and the pole counts as a mode

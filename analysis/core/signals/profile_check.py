@@ -4,11 +4,9 @@ Power spectral densities are averages over half-overlapping segments with a Hann
 Electroacoust. 15 (1967) 70), with chi-square intervals.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +20,7 @@ from daq.core.recording.recording import Recording
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
+from rig.core.base.figure_types import Axes
 from rig.core.base.palette import BASELINE, CurveStyle, location_styles
 from rig.core.base.renamed import renamed
 from rig.core.numerics.runs import runs_of
@@ -29,10 +28,6 @@ from rig.core.results import Result, complete_style, format_frequencies
 from rig.core.scene.excitation.kind import Chirp
 from rig.core.scene.excitation.profile import limits_drive
 from rig.core.scene.excitation.profile_control import ProfileControl
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 # Distance from its limit below which a channel limits the drive [dB], if the control is below the profile.
 _NOTCH_DB = 1.5

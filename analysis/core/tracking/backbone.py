@@ -10,11 +10,9 @@ this shape, weighted with the mass matrix, is the modal coordinate q. Its phase 
 + 2 D w0 w Re q / -Im q.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,15 +25,12 @@ from daq.core.recording.recorded_test import HELD_PHASE
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
+from rig.core.base.figure_types import Axes
 from rig.core.base.palette import location_styles
 from rig.core.base.renamed import renamed
 from rig.core.results import Result, complete_style, format_limited, format_number
 from rig.core.results.uncertainty import SENSITIVITY
 from rig.core.system.structural_model import structural_model
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 # Ratio of the frequency deviation that a phase deviation causes to that of a single mode. Contributions of other modes
 # to the phase make it larger than 1. The largest ratio with the scene `backbone` was 1.8.

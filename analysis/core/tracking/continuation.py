@@ -6,11 +6,9 @@ of the curve. At a corner, the fold lies between the last stable point and the f
 The motion between two folds is unstable at constant force.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,16 +20,13 @@ from daq.core.recording.recorded_test import FOLLOWED_CURVE
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
+from rig.core.base.figure_types import Axes
 from rig.core.base.palette import level_styles
 from rig.core.base.renamed import renamed
 from rig.core.results import Result, complete_style, format_limited, format_number
 from rig.core.results.text import format_quantity
 from rig.core.results.uncertainty import SENSITIVITY
 from rig.core.scene.excitation import FORCE_TOLERANCE
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 # Points on each side of a fold to which polynomials are fitted: as many as a parabola has coefficients.
 _FITTED = 3

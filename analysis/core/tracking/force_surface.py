@@ -6,11 +6,9 @@ Curves of constant force, with their unstable parts, follow from this function. 
 are smoother than the force.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,13 +20,10 @@ from analysis.core.tracking.body_motion import body_motion
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
+from rig.core.base.figure_types import Axes
 from rig.core.base.palette import recording_styles
 from rig.core.base.renamed import renamed
 from rig.core.results import Result, complete_style
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 # Minimum number of amplitudes at one frequency for interpolation by a curve instead of a straight line.
 _MIN_AMPLITUDES = 3

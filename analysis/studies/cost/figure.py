@@ -1,9 +1,6 @@
 """Output of `analysis cost`: figure and table of measurement error and computing time for each variant of the chain."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,13 +8,10 @@ from analysis.studies.cost.study import ChainStudy, Measurement
 from analysis.studies.cost.variants import GROUPS, scene_setting
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import COLORS, add_page_title, new_figure, save_with_table
+from rig.core.base.figure_types import Figure
 from rig.core.base.output_files import file_stem
 from rig.core.results.text import table_lines
 from rig.core.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 SCENE_COLOR = COLORS[1]
 CHANGED_COLOR = COLORS[0]

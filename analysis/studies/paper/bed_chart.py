@@ -19,10 +19,9 @@ from analysis.studies.paper.contact_study import (
 )
 from analysis.studies.paper.figures import BLACK, Columns, Parts
 from rig.core.base.figure_style import new_figure
+from rig.core.base.figure_types import Axes, Figure
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
 # The color scale ends at this deviation [%].

@@ -11,10 +11,9 @@ import numpy as np
 
 from analysis.studies.paper.figures import BLACK, BLUE, GRAY, GREEN, RED, Columns, Parts
 from rig.core.base.figure_style import new_figure
+from rig.core.base.figure_types import Axes, Figure
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
 

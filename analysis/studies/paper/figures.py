@@ -1,21 +1,16 @@
 """The paper's figures, drawn from the parts of the reproduction."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from analysis.core.decays.free_decay import upper_bound
 from analysis.studies.paper.parts import FIGURE_5_SETTING, NOISES
 from rig.core.base.figure_style import COLORS, frequency_axis, log_axis, new_figure, set_log_scale
+from rig.core.base.figure_types import Axes, Figure
 from rig.core.base.palette import BODIES
 from rig.core.scene.scene import STANDARD_GRAVITY
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 # Results of a part by name, and of all parts by their names (`analysis.studies.paper.parts`).
 Columns = Mapping[str, np.ndarray]

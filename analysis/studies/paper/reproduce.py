@@ -1,11 +1,8 @@
 """Reproduction of Inoue, Yokomichi, Hiraki (2011): figures, a verdict on each claim, and further results."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from analysis.studies.paper import bed_chart
 from analysis.studies.paper import charts as paper_charts
@@ -16,11 +13,9 @@ from analysis.studies.paper.parts import all_parts
 from analysis.studies.paper.store import Arrays, PaperPart
 from rig.core.base.errors import SceneError
 from rig.core.base.figure_style import save_figure
+from rig.core.base.figure_types import Figure
 from rig.core.base.output_files import prepare_outputs
 from rig.core.base.workers import Workers, cores, free_cores
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 FIGURES: dict[str, Callable[[paper_figures.Parts], Figure]] = {
     "fig3": paper_figures.figure_3,

@@ -1,21 +1,17 @@
 """The predicted test: a summary, and a table of the largest values and their limits."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.core.measurement.estimate import duration_text
 from daq.core.prediction.linear import LowestSignalToNoise
+from rig.core.base.figure_types import Axes
 from rig.core.results import Result, format_number, format_percent
 from rig.core.results.text import table_lines
 from rig.core.scene.scene import STANDARD_GRAVITY
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 # The range of the duration is printed if the ratio of its ends exceeds this value.
 _MIN_RANGE_RATIO = 1.1

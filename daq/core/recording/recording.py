@@ -31,12 +31,11 @@ from daq.core.signal_chain.field_checks import NAME, check
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, RunWarning, ShotrigError, add_path, suggestion
 from rig.core.base.escaping import escape_html
+from rig.core.base.figure_types import Axes
 from rig.core.base.input_files import as_path
 from rig.core.results import Result, complete_style
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from rig.core.scene.excitation import Test
     from rig.core.scene.scene import Scene
 

@@ -18,11 +18,10 @@ from daq.core.recording.recording import Recording
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.errors import RecordingError, ShotrigError
 from rig.core.base.escaping import code_fence, escape_markdown
+from rig.core.base.figure_types import Axes
 from rig.core.results import Result
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from daq.core.drawing.rig_view import RigView
     from daq.extras.viewer.recorded_motion import RecordedMotion
 

@@ -15,12 +15,11 @@ import numpy as np
 
 from rig.core.base.arrays import Array
 from rig.core.base.escaping import escape_figure
+from rig.core.base.figure_types import Axes, Figure
 from rig.core.base.output_files import atomic_write, csv_text
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.axis import Axis
-    from matplotlib.figure import Figure
 
 # Colors that are distinguishable with any color blindness (Okabe and Ito), darker colors first.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#555555", "#000000")

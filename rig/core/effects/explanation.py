@@ -3,18 +3,17 @@
 Effects that are not in the scene are not modeled.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.base.escaping import escape_html
 from rig.core.base.extensions import registered_functions
+from rig.core.base.figure_types import Axes
 from rig.core.results import Result
 from rig.core.scene.loading import SceneLike, scene_of
 from rig.core.scene.scene import Scene
@@ -24,9 +23,6 @@ from rig.core.system.assembly import assemble
 from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.spheres import spheres_of
 from rig.core.system.structural_model import StructuralModel, TunedMass, structural_model
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 #: Listed natural frequencies; they fit into one line.
 _MAX_LISTED = 7

@@ -4,11 +4,9 @@ A *plan* is the sequence of contact events in one cycle. A *border* is a limit b
 for example where a damper hits a wall early. The *margin* is the distance to the border, negative beyond it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +14,7 @@ from scipy.linalg.lapack import dgeev
 
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RunError
+from rig.core.base.figure_types import Axes
 from rig.core.base.renamed import renamed
 from rig.core.engine.trajectory import event_table
 from rig.core.laws.events import (
@@ -39,9 +38,6 @@ from rig.core.orbits.track import track_orbit
 from rig.core.results import Result, complete_style
 from rig.core.results.ratio_names import per_force
 from rig.core.steady_response.motion_type import combined_type, type_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 # Margins down to minus this value may be rounding errors of zero; below it an orbit is inadmissible.
 MARGIN_ROUNDING = 1e-9

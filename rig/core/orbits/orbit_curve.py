@@ -1,14 +1,13 @@
 """Curves of orbits over a parameter: the results of continuation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
+from rig.core.base.figure_types import Axes
 from rig.core.base.palette import motion_color
 from rig.core.numerics import continuation
 from rig.core.orbits.event_sequence import Plan
@@ -17,9 +16,6 @@ from rig.core.orbits.problem import Axis
 from rig.core.results import Result, complete_style, format_percent, join_columns
 from rig.core.results.ratio_names import frf_display, per_force
 from rig.core.steady_response.frequency_response import frf_columns
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True, repr=False)

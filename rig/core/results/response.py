@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.base.errors import SceneError
+from rig.core.base.figure_types import Axes
 from rig.core.base.palette import location_styles, recording_styles
 from rig.core.results.points import MOTIONS, Point, body_number
 from rig.core.results.response_arithmetic import MAX_PEAK_UNCERTAINTY_RATIO, ResponseArithmetic
@@ -25,7 +26,6 @@ from rig.core.results.universal_file import universal_file, write_curve
 
 if TYPE_CHECKING:
     import xarray
-    from matplotlib.axes import Axes
 
 # Curves with more points than this are drawn without markers.
 MAX_MARKERS = 120

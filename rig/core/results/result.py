@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from rig.core.base.errors import RunError
 from rig.core.base.escaping import escape_html, escape_terminal
 from rig.core.base.figure_style import set_log_scale
+from rig.core.base.figure_types import Axes
 
 if TYPE_CHECKING:
     import pandas
     import xarray
-    from matplotlib.axes import Axes
 
 # Columns of an empty result.
 _NO_COLUMNS = (("", np.empty(0)),)

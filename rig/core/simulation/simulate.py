@@ -1,18 +1,17 @@
 """Open-loop simulation of a scene: the true motion, without sensors, converter or controller."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RunError, SceneError
+from rig.core.base.figure_types import Axes
 from rig.core.base.progress import CountProgress
 from rig.core.engine.propagator import Propagator, sampled_propagator, tone_propagator
 from rig.core.engine.state import State
@@ -27,9 +26,6 @@ from rig.core.simulation.grains import grains_simulation
 from rig.core.system.assembly import assemble
 from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.open_loop_drive import ToneDrive, sampled_drive, tone_drive, validate_drive
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 #: With more samples per period of a tone than this value, time steps divide a sample interval instead of a period.
 MIN_DENSE_SAMPLES = 10

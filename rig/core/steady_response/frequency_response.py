@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.core.base.arrays import Array
 from rig.core.base.errors import SceneError
+from rig.core.base.figure_types import Axes
 from rig.core.base.progress import CountProgress
 from rig.core.engine.propagator import Propagator, tone_propagator
 from rig.core.engine.trajectory import Trajectory
@@ -31,8 +32,6 @@ from rig.core.system.open_loop_drive import level_of, tone_drive
 from rig.core.system.reference import reference_of
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from rig.core.results.response import Response
 
 #: The controlled spring force agrees with its level within this fraction, far below the tolerance of a test.

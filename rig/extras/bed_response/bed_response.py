@@ -4,18 +4,17 @@ A *bed* is the particles of one damper; LAMMPS moves its grains by the discrete 
 the motion at each frequency, and a table stores it.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.base.errors import SceneError
+from rig.core.base.figure_types import Axes
 from rig.core.base.progress import CountProgress
 from rig.core.base.study import Study, digest
 from rig.core.results import Result, complete_style, format_decimals
@@ -26,9 +25,6 @@ from rig.core.system.spheres import spheres_of
 from rig.extras.bed_response.steady_bed import SteadyBed, steady_grains, steady_mass
 from rig.extras.grains.lammps_library import lammps_version
 from rig.extras.grains.packing import settled_positions
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 #: The results are averaged over blocks of this number of periods of the drive.
 PERIODS = 20

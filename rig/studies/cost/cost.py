@@ -1,16 +1,15 @@
 """Work-precision study of a scene, of methods or of models of its granular beds: result, table and figure."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.base.figure_style import add_caption, add_page_title, new_figure, power_label, save_with_table
+from rig.core.base.figure_types import Axes, Figure
 from rig.core.base.output_files import file_stem
 from rig.core.results import Result
 from rig.core.results.text import format_number, table_lines
@@ -20,10 +19,6 @@ from rig.core.system.spheres import spheres_of
 from rig.studies.cost.high_precision import DIGITS
 from rig.studies.cost.motion_study import SHORT_STEP_SETTING, MotionStudy, Point, default_frequency, motion_study
 from rig.studies.cost.steady_study import OTHER_PACKING, SteadyStudy, steady_study
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 #: Color and marker of each method: one hue per kind of method, distinguishable in print and with color blindness.
 STYLE_OF_METHOD = {

@@ -1,17 +1,16 @@
 """Choice of dampers: the design with the smallest worst peak of a structure, and its comparison with other designs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from rig.core.base.arrays import Array
 from rig.core.base.figure_style import COLORS
+from rig.core.base.figure_types import Axes
 from rig.core.base.progress import CountProgress
 from rig.core.base.workers import Workers
 from rig.core.results import Result, complete_style
@@ -28,9 +27,6 @@ from rig.studies.design.search import estimate_job_count, search
 from rig.studies.design.tolerance import Tolerance, clearance_tolerance
 from rig.studies.design.tuned_mass import TunedMass, best_tuned_mass
 from rig.studies.design.worst_peak import Peak
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 #: Clearances of the chart (worst peak against clearance and force), relative to the clearances of the best design.
 CHART_CLEARANCES = np.geomspace(0.25, 4.0, 7)

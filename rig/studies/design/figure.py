@@ -1,16 +1,15 @@
 """Output of `rig design`: text summary, figures, and a scene file with a test that checks the design."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from rig.core.base.figure_style import COLORS, add_page_title, cell_edges, new_figure, save_figure, set_log_scale
+from rig.core.base.figure_types import Axes, Figure
 from rig.core.base.output_files import atomic_write, file_stem
 from rig.core.base.palette import BASELINE
 from rig.core.orbits.problem import OrbitProblem
@@ -26,10 +25,6 @@ from rig.studies.design.overloads import overload_lines, predict_overloads
 from rig.studies.design.ranking import EQUAL_DB, IRREGULAR_RATIO, MIN_MACHINABLE_CLEARANCE
 from rig.studies.design.tuned_mass import TunedMass
 from rig.studies.design.worst_peak import response_at_level
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 BLUE, RED = COLORS[:2]
 #: Colors, line styles and markers of the responses with dampers, for successive levels. The numbers of each have no

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.core.base.arrays import Array
 from rig.core.base.figure_style import add_page_title, cell_edges, new_figure, save_with_table, set_log_scale
+from rig.core.base.figure_types import Axes, Figure
 from rig.core.base.output_files import file_stem
 from rig.core.base.palette import MOTIONS, contrast
 from rig.core.base.progress import CountProgress
@@ -30,8 +31,6 @@ from rig.studies.motion_map.grid import select_frequencies, select_row_values, s
 
 if TYPE_CHECKING:
     import xarray
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 #: Types of motion in order of complexity; a point of the map has the most complex type of its dampers.
 KINDS = ("riding", "I", "II", "III", "other, every period", "longer period", "irregular")

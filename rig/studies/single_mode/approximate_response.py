@@ -6,17 +6,16 @@ Each is continued over frequency, through folds, as a *branch*. Every point of a
 at another frequency. Branches without an admissible point are discarded.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
 from rig.core.base.errors import SceneError
+from rig.core.base.figure_types import Axes
 from rig.core.base.palette import motion_color
 from rig.core.numerics import continuation
 from rig.core.results import Result, complete_style, join_columns
@@ -27,10 +26,6 @@ from rig.studies.single_mode.admissibility import Batch, first_harmonic, flaws, 
 from rig.studies.single_mode.motion_search import END_REASONS, ordering_margins, solutions
 from rig.studies.single_mode.periodic_motion import INSTANTS, PERIOD, MotionParameters, MotionType, jacobian
 from rig.studies.single_mode.reduction import SingleMode, Weighting, single_mode
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 _SOLVER_STEPS = continuation.Steps(max_iterations=25)
 _CONTINUATION_STEPS = continuation.Steps(first_step=3e-3, max_step=0.1, max_angle_rad=0.15)

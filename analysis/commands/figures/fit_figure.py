@@ -1,18 +1,12 @@
 """Figure of a fit: measured curves, curves of the fitted scene, and the normalized residuals."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from analysis.core.fitting.fit import Comparison, Fit
 from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
 from rig.core.base.figure_types import Axes, Figure
 from rig.core.base.palette import location_styles
 from rig.core.results import format_number
-
-if TYPE_CHECKING:
-    from analysis.core.fitting.fit import Comparison, Fit
 
 # At most this number of sweeps is drawn: more panels would not fit on a page.
 MAX_ROWS = 8

@@ -1,12 +1,10 @@
 """Output of `analysis modes`: modal parameters as text, figures and tables."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +19,7 @@ from analysis.commands.presentation.outputs import (
     with_recording_name,
     with_sweep_name,
 )
+from analysis.commands.presentation.theory import TheoreticalModes
 from analysis.core.modal.identification import identify
 from analysis.core.modal.modes import Modes, mac
 from analysis.core.modal.roving_hammer import exchange_points
@@ -36,9 +35,6 @@ from rig.core.results import format_interval
 from rig.core.results.response import Response
 from rig.core.results.text import table_lines
 from rig.core.results.uncertainty import expand
-
-if TYPE_CHECKING:
-    from analysis.commands.presentation.theory import TheoreticalModes
 
 #: Two mode shapes with at least this modal assurance criterion (MAC) are usually considered the same.
 MIN_SAME_SHAPE_MAC = 0.9

@@ -1,14 +1,12 @@
 """The web application of `daq bench`: page, scripts, messages to the browser, commands from it, and reports."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import math
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
@@ -18,11 +16,9 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from daq.extras.bench_page.live_bench import LiveBench
 from daq.extras.bench_page.page import REFRESH_S, Page
 from rig.core.base.output_files import temporary_folder
-
-if TYPE_CHECKING:
-    from daq.extras.bench_page.live_bench import LiveBench
 
 _BROWSER = Path(__file__).parent / "browser"
 

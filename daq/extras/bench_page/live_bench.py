@@ -1,12 +1,10 @@
 """The bench that the page operates: creates tests from a few settings, runs and marks them in the recording."""
 
-from __future__ import annotations
-
 import time
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -18,15 +16,13 @@ from daq.extras.bench_page.impacts import ImpactDetector
 from daq.extras.bench_page.live_frf import LiveFrf
 from daq.extras.bench_page.monitor import Monitor
 from daq.extras.bench_page.recordings import BenchRecordings
+from daq.extras.ni_device.background_test import BackgroundTest
 from daq.extras.ni_device.chassis import Chassis
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError, ShotrigError
 from rig.core.scene.excitation import KINDS
 from rig.core.scene.scene import Scene
 from rig.core.system.structural_model import structural_model
-
-if TYPE_CHECKING:
-    from daq.extras.ni_device.background_test import BackgroundTest
 
 _NO_INPUT = "the scene has neither a shaker nor a hammer"
 _NO_FORCE = "the page controls forces, but the shaker exerts none; record the test with `daq record`"

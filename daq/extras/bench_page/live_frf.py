@@ -5,11 +5,8 @@ empty. The estimate is a quick view for the operator. `analysis frf` estimates t
 uncertainty.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.ndimage
@@ -18,13 +15,10 @@ from numpy.typing import NDArray
 from daq.core.excitation import Station
 from daq.core.excitation.controlled import spring_force
 from daq.core.signal_chain.channel import ChannelInfo
+from daq.extras.bench_page.impacts import Impact
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
 from rig.core.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from daq.extras.bench_page.impacts import Impact
-
 
 # A line is excited if it is at least this fraction of the largest line of the force's auto-spectrum; at other lines,
 # noise dominates.

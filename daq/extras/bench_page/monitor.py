@@ -5,26 +5,21 @@ the blocks, so acquisition never waits for the page. If the queue is full, block
 their own queue.
 """
 
-from __future__ import annotations
-
 import queue
 import threading
 from collections import deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.core.drawing.rig_view import RigMotion
+from daq.extras.bench_page.impacts import ImpactDetector
+from daq.extras.bench_page.live_frf import LiveFrf
 from daq.extras.ni_device.chassis import Chassis
 from daq.extras.ni_server.live import end_display
 from rig.core.base.arrays import Array
-
-if TYPE_CHECKING:
-    from daq.extras.bench_page.impacts import ImpactDetector
-    from daq.extras.bench_page.live_frf import LiveFrf
-
 
 # Maximum number of blocks in the queue of the page; more are not shown, because acquisition never waits for the page.
 _MAX_WAITING_BLOCKS = 256

@@ -4,26 +4,22 @@ A message is a JSON object and the arrays that it lists, as 32-bit floats: long 
 processor at 20 messages a second.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.core.drawing.palette import channel_color, hex_color
 from daq.extras.bench_page.half_power import largest_peaks
+from daq.extras.bench_page.impacts import Impact
+from daq.extras.bench_page.live_bench import LiveBench
 from daq.extras.bench_page.monitor import MOTION_S
 from daq.extras.bench_page.rig_svg import RigDrawing
 from rig.core.base.arrays import Array
 from rig.core.base.errors import ShotrigError
-
-if TYPE_CHECKING:
-    from daq.extras.bench_page.impacts import Impact
-    from daq.extras.bench_page.live_bench import LiveBench
 
 # Interval of the refreshes of the page [s].
 REFRESH_S = 0.05

@@ -1,20 +1,16 @@
 """Recordings of `daq bench`: one file for each test, written by a separate thread."""
 
-from __future__ import annotations
-
 import queue
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from daq.core.recording.recorded_test import TestKind
+from daq.extras.ni_device.chassis import Chassis
 from daq.extras.ni_device.engines.log import MarkedRecording
 from rig.core.base.errors import RunError
 from rig.core.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from daq.extras.ni_device.chassis import Chassis
 
 # Maximum number of queued blocks, at least 16 s of samples. If the disk falls further behind, the recording ends.
 _MAX_WAITING_JOBS = 4096

@@ -1,18 +1,14 @@
 """Drawing of the rig for browsers (SVG), and the translations of its parts from the motion."""
 
-from __future__ import annotations
-
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from daq.core.drawing.palette import DAMPER, DRIVE, GROUND, LABEL, STEEL, Color, body_color, hex_color
 from daq.core.drawing.rig_view import Extremes, RigMotion, RigView
 from daq.core.drawing.stack import COIL_LENGTH, PLATE, WALL, WIDTH, Block
-
-if TYPE_CHECKING:
-    from rig.core.scene.scene import Scene
+from rig.core.scene.scene import Scene
 
 # SVG units per meter of the drawing.
 _UNITS_PER_M = 1000.0

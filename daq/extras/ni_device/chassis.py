@@ -10,8 +10,6 @@ voltage. Bench time runs only while a started task is open. The test of the scen
 the first time, see `daq.extras.ni_device.background_test`.
 """
 
-from __future__ import annotations
-
 import sys
 import threading
 import time
@@ -19,7 +17,7 @@ import weakref
 from bisect import bisect_right
 from collections.abc import Callable, Container, Hashable, Mapping, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -31,12 +29,10 @@ from daq.extras.ni_device.engines.generation import Generation, OutputBuffer, Ou
 from daq.extras.ni_device.engines.triggers import AnalogSource, OtherTask
 from daq.extras.ni_device.errors import Code, DaqError
 from daq.extras.ni_device.events import Events
+from daq.extras.ni_device.settings.channels import Channel
+from daq.extras.ni_device.terminals import Terminals
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RunError, ShotrigError, unexpected_text
-
-if TYPE_CHECKING:
-    from daq.extras.ni_device.settings.channels import Channel
-    from daq.extras.ni_device.terminals import Terminals
 
 # A number of ticks that exceeds any run, and whose sums do not overflow 64 bits.
 UNLIMITED_TICKS = 1 << 62

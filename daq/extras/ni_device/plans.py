@@ -3,14 +3,13 @@
 A plan has all settings of a run, including its triggers.
 """
 
-from __future__ import annotations
-
 import re
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from daq.core.virtual_bench.bench import Bench, samples_per_tick
+from daq.extras.ni_device.chassis import Chassis
 from daq.extras.ni_device.devices.names import unflatten
 from daq.extras.ni_device.engines.acquisition import InputPlan
 from daq.extras.ni_device.engines.generation import OutputPlan
@@ -25,11 +24,8 @@ from daq.extras.ni_device.engines.triggers import (
     window,
 )
 from daq.extras.ni_device.errors import Code, DaqError, invalid_value, unsupported
+from daq.extras.ni_device.settings.task_settings import TaskSettings
 from daq.extras.ni_device.values import Overwrite, Slope, TriggerType, WindowCondition, enum_member
-
-if TYPE_CHECKING:
-    from daq.extras.ni_device.chassis import Chassis
-    from daq.extras.ni_device.settings.task_settings import TaskSettings
 
 # Names of the bench's own sample clock as a source, among them the empty string.
 _OWN_CLOCK = re.compile(r"|OnboardClock|.*/OnboardClock|/?([^/]+/)?(a[io]/)?SampleClock(Timebase)?", re.IGNORECASE)

@@ -4,12 +4,10 @@ The acquisition stores samples in a buffer, the log in a file. The read position
 next read returns first.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +18,9 @@ from daq.extras.ni_device.engines.log import TaskLog, open_log
 from daq.extras.ni_device.engines.triggers import Source
 from daq.extras.ni_device.errors import Code, DaqError, unsupported
 from daq.extras.ni_device.plans import input_plan
+from daq.extras.ni_device.settings.channels import Channel
+from daq.extras.ni_device.settings.task_settings import TaskSettings
 from daq.extras.ni_device.values import LoggingMode, RelativeTo
-
-if TYPE_CHECKING:
-    from daq.extras.ni_device.settings.channels import Channel
-    from daq.extras.ni_device.settings.task_settings import TaskSettings
 
 
 @dataclass

@@ -3,10 +3,7 @@
 The generation converts the samples of the buffer into the output voltages at each tick, a time step of the bench.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from daq.core.virtual_bench.bench import samples_per_tick
 from daq.extras.ni_device.chassis import UNLIMITED_TICKS, Chassis, Runner
@@ -14,11 +11,9 @@ from daq.extras.ni_device.engines.generation import Generation, OutputBuffer, Ou
 from daq.extras.ni_device.engines.triggers import Source
 from daq.extras.ni_device.errors import Code, DaqError
 from daq.extras.ni_device.plans import output_plan
+from daq.extras.ni_device.settings.channels import Channel
+from daq.extras.ni_device.settings.task_settings import TaskSettings
 from rig.core.base.arrays import Array
-
-if TYPE_CHECKING:
-    from daq.extras.ni_device.settings.channels import Channel
-    from daq.extras.ni_device.settings.task_settings import TaskSettings
 
 
 class TaskOutput:

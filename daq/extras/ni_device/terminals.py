@@ -3,11 +3,9 @@
 Conditioning is the coupling (AC or DC) of an input and the supply current of its sensor.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +19,7 @@ from daq.extras.ni_device.devices.modules import DEFAULT_RATES
 from daq.extras.ni_device.devices.sensor_teds import electronic_data_sheet
 from daq.extras.ni_device.devices.teds import with_sensitivity
 from daq.extras.ni_device.errors import Code, DaqError
+from daq.extras.ni_device.settings.channels import Channel
 from daq.extras.ni_device.values import Coupling, Excitation
 from rig.core.base.progress import FractionProgress
 from rig.core.data_sheets.modules import module
@@ -28,10 +27,6 @@ from rig.core.scene.measurement_chain import Channel as SceneChannel
 from rig.core.scene.presets import complete_from_preset, input_settings, needs_supply
 from rig.core.scene.scene import Scene
 from rig.core.scene.shaker import DRIVE_PER_VOLT
-
-if TYPE_CHECKING:
-    from daq.extras.ni_device.settings.channels import Channel
-
 
 # Maximum number of ticks in a step of the bench: the overhead of a step is negligible, and responses are quick.
 _MAX_BLOCK_TICKS = 4096

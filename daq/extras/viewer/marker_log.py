@@ -3,16 +3,12 @@
 A marker labels a sample or a segment of samples: a dwell that settles or is measured, an impact, an overload, a gap.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from daq.core.recording.markers import impacts_of
+from daq.core.recording.recording import Recording
 from rig.core.results.text import format_decimals
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
 
 # Units of the fields of markers.
 FIELD_UNITS = {"frequency": "Hz", "force": "N", "peak": "N", "width": "s", "amplitude": "m"}

@@ -1,19 +1,14 @@
 """Displacements of the bodies and the shaker table, and gaps of the dampers, estimated from a recording."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.core.drawing.rig_view import RigMotion
 from daq.core.recording.displacement import DisplacementFilter, motion_sources
+from daq.core.recording.recording import Recording
 from daq.core.recording.truth import points_of
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
 
 # Number of samples in a block: half a megabyte a channel, which the cache holds.
 BLOCK_SAMPLES = 1 << 16

@@ -1,22 +1,18 @@
 """Spectra of a recording's channels, as a picture: amplitudes of tones, densities of noise, transforms of pulses."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from daq.core.drawing.palette import channel_color
 from daq.core.recording.markers import impacts_of
+from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import set_log_scale
 from rig.core.scene.scene import STANDARD_GRAVITY
-
-if TYPE_CHECKING:
-    from daq.core.recording.recording import Recording
 
 # Duration of a segment [s]; the spacing of the lines is therefore 0.25 Hz.
 _SEGMENT_S = 4.0

@@ -1,22 +1,17 @@
 """Streams curves of channels and dampers and the motion of the rig to a viewer, block by block."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
 from daq.core.drawing.palette import body_color, channel_color
+from daq.core.drawing.rig_view import RigMotion, RigView
+from daq.core.signal_chain.channel import ChannelInfo
 from daq.extras.viewer.blueprint import ENVELOPE_ENTITY, TIMELINE
 from rig.core.scene.damper import Damper
 from rig.core.scene.scene import STANDARD_GRAVITY
-
-if TYPE_CHECKING:
-    from daq.core.drawing.rig_view import RigMotion, RigView
-    from daq.core.signal_chain.channel import ChannelInfo
 
 CONTACTS = ("flight", "floor", "ceiling", "lost")
 # Colors of different lightness, so they remain distinct in a gray print; a damper in flight has its own color.

@@ -4,23 +4,19 @@ Each check compares a section with the sections before it in `Scene`. `valid` co
 by key.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic import AfterValidator, ValidationInfo
 
 from rig.core.base.errors import suggestion
 from rig.core.scene.body_names import GROUND, body_problems
+from rig.core.scene.damper import Damper
+from rig.core.scene.excitation import Test
+from rig.core.scene.joint import Joint
 from rig.core.scene.measurement_chain import Channel, Converter, RecordingSettings
 from rig.core.scene.shaker import KINDS, Shaker, as_tuple, at_shaker
 from rig.core.settings.problems import KeyPath, Problem, combined_error
-
-if TYPE_CHECKING:
-    from rig.core.scene.damper import Damper
-    from rig.core.scene.excitation import Test
-    from rig.core.scene.joint import Joint
 
 ValidSections = Mapping[str, Any]
 

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import count
 from threading import Event
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,7 @@ from rig.core.engine.trajectory import Trajectory
 from rig.core.laws.events import CONTACT_EVENTS
 from rig.core.results import Result, complete_style
 from rig.core.results.ratio_names import frf_display, per_force, ratio_name
+from rig.core.results.response import Response
 from rig.core.scene.loading import SceneLike, scene_of
 from rig.core.scene.scene import Scene
 from rig.core.settings.quantities import FREQUENCY, positive_values
@@ -30,9 +31,6 @@ from rig.core.steady_response.steady_state import INSTANTS_PER_PERIOD, SteadySta
 from rig.core.system.assembly import assemble
 from rig.core.system.open_loop_drive import level_of, tone_drive
 from rig.core.system.reference import reference_of
-
-if TYPE_CHECKING:
-    from rig.core.results.response import Response
 
 #: The controlled spring force agrees with its level within this fraction, far below the tolerance of a test.
 LEVEL_TOLERANCE = 1e-6

@@ -9,16 +9,11 @@
 True
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 from zlib import crc32
 
 from rig.core.data_sheets.data_sheets import data_sheet
-
-if TYPE_CHECKING:
-    from rig.core.scene.measurement_chain import Channel
+from rig.core.scene.measurement_chain import Channel
 
 
 @dataclass(frozen=True)

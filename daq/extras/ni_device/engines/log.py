@@ -4,32 +4,28 @@ A marker is an entry of a recording about an interval of samples or an instant, 
 sequence of samples that were lost.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq.core.measurement.limits import FlaggedIntervals
+from daq.core.recording.recorded_test import TestKind
 from daq.core.signal_chain.channel import ChannelInfo
 from daq.core.virtual_bench.bench import Bench
 from daq.extras.importing.tdms import log_as_warning
+from daq.extras.ni_device.engines.acquisition import Acquisition, InputPlan
 from daq.extras.ni_device.errors import Code, DaqError
+from daq.extras.ni_device.settings.properties import Properties
+from daq.extras.ni_device.settings.task_settings import TaskSettings
 from daq.extras.ni_device.values import LoggingMode, LoggingOperation
 from rig.core.base.errors import RunError, ShotrigError
 from rig.core.scene.scene import Scene
-
-if TYPE_CHECKING:
-    from daq.core.recording.recorded_test import TestKind
-    from daq.extras.ni_device.engines.acquisition import Acquisition, InputPlan
-    from daq.extras.ni_device.settings.properties import Properties
-    from daq.extras.ni_device.settings.task_settings import TaskSettings
 
 
 class MarkedRecording:

@@ -123,7 +123,7 @@ def _kind_and_text(package: str, call: str, parameter: str) -> tuple[str, str]:
                 return _kind_and_text(package, kind.strip("`").rpartition("`")[2].rpartition(".")[2], parameter)
             # In a terminal, text is in single quotes, and names have no quotes.
             return kind, re.sub(r"``(.*?)``", lambda code: code[1].replace('"', "'"), " ".join(lines.split()))
-    raise KeyError(f"{package}.{call} does not describe {parameter}")
+    raise KeyError(f"the docstring of {package}.{call} does not describe the parameter {parameter}")
 
 
 @cache

@@ -134,7 +134,10 @@ class Equations:
         return mass, damping, stiffness
 
     def reaction(self) -> Array:
-        """Return the rows whose product with the state is the force of the servo [N]; shape (prescribed, states)."""
+        """Return the matrix that gives the reaction force at each prescribed coordinate [N] from the state.
+
+        Shape (prescribed, states).
+        """
         rows = self.prescribed
         further = np.zeros((len(rows), len(self.currents)))
         return np.hstack([self.stiffness[rows], self.damping[rows], further])

@@ -1,4 +1,4 @@
-"""Which lines of a frequency response exceed their noise and their uncertainty, and where its phase is smooth."""
+"""Selection of lines of a frequency response for drawing: above noise and uncertainty, with a smooth phase."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,8 @@ _ROUGHNESS_POINTS = 25
 _MIN_COHERENCE = 0.5
 #: Largest standard uncertainty of a point, relative to its magnitude: beyond it, the 95 % interval includes zero.
 MAX_ERROR_RATIO = 0.5
-# A point of a curve without error bars is drawn as noise if its roughness exceeds this fraction of the magnitude.
+# A point of a curve without stated uncertainty is drawn as noise if its roughness exceeds this fraction of its
+# magnitude.
 _MAX_ROUGHNESS = 0.35
 # Largest upper quartile of the phase steps between drawn points [rad]: beyond it, the line would show noise.
 _MAX_PHASE_STEP = 0.3
@@ -38,7 +39,10 @@ def determined_band(frfs: Sequence[Response]) -> tuple[float, float]:
 
 
 def is_determined(frf: Response) -> NDArray[np.bool_]:
-    """Return whether each point exceeds its noise and its expanded uncertainty; isolated points do not count."""
+    """Return whether each point exceeds its noise and its expanded uncertainty.
+
+    Isolated points are excluded, because noise exceeds both by chance.
+    """
     known = exceeds_noise(frf) & ~(frf.expanded() >= abs(frf.value))
     if known.size < _ROUGHNESS_POINTS:
         return known
@@ -77,6 +81,7 @@ def exceeds_noise(frf: Response) -> NDArray[np.bool_]:
         return np.asarray((frf.error < MAX_ERROR_RATIO * magnitude) & ~(frf.coherence <= _MIN_COHERENCE))
     if magnitude.size < 2 * _ROUGHNESS_POINTS:
         return np.ones(magnitude.size, dtype=bool)
+    # The second difference of white noise has 1 + 4 + 1 = 6 times the variance of the noise.
     roughness = abs(np.diff(frf.value, 2, prepend=frf.value[0], append=frf.value[-1])) / np.sqrt(6.0)
     local_roughness = scipy.ndimage.median_filter(roughness / magnitude, _ROUGHNESS_POINTS, mode="nearest")
     return np.asarray(local_roughness < _MAX_ROUGHNESS)

@@ -36,7 +36,8 @@ _MIN_FLIGHT_RATIO = 0.25
 _MAX_HEIGHT_ERROR = 0.05
 # Largest uncertainty of the restitution from a single flight that is used; other flights would only add noise.
 _MAX_UNCERTAINTY = 0.1
-# Standard uncertainty of a median over the median absolute deviation of the values, for normal errors.
+# Standard uncertainty of the median of n values, times sqrt(n), over their median absolute deviation, for normal
+# errors: 1.4826 for the standard deviation, sqrt(pi / 2) for the median.
 _MEDIAN_ERROR = 1.4826 * 1.2533
 # A flight may reach the ceiling if its distance from the ceiling is at most this fraction of the clearance. The
 # accuracy of the height is limited by the motion between samples and by the band limit, which blurs the impact.

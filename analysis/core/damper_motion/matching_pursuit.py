@@ -86,7 +86,7 @@ _SAME_JUMP_SAMPLES = 10.0
 _STEP_PRIOR_RATIO = 0.2
 # The acceleration is smoothed over this number of samples for the prior standard deviation above.
 _SMOOTHING_SAMPLES = 8
-# The prior standard deviation of slope changes is the prior standard deviation of steps times this angular frequency.
+# The prior standard deviation of slope changes is that of steps, times 2 pi and this frequency [Hz].
 _SLOPE_CHANGE_PRIOR_HZ = 100.0
 # The weight of a bed causes steps of at most this multiple of their prior standard deviation.
 _MAX_STEP_SIGMAS = 3.0

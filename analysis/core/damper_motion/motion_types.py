@@ -31,7 +31,8 @@ from rig.core.scene.damper import Damper
 _COUNT_TOLERANCE = 0.15
 # A pattern of impacts must recur after at most this number of periods; by chance, longer patterns recur in any motion.
 _MAX_PATTERN_PERIODS = 4
-# A restitution differs significantly from zero above this number of standard uncertainties (95 %).
+# A restitution differs significantly from zero above this number of standard uncertainties; a true value of zero does
+# so by chance with a probability of 0.1 %.
 _RESTITUTION_SIGMAS = 3.0
 # Samples of a window that are searched, to limit the memory.
 _MAX_SEARCHED_SAMPLES = 1 << 20

@@ -79,7 +79,7 @@ _NO_UNIT_ERROR = (
 _TRIAL_DELAYS = np.arange(-5e-3, 5.01e-3, 2e-5)
 # Radius of the interval in which a delay is searched [s]: the estimate is uncertain with few points off resonance.
 _SEARCH_RADIUS = 1e-4
-# Maximum number of these intervals.
+# Maximum number of search intervals: if the minimum is near an end of an interval, the next is centered there.
 _MAX_SEARCHES = 3
 # Tolerance of a delay [s]: it turns a phase at 1 kHz by 6e-5 rad.
 _DELAY_TOLERANCE = 1e-8

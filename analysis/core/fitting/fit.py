@@ -167,7 +167,7 @@ class Fit(Result):
             largest = np.where(compared.is_fitted, compared.normalized_residuals.max(axis=0), np.nan)[order]
             line_style = complete_style(style, label=compared.curves.label)
             ax.semilogy(compared.curves.frequency[order], largest, ".-", **line_style)
-        ax.set(xlabel="frequency / Hz", ylabel="largest residual / standard deviation")
+        ax.set(xlabel="frequency / Hz", ylabel="largest residual / standard uncertainty")
 
 
 @with_one_blas_thread

@@ -143,8 +143,8 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
     zero_responses = [frf.response for frf in frfs if not np.any(frf.value != 0.0)]
     if len(zero_responses) == len(frfs):
         raise RecordingError(
-            f"{label}: all responses read zero throughout: disconnected or failed ({', '.join(zero_responses)}). Check "
-            "the sensors and cables."
+            f"{label}: all responses are zero throughout ({', '.join(zero_responses)}): their sensors may be "
+            "disconnected or have failed. Check the sensors and cables."
         )
     notes = [f"{name} is omitted: it reads zero throughout (disconnected or failed)." for name in zero_responses]
     frfs = [frf for frf in frfs if frf.response not in zero_responses]

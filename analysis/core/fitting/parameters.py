@@ -44,7 +44,7 @@ class Parameter:
 
     key: str  # as in `--set`, such as ``dampers[1].clearance``; lists count from 1
     key_path: KeyPath  # the parts of the key; lists count from 0
-    start: float  # value in the scene, in SI
+    start: float  # value in the scene, in SI units
 
     @cached_property
     def quantity(self) -> str:

@@ -16,14 +16,18 @@ from rig.core.results.uncertainty import expand
 
 # A larger relative standard uncertainty of a damping ratio causes a warning.
 _MAX_DAMPING_UNCERTAINTY = 0.02
-# Ratio of resolution to half the half-power width at which leakage causes `_MAX_DAMPING_UNCERTAINTY`.
+# Ratio of the resolution to half the half-power width at which leakage raises a damping ratio by the fraction
+# `_MAX_DAMPING_UNCERTAINTY`.
 _WIDENING_RATIO = float(np.sqrt(_MAX_DAMPING_UNCERTAINTY / LEAKAGE_FACTOR))
 # For a linear structure with lightly damped modes, the residual is below this fraction of the peak height.
 MAX_LINEAR_RESIDUAL = 0.005
+# Noise bandwidth of a Hann window, in reciprocals of the block length: the resolution of a block.
+_HANN_NOISE_BANDWIDTH = 1.5
 _MAINS_FREQUENCIES = (50.0, 60.0)  # Hz
 # Largest tested multiple of the mains frequency: hum at higher multiples is rarely distinct.
 _MAX_MAINS_MULTIPLE = 10
-# Largest deviation from the mains frequency, relative to it: 5 % would match a tenth of random frequencies.
+# Tolerance of a coincidence, relative to the mains frequency, from which none is reported: at 5 %, nearly a fifth of
+# random frequencies up to 500 Hz would match a multiple of 50 or 60 Hz.
 _MAX_COINCIDENCE = 0.05
 
 
@@ -39,8 +43,8 @@ def mode_warnings(
     """Yield warnings about modes; `count` modes were requested."""
     for name in unused_responses:
         yield (
-            f"{name} was omitted: its uncertainty is unbounded. Record again with a sensor and a converter range that "
-            "suit its level."
+            f"{name} was omitted: its uncertainty is unbounded. Record again with a more sensitive sensor or a smaller "
+            "converter range."
         )
     if modes.model_error:
         has_error_bars = any(np.isfinite(curve.error).any() for curve in curves)
@@ -91,7 +95,7 @@ def mode_warnings(
         yield (
             f"{', '.join(hum)}: probably mains hum, not a mode, because the "
             "peak has no width and its frequency is a multiple of the mains frequency. Record without excitation to "
-            "check it; mend cables and grounding."
+            "check it. Repair cables and grounding."
         )
     leaking = widened & ~narrow
     if leaking.any():
@@ -99,7 +103,8 @@ def mode_warnings(
             f"{_listed(f[leaking])} Hz: the resolution of {resolution:.3g} Hz widens the peaks (half-power widths "
             f"{_listed(2.0 * half_widths[leaking], 3)} Hz), which raises the damping ratios by more than "
             f"{format_percent(_MAX_DAMPING_UNCERTAINTY)}. Use blocks of at least "
-            f"{1.5 / (_WIDENING_RATIO * half_widths[leaking].min()):.3g} s, burst random, multisine or stepped sine."
+            f"{_HANN_NOISE_BANDWIDTH / (_WIDENING_RATIO * half_widths[leaking].min()):.3g} s, burst random, multisine "
+            "or stepped sine."
         )
     undersampled, estimator = extrapolates_damping(modes, curves), estimator_of(curves[0].test)
     if undersampled.any():

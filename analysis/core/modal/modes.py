@@ -21,8 +21,8 @@ from rig.core.results.response import Response
 from rig.core.results.uncertainty import expand
 
 # A damping ratio is determined if its relative standard uncertainty is at most a third: the ratio then differs from
-# zero by three standard deviations. Otherwise only an upper limit of the ratio is stated, and the pole counts as a mode
-# only if it has a distinct peak.
+# zero by three standard uncertainties. Otherwise only an upper limit of the ratio is stated, and the pole counts as a
+# mode only if it has a distinct peak.
 MAX_RELATIVE_UNCERTAINTY = 1.0 / 3.0
 
 

@@ -1,6 +1,7 @@
 """Uncertainty of identified poles: random errors from the residuals of the model, and limits of systematic errors.
 
-The parameters of a pole are the logarithm of its decay rate, and its damped frequency in units of the decay rate.
+The parameters of a pole are the logarithm of its decay rate, and its damped natural frequency in units of the decay
+rate.
 """
 
 from collections.abc import Sequence
@@ -103,9 +104,9 @@ def systematic_pole_errors(
     width_errors = tuple(name for name in _WIDTH_ERRORS if name not in already_counted)
     half_width_hz = half_width(poles)
     resolution = max(curve.resolution for curve in frfs)
-    frequency_std = np.where(2.0 * half_width_hz < resolution, _MAX_LINE_ERROR * resolution, 0.0)
+    frequency_limit = np.where(2.0 * half_width_hz < resolution, _MAX_LINE_ERROR * resolution, 0.0)
     widening = np.minimum(LEAKAGE_FACTOR * resolution**2 / half_width_hz, _MAX_WIDENING * resolution)
-    damping_std = 2.0 * np.pi * widening / abs(poles)
+    damping_limit = 2.0 * np.pi * widening / abs(poles)
     for curve in frfs:
         stiffness, phase, width = (
             _relative(curve, names) for names in (_STIFFNESS_ERRORS, _PHASE_ERRORS, width_errors)
@@ -115,10 +116,10 @@ def systematic_pole_errors(
             distance = abs(curve.frequency - natural - 1j * width_hz)
             by_stiffness, by_phase = _shift(stiffness, distance, width_hz), _shift(phase, distance, width_hz)
             by_width = float(np.nan_to_num(width[int(np.argmin(distance))], nan=1.0, posinf=1.0)) * width_hz
-            frequency_std[i] = max(frequency_std[i], float(np.linalg.norm([by_stiffness, by_phase, by_width])))
-            decay_uncertainty = float(np.linalg.norm([width_hz / natural * by_stiffness, by_phase, by_width]))
-            damping_std[i] = max(damping_std[i], decay_uncertainty / natural)
-    return frequency_std, damping_std
+            frequency_limit[i] = max(frequency_limit[i], float(np.linalg.norm([by_stiffness, by_phase, by_width])))
+            decay_limit = float(np.linalg.norm([width_hz / natural * by_stiffness, by_phase, by_width]))
+            damping_limit[i] = max(damping_limit[i], decay_limit / natural)
+    return frequency_limit, damping_limit
 
 
 def _relative(curve: Response, names: Sequence[str]) -> Array:

@@ -36,8 +36,8 @@ class Refinement:
     """Modes fitted with the covariance of all responses."""
 
     model: ModalModel  # refined model; its `misfit` and `residual` are those of the initial model
-    # covariance of the logarithms of the decay rates, then of the damped frequencies in units of the decay rates; shape
-    # (2 modes, 2 modes)
+    # covariance of the logarithms of the decay rates, then of the damped natural frequencies in units of the decay
+    # rates; shape (2 modes, 2 modes)
     covariance: Array
     included: tuple[str, ...]  # systematic errors of the curves that the covariance includes
 
@@ -187,6 +187,7 @@ def take_step(curves: Curves, model: ModalModel, step: Array) -> ModalModel:
     modes, responses = model.poles.size, curves.value.shape[0]
     decay_rate = -model.poles.real
     damped = model.poles.imag + decay_rate * step[modes : 2 * modes]
+    # A step changes a decay rate by at most a factor of e, because the model is linearized.
     poles = -decay_rate * np.exp(np.clip(step[:modes], -1.0, 1.0)) + 1j * damped
     linear_step = step[2 * modes :].reshape(responses, -1)
     upper = np.zeros((responses, UPPER_TERMS))

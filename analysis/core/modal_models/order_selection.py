@@ -1,6 +1,6 @@
 """Selection of the order of a modal model: poles are added while they reduce the misfit more than noise could.
 
-The *misfit* is the sum of squared residuals, each divided by its standard deviation.
+The *misfit* is the sum of squares of the residuals, each divided by its standard uncertainty.
 
 References
 ----------

@@ -111,7 +111,8 @@ def fit(curves: Curves, start: ComplexArray, max_evaluations: int = MAX_EVALUATI
 def jacobian(curves: Curves, poles: ComplexArray) -> ComplexArray:
     """Differentiate the weighted residuals of the best model with given poles, shape (2 modes, responses, n).
 
-    The parameters are the logarithms of the decay rates, then the damped frequencies in units of the decay rates.
+    The parameters are the logarithms of the decay rates, then the damped natural frequencies in units of the decay
+    rates.
     """
     rows = np.moveaxis(Projection(curves, poles).jacobian(np.zeros(2 * poles.size)), 2, 0)
     count = curves.frequency.size
@@ -224,9 +225,10 @@ class Projection:
         """Convert parameters to poles [rad/s].
 
         The first half are changes of the logarithms of the decay rates, which therefore remain positive. The second
-        half are changes of the damped frequencies in units of the initial decay rates.
+        half are changes of the damped natural frequencies in units of the initial decay rates.
         """
         count = self.start.size
+        # A trial step changes a decay rate by at most a factor of 1e13, so exp does not overflow.
         return np.asarray(
             -self.scale * np.exp(np.maximum(np.minimum(x[:count], 30.0), -30.0))
             + 1j * (self.start.imag + self.scale * x[count:])
@@ -293,8 +295,8 @@ class Projection:
     def reduced_jacobian(self, x: Array) -> Array:
         """Return the triangular factor of residuals and Jacobian, without its first column, which is for the residuals.
 
-        This matrix is sufficient for a Gauss-Newton step, because its columns have the scalar products of the complete
-        columns.
+        This matrix is sufficient for a Gauss-Newton step, because the scalar products of its columns equal those of the
+        complete Jacobian and residuals.
         """
         factors = self.factors(x)
         rows = np.concatenate([factors.residual, -self._by_parameter(x, factors.derivatives)], axis=2)
@@ -339,11 +341,14 @@ def _triangular_factor(matrix: Array) -> Array:
 
 
 def terms_of_modes(s: ComplexArray, poles: ComplexArray, powers: Sequence[int]) -> ComplexArray:
-    """Return the factors of Re R and Im R in R / (s - p)^power and its mirror term, shape (powers x 2 modes, n)."""
-    direct, mirror = 1.0 / (s - poles[:, None]), 1.0 / (s - poles.conj()[:, None])
+    """Return the factors of Re R and Im R in R / (s - p)^power + conj(R) / (s - conj(p))^power.
+
+    Shape (powers x 2 modes, n).
+    """
+    direct, conjugate = 1.0 / (s - poles[:, None]), 1.0 / (s - poles.conj()[:, None])
     terms = np.empty((len(powers), poles.size, 2, s.size), dtype=complex)
     for k, power in enumerate(powers):
-        first, second = direct**power, mirror**power
+        first, second = direct**power, conjugate**power
         terms[k, :, 0], terms[k, :, 1] = first + second, 1j * (first - second)
     return terms.reshape(-1, s.size)
 

@@ -36,7 +36,8 @@ _SMALLEST_EXCESS_DB = 0.05
 # Number of periods of a window for the amplitude of a sweep: fewer do not separate harmonics, more blur the sweep.
 _PERIODS = 4.0
 _OUTSIDE_COLOR = "#222222"
-# Independent averages per segment, for half-overlapping segments with a Hann window.
+# Independent averages per segment, for half-overlapping segments with a Hann window: 1 / (1 + 2 / 36) (P. D. Welch,
+# IEEE Trans. Audio Electroacoust. 15 (1967) 70-73).
 _INDEPENDENT_RATIO = 0.95
 
 
@@ -75,7 +76,7 @@ class ProfileCheck(Result):
     channels, limited : tuple of Level
         Control channels, and channels with limits.
     tolerance, abort : float
-        Tolerance and abort line relative to the profile [dB].
+        Tolerance and abort limit relative to the profile [dB].
     freedom : float
         Degrees of freedom of each line of a density; 0 for amplitudes.
     warnings : tuple of str

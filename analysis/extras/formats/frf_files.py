@@ -88,7 +88,7 @@ def read_frfs(path: str | Path, reference: str | None = None, unit: str | None =
     -------
     Response
         Named after nodes and directions, or as in the file. `identify` and all figures accept it. Only files written
-        by this program contain error bars, systematic errors and resolution.
+        by this program contain standard uncertainties, limits of systematic errors, and the resolution.
 
     Raises
     ------

@@ -47,7 +47,8 @@ PERIODS = 50
 REPEATS = 2
 #: The reference motion is in steady state if it changes by at most this fraction from period to period.
 REFERENCE_TOLERANCE = 1e-10
-#: Largest relative difference of responses in upward and downward sweep at a chosen frequency.
+#: A frequency is used if the responses of upward and downward sweep differ by at most this fraction, so that only one
+#: motion exists there.
 SAME_MOTION_TOLERANCE = 1e-4
 #: Message for a scene whose unchanged chain gives no result.
 UNMEASURABLE = "the unchanged scene cannot be measured: {}"

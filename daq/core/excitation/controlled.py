@@ -88,6 +88,6 @@ def _row(station: Station, place: str, name: str, alternative: str) -> int:
             return row
     listed = ", ".join(f"{info.name} ({info.quantity} at {info.at})" for info in station.channels) or "none"
     raise SceneError(
-        f"channels: control of {name} needs a motion channel at the {place} (the channels "
-        f"are {listed}). Add {{name: {place.replace(' ', '')}, at: {place}}}, or set {alternative}."
+        f"channels: controlling {name} requires a motion channel at the {place}; the channels are {listed}. "
+        f"Add {{name: {place.replace(' ', '')}, at: {place}}}, or set {alternative}."
     )

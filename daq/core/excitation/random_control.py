@@ -28,8 +28,9 @@ _MIN_WITHIN = 0.9
 _MAX_UPDATES = 12
 # Fraction of the drive samples that the output may clip.
 _MAX_CLIPPED = 0.01
-# A line counts as outside if it exceeds its bound by this number of standard deviations of its average (95 %).
-_SIGMAS = 2.0
+# A line is outside its limit if it exceeds it by this number of standard deviations of its averaged density; a line at
+# the limit does so by chance with a probability of 2 %.
+_OUTSIDE_SIGMAS = 2.0
 
 
 class SpectrumControl:
@@ -83,8 +84,8 @@ class SpectrumControl:
         return self.spectra.density / gain
 
     def assess(self, density: Array, level: float) -> float:
-        """Abort if too many lines are above the abort line; return the fraction of lines within the tolerance."""
-        test, margin = self.test, _SIGMAS * SCATTER_DB / np.sqrt(self.spectra.count)
+        """Abort if too many lines exceed the abort limit; return the fraction of lines within the tolerance."""
+        test, margin = self.test, _OUTSIDE_SIGMAS * SCATTER_DB / np.sqrt(self.spectra.count)
         required = test.decibels(test.required(density, self.frequency))
         deviation = -required[0]
         above = deviation > test.abort + margin
@@ -93,8 +94,8 @@ class SpectrumControl:
             peak = f"{deviation[worst]:.1f} dB at {self.frequency[worst]:.4g} Hz"
             raise AbortedTest(
                 f"aborted at a level of {level:g} dB: {100 * np.mean(above):.0f} % of the lines exceed the profile by "
-                f"more than {test.abort:g} dB, the largest by {peak}. "
-                "Lower test.speed, or limit the response of a channel."
+                f"more than {test.abort:g} dB plus twice the scatter of the averages ({margin:.1f} dB); the largest "
+                f"excess is {peak}. Lower test.speed, or limit the response of a channel."
             )
         is_notched = limits_drive(required[0], required[1:], test.tolerance + margin).any(axis=0)
         within = (abs(deviation) <= test.tolerance + margin) | is_notched

@@ -69,7 +69,7 @@ def _pulse(test: Shock, period: int, rate: float) -> Pulse:
         return SpectrumPulse(test.spectrum, period, rate)
     if test.half_sine.width * rate < _MIN_SAMPLES:
         raise SceneError(
-            f"test.half_sine.width: a pulse of {test.half_sine.width * 1e3:g} ms has less than {_MIN_SAMPLES} samples "
+            f"test.half_sine.width: a pulse of {test.half_sine.width * 1e3:g} ms has fewer than {_MIN_SAMPLES} samples "
             f"at {rate:g} Hz. Give a longer pulse, or raise converter.rate."
         )
     return HalfSinePulse(test.half_sine, period, rate)

@@ -48,12 +48,15 @@ _HIGHEST_RATIO = 0.45
 _START_DB, _START_WINDOWS, _MAX_START_S = 0.5, 6, 30.0
 # Time in which the drive rises at the start and falls at the end [s].
 _RISE_S = 0.25
-# If the logarithmic error changes sign and by more than this value, the gain is multiplied by this factor. Otherwise,
-# the total reduction recovers by this exponent.
-_OSCILLATION, _REDUCTION, _RECOVERY = 0.05, 0.7, 0.95
-# The smallest factor.
-_SMALLEST = 0.02
-# An error above this fraction of the last swing counts as the next swing.
+# The control oscillates if the logarithmic error changes sign and by more than this value.
+_MIN_OSCILLATION = 0.05
+# Factor of the gain at an oscillation.
+_GAIN_REDUCTION = 0.7
+# Without an oscillation, the total factor of the gain is raised to this power, so it returns to 1.
+_RECOVERY_EXPONENT = 0.95
+# Smallest total factor of the gain.
+_MIN_GAIN_FACTOR = 0.02
+# An error is the next extreme of an oscillation if its magnitude exceeds this fraction of the last extreme.
 _MIN_SWING = 0.25
 # CPU time of each period [s], measured on one core of 2 GHz.
 _PERIOD_CPU_S = 0.3e-3
@@ -87,8 +90,11 @@ class Caution:
 
     def factor(self, error: float) -> float:
         """Return the factor of the gain for the next error."""
-        is_oscillating = error * self._swing < 0.0 and abs(error - self._swing) > _OSCILLATION
-        self._factor = max(self._factor * _REDUCTION, _SMALLEST) if is_oscillating else self._factor**_RECOVERY
+        is_oscillating = error * self._swing < 0.0 and abs(error - self._swing) > _MIN_OSCILLATION
+        if is_oscillating:
+            self._factor = max(self._factor * _GAIN_REDUCTION, _MIN_GAIN_FACTOR)
+        else:
+            self._factor **= _RECOVERY_EXPONENT
         # After a change of sign, the error is the new reference, however small: if all errors were compared with a
         # large first error, the gain would remain at its smallest value.
         if is_oscillating or abs(error) > _MIN_SWING * abs(self._swing):

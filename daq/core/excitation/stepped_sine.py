@@ -24,7 +24,8 @@ from rig.core.scene.scene import Scene
 SteadyT = TypeVar("SteadyT", bound="SteppedTest | PhaseResonance | Continuation")
 StepsT = TypeVar("StepsT", bound="SteppedTest")
 
-# Largest logarithmic distance of a used extrapolated drive from the last drive, which is kept otherwise.
+# An extrapolated drive is used if the logarithm of its ratio to the last drive is at most this value. Otherwise the
+# last drive is used again.
 _MAX_LOG_CHANGE = 0.2
 # The wait of a dwell has this fixed part [s], measured with the bundled scenes.
 _FIXED_WAIT_S = 1.4

@@ -30,7 +30,7 @@ class Expectation:
     frequency: float | None = None  # frequency of the maximum [Hz]
     time: float | None = None  # time of the maximum from the start of the test [s]
     limit: float = np.inf  # limit in the same unit; infinite without a limit
-    limited_by: str = ""  # part that has this limit, such as "sensor"
+    limited_by: str = ""  # component with this limit, such as "sensor"; empty without a limit
     overloaded: bool = False  # whether the limit is exceeded in the test
     recorded: float = np.nan  # largest reading in the recording; only for channels
     driven: float | None = None  # largest value after the power-on transient; None: equal to `largest`

@@ -12,6 +12,7 @@ import scipy
 
 from daq.extras.bench_page.live_frf import RELATIONS, LiveCurves
 from rig.core.base.arrays import Array, ComplexArray
+from rig.core.results.uncertainty import COVERAGE_FACTOR
 
 # A peak must exceed the minima on both sides by at least this factor, so it has a half-power width, ...
 _MIN_RATIO = 2.0**0.5
@@ -25,8 +26,6 @@ _SCATTER_LINES = 25
 _MIN_WIDTH_LINES = 3.0
 # A peak with a smaller coherence has no damping: the sweep is too fast for it, or it is noise.
 _MIN_COHERENCE = 0.7
-# Coverage factor of 95 % intervals.
-_COVERAGE_FACTOR = 2.0
 # Peaks belong to one resonance if their frequencies differ by less than this fraction; dampers split its peak.
 _SAME_PEAK = 0.08
 
@@ -91,7 +90,7 @@ def live_peaks(frequency: Array, response: ComplexArray, error: Array) -> list[L
             shift = spacing * magnitude[k] / np.sqrt(2.0) / np.abs(np.diff(magnitude)[flanks])
             standard = np.hypot(np.linalg.norm(shift * error[flanks]), shift.sum() * error[k])
             standard = np.hypot(standard, spacing / np.sqrt(3.0))
-            expanded = float(_COVERAGE_FACTOR * standard / (2.0 * frequency[k]))
+            expanded = float(COVERAGE_FACTOR * standard / (2.0 * frequency[k]))
         peaks.append(LivePeak(float(frequency[k]), float(magnitude[k]), damping, expanded))
     return peaks
 

@@ -91,13 +91,13 @@ def rate_of_interval(interval: float, max_error: float = 0.0) -> float:
     (50000.0, 10000.0)
     >>> rate_of_interval(1e-4, 1.0)
     Traceback (most recent call last):
-    rig.core.base.errors.RecordingError: the sample interval 0.0001 s ± 1 s is too inexact. Export it with more digits.
+    rig.core.base.errors.RecordingError: the sample interval 0.0001 s ± 1 s has too few digits. Export it with more.
     """
     if not (math.isfinite(interval) and 1e-9 < interval < 1e7):
         raise RecordingError(f"the sample interval is {interval!r} s; expected 1e-9 s to 1e7 s. Correct the file.")
     if max_error >= interval:
         raise RecordingError(
-            f"the sample interval {interval:.6g} s ± {max_error:.2g} s is too inexact. Export it with more digits."
+            f"the sample interval {interval:.6g} s ± {max_error:.2g} s has too few digits. Export it with more."
         )
     relative_error = max(max_error / interval, _RATE_ROUNDING)
     reciprocal = 1.0 / interval

@@ -38,8 +38,8 @@ def join(signals: Sequence[Signal], gaps: Sequence[int]) -> Signal:
         for what, expected, stated in (("rate", first.rate, other.rate), ("unit", first.unit, other.unit)):
             if stated != expected:
                 raise RecordingError(
-                    f"{other.file}: {other.name!r} has the {what} {stated or 'none'}, and {expected or 'none'} in "
-                    f"{first.file}. Files of one test have the same rate and units: import the others separately."
+                    f"{other.file}: the {what} of {other.name!r} is {stated or 'not stated'}, but {first.file} has "
+                    f"{expected or 'none'}. Import files with a different {what} separately."
                 )
     sizes = np.array([signal.samples for signal in signals])
     starts = np.cumsum([0, *(sizes[:-1] + gaps)])

@@ -13,7 +13,8 @@ from rig.core.base.arrays import Array, ComplexArray
 # Blocks overlap: each block begins one hop after the previous block. A hop is about one period of the lowest tone that
 # the blocks resolve.
 HOPS_PER_BLOCK = 4
-# Number of averages in a hop: enough to resolve the tone, and few enough for fast analysis at high sample rates.
+# Number of decimated samples in a hop (each is the mean of a group of samples): enough to resolve the tone, few enough
+# for fast analysis at high sample rates.
 _AVERAGES_PER_HOP = 24
 # Ratio of successive block lengths, and of the limits of the frequency band of each length.
 _LENGTH_RATIO = 2**0.5
@@ -33,7 +34,7 @@ class Track:
     phase: Array  # Phase at the middle of each block [rad]
     amplitude: Array  # Amplitude in each block, in the unit of the reference
     ratio: ComplexArray  # Complex ratio of every channel to the reference, shape (channels, blocks)
-    levels: NDArray[np.float32]  # Standard deviation of the reference in each block, even without a tone
+    levels: NDArray[np.float32]  # rms of the reference about its mean in each block, even without a tone
 
 
 class ToneTracker:
@@ -49,7 +50,7 @@ class ToneTracker:
         self._analyzers = [_BlockAnalyzer(rate, low * _LENGTH_RATIO**k, reference) for k in range(count)]
 
     def add(self, samples: Array) -> None:
-        """Add the next samples of all channels, shape (channels, samples); NaN where there are none."""
+        """Add the next samples of all channels, shape (channels, samples); lost samples are NaN."""
         for analyzer in self._analyzers:
             analyzer.add(samples)
 
@@ -108,7 +109,9 @@ class _BlockAnalyzer:
         # The first two spectral lines contain the mean of the block, so the search begins after them.
         peak = np.argmax(magnitude[:, 2:-1], axis=1) + 2
         rows = np.arange(blocks)
-        # Distance of the tone from the highest line, in lines, from the ratio of the higher neighbor (Hann window).
+        # Distance of the tone from the highest line, in lines, by interpolation for a Hann window: (2 r - 1) / (r + 1)
+        # with the ratio r of the higher neighbor to the highest line (T. Grandke, IEEE Trans. Instrum. Meas. 32 (1983)
+        # 350-355).
         below, peak_magnitude, above = (magnitude[rows, peak + k] for k in (-1, 0, 1))
         neighbor_ratio = np.maximum(below, above) / np.maximum(peak_magnitude, 1e-300)
         direction = np.where(above > below, 1.0, -1.0)

@@ -39,7 +39,8 @@ def warn_of_scale(where: str, settings: Mapping[str, Any]) -> None:
     """Warn about each setting that states a scale, which is not applied to the integers at `where`."""
     for name, value in settings.items():
         if _SCALE_NAMES.fullmatch(name) and value not in (1, 1.0):
-            warn(f"{where}: {name.replace('@', '.')} = {value} is not applied to the integers. {GIVE_VALUE_OF_COUNT}")
+            scale = f"{name.replace('@', '.')} = {value}"
+            warn(f"{where} contains integers. They are not multiplied by {scale} of the file. {GIVE_VALUE_OF_COUNT}")
 
 
 def quantity_and_scale(unit: str) -> tuple[Quantity, float]:

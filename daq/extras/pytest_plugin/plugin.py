@@ -22,7 +22,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the options `--nidaqmx` and `--nidaqmx-bench`."""
     group = parser.getgroup("nidaqmx", "programs for NI's package nidaqmx, without hardware")
     group.addoption("--nidaqmx", action="store_true", help="run all tests on a bench of emulated devices")
-    group.addoption("--nidaqmx-bench", metavar="BENCH", help=f"bench of --nidaqmx: {_DESCRIPTION}")
+    group.addoption("--nidaqmx-bench", metavar="BENCH", help=f"bench on which --nidaqmx runs the tests: {_DESCRIPTION}")
     parser.addini("nidaqmx_bench", f"default bench: {_DESCRIPTION}")
 
 

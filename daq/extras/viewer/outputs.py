@@ -33,7 +33,7 @@ APPLICATION = "shotrig"
 NO_DISPLAY_REMEDY = "Use `web` for a browser, `screenshot` FILE.png for a picture, or `save` FILE.rrd for a file."
 # Memory of the viewer per sample [bytes]: its value, time and index.
 _BYTES_PER_VALUE = 20
-# Name of the entity that is sent last.
+# Name of the rerun entity that is logged last: a viewer that has received it has received all data before it.
 _LAST_ENTITY = "complete"
 # A note is printed if the viewer will need more memory than this value, GB.
 _NOTE_ABOVE_GB = 2.0

@@ -24,7 +24,7 @@ from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.spheres import spheres_of
 from rig.core.system.structural_model import StructuralModel, TunedMass, structural_model
 
-#: Listed natural frequencies; they fit into one line.
+#: Maximum number of listed natural frequencies, so that the list fits into one line.
 _MAX_LISTED = 7
 
 

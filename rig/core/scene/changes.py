@@ -106,7 +106,7 @@ def parse_options(settings: Iterable[str]) -> list[Change]:
 
 
 def _use_body_name(steps: KeyPath, names: list[str]) -> KeyPath:
-    """Replace the position of a named body, the first of the steps, with its name."""
+    """Return a key path that begins with the name of a body, such as ("arm",), not with its index, if it has a name."""
     number = steps[0]
     return (names[number], *steps[1:]) if isinstance(number, int) and number < len(names) else steps
 

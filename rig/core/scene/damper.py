@@ -24,9 +24,9 @@ class SpringDamper(Settings):
     """Wall contact given by spring and dashpot, which also determine the restitution."""
 
     stiffness: Annotated[float, Quantity(STIFFNESS, above=0.0)]
-    """Contact stiffness: force per overlap [N/m]."""
+    """Contact stiffness: force per penetration depth [N/m]."""
     damping: Annotated[float, Quantity(DASHPOT, at_least=0.0)] = 0.0
-    """Contact damping: force per speed of approach [N s/m]."""
+    """Viscous damping coefficient of the contact [N s/m]."""
 
 
 Wall = Annotated[TimedContact | SpringDamper, Alternatives(by_key)]
@@ -113,7 +113,7 @@ class Damper(Settings):
     """Stiffness of the spring [N/m] on which the mass rests: an impact damper or, without walls, a tuned mass damper.
     Its displacement is measured from its position at rest."""
     damping: Annotated[float, Quantity(DASHPOT, at_least=0.0)] | None = None
-    """Damping of the dashpot next to the spring [N s/m]; None: no dashpot."""
+    """Viscous damping coefficient of the dashpot parallel to the spring [N s/m]; None: no dashpot."""
     friction: Annotated[float, Quantity(RATIO, at_least=0.0)] | None = None
     """Coefficient of friction of a horizontal damper, 0 without friction. The mass then slides in the direction of
     vibration, and its weight acts perpendicular to the motion. It starts in the middle between two walls; `clearance`

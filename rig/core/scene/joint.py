@@ -67,12 +67,12 @@ class Stop(_Joint):
 
     slip_force: ClassVar[float | None] = None
     gap: Annotated[float, Quantity(LENGTH, at_least=0.0)]
-    """Motion of the upper body towards the lower until they touch, while no weight of dampers deforms the structure
-    [m]; 0: they touch without force."""
+    """Distance of the two contact points at rest, before the weight of the dampers deforms the structure [m]; 0: they
+    touch without force."""
     stiffness: Annotated[float, Quantity(STIFFNESS, above=0.0)]
-    """Contact stiffness: force per overlap [N/m]."""
+    """Contact stiffness: force per penetration depth [N/m]."""
     damping: Annotated[float, Quantity(DASHPOT, at_least=0.0)] = 0.0
-    """Contact damping: force per speed of approach [N s/m]; the stop never pulls."""
+    """Viscous damping coefficient of the contact [N s/m]; the stop never pulls."""
     restitution: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] | None = None
     """Instead of damping: ratio of rebound speed to closing speed, if no other force acts on the two bodies."""
 

@@ -170,7 +170,7 @@ class Channel(Settings):
     integrator: Integrator | None = None
     """Integrating amplifier at a body or the table."""
     hammer: Hammer | None = None
-    """Force sensor, at the hammer or the shaker."""
+    """Force sensor of an impact hammer or of a shaker."""
     alarm: Limit | None = None
     """Limit of the measured quantity, in the channel's unit, above which the recording is marked [m, m/s,
     m/s², N or V]."""
@@ -251,7 +251,7 @@ class Converter(Settings):
     rate: Annotated[float, Quantity(SAMPLE_RATE, above=0.0)] = 5120.0
     """Requested sample rate [Hz]."""
     bits: Annotated[int, Field(ge=2, le=32)] | None = None
-    """Number of bits, such as 24; the steps divide -`range` to +`range`. Needs `range`. None: not quantized."""
+    """Number of bits, such as 24; one count is 2 `range` / 2^bits. Needs `range`. None: not quantized."""
     range: Annotated[float, Quantity(VOLTAGE, above=0.0)] | None = None
     """Voltage at full scale [V]; None: not clipped."""
     noise: Annotated[float, Quantity(VOLTAGE_NOISE, at_least=0.0)] | None = None
@@ -278,7 +278,7 @@ class Converter(Settings):
     clock_error: Annotated[float, Quantity(RATIO)] | None = None
     """Relative error of the sample clock's frequency (20 ppm = 2e-5)."""
     jitter: Time | None = None
-    """Standard deviation of the sampling instants [s]."""
+    """Standard deviation of the errors of the sampling instants [s]."""
     dropped_blocks: tuple[DroppedBlock, ...] = ()
     """Blocks of samples that are lost, as in a real acquisition under load."""
 

@@ -443,8 +443,9 @@ def hold_coordinates(mass: np.ndarray, coordinates: list[int]) -> None:
 
 @dataclass(frozen=True)
 class Drive:
-    """The inputs u within a time segment, from drive states p: p' = generator p, u = output p.
+    """Generator of the inputs u within a time segment: p' = generator p, u = output p.
 
+    The drive states p are, for example, the cosine and the sine of a tone.
     `max_rate`: angular frequency of a tone [rad/s]; 0 for a sampled drive.
     """
 

@@ -28,7 +28,11 @@ def propagator(scene: Scene, interval: float) -> tuple[CoupledPropagator, int]:
 def simulate(
     scene: Scene, drive: ToneDrive | Array, samples: int, rate: float, keep: Path | None, progress: CountProgress | None
 ) -> Run:
-    """Simulate beds of grains, starting from the checkpoint if it exists."""
+    """Simulate beds of grains, starting from the checkpoint if it exists.
+
+    `drive`: a tone, or samples (inputs, samples); `samples`, `rate`: number and rate [Hz] of the stored samples;
+    `keep`: file of the checkpoint, None: no checkpoint; `progress`: called after each section.
+    """
     tone = (drive.frequency, drive.amplitudes.tolist()) if isinstance(drive, ToneDrive) else None
     settings = {
         "scene": scene.to_si_yaml(),

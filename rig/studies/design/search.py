@@ -20,11 +20,12 @@ from rig.studies.design.worst_peak import Peak
 
 #: Added masses of the grid, relative to the largest added mass.
 GRID_MASS_RATIOS = (1.0, 0.5, 0.25)
-#: Clearances of the grid, from the smallest to the largest; the best one is refined afterwards.
+#: Number of clearances of the grid, logarithmically spaced; the best clearance is refined afterwards.
 GRID_CLEARANCES = 10
 #: Share of the grid computed at all levels, for the estimate of the progress; a lower bound excludes the rest.
 TYPICAL_COMPLETED_SHARE = 0.4
-#: Choices of each mass that are computed concurrently; more would be wasted when the search turns elsewhere.
+#: Choices of each mass that are computed concurrently; more would be wasted, because the search excludes the rest of a
+#: row as soon as a lower bound exceeds the best peak.
 LOOKAHEAD = 3
 #: Maximum number of trials around the best clearance of a location and mass; the peak is flat there.
 MAX_REFINEMENT_TRIALS = 8
@@ -42,8 +43,14 @@ MAX_LIGHT_PEAK_RATIO = 1.25
 MAX_REFINED_LOCATIONS = 2
 #: Two sums of masses are equal if they differ by less than this fraction, which exceeds rounding errors.
 MASS_ROUNDING = 1e-9
-#: Initial ratio of the clearances of two dampers in one body.
+#: Initial ratio of the clearances of two dampers in one body: identical dampers would move identically until rounding
+#: errors separate them.
 CLEARANCE_RATIO = 1.1
+# Edges of the initial simplex, in logarithms: 28 % of a clearance, and 35 % of a mass ratio.
+_INITIAL_CLEARANCE_STEP = 0.25
+_INITIAL_MASS_STEP = 0.3
+# Tolerance of the logarithms of clearances and mass ratios that ends a search: 0.2 %.
+_LOG_TOLERANCE = 2e-3
 #: Best trials that the final comparison computes again on the fine grid, which can change their order.
 FINAL_DESIGNS = 3
 
@@ -92,7 +99,7 @@ def search(objective: Objective, space: SearchSpace, evaluator: Evaluator) -> tu
 
 
 def _finalists(trials: Iterable[Trial], space: SearchSpace) -> list[Choice]:
-    """Return the best choices, the best one without its lightest damper, and the best below each smaller mass."""
+    """Return the best choices, the best choice without its lightest damper, and the best up to each smaller mass."""
     trials = list(trials)
     finalists = [trial.choice for trial in rank_trials(trials)[:FINAL_DESIGNS]]
     if len(finalists[0].bodies) > 1:
@@ -121,7 +128,6 @@ def _clearance_step(space: SearchSpace) -> float:
 def _grid_row(space: SearchSpace, location: tuple[int, ...], share: float) -> list[Choice]:
     """Return the choices of a location with all clearances of the grid, and the choice without ceilings."""
     count, (low, high) = len(location), space.clearance
-    # Identical dampers in one body would move identically until rounding errors separate them.
     ratios = [CLEARANCE_RATIO ** location[:k].count(body) for k, body in enumerate(location)]
     unit_clearances = Choice(location, (share * space.max_mass / count,) * count, tuple(ratios))
     row = [
@@ -135,7 +141,7 @@ def _grid_row(space: SearchSpace, location: tuple[int, ...], share: float) -> li
 
 
 def _best_of_locations(row: Sequence[Trial], max_ratio: float) -> list[Choice]:
-    """Return the best choice with ceilings of each location with at most `max_ratio` times the best peak."""
+    """Return for each location its best choice with ceilings, if its peak is at most `max_ratio` times the best."""
     best: dict[tuple[int, ...], Choice] = {}
     for trial in row:
         if trial.choice.has_ceiling and trial.peak.magnitude <= max_ratio * row[0].peak.magnitude:
@@ -202,7 +208,7 @@ def _optimize_common_factor(
     limits = np.log([bounds[0], bounds[1] * start.clearances[0] / max(start.clearances)])
     interval = np.clip([middle - step, middle + step], *limits)
     minimize_scalar(
-        cost_at, bounds=interval, method="bounded", options={"maxiter": MAX_REFINEMENT_TRIALS, "xatol": 2e-3}
+        cost_at, bounds=interval, method="bounded", options={"maxiter": MAX_REFINEMENT_TRIALS, "xatol": _LOG_TOLERANCE}
     )
 
 
@@ -217,10 +223,12 @@ def _optimize_each_damper(start: Choice, cost: Callable[[Choice], float], bounds
 
     log_mass_ratios = np.log(np.array(start.masses[:-1]) / start.masses[-1])
     initial = np.concatenate([np.log(start.clearances), log_mass_ratios])
-    simplex = np.vstack([initial, initial + np.diag([0.25] * count + [0.3] * (count - 1))])
+    edges = [_INITIAL_CLEARANCE_STEP] * count + [_INITIAL_MASS_STEP] * (count - 1)
+    simplex = np.vstack([initial, initial + np.diag(edges)])
     limits = [tuple(np.log(bounds))] * count + [(-np.log(MAX_MASS_RATIO), np.log(MAX_MASS_RATIO))] * (count - 1)
     max_trials = SIMPLEX_TRIALS_PER_UNKNOWN * initial.size
+    # Only the tolerance of the unknowns ends the search: `fatol` is infinite.
     minimize(
         cost_at, initial, method="Nelder-Mead", bounds=limits,
-        options={"initial_simplex": simplex, "maxfev": max_trials, "xatol": 2e-3, "fatol": np.inf},
+        options={"initial_simplex": simplex, "maxfev": max_trials, "xatol": _LOG_TOLERANCE, "fatol": np.inf},
     )  # fmt: skip

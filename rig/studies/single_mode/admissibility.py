@@ -63,7 +63,7 @@ def _coordinate(motion: PeriodicMotion, phase: MotionPhase, t: Array) -> tuple[A
 
 
 def _contact_force(motion: PeriodicMotion, phase: MotionPhase, t: Array) -> tuple[Array, Array]:
-    """Return the contact force per damper mass, q'' + 1, and its rate; the force is negative at the ceiling."""
+    """Return the contact force over the weight of the damper, q'' + 1, and its rate; it is negative at the ceiling."""
     state = motion.advance(phase, t)
     return motion.acceleration(phase, t, state) + 1, motion.jerk(phase, t, state)
 
@@ -86,6 +86,7 @@ def extremes(batch: Batch, index: int, quantity: Quantity) -> tuple[Array, Array
         selected_phase = selected.phases[index]
         left, right = t[row, column], t[row + 1, column]
         is_maximum = slope[row, column] > 0
+        # 48 halvings reduce an interval to 4e-15 of its length: rounding.
         for _ in range(48):
             middle = 0.5 * (left + right)
             is_before_extremum = (quantity(selected, selected_phase, middle)[1] > 0) == is_maximum
@@ -185,7 +186,7 @@ def multipliers(batch: Batch) -> NDArray[np.complex128]:
 
 
 def _saltation(motion: PeriodicMotion, before: MotionPhase, end: ModeState, after: MotionPhase) -> Array:
-    """Return the saltation matrix of an impact between phases, (solutions, 2 before a riding phase, else 4, 4)."""
+    """Return the saltation matrix of an impact; (solutions, 4, 4), or (solutions, 2, 4) if a riding phase follows."""
     mu = motion.parameters.mass_ratio
     mass_fraction, ones, zeros = mu / (1 + mu), np.ones_like(end.q), np.zeros_like(end.q)
     # Rows of the reset map on (q, u, y, v): positions are continuous, and both velocities become the common velocity.

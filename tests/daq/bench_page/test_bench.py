@@ -492,7 +492,7 @@ def test_wrong_settings_are_reported(bench):
     set_controls(bench, low=50.0, high=50.0)
     bench.controller.start()
     assert not bench.controller.running
-    assert "which equals from" in bench.controller.message
+    assert "the same as `from`" in bench.controller.message
 
 
 @pytest.mark.parametrize("bench", ["sine"], indirect=True)

@@ -169,7 +169,7 @@ def test_limited_amplifier_gives_up(tmp_path: Any) -> None:
 def test_missing_channel_is_named() -> None:
     scene = rig.load("held-response")
     assert scene.channels is not None
-    with pytest.raises(SceneError, match="control of the motion needs a motion channel at the body 2"):
+    with pytest.raises(SceneError, match="controlling the motion requires a motion channel at the body 2"):
         run(scene.replace(channels=[scene.channels[0]]))
 
 

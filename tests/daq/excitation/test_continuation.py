@@ -314,7 +314,7 @@ def test_noise_is_no_irregular_motion() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "message"), [({"at": "body 7"}, "body 7 does not exist"), ({"to": "53 Hz"}, "which is also from")]
+    ("change", "message"), [({"at": "body 7"}, "body 7 does not exist"), ({"to": "53 Hz"}, "the same as `from`")]
 )
 def test_mistake_is_named(change: dict[str, Any], message: str) -> None:
     with pytest.raises(SceneError, match=message):

@@ -160,7 +160,7 @@ def test_wrong_setting_is_named(changes: dict[str, Any], message: str) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"half_sine": {"peak": "5 g", "width": "2 ms"}}, "test.half_sine.width: a pulse of 2 ms has less than 6"),
+        ({"half_sine": {"peak": "5 g", "width": "2 ms"}}, "test.half_sine.width: a pulse of 2 ms has fewer than 6"),
         (
             {"spectrum": {"frequencies": ["20 Hz", "80 Hz"], "acceleration": ["50 g", "1 g"]}},
             "test.spectrum: no sum of wavelets has this spectrum",

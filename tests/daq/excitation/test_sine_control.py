@@ -145,7 +145,7 @@ def test_explain_states_deviation_and_limited_band() -> None:
     text = str(daq.foresee(scene(limits=[LIMIT], duration="240 s")))
     low, high = map(float, re.search(r"unit limits the drive from ([\d.]+) to ([\d.]+) Hz", text).groups())
     assert low < 13.0 < high
-    assert "expected deviation of the control from the profile: at most " in text
+    assert "expected deviation of the control channels from the profile: at most " in text
 
 
 def test_explain_warns_of_fast_sweep() -> None:
@@ -169,7 +169,7 @@ def test_too_high_profile_leaves_zero_drive() -> None:
     [
         ({"control": {"channels": ["tabel"]}}, "test.control.channels[1]: no motion channel 'tabel'"),
         ({"to": "40 Hz"}, "the profile from 5 to 30 Hz does not contain the sweep"),
-        ({"to": "5 Hz"}, "test.to: got 5 Hz, which equals from"),
+        ({"to": "5 Hz"}, "test.to: got 5 Hz, the same as `from`"),
         ({"abort": "2 dB"}, "test.abort: got 2 dB, which is not above the tolerance, 3 dB"),
         ({"profile": PROFILE | {"velocity": [1.0, 1.0]}}, "expected exactly one of acceleration or velocity or"),
         ({"profile": {"frequencies": ["5 Hz", "30 Hz"]}}, "expected exactly one of acceleration or velocity or"),

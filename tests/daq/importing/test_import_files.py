@@ -620,7 +620,7 @@ def test_labview_spectrum_is_refused(tmp_path):
 def test_joined_files_have_one_rate(tmp_path):
     write_hit(tmp_path / "a.csv", 80.0)
     write_hit(tmp_path / "b.csv", 90.0, 1024.0)
-    with pytest.raises(RecordingError, match=r"'hit' has the rate 1024\.0, and 2048\.0 in a\.csv"):
+    with pytest.raises(RecordingError, match=r"the rate of 'hit' is 1024\.0, but a\.csv has 2048\.0"):
         daq.import_files([tmp_path / "a.csv", tmp_path / "b.csv"], hammer_scene(), tmp_path / "r.mcap")
 
 

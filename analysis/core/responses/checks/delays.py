@@ -23,13 +23,15 @@ from analysis.core.modal_models.pole_residue import Curves, real_rows, residual_
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import Response
 from rig.core.results.text import format_quantity
+from rig.core.results.uncertainty import COVERAGE_FACTOR
 
 # Minimum number of points from which a delay is estimated.
 _MIN_LINES = 6
 # Of more points, this number of evenly selected points is evaluated.
 _MAX_LINES = 400
-# Poles are fitted to at most this number of curves, at most this number of candidates.
+# Poles are fitted to at most this number of curves.
 _MAX_CURVES = 8
+# Maximum number of initial poles, and of further candidates.
 _MAX_CANDIDATES = 24
 # A point is evaluated if its relative expanded uncertainty is at most this value.
 _MAX_UNCERTAINTY = 0.5
@@ -48,21 +50,20 @@ _MEAN_COUPLING = 0.3
 _MAX_VALUES = 40.0
 # Largest trial delay, in periods of the highest frequency.
 _MAX_PERIODS = 2.0
-# Largest trial delay if it exceeds these periods [s].
+# Largest trial delay [s], if it is longer than `_MAX_PERIODS` periods.
 _MAX_DELAY_S = 5e-3
 # Spacing of the trial delays, in periods of the highest frequency.
 _SPACING = 0.1
 # The trial delays are refined around the best by this number of intervals.
 _REFINEMENT = 20
-# A delay is significant if the sum of squares without a delay, and at other delays, is larger by this value.
+# A delay is significant if the sum of squares without a delay, and at other delays, is larger by this value: a
+# likelihood ratio of exp(10).
 _MIN_REDUCTION = 20.0
-# Other delays differ by more than this fraction of a period of the highest frequency, and by more than twice the
-# expanded uncertainty.
+# Another delay is a competing solution if it differs by more than this fraction of a period of the highest frequency,
+# and by more than twice the expanded uncertainty.
 _SEPARATION = 0.25
 # The delay is confirmed by parts of the lines, each without every third line.
 _PARTS = 3
-# Squared coverage factor of a delay.
-_COVERAGE = 4.0
 # Two curves are late by the same time, or a curve is not late, within this fraction of the delay.
 _MAX_OTHER_DELAY = 0.2
 # Words by which the warning of a constant delay is recognized.
@@ -217,7 +218,7 @@ def _estimate_delay(frequency: Array, value: ComplexArray, error: Array, poles: 
     near = fit.squares(fine)
     time, least = float(fine[np.argmin(near)]), float(near.min())
     curvature = (near[0] + near[-1] - 2.0 * near[_REFINEMENT]) / (_SPACING / highest) ** 2
-    expanded = float(np.sqrt(2.0 * _COVERAGE / max(curvature, 1e-300)))
+    expanded = float(COVERAGE_FACTOR * np.sqrt(2.0 / max(curvature, 1e-300)))
     is_other = abs(delays - time) > max(_SEPARATION / highest, 2.0 * expanded)
     margin = squares[is_other].min(initial=np.inf) - least if is_other.any() else 0.0
     return _Delay(time, expanded, float(fit.squares(np.zeros(1))[0]) - least, float(margin))

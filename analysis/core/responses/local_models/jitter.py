@@ -9,9 +9,8 @@ from analysis.core.responses.errors.systematic import JITTER
 from analysis.core.responses.local_models.local_rational import ORDER
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
+from rig.core.results.uncertainty import COVERAGE_FACTOR
 
-# Coverage factor: a normal error exceeds it with a probability below 5 %, a complex one below 2 %.
-_COVERAGE = 2.0
 # Order of a polynomial that is as flexible as the fitted ratio of two polynomials: the sum of their orders.
 _FIT_ORDER = 2 * ORDER
 
@@ -57,4 +56,4 @@ def jitter_limit(factor: Array, weights: ComplexArray, power: Array) -> dict[str
     """
     if not factor.any():
         return {}
-    return {JITTER: _COVERAGE * np.linalg.norm(factor @ weights, axis=0) / np.sqrt(np.maximum(power, 1e-300))}
+    return {JITTER: COVERAGE_FACTOR * np.linalg.norm(factor @ weights, axis=0) / np.sqrt(np.maximum(power, 1e-300))}

@@ -38,7 +38,8 @@ ORDER = 2
 _REGULARIZATION = 1e-10
 # Value that replaces zero power in a denominator.
 _ZERO_POWER = 1e-300
-#: 95th percentile of the noise power of a line, relative to its mean (two degrees of freedom).
+#: 95th percentile of the noise power of a line, relative to its mean: -ln 0.05, because the power has two degrees of
+#: freedom (exponential distribution).
 POWER_RATIO_95 = 3.0
 # A line gets a second Gauss-Newton step if the first step reduces the sum of squares by more than this fraction,
 _MIN_REDUCTION = 1e-3
@@ -339,8 +340,8 @@ class _Unknown(NamedTuple):
 class _Terms(NamedTuple):
     """Known columns of the linear system, at the bins around each line."""
 
-    # inputs times powers of the frequency offset, for the common numerators of all segments; shape (lines, segments or
-    # 1, inputs (order + 1), width)
+    # columns of the coefficients of the numerator, which all segments share: each input times each power of the
+    # distance from the line; shape (lines, segments or 1, inputs (order + 1), width)
     numerator: ComplexArray | Array
     transients: ComplexArray | Array  # columns of each segment; shape (lines, segments or 1, terms, width)
     # powers of the frequency offset, or the derivatives of the model; shape (lines, segments or 1, poles, width)

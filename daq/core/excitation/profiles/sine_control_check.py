@@ -137,7 +137,7 @@ class SweepCheck(NamedTuple):
             yield self.warning
         else:
             place = f"{self.deviation:.2g} dB at {self.frequency:.4g} Hz (tolerance {self.test.tolerance:g} dB)"
-            yield f"expected deviation of the control from the profile: at most {place}"
+            yield f"expected deviation of the control channels from the profile: at most {place}"
         for channel, low, high in self.notches:
             yield f"{channel} limits the drive from {low:.4g} to {high:.4g} Hz"
 

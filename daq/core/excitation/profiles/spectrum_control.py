@@ -12,7 +12,8 @@ import numpy as np
 from daq.core.excitation.profiles.spectrum_shaping import Lines
 from rig.core.base.arrays import Array
 
-#: Standard deviation of a density from a single spectrum [dB].
+#: Standard uncertainty of the density of a single spectrum, converted to dB to first order (10 / ln 10); that of N
+#: averages is this value over sqrt(N).
 SCATTER_DB = 4.34
 # Largest change [dB] of the density of a line in one update: scatter of a few averages must not overload the rig.
 _MAX_STEP_DB = 6.0

@@ -30,12 +30,16 @@ class ElectronicDataSheet:
     version_letter: str  # A to Z
     version: int
     serial: int  # number of the individual sensor
-    # standard template, 25: accelerometer or force transducer with built-in amplifier; `bits` lacks its own fields
+    # number of the IEEE 1451.4 template that follows the basic data sheet; 25: accelerometer or force transducer with
+    # constant-current amplifier. `bits` contains the basic data sheet only.
     template: int
 
     @property
     def bits(self) -> bytes:
-        """The basic data sheet of 64 bits, lowest bit first; the numbers have 14, 15, 5, 6 and 24 bits."""
+        """Basic TEDS of IEEE 1451.4, 64 bits, least significant bit first.
+
+        Manufacturer ID (14 bits), model number (15), version letter (5), version number (6), serial number (24).
+        """
         letter = ord(self.version_letter) - ord("A") + 1
         value = self.manufacturer | self.model << 14 | letter << 29 | self.version << 34 | self.serial << 40
         return value.to_bytes(8, "little")

@@ -45,7 +45,7 @@ class Continuation(KindOfTest):
     def check_consistency(self) -> Iterable[Problem]:
         """Check that the ends of the band differ."""
         if self.from_ == self.to:
-            yield Problem(("to",), f"got {self.to:g} Hz, which is also from. Give the other end of the band.")
+            yield Problem(("to",), f"got {self.to:g} Hz, the same as `from`. Give the other end of the band.")
 
     @property
     def steady_state(self) -> Settle:

@@ -19,14 +19,14 @@ from rig.core.settings.settings import Settings
 
 
 class DoubleHit(Settings):
-    """Double impact: the hammer bounces, and a second, weaker pulse follows."""
+    """Double impact: the hammer rebounds, and a second pulse follows."""
 
     hits: tuple[Count, ...] | None = Field(None, min_length=1)
-    """Numbers of the impacts that bounce, from 1; None: all."""
+    """Numbers of the impacts after which the hammer rebounds, from 1; None: all."""
     after: Duration = 20e-3
     """Time from the start of the first pulse to the start of the second [s]."""
     ratio: Annotated[float, Quantity(RATIO, above=0.0)] = 0.4
-    """Ratio of the second pulse's peak to the first's."""
+    """Peak of the second pulse over the peak of the first pulse."""
 
 
 class Impulse(KindOfTest):
@@ -40,15 +40,15 @@ class Impulse(KindOfTest):
     body: Body
     """The body on which the hammer acts, by its number from 1 or its name."""
     peak: Annotated[float | tuple[float, ...], Quantity(FORCE, above=0.0, listed=True)]
-    """Peak of the pulse [N], or a list with one for each impact."""
+    """Peak force of the pulse [N], or a list with a peak for each impact."""
     width: Duration
-    """Duration of the half sine [s]; a softer tip makes it longer."""
+    """Pulse duration: duration of the half sine [s]; a softer tip makes it longer."""
     repeats: Count = 1
     """Number of impacts."""
     interval: Duration = 6.0
     """Time from one impact to the next, and recording time after the last [s]."""
     double_hit: DoubleHit | None = None
-    """Bounces of the hammer, each with a second, weaker pulse; None: single impacts only."""
+    """Double impacts: the hammer rebounds, and a second pulse follows; None: single impacts only."""
 
     def check_consistency(self) -> Iterable[Problem]:
         """Check that pulses do not overlap."""
@@ -153,7 +153,8 @@ def half_sine(peak: float, width: float, rate: float) -> Array:
     (50.0, 1.0)
     """
     target_sum = 2 * width * rate / np.pi  # area of the pulse divided by its peak, in samples
-    if target_sum < 1.2:  # 4 / pi for two samples; 1.2 accepts a width that is rounded as in the message
+    # A width of two samples gives 4 / pi = 1.27; the limit 1.2 accepts the width of the message, rounded to 3 digits.
+    if target_sum < 1.2:
         raise SceneError(
             f"test.width: a pulse of {width * 1e3:g} ms is shorter than two samples at {rate:g} Hz; expected at least "
             f"{2.0 / rate * 1e3:.3g} ms. Widen the pulse (a softer tip) or raise the sample rate (converter.rate)."

@@ -354,4 +354,4 @@ def spaced_frequencies(first: float, last: float, points: int, spacing: str) -> 
 def check_band(low: float, high: float) -> Iterable[Problem]:
     """Check that a frequency band is given with its lower end first."""
     if low >= high:
-        yield Problem(("from",), f"got {low:g} Hz, which is not below to, {high:g} Hz. Give the lower end first.")
+        yield Problem(("from",), f"got {low:g} Hz, which is not below `to`, {high:g} Hz. Give the lower end first.")

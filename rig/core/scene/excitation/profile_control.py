@@ -1,4 +1,4 @@
-"""Common part of tests with profile control: control and limited channels, tolerance and abort line."""
+"""Common part of tests with profile control: control and limited channels, tolerance and abort limit."""
 
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Self
@@ -21,7 +21,7 @@ class ProfileControl:
         abort: float
 
     def check_consistency(self) -> Iterable[Problem]:
-        """Check that the abort line lies above the tolerance."""
+        """Check that the abort limit is above the tolerance."""
         if self.abort <= self.tolerance:
             message = f"got {self.abort:g} dB, which is not above the tolerance, {self.tolerance:g} dB. Increase it."
             yield Problem(("abort",), message)
@@ -46,7 +46,7 @@ class ProfileControl:
 
     @property
     def resolution(self) -> float | None:
-        """Distance of the lines of a density [Hz]; None for amplitudes."""
+        """Spacing of the lines of a density [Hz]; None for amplitudes."""
         return None
 
     def required(self, values: Array, frequency: Array) -> Array:

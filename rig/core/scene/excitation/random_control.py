@@ -1,4 +1,4 @@
-"""Gaussian noise whose power spectral density at control channels is held at a profile."""
+"""Random vibration control: the power spectral density at control channels follows a profile (IEC 60068-2-64)."""
 
 from typing import Annotated, ClassVar, Literal
 
@@ -23,7 +23,7 @@ from rig.core.settings.quantity_field import Quantity
 
 
 class RandomControl(ProfileControl, KindOfTest):
-    """Noise whose power spectral density at control channels is held at a profile, with limits of other channels."""
+    """Noise whose power spectral density at control channels follows a profile, with limits of other channels."""
 
     kind: Literal["random_control"] = "random_control"
     recorded_as: ClassVar = "random"
@@ -36,25 +36,26 @@ class RandomControl(ProfileControl, KindOfTest):
     limits: tuple[DensityLimit, ...] = ()
     """Largest power spectral densities of other channels: keys channel, frequencies and density."""
     ramp: Ramp = (-12.0, -6.0, -3.0)
-    """Levels before the full level [dB]."""
+    """Levels at which the drive is equalized before the full level [dB]."""
     hold: Duration = 10.0
-    """Least time at each level of the ramp [s]."""
+    """Minimum time at each level of the ramp [s]."""
     duration: Duration
     """Duration at full level [s]."""
     lines: Annotated[int, Field(ge=4, le=MAX_STEPS)] = 200
     """Number of spectral lines of the profile."""
     averages: Count = 60
-    """Number of averaged spectra of an update at full level."""
+    """Number of spectra that are averaged for an update at full level."""
     clip: Annotated[float, Quantity(RATIO, above=1.0, infinite=True)] = 4.0
-    """Largest drive relative to its root mean square."""
+    """Drive clipping: largest drive over its root mean square (crest factor, "3 sigma" in other programs)."""
     speed: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] = 0.5
     """Fraction of the deviation from the profile that an update corrects."""
     tolerance: Decibels = 3.0
     """Permissible deviation from the profile [dB]."""
     abort: Decibels = 6.0
-    """Excess over the profile above which a line is out of tolerance for the abort [dB]."""
+    """Abort limit: excess of a line over the profile above which it counts for `abort_lines` [dB]."""
     abort_lines: Share = 0.1
-    """The test is aborted if more than this fraction of all lines exceeds the profile by more than `abort`."""
+    """The test is aborted if more than this fraction of the lines exceeds the profile by more than `abort`, plus twice
+    the scatter of the averaged densities."""
     shaker: DrivenShaker = None
 
     @property
@@ -83,7 +84,7 @@ class RandomControl(ProfileControl, KindOfTest):
 
     @property
     def resolution(self) -> float:
-        """Distance of the spectral lines [Hz]."""
+        """Spacing of the spectral lines [Hz]."""
         return (self.band[1] - self.band[0]) / self.lines
 
     def rms(self, level: float = 0.0) -> float:

@@ -1,4 +1,4 @@
-"""A swept sine whose amplitude at control channels is held at a profile."""
+"""Swept-sine control: the amplitude at control channels follows a profile (IEC 60068-2-6)."""
 
 from collections.abc import Iterable
 from typing import Annotated, ClassVar, Literal
@@ -16,7 +16,7 @@ from rig.core.settings.quantity_field import Quantity
 
 
 class SineControl(FrequencySweep, ProfileControl, KindOfTest):
-    """A swept sine whose amplitude at control channels is held at a profile, with limits of other channels."""
+    """A swept sine whose amplitude at control channels follows a profile, with limits of other channels."""
 
     kind: Literal["sine_control"] = "sine_control"
     recorded_as: ClassVar = "sweep"
@@ -38,7 +38,8 @@ class SineControl(FrequencySweep, ProfileControl, KindOfTest):
     limits: tuple[MotionLimit, ...] = ()
     """Largest amplitudes of other channels: keys channel, frequencies, and acceleration, velocity or displacement."""
     speed: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] = 0.3
-    """Gain of the controller, relative to its limit of stability."""
+    """Gain of the controller, relative to the gain at its limit of stability; larger values follow resonances faster,
+    with less margin (compressor speed in other programs)."""
     tolerance: Decibels = 3.0
     """Permissible deviation from the profile [dB]."""
     abort: Decibels = 6.0
@@ -46,13 +47,13 @@ class SineControl(FrequencySweep, ProfileControl, KindOfTest):
     shaker: DrivenShaker = None
 
     def check_consistency(self) -> Iterable[Problem]:
-        """Check that the profile contains the sweep, and that the abort line lies above the tolerance."""
+        """Check that the profile contains the sweep, and that the abort limit is above the tolerance."""
         low, high = min(self.from_, self.to), max(self.from_, self.to)
         if low == high:
-            yield Problem(("to",), f"got {self.to:g} Hz, which equals from. Give another frequency.")
+            yield Problem(("to",), f"got {self.to:g} Hz, the same as `from`. Give another frequency.")
         if low < self.profile.frequencies[0] or high > self.profile.frequencies[-1]:
             ends = f"{self.profile.frequencies[0]:g} to {self.profile.frequencies[-1]:g} Hz"
-            message = f"the profile from {ends} does not contain the sweep. Give breakpoints at from and to."
+            message = f"the profile from {ends} does not contain the sweep. Give breakpoints at `from` and `to`."
             yield Problem(("profile", "frequencies"), message)
         yield from super().check_consistency()
 

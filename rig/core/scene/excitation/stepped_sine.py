@@ -66,7 +66,7 @@ class SteppedTest(KindOfTest):
         elif self.from_ is None or self.to is None:
             yield Problem((), f"{'from' if self.from_ is None else 'to'} missing; expected a frequency such as 8 Hz")
         elif self.from_ >= self.to:
-            message = f"got {self.from_:g} Hz, which is not below to, {self.to:g} Hz. Give the lower end first"
+            message = f"got {self.from_:g} Hz, which is not below `to`, {self.to:g} Hz. Give the lower end first"
             yield Problem(("from",), f"{message}; direction: down sweeps downward.")
 
     @property

@@ -105,4 +105,4 @@ class SweptSine(FrequencySweep, KindOfTest):
     def check_consistency(self) -> Iterable[Problem]:
         """Check that the two end frequencies differ."""
         if self.from_ == self.to:
-            yield Problem(("to",), f"got {self.to:g} Hz, which equals from. Use kind: sine for a constant frequency.")
+            yield Problem(("to",), f"got {self.to:g} Hz, the same as `from`. Use kind: sine for a constant frequency.")

@@ -62,7 +62,7 @@ class Equations:
         return list(self._servo_rate)
 
     def add_point(self, name: str, mass: float) -> int:
-        """Add a point without support, of a mass [kg]; return its row."""
+        """Add a coordinate for a point of a mass [kg] without support; return its row."""
         self.points.append(name)
         return self.add_coordinate(mass)
 
@@ -126,7 +126,7 @@ class Equations:
         self.currents.append(current)
 
     def matrices(self) -> tuple[Array, Array, Array]:
-        """Return mass [kg], damping [N s/m] and stiffness [N/m], with rows of the servo for prescribed coordinates."""
+        """Return mass [kg], damping [N s/m], stiffness [N/m]; rows of prescribed coordinates are those of the servo."""
         mass, damping, stiffness = self.mass.copy(), self.damping.copy(), self.stiffness.copy()
         for row, rate in self._servo_rate.items():
             mass[row], damping[row], stiffness[row] = 0.0, 0.0, 0.0

@@ -273,7 +273,7 @@ def _omitted_ranges(frf: Response) -> list[tuple[float, float]]:
 
 
 def _is_visible(frf: Response, half_width: Array) -> bool:
-    """Return whether a band around a curve is wider than its points at any determined point."""
+    """Return whether the uncertainty band of a curve is wider than its drawn points at any determined point."""
     return bool(np.any((half_width > _MIN_VISIBLE_RATIO * abs(frf.value)) & is_determined(frf)))
 
 
@@ -317,7 +317,7 @@ def intervals_text(missing: Sequence[str]) -> str:
 
 
 def _visible_edges(frf: Response) -> Array:
-    """Return the edges of the light band that the axis must include: at most a decade beyond the curve."""
+    """Return the edges of the uncertainty band that the axis must include: at most a decade beyond the curve."""
     magnitude, total = abs(frf.value), np.nan_to_num(frf.expanded(), posinf=np.inf)
     visible = is_determined(frf) & np.isfinite(magnitude) & (magnitude > 0)
     if not visible.any():

@@ -305,7 +305,7 @@ def _common_tolerances(frf: Response) -> tuple[float, ...]:
 
 
 def _peak_sensitivity(f: np.ndarray, inverse_frf: np.ndarray, frequency: float) -> np.ndarray:
-    """Return the derivatives of height and frequency of the peak by the FRF at three points, shape (2, 3)."""
+    """Return the derivatives of height and frequency of the peak with respect to the FRF at three points, (2, 3)."""
     # A change e of the FRF changes them by Re(sensitivity @ e). Re(conj(g) g') of g = 1/H is zero at the peak.
     step = 1e-3 * np.ptp(f)
     at = frequency + step * np.arange(-1.0, 2.0)

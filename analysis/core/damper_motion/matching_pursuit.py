@@ -301,7 +301,7 @@ class MatchingPursuit:
         return self._cache[order]
 
     def _unexplained_segments(self, jump_size: float) -> list[tuple[int, int]]:
-        """Return first and last window of each segment with a larger residual than that of a velocity jump [m/s]."""
+        """Return the first and the last window of each segment whose residual exceeds that of a velocity jump [m/s]."""
         first = self._windows()
         squares, jump_norm = self._residual_squares(self.window_model.polynomial_order), self.window_model.template_norm
         is_above = squares > (jump_size * jump_norm) ** 2

@@ -46,7 +46,7 @@ _CLEARANCE_FACTORS = (0.6, 1.7, 0.3)
 _UNREACHED_CLEARANCE_FACTOR = 30.0
 # Largest mean square of the normalized residuals of a good fit; noise alone gives slightly below 1.
 _MAX_EXPLAINED_SQUARE = 1.5
-# In the robust cost, each squared residual is limited to this value.
+# In the robust cost, each squared residual is limited to this value: 3 standard uncertainties.
 _MAX_SQUARE = 9.0
 # Squared residual assigned to a point where the model has no orbit.
 _FAILED_SQUARE = 1e6

@@ -15,7 +15,8 @@ from rig.core.results.uncertainty import COVERAGE_FACTOR
 _MIN_RELATIVE_EXPANDED = 0.02
 # Smallest listed component of a combination, relative to the largest; all would make the list unreadable.
 _MIN_COMPONENT_RATIO = 0.3
-# A sensor is named if the correlation of its error with the error of a parameter is at least this value.
+# A sensor is named if the correlation of its error with the error of a parameter is at least this value: half of the
+# variance is then common (0.7² = 0.49).
 _MIN_CORRELATION = 0.7
 # Damping is determined if its relative expanded uncertainty is below this value.
 _MAX_RELATIVE_EXPANDED = 0.5

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array, ComplexArray
 
-# A pole with a larger damping ratio is discarded.
+# A pole with a larger damping ratio is discarded: its half-power width exceeds half of its frequency, so it has no
+# distinct peak.
 MAX_DAMPING = 0.25
 # A cluster represents a mode if it contains at least this number of stable poles.
 _MIN_STABLE_POLES = 4

@@ -203,7 +203,7 @@ def full_test_text(rec: Recording) -> str:
 
 
 def line_spacing(frf: Response) -> str:
-    """Write the distance of the lines of a spectrum; empty for tones at other distances.
+    """Write the spacing of the lines of a spectrum; empty for unevenly spaced tones.
 
     >>> line_spacing(Response.curve(np.array([10.0, 10.5, 11.0, 12.5]), np.ones(4, dtype=complex), "a"))
     'Δf 0.5 Hz'

@@ -47,10 +47,10 @@ _TOLERANCE = 0.002
 _MAX_CORRECTIONS = 8
 # Smallest assumed slope of ln(force) along the normal; it limits the distance to the next hold.
 _MIN_SLOPE = 0.05
-# A failed step is repeated with this fraction of its length, down to the smallest fraction of `test.step`: the
-# correction converges from a closer start.
-_SHORTER = 0.5
-_SHORTEST = 1.0 / 16.0
+# A failed step is repeated with this fraction of its length: the correction converges from a closer start.
+_STEP_REDUCTION = 0.5
+# Smallest length of a step, as a fraction of `test.step`.
+_MIN_STEP_FRACTION = 1.0 / 16.0
 # A step with feedback that turns the curve by more than this angle [rad] is repeated with a shorter length.
 _MAX_TURN = 0.25
 # Smallest length of such a step, as a fraction of `test.step`: noise determines the direction of shorter steps.
@@ -59,7 +59,7 @@ _SHORTEST_TURN = 0.125
 # known.
 _MAX_BAND_RATIO = 0.05
 # The curve begins at the first of these positions in the band, from 0 to 1, where the motion repeats.
-_STARTS = 0.0, 0.05, 0.1, 0.15, 0.2
+_START_POSITIONS = 0.0, 0.05, 0.1, 0.15, 0.2
 # Without feedback, a response that changes by more than this factor has jumped to another branch: the step along a
 # branch is smaller.
 _JUMP_RATIO = 2.0
@@ -67,7 +67,7 @@ _JUMP_RATIO = 2.0
 # smaller, a jump larger.
 _MAX_RETURN_DEVIATION = 0.05
 # Lengths of the steps over a gap in the curve, in units of the length of a step.
-_LEAPS = 1.0, 2.0, 4.0
+_GAP_STEP_LENGTHS = 1.0, 2.0, 4.0
 # Beyond a corner of the curve (grazing impacts), the frequency changes by this fraction of a step at a time, because
 # the response there cannot be extrapolated.
 _CORNER_RATIO = 0.25
@@ -113,7 +113,7 @@ class _Curve:
         test = self._test
         yield from self._begin(drive)
         while len(self.points) < test.points and (0.0 <= self._share < 1.0 or len(self.points) == 1):
-            length, shortest = min(test.step, self._length / _SHORTER), _SHORTEST * test.step
+            length, shortest = min(test.step, self._length / _STEP_REDUCTION), _MIN_STEP_FRACTION * test.step
             point = None
             while point is None and length >= shortest:
                 point = yield from (self._held(length) if self._holding else self._driven(length))
@@ -121,7 +121,7 @@ class _Curve:
                     point = None
                     if not (self._holding or (yield from self._returns())):
                         break
-                self._length, length = length, length * _SHORTER
+                self._length, length = length, length * _STEP_REDUCTION
             if point is None:
                 growth = (yield from self._growth()) if self._holding and self.unstable else 0.0
                 yield from self._leap(self._reason(growth))
@@ -140,7 +140,7 @@ class _Curve:
     def _begin(self, drive: float) -> Generator[Array, Array, None]:
         """Measure the first point, at the first frequency where the motion repeats; raise `Lost`."""
         test, frequency = self._test, 0.0
-        for share in _STARTS:
+        for share in _START_POSITIONS:
             frequency = test.from_ + share * (test.to - test.from_)
             point = yield from self._tone.drive_to(frequency, drive, self._level)
             if point is not None and (yield from self._add(point)):
@@ -279,7 +279,7 @@ class _Curve:
             # The dead time is too long: steps without feedback would jump past folds.
             raise Lost(reason)
         self._holding = False
-        for ratio in _LEAPS:
+        for ratio in _GAP_STEP_LENGTHS:
             if was_unstable:
                 point, jump = yield from self._past_corner(ratio * self._test.step)
             else:

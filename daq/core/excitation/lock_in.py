@@ -160,5 +160,5 @@ def lock_in(
 
 
 def noise_gain(periods: float, frequency: Array) -> Array:
-    """Return the gain from a noise density to the noise of an amplitude measured over some periods, sqrt(s)."""
+    """Return the ratio of amplitude to noise over some periods, for an amplitude and a noise density of 1, sqrt(s)."""
     return np.asarray(np.sqrt(periods / frequency / 2.0))

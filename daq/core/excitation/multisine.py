@@ -126,7 +126,7 @@ class MultisineProcedure(Procedure["Multisine"]):
         yield station.drives(np.stack([crossfade(wave, np.zeros(period)) for wave in present_waves]))
 
     def noise_gain(self, test: Multisine, frequency: Array) -> Array:
-        """Return the gain of a line over the measured periods of a realization."""
+        """Return the ratio of amplitude to noise of a line over the measured periods of a realization."""
         period, band = test.period_s, test.to - test.from_
         amplitude = np.sqrt(2.0 / max(1.0, band * period))
         return np.full(frequency.size, amplitude * np.sqrt(period * test.periods / 2.0))

@@ -112,7 +112,7 @@ class RandomProcedure(Procedure["Random"]):
             station.warn(f"the amplifier's limit clipped {clipped} of {total} drive samples. Lower the level.")
 
     def noise_gain(self, test: Random, frequency: Array) -> Array:
-        """Return the gain of the density of the drive."""
+        """Return the ratio of the densities of drive and noise, for a level and a noise density of 1."""
         return np.full(frequency.size, 1.0 / np.sqrt(test.to - test.from_))
 
     def extension(self, test: Random, seconds: float) -> float:

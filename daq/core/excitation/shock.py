@@ -26,14 +26,14 @@ _BAND_RATIO = 0.4
 # Minimum number of samples in a half sine; with fewer, its peak lies between two samples.
 _MIN_SAMPLES = 6
 # Deviations that grow by this factor do not converge: the drive does not compensate vibration of earlier pulses.
-_GROWTH = 1.2
+_MIN_DIVERGENCE_RATIO = 1.2
 # Time without drive after the last pulse, as a fraction of the interval between pulses.
-_REST = 0.25
+_REST_PER_INTERVAL = 0.25
 
 
 def _remedy(deviations: Sequence[float]) -> str:
     """Return what to do about pulses with these deviations, in their order."""
-    if deviations[-1] > _GROWTH * deviations[0]:
+    if deviations[-1] > _MIN_DIVERGENCE_RATIO * deviations[0]:
         return (
             "The deviation grows from pulse to pulse: the structure vibrates longer than test.interval. Give a longer "
             "interval."
@@ -117,13 +117,13 @@ class ShockProcedure(Procedure["Shock"]):
             deviations.append(deviation)
             if deviation > pulse.tolerance:
                 outside.append(f"shock {number}: {message}")
-        yield station.zero_drive(station.samples(_REST * test.interval))
+        yield station.zero_drive(station.samples(_REST_PER_INTERVAL * test.interval))
         if outside:
             station.warn(f"{'; '.join(outside)}. {_remedy(deviations)}")
 
     def waits(self, test: Shock, scene: Scene) -> float:
         """Return the expected time of the identification, and of the rest at the end [s]."""
-        return (EXPECTED_PERIODS + _REST) * test.interval
+        return (EXPECTED_PERIODS + _REST_PER_INTERVAL) * test.interval
 
     def stored(self, test: Shock) -> float:
         """Return the length of a pulse with its interval [s]."""

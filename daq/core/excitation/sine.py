@@ -57,7 +57,7 @@ class SineProcedure(Procedure["Sine"]):
         station.mark("measure", begin, station.now, frequency=test.frequency, level=level, drive=level, settled=settled)
 
     def noise_gain(self, test: Sine, frequency: Array) -> Array:
-        """Return the gain of a lock-in measurement over the duration."""
+        """Return the ratio of amplitude to noise over the duration, for a level and a noise density of 1."""
         return np.full(frequency.size, np.sqrt(test.duration / 2.0))
 
     def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:

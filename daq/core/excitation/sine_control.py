@@ -38,14 +38,22 @@ from rig.core.system.structural_model import structural_model
 
 # The drive changes at the earliest after this number of samples, from which an amplitude and a phase can be estimated.
 _MIN_WINDOW_SAMPLES = 4
-# Largest decrease and increase of the logarithmic drive, divided by the gain: steps down are larger than steps up.
-_MAX_DECREASE, _MAX_INCREASE = log(4.0), log(1.5)
-# Period of the identification, s and periods of the lowest frequency.
-_IDENTIFICATION_S, _IDENTIFICATION_PERIODS = 2.0, 8.0
+# Largest decrease of the logarithmic drive in a window, divided by the gain.
+_MAX_DECREASE = log(4.0)
+# Largest increase, smaller than the largest decrease.
+_MAX_INCREASE = log(1.5)
+# Shortest period of the identification [s].
+_IDENTIFICATION_S = 2.0
+# Shortest period of the identification, in periods of the lowest frequency.
+_IDENTIFICATION_PERIODS = 8.0
 # End of the identification above the band, relative to the sample rate: the converter attenuates the rest.
 _HIGHEST_RATIO = 0.45
-# Tolerance [dB] and number of windows of steady amplitudes before the sweep, and the longest wait [s].
-_START_DB, _START_WINDOWS, _MAX_START_S = 0.5, 6, 30.0
+# The sweep begins when the amplitudes deviate by less than this value [dB] ...
+_START_DB = 0.5
+# ... in this number of successive windows, ...
+_START_WINDOWS = 6
+# ... or after this time [s].
+_MAX_START_S = 30.0
 # Time in which the drive rises at the start and falls at the end [s].
 _RISE_S = 0.25
 # The control oscillates if the logarithmic error changes sign and by more than this value.

@@ -119,7 +119,7 @@ class SteadyTonesProcedure(Procedure[SteadyT]):
     detection = "dwells"
 
     def noise_gain(self, test: SteadyT, frequency: Array) -> Array:
-        """Return the gain of a lock-in measurement over the measured periods."""
+        """Return the ratio of amplitude to noise over the measured periods, for a level and a noise density of 1."""
         return noise_gain(test.measure.periods, frequency)
 
     def waits(self, test: SteadyT, scene: Scene) -> float:

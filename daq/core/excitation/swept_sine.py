@@ -219,7 +219,7 @@ class SweptSineProcedure(Procedure["SweptSine"]):
         yield tone.end()
 
     def noise_gain(self, test: SweptSine, frequency: Array) -> Array:
-        """Return the gain for the time in which the sweep stays within its resolution bandwidth."""
+        """Return the ratio of amplitude to noise while the sweep stays within its resolution bandwidth."""
         # A sweep of the rate r (Hz/s) stays within its resolution bandwidth sqrt(r) for the time 1 / sqrt(r).
         rate = np.full(frequency.size, abs(test.to - test.from_) / test.duration)
         if test.spacing == "log":

@@ -186,7 +186,7 @@ class ControlLoss:
 
 
 def bias_overload(scene: Scene, row: int, seconds: float) -> str | None:
-    """Return a message if the sensor bias of a channel overloads its input after `seconds` at rest; otherwise None."""
+    """Return a message if the bias of a sensor overloads its input after `seconds` at rest; otherwise None."""
     channel = None if scene.channels is None else scene.channels[row]
     if channel is None or channel.accelerometer is None:
         return None

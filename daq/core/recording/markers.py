@@ -259,7 +259,7 @@ def gaps_of(markers: Iterable[Marker], channels: Sequence[str]) -> list[Gap]:
 
 
 def unmarked_ranges(missing: Iterable[tuple[int, int]], gaps: Sequence[Gap]) -> Iterator[tuple[int, int]]:
-    """Yield missing ranges [first, stop), each from the end of the gaps that are already marked at its start.
+    """Yield the missing ranges [first, stop) without the parts at their starts that are already marked as gaps.
 
     `missing` and `gaps` are in ascending order. A gap that starts inside a range is not subtracted from this range.
 

@@ -163,7 +163,7 @@ def kind_from_markers(markers: Sequence[Marker], settings: Test | None) -> TestK
 
 
 def shocks_of(markers: Iterable[Marker], with_practice: bool = False) -> list[Marker]:
-    """Return the markers of the shocks at full level; with `with_practice`, also those of the practice pulses."""
+    """Return the markers of the shocks at full level, and those of the practice pulses if `with_practice`."""
     return [mark for mark in markers if mark.kind == "shock" or (with_practice and mark.kind == "practice")]
 
 

@@ -78,7 +78,7 @@ class DwellDetector:
         return []
 
     def _level(self, tones: Sequence[Dwell], pass_number: int) -> float:
-        """Return the level of a pass: nearest to the measured force or, without a force channel, the next level."""
+        """Return the level of a pass: nearest to the measured force; without a force channel, by its number."""
         test = self._test
         if self._reference.quantity == "force" and test.level_key == "force":
             frequency = np.array([tone.frequency for tone in tones]) * self._rate

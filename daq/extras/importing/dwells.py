@@ -213,7 +213,7 @@ def _constant_range(phase: Array) -> tuple[int, int]:
 
 
 def _dwell_share(segments: Sequence[_Segment], track: Track) -> float:
-    """Return the share of the time with a signal that the dwells take."""
+    """Return the total duration of the dwells, relative to the time with a signal."""
     silence = _SILENCE_RATIO * float(np.median([segment.amplitude for segment in segments]))
     return sum(segment.stop_sample - segment.first_sample for segment in segments) / (
         track.hop * max(int(np.sum(track.levels > silence)), 1)

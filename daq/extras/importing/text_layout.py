@@ -148,7 +148,8 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
                     _require_heading(path, number, lines[number - 1 : number + 2], layout, len(cells))
                 if any(map(_SCALE.fullmatch, lines[:number])) and all(map(_INTEGER.fullmatch, cells[1:])):
                     warn(
-                        f"{path}: the scale factor of its heading is not applied to its integers. {GIVE_VALUE_OF_COUNT}"
+                        f"{path} contains integers. They are not multiplied by the scale factor of its heading. "
+                        + GIVE_VALUE_OF_COUNT
                     )
                 _require_other_delimiter(path, lines[max(number - 1, 0) : number + _MAX_EXAMINED_ROWS], layout)
                 return _with_columns(layout, lines[:number], cells)

@@ -36,7 +36,7 @@ _SPELLINGS = {
 
 
 def warn_of_scale(where: str, settings: Mapping[str, Any]) -> None:
-    """Warn about each setting that states a scale, which is not applied to the integers at `where`."""
+    """Warn about each setting that states a scale factor: the integers at `where` are not multiplied by it."""
     for name, value in settings.items():
         if _SCALE_NAMES.fullmatch(name) and value not in (1, 1.0):
             scale = f"{name.replace('@', '.')} = {value}"

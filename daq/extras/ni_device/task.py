@@ -342,7 +342,7 @@ class Task:
             return self.output.write_on_demand(volts)
 
     def _announce(self, call: str) -> None:
-        """Announce a call to the listeners of the chassis; the call ends with the `DaqError` that a listener raises."""
+        """Call the listeners of the chassis before a call of the task; a `DaqError` of a listener ends the call."""
         for listener in self.chassis.call_listeners:
             listener(call, self)
 

@@ -19,7 +19,7 @@ _DELIVERY_S = 1.0
 
 
 class _GroupProbe:
-    """A process in the script's process group that ends when the group receives Ctrl-C, which shows this."""
+    """A process in the script's process group; its end shows that the group has received Ctrl-C."""
 
     _COMMAND = (sys.executable, "-I", "-S", "-c", "import sys; sys.stdin.read()")
 

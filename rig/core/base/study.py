@@ -41,7 +41,7 @@ def code_digest(*packages: str) -> str:
 
 
 def digest(inputs: object) -> str:
-    """Return a short digest of a result's inputs (bytes of an array, otherwise `repr`) and of the code of `rig`."""
+    """Return a short digest of the inputs of a result (bytes of an array, or `repr`) and of the code of `rig`."""
     content = inputs.tobytes() if isinstance(inputs, np.ndarray) else repr(inputs).encode()
     return hashlib.sha256(code_digest("rig").encode() + content).hexdigest()[:16]
 

@@ -358,7 +358,7 @@ ValuesT = TypeVar("ValuesT", bound=ResponseValues)
 
 
 def stack(curves: Sequence[ValuesT], n_inputs: int = 1) -> ValuesT:
-    """Join the curves of all outputs and inputs, output by output; NaN at lines that a curve does not have."""
+    """Join the curves of all outputs and inputs, output by output; a curve is NaN at lines that it does not have."""
     first = curves[0]
     if any(not np.array_equal(curve.frequency, first.frequency) for curve in curves):
         frequency = np.unique(np.concatenate([curve.frequency for curve in curves]))

@@ -20,12 +20,12 @@ GROUND = "ground"
 RESERVED_NAMES = ("body", GROUND, *LOCATIONS)
 # Number of unknown names for which a similar name is suggested; each is compared with all names.
 _MAX_SUGGESTIONS = 20
-# Locations that need no replacement: a body by its number, or another location on the bench.
+# Locations without the name of a body: a body by its number, or another location on the bench.
 _LOCATION_WITHOUT_NAME = re.compile(r"(body \d+|hammer|(table|shaker|drive)( \d+)?)")
 
 
 def check_names(names: Sequence[str], n_bodies: int) -> Iterator[tuple[int | None, str]]:
-    """Yield the problems of the names: index of the name (None: the problem concerns all names) and message."""
+    """Yield each problem of the names as index of the name (None: it concerns all names) and message."""
     if len(names) != n_bodies:
         yield None, f"got {len(names)} names; expected {n_bodies}, one for each body"
     first: dict[str, int] = {}  # number of the first body of each name

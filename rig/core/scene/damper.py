@@ -94,7 +94,7 @@ class Grains(Settings):
 
 
 class Damper(Settings):
-    """A particle damper (it rests on a floor, separates, hits walls), a mass on a spring, or a mass that slides."""
+    """A particle damper (its bed rests on a floor or flies), a mass on a spring, or a mass that slides."""
 
     one_of: ClassVar = (("mass", "mass_ratio"),)
     required_unless: ClassVar = {"clearance": "spring"}

@@ -33,7 +33,7 @@ _MIN_BARE_RESONANCE_HZ = 1.0
 
 @dataclass(frozen=True)
 class _Range:
-    """The values of one key in real rigs, in SI: from `low` to below `high`.
+    """Range of the values of a key in real rigs, in SI units: from `low` to below `high`.
 
     `path`: key path, with None for each item of a list; `unit`: the usual unit; `meaning`: meaning of a number without
     a unit; `only_bare`: whether a value with a unit is accepted.

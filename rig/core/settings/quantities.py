@@ -213,7 +213,7 @@ def alternatives(words: Sequence[str]) -> str:
 
 
 def _similar_unit(value: Any, kinds: Sequence[Kind]) -> str:
-    """Return a question with the usual unit that resembles the unit of a quantity; empty if there is none."""
+    """Return the question whether a usual unit that resembles the given unit was meant; empty if there is none."""
     match = _NUMBER.fullmatch(value.strip()) if isinstance(value, str) else None
     units = [unit for kind in kinds for unit in _usual_units(kind) if unit]
     other_units = {unit for pair in COMMON_FACTORS for unit in pair if unit.isalpha()}

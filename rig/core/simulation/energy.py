@@ -239,7 +239,10 @@ def _integrate(
 
 
 def _dashpots(system: HybridSystem, forces: NDArray[np.int64]) -> list[tuple[Element, float]]:
-    """Return the elements whose dashpots act, with their damping [N s/m]; `forces`: number of each element's force."""
+    """Return the elements whose dashpots act, with their damping [N s/m].
+
+    `forces`: index of each force in `Law.forces`.
+    """
     present = [element.law.forces[index] for element, index in zip(system.elements, forces.tolist(), strict=True)]
     return [
         (element, -force.speed)

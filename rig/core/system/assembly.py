@@ -277,7 +277,7 @@ def _is_singular(stiffness: Array) -> bool:
 
 
 def force_row(scene: Scene, system: HybridSystem) -> Array:
-    """Return the row whose product with the state is the driven shaker's force [N]; zeros if there is no such row."""
+    """Return the row vector that gives the driven shaker's force [N] from the state; zeros if it is the drive."""
     if scene.driven_shaker is None:
         return np.zeros(system.states)
     table = scene.at_driven("table")

@@ -100,7 +100,7 @@ class HybridSystem:
     states, states) and R_u (further states, inputs). `state_energy`, `state_loss`, `state_power`: energy, loss and
     power of the drive of further states r are r^2 state_energy / 2, r^2 state_loss and r state_power u; in SI, the last
     has the shape (further states, inputs). `prescribed`, `reaction`: coordinates with prescribed motion, and rows
-    (prescribed, states) whose product with the state is the force of their actuator [N]. `elements`: the dampers that
+    (prescribed, states) that give the forces of their actuators [N] from the state. `elements`: the dampers that
     can move in their cavities, then the joints. A bed of grains is here one mass at rest; `rig.extras.grains` computes
     its motion. Arrays with one value for each damper do not include the joints. `initial`: state at t = 0 without
     drive, with resting dampers.
@@ -145,7 +145,7 @@ class HybridSystem:
 
     @property
     def states(self) -> int:
-        """Number of states without drive and dampers in flight."""
+        """Number of states, without those of the drive and of the dampers in flight."""
         return 2 * self.coordinates + self.rate_state.shape[0]
 
     @property
@@ -262,7 +262,7 @@ class HybridSystem:
 
     @property
     def coupled(self) -> bool:
-        """Whether contacts are solved together: impacts interact, or a gap of a mass that can rest is a coordinate."""
+        """Whether contacts are solved jointly: impacts interact, or a gap of a mass that can rest is a coordinate."""
         return self.impacts_interact or any(
             element.gap >= 0 and None in element.law.forces for element in self.elements
         )
@@ -318,7 +318,7 @@ class HybridSystem:
 
     @cached_property
     def strides(self) -> tuple[int, ...]:
-        """Strides of the elements: a configuration is the sum of stride times index of the force in `Law.forces`."""
+        """Stride of each element: a configuration is the sum over elements of stride times index in `Law.forces`."""
         counts = [len(element.law.forces) for element in self.elements]
         return tuple(prod(counts[:j]) for j in range(len(counts)))
 
@@ -370,7 +370,7 @@ class HybridSystem:
         return [self.elements[j].gap for j in self.held(configuration) if not self.detached[j]]
 
     def held(self, configuration: int) -> list[int]:
-        """Return the elements that are held in a configuration."""
+        """Return the elements that are held in a configuration: a holding force keeps their gaps constant."""
         indices = self.force_indices(np.array(configuration)).tolist()
         laws = (element.law for element in self.elements)
         return [j for j, (law, index) in enumerate(zip(laws, indices, strict=True)) if law.forces[index] is None]

@@ -87,7 +87,7 @@ def mass_unit(mass: float) -> tuple[float, str]:
 
 
 def rounded(length: float) -> float:
-    """Round a length to four digits: it can then be built and typed, and is the one that the design computed.
+    """Round a length to four digits, so the length in the scene file is exactly the length of the computed design.
 
     >>> rounded(0.001631850779875702)
     0.001632

@@ -112,7 +112,7 @@ def _verdict(design: Design) -> list[str]:
 
 
 def _comparison_with_tuned_mass(design: Design, tuned: TunedMass) -> str:
-    """Return a sentence on the peaks with a tuned mass damper instead, which is linear: one reduction at all levels."""
+    """Return a sentence on the reduction by a tuned mass damper instead; it is linear, so it is equal at all levels."""
     advantages = [design.reduction(tuned.peak) - design.reduction(peak) for peak in design.best.peaks]
     low, high = (format_decimals(abs(limit), 1) for limit in (min(advantages), max(advantages)))
     if min(advantages) >= 0.0:
@@ -355,7 +355,7 @@ def headline(design: Design) -> str:
 
 
 class Agreement(NamedTuple):
-    """Number of settings in which the compliances of a single-mass bed and a bed of grains agree within 10 %."""
+    """Number of operating points at which the compliances of a bed as one mass and as grains agree within 10 %."""
 
     agreeing: int
     settings: int

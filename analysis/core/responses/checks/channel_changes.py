@@ -361,7 +361,7 @@ class _Compared:
 
 
 def _sides(values: Array, part: int) -> tuple[Array, Array]:
-    """Return the values before and after a part, which the step divides; of few values, its value is after the step."""
+    """Return the values before and after the part with the step; if there are few, its own value is after the step."""
     return values[:part], values[part + (values.size >= _MIN_PARTS_WITHOUT_STEP) :]
 
 

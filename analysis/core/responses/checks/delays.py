@@ -53,9 +53,9 @@ _MAX_PERIODS = 2.0
 # Largest trial delay [s], if it is longer than `_MAX_PERIODS` periods.
 _MAX_DELAY_S = 5e-3
 # Spacing of the trial delays, in periods of the highest frequency.
-_SPACING = 0.1
+_SPACING_PERIODS = 0.1
 # The trial delays are refined around the best by this number of intervals.
-_REFINEMENT = 20
+_N_REFINED_INTERVALS = 20
 # A delay is significant if the sum of squares without a delay, and at other delays, is larger by this value: a
 # likelihood ratio of exp(10).
 _MIN_REDUCTION = 20.0
@@ -63,7 +63,7 @@ _MIN_REDUCTION = 20.0
 # and by more than twice the expanded uncertainty.
 _SEPARATION = 0.25
 # The delay is confirmed by parts of the lines, each without every third line.
-_PARTS = 3
+_N_PARTS = 3
 # Two curves are late by the same time, or a curve is not late, within this fraction of the delay.
 _MAX_OTHER_DELAY = 0.2
 # Words by which the warning of a constant delay is recognized.
@@ -131,7 +131,7 @@ def _are_confirmed(curves: Sequence[Response], delayed: dict[str, _Delay]) -> bo
     ]
     lines = np.arange(curves[0].frequency.size)
     variants = [(corrected, 0.0)] + [
-        ([curve.at(lines % _PARTS != part) for curve in curves], 1.0) for part in range(_PARTS)
+        ([curve.at(lines % _N_PARTS != part) for curve in curves], 1.0) for part in range(_N_PARTS)
     ]
     for variant, factor in variants:
         for curve, delay in zip(curves, _estimate_delays(variant), strict=True):
@@ -207,17 +207,16 @@ def _estimate_delay(frequency: Array, value: ComplexArray, error: Array, poles: 
         return None
     highest = frequency.max()
     limit = max(_MAX_PERIODS / highest, _MAX_DELAY_S)
-    delays = (
-        np.arange(-np.ceil(limit * highest / _SPACING), np.ceil(limit * highest / _SPACING) + 1) * _SPACING / highest
-    )
+    count = np.ceil(limit * highest / _SPACING_PERIODS)
+    delays = np.arange(-count, count + 1) * _SPACING_PERIODS / highest
     fit = _DelayFit(frequency, value, error, poles)
     fit.prepare(delays)
     squares = fit.squares(delays)
     best = int(np.argmin(squares))
-    fine = delays[best] + np.linspace(-1.0, 1.0, 2 * _REFINEMENT + 1) * _SPACING / highest
+    fine = delays[best] + np.linspace(-1.0, 1.0, 2 * _N_REFINED_INTERVALS + 1) * _SPACING_PERIODS / highest
     near = fit.squares(fine)
     time, least = float(fine[np.argmin(near)]), float(near.min())
-    curvature = (near[0] + near[-1] - 2.0 * near[_REFINEMENT]) / (_SPACING / highest) ** 2
+    curvature = (near[0] + near[-1] - 2.0 * near[_N_REFINED_INTERVALS]) / (_SPACING_PERIODS / highest) ** 2
     expanded = float(COVERAGE_FACTOR * np.sqrt(2.0 / max(curvature, 1e-300)))
     is_other = abs(delays - time) > max(_SEPARATION / highest, 2.0 * expanded)
     margin = squares[is_other].min(initial=np.inf) - least if is_other.any() else 0.0

@@ -31,7 +31,8 @@ _FAILED_RATIO = 0.01
 # A signal that falls by more than this factor in several steps has settled; one that fails falls in one step, or in two
 # at the beginning of a block.
 _MAX_FALL = 10.0
-# Smallest standard deviation before [counts of the converter]; a smaller signal falls below half a count.
+# Smallest standard deviation of a channel before its failure [counts of the converter]; a smaller signal falls below
+# half a count.
 _MIN_COUNTS = 3.0
 # Minimum ratio of the fall of a failed channel to that of another channel; otherwise, the excitation ended.
 _MIN_CONTRAST = 10.0
@@ -120,7 +121,7 @@ def _level(rec: Recording, name: str, start: int, samples: int) -> float:
 def _first_failed_block(levels: Array) -> int | None:
     """Return the first of the last blocks in which a channel has failed."""
     for block in range(_MIN_FAILED, levels.size - _MIN_FAILED + 1):
-        # The last block before may be invalid in part.
+        # The block before the failure may be partly invalid.
         before = levels[max(block - 1 - _COMPARED, 0) : block - 1]
         falls = levels[max(block - 3, 0) : block] > _MAX_FALL * levels[max(block - 3, 0) + 1 : block + 1]
         has_settled = falls.sum() > 1 and (falls.size < 3 or falls[0])

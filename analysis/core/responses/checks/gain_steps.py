@@ -23,15 +23,15 @@ from rig.core.results import format_number
 from rig.core.results.response import Response
 
 # Number of points on either side of a step: more points would reach into the next resonance.
-_SIDE = 8
+_POINTS_PER_SIDE = 8
 # Degree of the polynomials on both sides.
 _DEGREE = 3
 # Iterations of the weighted linear fit.
 _ITERATIONS = 3
 # Number of omitted lines on either side of a possible step if neighboring lines have common errors.
 _BLURRED_SIDE = 5
-# At a resonance, the gain ratio of such a step cannot be fitted. A channel then has a step if its relative residual
-# exceeds this limit, ...
+# If neighboring lines have common errors, the gain ratio of a step at a resonance cannot be fitted. A channel then has
+# a step if its relative residual exceeds this limit, ...
 _MIN_BLURRED_RESIDUAL = 0.03
 # ... the residuals of the other channels are below this fraction of its residual, ...
 _MAX_OTHER_RESIDUAL = 0.2
@@ -81,7 +81,7 @@ def step_warnings(response: Response, is_linear: bool) -> list[str]:
     valid = (np.isfinite(curves) & (abs(curves) > 0.0)).all(axis=0)
     frequency, curves = frequency[valid], curves[:, valid]
     noise = response.error[::stride, :, 0].T[:, valid] / abs(curves)
-    positions = np.arange(_SIDE + excluded, frequency.size - _SIDE - excluded)
+    positions = np.arange(_POINTS_PER_SIDE + excluded, frequency.size - _POINTS_PER_SIDE - excluded)
     if not positions.size or (len(curves) == 1 and not is_linear):
         return []
     min_change = _MIN_CHANGE if is_linear else _MIN_NONLINEAR_CHANGE
@@ -160,7 +160,7 @@ def _fit_ratio(
 
 def _points(position: NDArray[np.int64], excluded: int) -> NDArray[np.int64]:
     """Return the points on both sides of a position to which a function is fitted."""
-    offsets = np.arange(excluded + 1, excluded + 1 + _SIDE)
+    offsets = np.arange(excluded + 1, excluded + 1 + _POINTS_PER_SIDE)
     return np.asarray(position + np.concatenate([-offsets[::-1], offsets]))
 
 
@@ -178,7 +178,7 @@ def _residuals(
     # The phase of a delay is proportional to frequency.
     ratios = np.reshape(log_ratio, (-1, 1))
     ratios = ratios.real + 1j * ratios.imag * f / frequency[positions][:, None]
-    values = curve[points] / np.exp(np.where(np.arange(2 * _SIDE) < _SIDE, 0.0, ratios))
+    values = curve[points] / np.exp(np.where(np.arange(2 * _POINTS_PER_SIDE) < _POINTS_PER_SIDE, 0.0, ratios))
     centered = f - f.mean(axis=1, keepdims=True)
     powers = (centered / abs(centered).max(axis=1, keepdims=True))[:, :, None] ** np.arange(_DEGREE + 1)
     # Unknowns are the coefficients of numerator and denominator (constant term 1); residuals are relative.

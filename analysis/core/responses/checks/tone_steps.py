@@ -38,7 +38,7 @@ _DRIFT_TERMS = 4
 # Highest harmonic of the tone in the model.
 _HARMONICS = 3
 # This fraction of a block is not searched at either end.
-_MARGIN = 0.15
+_UNSEARCHED_END_FRACTION = 0.15
 # All samples are searched in recordings with at most this number of values; about 0.3 s of CPU time.
 _MAX_VALUES = 2_000_000
 # A step in the model must reduce the rms residual at least to this fraction of the residual without a step.
@@ -129,14 +129,14 @@ def find_tone_steps(rec: Recording, intervals: Sequence[ToneInterval], channels:
                     if np.ptp(block[row]) > min_ranges[row]
                 )
             # The searched parts of successive blocks overlap.
-            offset += int((1.0 - 3.0 * _MARGIN) * samples)
+            offset += int((1.0 - 3.0 * _UNSEARCHED_END_FRACTION) * samples)
 
 
 def _steps_of_block(block: Array, phase: Array) -> dict[int, tuple[int, complex]]:
     """Return position and logarithm of the ratio for each row with a step."""
     terms = _model(phase)
     model, triangle = np.linalg.qr(terms)
-    margin = int(_MARGIN * block.shape[1])
+    margin = int(_UNSEARCHED_END_FRACTION * block.shape[1])
     positions = np.arange(margin, block.shape[1] - margin)
     # The offset is removed, because a large offset would hide the tone.
     rows = [row - row.mean() for row in block]

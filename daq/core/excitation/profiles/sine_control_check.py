@@ -31,14 +31,14 @@ OBSERVATION_PERIODS = 4.0
 # Distances of the sidebands from the tone, in cycles of the drive amplitude per window.
 _SIDEBANDS = np.arange(1, 101) / 200.0
 # A maximum of the amplification below this value is not a resonance.
-_PEAK = 1.25
+_MIN_RESONANCE_AMPLIFICATION = 1.25
 # The largest slope within this relative distance yields the damping ratio.
-_NEAR = 0.05
+_SLOPE_SEARCH_RATIO = 0.05
 # Frequencies at which the slope of the drive is computed, several for each half-power width.
-_FREQUENCIES = 2000
+_N_FREQUENCIES = 2000
 # The response is computed in a band that is wider than that of the test by this factor at each end: sidebands farther
 # from the tone have a negligible effect on an observation.
-_WIDER = 1.15
+_BAND_MARGIN = 1.15
 
 
 def loop_gain(speed: float, delay: float, amplification: Array | None = None) -> float:
@@ -56,7 +56,7 @@ def loop_gain(speed: float, delay: float, amplification: Array | None = None) ->
         relevant = oscillation <= _SIDEBANDS
         # At smaller distances, only a resonance (a maximum of the amplification) limits the gain.
         relevant[1:-1] |= (amplification[1:-1] > np.maximum(amplification[:-2], amplification[2:])) & (
-            amplification[1:-1] > _PEAK
+            amplification[1:-1] > _MIN_RESONANCE_AMPLIFICATION
         )
         limits = 2.0 * np.sin(pi * _SIDEBANDS[relevant]) / np.maximum(amplification[relevant], 1e-12)
         limit = min(limit, float(limits.min()))
@@ -76,7 +76,7 @@ def sideband_amplification(required: float, frequency: float, drives: Array, fre
 def widened(test: SineControl) -> tuple[float, float]:
     """Return the lowest and the highest frequency at which the response is needed [Hz]."""
     low, high = test.band
-    return low / _WIDER, high * _WIDER
+    return low / _BAND_MARGIN, high * _BAND_MARGIN
 
 
 def in_band(test: SineControl, frequency: Array) -> NDArray[np.bool_]:
@@ -144,7 +144,7 @@ class SweepCheck(NamedTuple):
 
 def check_sweep(test: SineControl, scene: Scene, channels: Sequence[ChannelInfo], latency: float = 0.0) -> SweepCheck:
     """Check a sweep with the linear response of the scene, with all dampers on their floors; `latency`: s."""
-    places, frequency = {info.name: info.at for info in channels}, np.geomspace(*widened(test), _FREQUENCIES)
+    places, frequency = {info.name: info.at for info in channels}, np.geomspace(*widened(test), _N_FREQUENCIES)
     motion = accelerations_per_drive(scene, [places[name] for _, name in test.named_channels], 2.0 * pi * frequency)
     required = required_drives(test, motion, frequency)
     limiting, drives = required.argmin(axis=0), required.min(axis=0)
@@ -163,6 +163,6 @@ def check_sweep(test: SineControl, scene: Scene, channels: Sequence[ChannelInfo]
         for start, stop in runs_of(limiting[inside] == index)
     ]
     # The slope is largest at the half-power points of the resonance or antiresonance.
-    near = abs(np.log(frequency / frequency[worst])) < _NEAR
+    near = abs(np.log(frequency / frequency[worst])) < _SLOPE_SEARCH_RATIO
     damping = 0.5 / max(float(slopes[near].max()), 1e-12)
     return SweepCheck(test, float(frequency[worst]), max(deviations), damping, tuple(notches))

@@ -15,8 +15,9 @@ from rig.core.base.errors import SceneError
 from rig.core.scene.excitation.profile import in_decibels
 from rig.core.scene.excitation.shock import PULSE_POSITION, HalfSine, ShockProfile
 
-# Part of the error that a correction removes.
-_CORRECTION = 0.7
+# Part of the error that a correction removes. The error then decreases as long as the true response is below 2 / 0.7 =
+# 2.9 times the identified response.
+_CORRECTED_FRACTION = 0.7
 # Odd number of half periods of a wavelet, whose bandwidth is then less than the distance of the lines.
 _HALF_PERIODS = 25
 # The amplitudes of the wavelets are adjusted until the spectrum agrees within this tolerance [dB].
@@ -25,7 +26,7 @@ _MAX_SYNTHESIS_STEPS = 200
 # Exponent of the adjustment.
 _SYNTHESIS_EXPONENT = 0.7
 # Fraction of a period in which the drive rises at its start, and falls at its end.
-_EDGE = 0.05
+_TAPER_PER_PERIOD = 0.05
 
 
 class Replication:
@@ -38,7 +39,8 @@ class Replication:
         self._inverse = np.zeros(gain.size, dtype=complex)
         self._inverse[known] = 1.0 / gain[known]
         self._drive = self._target * self._inverse
-        ramp = (1.0 - np.cos(np.pi * np.arange(round(_EDGE * target.size)) / round(_EDGE * target.size))) / 2.0
+        rise = round(_TAPER_PER_PERIOD * target.size)
+        ramp = (1.0 - np.cos(np.pi * np.arange(rise) / rise)) / 2.0
         self._envelope = np.ones(target.size)
         self._envelope[: ramp.size], self._envelope[target.size - ramp.size :] = ramp, ramp[::-1]
 
@@ -52,7 +54,7 @@ class Replication:
 
     def correct(self, response: ComplexArray, level: float) -> None:
         """Correct the drive after a pulse at a level; `response`: accelerations at the lines [m/s²]."""
-        self._drive = self._drive + _CORRECTION * (self._target - response / level) * self._inverse
+        self._drive = self._drive + _CORRECTED_FRACTION * (self._target - response / level) * self._inverse
 
 
 class HalfSinePulse:

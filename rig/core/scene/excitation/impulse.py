@@ -109,11 +109,11 @@ class Impulse(KindOfTest):
         return self.replace(peak=tuple(peak * (level / max(self.peak)) for peak in self.peak))
 
     def is_double(self, hit: int) -> bool:
-        """Return whether the hammer bounces at an impact; `hit`: its number, from 1."""
+        """Return whether the hammer rebounds and hits again after an impact; `hit`: its number, from 1."""
         return self.double_hit is not None and (self.double_hit.hits is None or hit in self.double_hit.hits)
 
     def pulses(self, rate: float) -> list[Array]:
-        """Return the force of each impact with its bounce [N] from the first sample of the impact; `rate`: Hz."""
+        """Return the force of each impact with its second pulse [N] from the first sample of the impact; `rate`: Hz."""
         shape = half_sine(1.0, self.width, rate)
 
         def pulse(peak: float, is_double: bool) -> Array:

@@ -274,7 +274,7 @@ class KindOfTest(Settings):
         return None
 
     def controlled_terms(self, shaker: Shaker, table: str) -> dict[str, float]:
-        """Return the controlled quantity per meter of displacement at each location; {} in open loop.
+        """Return the controlled quantity per meter of displacement at each location; empty in open loop.
 
         By default the controlled quantity is the motion whose amplitude is the level, or the force of the driven
         shaker, whose table has the name `table`.

@@ -101,12 +101,12 @@ class MotionLimit(MotionProfile):
 
 
 class Control(Settings):
-    """The channels that are held at the profile."""
+    """The channels that are controlled to the profile."""
 
     channels: Annotated[tuple[ChannelName, ...], Field(min_length=1, max_length=64)]
     """Names of the channels."""
     combine: Literal["average", "maximum", "minimum"] = "average"
-    """How several channels are combined at each frequency."""
+    """Combination of several control channels at each frequency."""
 
     def combined(self, values: Array) -> Array:
         """Return the combination of values of the channels, shape (channels, ...)."""

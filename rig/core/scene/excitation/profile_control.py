@@ -11,7 +11,7 @@ from rig.core.settings.problems import KeyPath, Problem
 
 
 class ProfileControl:
-    """Control of channels at a profile of densities or amplitudes; the subclasses define the keys."""
+    """Control of channels to a profile of densities or amplitudes; the subclasses define the keys."""
 
     if TYPE_CHECKING:
         control: Control
@@ -50,7 +50,9 @@ class ProfileControl:
         return None
 
     def required(self, values: Array, frequency: Array) -> Array:
-        """Return required over measured values, for the control and for each limited channel; infinite without a limit.
+        """Return the ratio of required to measured values, for the control and each limited channel.
+
+        Infinite without limit.
 
         The drive follows the smallest of these ratios. `values`: densities or amplitudes of the channels as in
         `named_channels`, shape (channels, n); `frequency`: Hz, shape (n,). Returns shape (1 + limits, n).

@@ -143,12 +143,12 @@ class KindOfShaker(Settings):
         return {}
 
     def force_row(self, states: int, table: int | None) -> Array:
-        """Return the row whose product with the state is the force on the structure [N]; `table`: row of the table."""
+        """Return the row vector that gives the force on the structure [N] from the state; `table`: row of the table."""
         # The row is zero if the force does not depend on the state.
         return np.zeros(states)
 
     def required_drive(self, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return the drive, per meter of table motion and per newton on the table; `s` = iω.
+        """Return the drive that the table requires per meter of its motion, and per newton on it; `s` = iω.
 
         Without a prescribed motion, the drive is known except for a constant gain.
         """

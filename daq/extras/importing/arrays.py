@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.extras.importing.clock import (
+    CLOCK_BYTES,
     Clock,
     clock_of_times,
     looks_like_times,
@@ -40,8 +41,6 @@ _MIN_SAMPLES = 16
 _MAX_CHANNELS = 4096
 # Structures that are read from an array, to limit the time for malformed files.
 _MAX_STRUCTURES = 1000
-# Memory for estimating the clock, bytes per time: the times, the times of an even grid, and the differences.
-_CLOCK_BYTES = 48
 
 
 def array_signals(path: Path, _stack: ExitStack) -> list[Signal]:
@@ -119,7 +118,7 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
         if array.ndim == 1 and not _TIME_NAMES.fullmatch(name):
             sample_arrays[name] = array
             continue
-        require_memory_with_program(in_memory + _CLOCK_BYTES * max(array.shape), f"{path}: importing it")
+        require_memory_with_program(in_memory + CLOCK_BYTES * max(array.shape), f"{path}: importing it")
         if array.ndim == 1:
             times_in = f"{path}: the times in {name!r}"
             scale = 1.0

@@ -7,7 +7,7 @@ agrees with these rounded values.
 import math
 import re
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -50,6 +50,8 @@ _ROUNDNESS = 1e-4
 # Maximum number of gaps in the times of a clock; a file with more gaps has no clock.
 _MAX_GAPS = 10_000
 
+#: Memory for estimating the clock, bytes per time: the times, the times of an even grid, and the differences.
+CLOCK_BYTES = 48
 #: Row before which rows are missing, and their number.
 MissingRows = tuple[int, int]
 
@@ -123,7 +125,7 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
 
     Raises `RecordingError` if the times are not evenly spaced. `where` names the times in messages.
     """
-    missing = missing_rows([times], resolution)
+    missing = missing_rows(times, resolution)
     if times.size < 2:
         raise RecordingError(
             f"{where}: the number of time stamps is {times.size}; expected at least 2. Export more samples."
@@ -145,56 +147,44 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
         except RecordingError as uneven:
             raise RecordingError(f"{where}: {uneven}") from None
         first, deviation = mean_time + float(centered_number[0]) / rate, float(abs(residual).max())
+        _require_even(times, sample_numbers(np.arange(times.size), missing), first, rate, resolution, where)
         warn(
             f"{where} deviate from even spacing by up to {format_percent(deviation * rate)} of the sample interval. "
             "The samples are imported as evenly spaced, because usually only the written times have jitter."
         )
-    else:
-        rate = rate_with_gaps(first, last, times.size, missing, max(resolution, 2.0 * deviation), where)
-    require_even(times, sample_numbers(np.arange(times.size), missing), first, rate, resolution, where)
+        return Clock(rate, first)
+    rate = _rate_with_gaps(first, last, times.size, missing, max(resolution, 2.0 * deviation), where)
+    _require_even(times, sample_numbers(np.arange(times.size), missing), first, rate, resolution, where)
     return Clock(rate, first, missing)
 
 
-def missing_rows(times: Iterable[Array], resolution: float) -> list[MissingRows]:
-    """Return (row, number of rows missing before it) for each gap in times.
+def missing_rows(times: Array, resolution: float) -> list[MissingRows]:
+    """Return (row, number of rows missing before it) for each gap in times [s], rounded to `resolution` [s].
 
-    `times` are blocks of times in s, rounded to `resolution` [s]. The list is empty if the other times are unevenly
-    spaced (the size of a gap is then unknown), or if more rows are missing than present.
+    The list is empty if the other times are unevenly spaced (the size of a gap is then unknown), or if more rows are
+    missing than present.
 
-    >>> missing_rows([np.array([0.0, 0.1, 0.2, 0.5, 0.6])], 0.0)
+    >>> missing_rows(np.array([0.0, 0.1, 0.2, 0.5, 0.6]), 0.0)
     [(3, 2)]
     """
-    interval, rows, regular_time, regular_count = 0.0, 0, 0.0, 0
-    previous_time = np.empty(0)
-    gaps: list[tuple[int, float]] = []
-    for times_block in times:
-        intervals = np.diff(np.concatenate([previous_time, times_block]))
-        if not rows:
-            interval = float(np.median(intervals)) if intervals.size else 0.0
-            if not (interval > 0.0 and resolution <= _INTERVAL_TOLERANCE * interval):
-                return []
-        is_gap = intervals > _MAX_REGULAR_INTERVALS * interval
-        regular = intervals[~is_gap]
-        if not (abs(regular - interval) <= _INTERVAL_TOLERANCE * interval + 2.0 * resolution).all():
-            return []
-        # From the second block on, the first interval begins in the previous block.
-        first = rows if previous_time.size else 1
-        gaps += [(first + int(index), float(intervals[index])) for index in np.flatnonzero(is_gap)]
-        if len(gaps) > _MAX_GAPS:
-            return []
-        regular_time, regular_count = regular_time + float(regular.sum()), regular_count + regular.size
-        rows, previous_time = rows + times_block.size, times_block[-1:]
-    if not gaps or not regular_count:
+    intervals = np.diff(times)
+    interval = float(np.median(intervals)) if intervals.size else 0.0
+    is_gap = intervals > _MAX_REGULAR_INTERVALS * interval
+    gaps, regular = intervals[is_gap], intervals[~is_gap]
+    if not (interval > 0.0 and resolution <= _INTERVAL_TOLERANCE * interval and 0 < gaps.size <= _MAX_GAPS):
+        return []
+    if not (abs(regular - interval) <= _INTERVAL_TOLERANCE * interval + 2.0 * resolution).all():
         return []
     try:
-        rate = rate_of_interval(regular_time / regular_count, 2.0 * resolution * (len(gaps) + 1) / regular_count)
+        rate = rate_of_interval(float(regular.mean()), 2.0 * resolution * (gaps.size + 1) / regular.size)
     except RecordingError:
         return []
-    lost_counts = [round(gap * rate) - 1 for _, gap in gaps]
-    errors = [abs(gap * rate - count - 1) for (_, gap), count in zip(gaps, lost_counts, strict=True)]
-    if max(errors) > _INTERVAL_TOLERANCE + 2.0 * resolution * rate or sum(lost_counts) > rows:
+    counts = np.round(gaps * rate) - 1
+    largest_error = abs(gaps * rate - counts - 1).max()
+    if largest_error > _INTERVAL_TOLERANCE + 2.0 * resolution * rate or counts.sum() > times.size:
         return []
-    return [(row, count) for (row, _), count in zip(gaps, lost_counts, strict=True)]
+    rows = np.flatnonzero(is_gap) + 1
+    return list(zip(rows.tolist(), counts.astype(int).tolist(), strict=True))
 
 
 def sample_numbers(rows: NDArray[np.int64], missing: Sequence[MissingRows]) -> NDArray[np.int64]:
@@ -208,7 +198,7 @@ def sample_numbers(rows: NDArray[np.int64], missing: Sequence[MissingRows]) -> N
     return rows + lost_counts[np.searchsorted(gap_rows, rows, side="right")]
 
 
-def rate_with_gaps(
+def _rate_with_gaps(
     first: float, last: float, rows: int, missing: Sequence[MissingRows], resolution: float, where: str
 ) -> float:
     """Estimate the rate [Hz] from the first and last time [s] and the missing rows; warn about the missing rows."""
@@ -227,7 +217,7 @@ def rate_with_gaps(
     return rate
 
 
-def require_even(
+def _require_even(
     times: Array, numbers: NDArray[np.int64], start: float, rate: float, resolution: float, where: str
 ) -> None:
     """Raise `RecordingError` if a time [s] differs from the time of its sample index by more than half an interval.

@@ -25,8 +25,7 @@ class Signal:
     unit: str  # Unit; empty if the file states none
     samples: int
     rate: float | None  # Sample rate [Hz]; None if the file states none
-    # (start, stop) -> samples [start, stop) in the unit of the file. Calls must be sequential: each
-    # starts at the previous stop, or at 0.
+    # (start, stop) -> samples [start, stop) in the unit of the file.
     read: Callable[[int, int], Array]
     start_s: float = 0.0  # Time of the first sample relative to the time zero of the file [s]
     start_ns: int = 0  # Time zero of the file, ns since 1970; 0 if the file has no date

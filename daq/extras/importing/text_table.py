@@ -1,23 +1,22 @@
 """The columns of a text table, separated by commas, semicolons, tabs or blanks, with or without a heading."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from itertools import islice, pairwise, takewhile
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import IO
 
 import numpy as np
 
 from daq.extras.importing.clock import (
+    CLOCK_BYTES,
     TIME_NAMES,
     Clock,
+    clock_of_times,
     looks_like_times,
-    missing_rows,
-    rate_with_gaps,
-    require_even,
-    sample_numbers,
     time_scale,
     warn,
     warn_used_as_times,
@@ -70,17 +69,17 @@ BLOCK_LINES = 1 << 16
 _MEMORY_PER_BYTE = 4
 
 
-def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
-    """List the columns of a text table as signals; each pass through the samples reads the file line by line.
+def text_signals(path: Path, _stack: ExitStack) -> list[Signal]:
+    """List the columns of a text table as signals.
 
     If the first column contains times, they determine the clock. Names and units are those of the heading:
     ``acc1 [m/s^2]``, ``acc1 (g)``, or a line of names above a line of units.
     """
     lines, encoding = read_beginning(path)
     if lines[0].startswith(LABVIEW_BEGIN):
-        return _labview_segments(path, lines, encoding, stack)
+        return _labview_segments(path, lines, encoding)
     layout = detect_layout(path, lines, encoding)
-    table = _Table(path, layout, stack)
+    table = _Table(path, layout)
     columns = list(zip(layout.names, layout.units, strict=True))
     clock, first_data_column = Clock(None), 0
     are_named_times = TIME_NAMES.fullmatch(layout.names[0]) is not None or layout.units[0] in TIME_UNITS
@@ -93,8 +92,6 @@ def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
         raise RecordingError(
             f"{path} has {len(columns)} unnamed columns of {table.rows} numbers. Export a column for each channel."
         )
-    if not table.rows:
-        raise RecordingError(f"{path} contains no line of numbers. Export time histories as columns of numbers.")
     numbered = list(enumerate(columns))[first_data_column:]
     if first_data_column:
         numbered = [(k, (name, unit)) for k, (name, unit) in numbered if not table.repeats_times(k, name)]
@@ -103,7 +100,7 @@ def text_signals(path: Path, stack: ExitStack) -> list[Signal]:
     ]
 
 
-def _labview_segments(path: Path, lines: list[str], encoding: str, stack: ExitStack) -> list[Signal]:
+def _labview_segments(path: Path, lines: list[str], encoding: str) -> list[Signal]:
     """List the channels of a LabVIEW file; samples are lost between segments unless their times are consecutive."""
     first = read_labview_heading(lines, str(path))
     file_heading = list(takewhile(lambda line: not line.startswith(LABVIEW_END), lines))
@@ -133,7 +130,7 @@ def _labview_segments(path: Path, lines: list[str], encoding: str, stack: ExitSt
     parts = [part for part in zip(headings, [*stops, None], rows, strict=False) if part[2]] or [(first, None, 0)]
     if n_empty := len(headings) + bool(open_heading) - len(parts):
         warn(f"{path}: {n_empty} of its {n_empty + len(parts)} segments contain no samples, and are not imported")
-    segments = [_labview_signals(path, heading, stop, encoding, stack) for heading, stop, _ in parts]
+    segments = [_labview_signals(path, heading, stop, encoding) for heading, stop, _ in parts]
     if len(segments) == 1:
         return segments[0]
     if not are_repetitions(segments):
@@ -150,9 +147,7 @@ def _lost_samples(before: Signal, after: Signal) -> int:
     return 0 if before.rate and abs(deviation) * before.rate < _MAX_DEVIATION else GAP
 
 
-def _labview_signals(
-    path: Path, heading: LabviewHeading, stop: int | None, encoding: str, stack: ExitStack
-) -> list[Signal]:
+def _labview_signals(path: Path, heading: LabviewHeading, stop: int | None, encoding: str) -> list[Signal]:
     """List the channels of a segment as signals; a column of times overrides the clock of the heading.
 
     `stop`: number of lines in the file before the next segment; None for the last segment.
@@ -168,7 +163,7 @@ def _labview_signals(
         (*([0] if has_times else []), *(channel.cell for channel in channels)),
         stop=stop,
     )
-    table = _Table(path, layout, stack)
+    table = _Table(path, layout)
     clock = table.estimate_clock("s") if has_times else None
     stated_samples = max(channel.samples for channel in channels)
     if stated_samples > table.rows:
@@ -213,33 +208,32 @@ class _InvalidLine(RecordingError):
 
 
 class _Table:
-    """The numbers of a text table, read in blocks of lines that all columns share."""
+    """The numbers of a text table; `values` has the shape (lines, columns), and lies in a temporary file."""
 
-    def __init__(self, path: Path, layout: Layout, stack: ExitStack) -> None:
+    def __init__(self, path: Path, layout: Layout) -> None:
         self._path, self._layout = path, layout
-        self._file: IO[str] = stack.enter_context(path.open(encoding=layout.encoding, errors="replace", newline=""))
-        self._time_column: tuple[Clock, float, float] | None = None  # clock, resolution and unit of the times [s]
         self._examined_lines: list[str] = []  # the first lines, and the last line
-        self._repeated_times: list[int] = []  # further columns with the times of the first column
         self.rows = 0
-        previous_line, last_line = "", (0, "")
-        for numbered_line in self._lines():
-            if self.rows < _MAX_EXAMINED_LINES:
-                self._examined_lines.append(numbered_line[1])
-            previous_line, last_line = last_line[1], numbered_line
-            self.rows += 1
-        if self.rows > 1 and (reason := self._truncation_reason(*last_line)):
-            warn(f"{path}: the last line is truncated, and is not imported ({reason})")
-            self.rows -= 1
-            self._examined_lines = self._examined_lines[: self.rows]
-            last_line = (0, previous_line)
+        # A table may be larger than the memory. The map of the temporary file remains valid when the file is closed.
+        with path.open(encoding=layout.encoding, errors="replace", newline="") as file, TemporaryFile() as store:
+            lines = self._lines(file)
+            following = list(islice(lines, BLOCK_LINES))
+            self._examined_lines = [line for _, line in following[:_MAX_EXAMINED_LINES]]
+            while block := following:
+                following = list(islice(lines, BLOCK_LINES))
+                n_bytes = sum(len(line) for _, line in block)
+                require_memory_with_program(_MEMORY_PER_BYTE * n_bytes, f"{path}: importing it")
+                if not following and self.rows + len(block) > 1 and (reason := self._truncation_reason(*block[-1])):
+                    warn(f"{path}: the last line is truncated, and is not imported ({reason})")
+                    block = block[:-1]
+                store.write(self._parse_lines(block).tobytes())
+                self.rows += len(block)
+                last_line = block[-1][1]
+            store.flush()
+            shape = self.rows, len(layout.names)
+            self.values: Array = np.memmap(store, np.float64, "r", shape=shape) if self.rows else np.empty(shape)
         if self.rows:
-            self._examined_lines.append(last_line[1])
-            block_bytes = min(1.0, BLOCK_LINES / self.rows) * path.stat().st_size
-            require_memory_with_program(_MEMORY_PER_BYTE * block_bytes, f"{path}: importing it")
-        self._line_iterator = self._lines()
-        self._position = 0
-        self._cached_block: tuple[int, int, Array] = (-1, -1, np.empty((0, 0)))
+            self._examined_lines = [*self._examined_lines[: self.rows], last_line]
 
     def _truncation_reason(self, line_number: int, line: str) -> str:
         """Return the reason why the last line is certainly truncated; an empty string if it may be complete."""
@@ -247,24 +241,29 @@ class _Table:
             self._parse_line(line_number, line)
         except _InvalidLine as error:
             return error.fault
-        last_cells = [split_cells(each, self._layout.delimiter)[-1] for each in (*self._examined_lines[:-1], line)]
+        last_cells = [split_cells(each, self._layout.delimiter)[-1] for each in (*self._examined_lines, line)]
         # Only the digits after the decimal mark are compared; the digits before it depend on the value.
         lengths = [len(re.split("[.,]", cell, maxsplit=1)[-1]) if re.search("[.,]", cell) else 0 for cell in last_cells]
         if not line.endswith(("\n", "\r")) and len(lengths) > _MIN_LINES and lengths[-1] < min(lengths[:-1]):
             return f"line {line_number}: {last_cells[-1]!r:.40} is shorter than in other lines, and the line has no end"
         return ""
 
+    def _first_cells(self) -> list[str]:
+        """Return the cells of the first column in the examined lines."""
+        position = self._layout.cells[0] if self._layout.cells else 0
+        return [split_cells(line, self._layout.delimiter)[position] for line in self._examined_lines]
+
     @property
     def has_times_of_day(self) -> bool:
         """Whether the first column contains times of day, with or without dates."""
-        return bool(self._examined_lines) and stamp_seconds(self._first_cell(self._examined_lines[0])) is not None
+        return any(stamp_seconds(cell) is not None for cell in self._first_cells()[:1])
 
     def first_column_can_only_be_times(self) -> bool:
         """Return whether the first column of a table without heading can only be times; warn if so."""
         if self._layout.names[0] != UNNAMED.format(1) or self._layout.units[0] or self.rows < 2:
             return False
-        first_times = np.array([self._parse_line(0, line)[0] for line in self._examined_lines[:-1]])
-        if not looks_like_times(first_times, self._parse_line(0, self._examined_lines[-1])[0], self.rows):
+        first_times, last_time = self.values[:_MAX_EXAMINED_LINES, 0], float(self.values[-1, 0])
+        if not looks_like_times(first_times, last_time, self.rows):
             return False
         warn_used_as_times(f"{self._path} has no heading; its first column", first_times[1] - first_times[0])
         return True
@@ -273,98 +272,37 @@ class _Table:
         """Return whether a column contains the times of the first column; raise an error if it has other times."""
         if not _FURTHER_TIMES.fullmatch(name):
             return False
-        self._require_same_times(column, np.array([self._parse_line(0, line) for line in self._examined_lines]))
-        self._repeated_times.append(column)
-        return True
-
-    def _require_same_times(self, column: int, values: Array) -> None:
-        """Raise `RecordingError` if a column of a block has other times than the first column."""
-        if not np.array_equal(values[:, column], values[:, 0]):
+        if not np.array_equal(self.values[:, column], self.values[:, 0]):
             raise RecordingError(
                 f"{self._path}: the times of column {self._layout.names[column]!r} differ from those of the first "
                 "column. Export signals with different times to separate files."
             )
+        return True
 
     def estimate_clock(self, unit: str) -> Clock:
         """Estimate the clock from the first column, which contains times in `unit`."""
         where = f"{self._path}: the times in its first column"
         scale = time_scale("" if self.has_times_of_day else unit, where)
-        if self.rows < 2:
-            raise RecordingError(
-                f"{where}: the number of time stamps is {self.rows}; expected at least 2. Export more samples."
-            )
-        first, last = (self._parse_line(0, self._examined_lines[end])[0] * scale for end in (0, -1))
-        time_cells = [self._first_cell(line) for line in self._examined_lines]
+        require_memory_with_program(CLOCK_BYTES * self.rows, f"{self._path}: importing it")
+        times = self.values[:, 0] * scale
         if self.has_times_of_day:
-            resolution = min(map(stamp_resolution, time_cells))
+            resolution = min(map(stamp_resolution, self._first_cells()))
         else:
-            largest = max(abs(first), abs(last), 1e-300)
-            resolution = 10.0 ** (np.floor(np.log10(largest)) + 1 - max(map(significant_digits, time_cells)))
-        missing = missing_rows(self._times(scale), resolution)
-        rate = rate_with_gaps(first, last, self.rows, missing, resolution, where)
-        clock = Clock(rate, first, missing)
-        self._time_column = clock, resolution, scale
-        return clock
-
-    def _first_cell(self, line: str) -> str:
-        return split_cells(line, self._layout.delimiter)[self._first_position]
-
-    @property
-    def _first_position(self) -> int:
-        """Position of the cell of the first column in a line."""
-        return self._layout.cells[0] if self._layout.cells else 0
-
-    def _times(self, scale: float) -> Iterator[Array]:
-        """Yield the first column in blocks [s]."""
-        lines = islice(self._lines(), self.rows)
-        while block := list(islice(lines, BLOCK_LINES)):
-            numbers = self._parse_numbers(block, (self._first_position,))
-            times = np.array([self._time(*each) for each in block]) if numbers is None else numbers[:, 0]
-            yield times * scale
-
-    def _time(self, line_number: int, line: str) -> float:
-        cells = split_cells(line, self._layout.delimiter)[self._first_position :]
-        value = parse_number(cells[0], self._layout.decimal_comma) if cells else None
-        return self._parse_line(line_number, line)[0] if value is None else value
+            largest = float(abs(times[[0, -1]]).max(initial=1e-300)) if self.rows else 1.0
+            digits = max(map(significant_digits, self._first_cells()), default=1)
+            resolution = 10.0 ** (np.floor(np.log10(largest)) + 1 - digits)
+        return clock_of_times(times, resolution, where)
 
     def signal(
         self, position: int, name: str, unit: str, column: int, clock: Clock, samples: int | None = None
     ) -> Signal:
         """Return the signal of a column, counted from 0; `position` is the number of the signal, from 1."""
+        return Signal.from_array(self._path, position, name, unit, self.values[:samples, column], clock)
 
-        def read(start: int, stop: int) -> Array:
-            return self._read_block(start, stop)[:, column]
-
-        rows = self.rows if samples is None else samples
-        signal = Signal(self._path.name, position, name, unit, rows, clock.rate, read, clock.start_s)
-        return signal.with_gaps(clock)
-
-    def _read_block(self, start: int, stop: int) -> Array:
-        """Return a block of numbers, shape (lines, columns); the block is cached for the other columns."""
-        if self._cached_block[:2] == (start, stop):
-            return self._cached_block[2]
-        if start < self._position:
-            self._line_iterator, self._position = self._lines(), 0
-        for _ in islice(self._line_iterator, start - self._position):
-            pass
-        lines = list(islice(self._line_iterator, stop - start))
-        self._position = start + len(lines)
-        values = self._parse_lines(lines)
-        if self._time_column is not None:
-            (rate, first, missing), resolution, scale = self._time_column
-            numbers = sample_numbers(np.arange(start, start + len(values)), missing)
-            where = f"{self._path}: the times in its first column"
-            require_even(values[:, 0] * scale, numbers, first, rate or 0.0, resolution, where)
-        for column in self._repeated_times:
-            self._require_same_times(column, values)
-        self._cached_block = start, stop, values
-        return values
-
-    def _lines(self) -> Iterator[tuple[int, str]]:
+    def _lines(self, file: IO[str]) -> Iterator[tuple[int, str]]:
         """Yield the lines of numbers, each with its line number in the file, from 1."""
-        self._file.seek(0)
         line_number = 0
-        while line := self._file.readline(_MAX_LINE):
+        while line := file.readline(_MAX_LINE):
             line_number += 1
             if line_number > (self._layout.stop or line_number):
                 return
@@ -375,21 +313,17 @@ class _Table:
             yield line_number, line
 
     def _parse_lines(self, lines: list[tuple[int, str]]) -> Array:
-        layout = self._layout
-        if (numbers := self._parse_numbers(lines, layout.cells)) is not None:
+        if (numbers := self._parse_numbers(lines)) is not None:
             return numbers
         # Lines with empty cells, times of day or errors are read cell by cell.
-        return np.array([self._parse_line(*each) for each in lines]).reshape(len(lines), len(layout.names))
+        return np.array([self._parse_line(*each) for each in lines])
 
-    def _parse_numbers(self, lines: list[tuple[int, str]], cells: Sequence[int] | None) -> Array | None:
-        """Return the cells of lines of plain numbers, shape (lines, cells).
-
-        The result is None for other lines.
-        """
+    def _parse_numbers(self, lines: list[tuple[int, str]]) -> Array | None:
+        """Return the numbers of lines of plain numbers, shape (lines, columns); None for other lines."""
         import pyarrow
         import pyarrow.csv
 
-        delimiter, decimal_comma = self._layout.delimiter, self._layout.decimal_comma
+        delimiter, decimal_comma, cells = self._layout.delimiter, self._layout.decimal_comma, self._layout.cells
         if delimiter == "," and decimal_comma:
             return None
         texts = [line for _, line in lines]
@@ -410,15 +344,13 @@ class _Table:
             )
         except (pyarrow.ArrowInvalid, pyarrow.ArrowKeyError):
             return None
-        expected = (len(lines), len(included))
-        is_complete = table.shape == expected and (cells is not None or count == len(self._layout.names))
+        is_complete = table.shape == (len(lines), len(self._layout.names))
         return np.stack([column.to_numpy() for column in table.columns], axis=1) if is_complete else None
 
     def _parse_line(self, line_number: int, line: str) -> list[float]:
         """Return the numbers of a line, NaN for empty cells; raise `RecordingError` with line and column otherwise."""
         layout = self._layout
-        row = split_cells(line, layout.delimiter)
-        where = f"{self._path}, " + (f"line {line_number}" if line_number else "its first or last line")
+        row, where = split_cells(line, layout.delimiter), f"{self._path}, line {line_number}"
         if layout.cells is not None and len(row) > layout.cells[-1]:
             row = [row[position] for position in layout.cells]
         if len(row) != len(layout.names):

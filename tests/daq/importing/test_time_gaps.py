@@ -84,11 +84,15 @@ def test_one_missing_sample_is_singular():
         clock_of_times(np.array([0.0, 0.1, 0.2, 0.4, 0.5]), 0.0, "times")
 
 
-def test_gaps_are_detected_across_blocks():
-    present = np.delete(np.arange(3 * BLOCK_LINES), [BLOCK_LINES, BLOCK_LINES + 1, 2 * BLOCK_LINES + 5])
-    blocks = np.split(present / RATE, [BLOCK_LINES, 2 * BLOCK_LINES - 1])
-    # Number of the present row after a gap, and the number of missing rows.
-    assert missing_rows(blocks, 0.0) == [(BLOCK_LINES, 2), (2 * BLOCK_LINES + 3, 1)]
+def test_gaps_are_detected_at_limits_of_blocks(tmp_path):
+    present = np.delete(np.arange(2 * BLOCK_LINES + 100), [BLOCK_LINES, BLOCK_LINES + 1, 2 * BLOCK_LINES + 5])
+    path = tmp_path / "a.csv"
+    path.write_text("t [s],a [g]\n" + "".join(f"{number / 1000:.4f},{number}\n" for number in present))
+    with ExitStack() as stack, pytest.warns(RunWarning, match="2 places.* 3 samples are missing at 1000 Hz"):
+        (signal,) = text_signals(path, stack)
+        values = signal.read(0, signal.samples)
+    assert np.flatnonzero(np.isnan(values)).tolist() == [BLOCK_LINES, BLOCK_LINES + 1, 2 * BLOCK_LINES + 5]
+    assert (values[~np.isnan(values)] == present).all()
 
 
 @pytest.mark.parametrize(
@@ -102,7 +106,7 @@ def test_gaps_are_detected_across_blocks():
     ids=["random", "half a sample", "mostly lost", "backwards"],
 )
 def test_no_gaps_in_unevenly_spaced_times(times):
-    assert missing_rows([times], 0.0) == []
+    assert missing_rows(times, 0.0) == []
 
 
 @pytest.mark.parametrize("cut_bytes", [1, 4, 10, 20, 40, 48])

@@ -31,6 +31,8 @@ _MAX_TEXT_VALUES = 500
 _SIDE_MARGIN = 0.03
 # Distance of values from the ends of a linear vertical axis, relative to their range.
 _VERTICAL_MARGIN = 0.15
+# A longer remainder of a caption is folded [characters].
+_MAX_KEY = 300
 _DEFAULT_STYLE = body_style(1)
 
 
@@ -95,13 +97,14 @@ class Panel:
     image: dict[str, Any] | None = None  # image from `level_image`
     marks: Sequence[Mark] = ()
     strips: Sequence[Strip] = ()
+    title: str = ""  # inside the axes
 
 
 @dataclass(frozen=True)
 class Chart:
     """Panels one below the other, with a caption and a text alternative for screen readers."""
 
-    caption: str
+    caption: str  # its first sentence is the title above the panels; a long remainder is folded
     alternative: str
     panels: Sequence[Panel]
     x_name: str = "frequency"
@@ -135,11 +138,15 @@ class ChartWriter:
         }
         # The text "</script>" inside the data would end the script element.
         text = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+        title, _, key = typeset(chart.caption).partition(". ")
+        key = f'<p class="key">{key}</p>' if key else ""
+        if len(key) > _MAX_KEY:
+            key = f'<details class="key"><summary>How to read the charts</summary>{key}</details>'
         return (
-            f'<figure><div class="chart" role="img" aria-label="{escape_html(chart.alternative)}" '
+            f"<figure><figcaption><b>{title.removesuffix('.')}</b></figcaption>"
+            f'<div class="chart" role="img" aria-label="{escape_html(chart.alternative)}" '
             f'data-source="{identifier}"></div>'
-            f"<figcaption>{typeset(chart.caption)}</figcaption>"
-            f'<script type="application/json" id="{identifier}">{text}</script></figure>'
+            f'<script type="application/json" id="{identifier}">{text}</script></figure>{key}'
         )
 
 
@@ -171,6 +178,7 @@ def _panel(panel: Panel) -> dict[str, Any]:
     return {
         "label": f"{panel.label} / {_divisor(panel.unit)}" if panel.unit else panel.label,
         "unit": panel.unit,
+        "title": panel.title,
         "log": panel.logarithmic,
         "height": panel.height,
         "range": panel.limits,
@@ -195,6 +203,7 @@ def _curve(curve: Curve, positive_only: bool) -> dict[str, Any]:
     content: dict[str, Any] = {
         "label": curve.label,
         "color": curve.style.color,
+        "marker": curve.style.marker,
         "dash": curve.style.dashes,
         "draw": curve.draw,
         "x": asdict(curve.x) if isinstance(curve.x, EvenlySpaced) else _column(curve.x, digits=_ABSCISSA_DIGITS),

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 _MAX_SAMPLES = 60_000
 # A long recording is divided into this number of intervals.
 _INTERVALS = 1500
+# Channels with panels of their own; more would make a page too long.
+_MAX_LANES = 8
+# Limits of an axis, relative to the largest value.
+_LANE_MARGIN = 1.05
 # Spectra in a spectrogram; more would not be visible in its width.
 _SPECTRA = 240
 # Spectral lines in each spectrum; more would not be visible in its height.
@@ -49,9 +53,13 @@ def time_histories(rec: Recording) -> Chart:
         scale, shown_unit = (1e3, "mm") if unit == "m" else (1.0, unit.replace("^2", "²"))
         places = [names.index(name) for name in selected]
         curves = [Curve(names[k], time, scale * rows[k], style=styles[k]) for k in places]
-        # The channel with the largest motion is drawn first, so it hides no other channel.
-        curves.sort(key=lambda curve: -float(np.ptp(curve.y)))
-        panels.append(Panel(rec.channels[selected[0]].quantity, shown_unit, curves, height=170))
+        # A channel would hide the others. Panels of the same unit have the same limits.
+        largest = _LANE_MARGIN * scale * float(np.nanmax(abs(rows[places]), initial=0.0)) or 1.0
+        lanes = [[curve] for curve in curves] if len(names) <= _MAX_LANES else [curves]
+        for lane in lanes:
+            quantity = lane[0].label if len(lane) == 1 else rec.channels[selected[0]].quantity
+            height = 90 if len(lane) == 1 else 170
+            panels.append(Panel(quantity, shown_unit, lane, height, limits=(-largest, largest)))
     resolution = "every sample" if is_complete else f"largest and smallest value of each of {_INTERVALS} intervals"
     return Chart(
         f"Time histories, {resolution}.",

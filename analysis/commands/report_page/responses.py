@@ -37,7 +37,15 @@ from analysis.core.decays.modal_decay import ModalDecay
 from analysis.core.recordings.names import acquisition_text, belongs_to, excitation_text, without_common_direction
 from analysis.core.responses.estimator import Blocks
 from rig.core.base.arrays import Array, ComplexArray
-from rig.core.base.palette import BASELINE, DAMPER, CurveStyle, location_style, location_styles, recording_styles
+from rig.core.base.palette import (
+    BASELINE,
+    DAMPER,
+    CurveStyle,
+    faded,
+    location_style,
+    location_styles,
+    recording_styles,
+)
 from rig.core.results import format_decimals, format_frequencies, format_percent
 from rig.core.results.response import Response
 from rig.core.scene.excitation import FORCE_TOLERANCE
@@ -85,17 +93,24 @@ def response_charts(measurements: Sequence[Measurement], baseline_name: str) -> 
         levels = names if several and len(with_responses) == 1 else [""] * len(group)
         labels = _mode_marks(sweeps, baseline, group, styles, levels)
         chart = response_chart(group, names, styles, marks, labels, view)
-        # Later charts repeat kind of test and level, because a chart is also read or saved alone.
-        tests = {each.label: excitation_text(each.rec) if charts else _test_text(each) for each in with_responses}
-        equal = len(set(tests.values())) == 1
-        texts = [text if equal else f"{label}: {text}" for label, text in tests.items() if text]
-        test = "; ".join(dict.fromkeys(texts))
-        sentences = _SENTENCE_END.split(chart.caption)
-        # Later charts do not repeat the other sentences of the first.
-        shown = [text for text in sentences if text not in stated] + [f"Test: {test}."] * bool(test)
-        charts.append(replace(chart, caption=" ".join(shown)))
+        # A chart is also read or saved alone.
+        excitation = _joined({each.label: excitation_text(each.rec) for each in with_responses})
+        test = _joined({each.label: _test_text(each) for each in with_responses})
+        title, *sentences = _SENTENCE_END.split(chart.caption)
+        sentences += [f"Test: {test}."] * bool(test)
+        # Later charts do not repeat the sentences of the first.
+        shown = [text for text in sentences if text not in stated]
+        charts.append(
+            replace(chart, caption=" ".join([f"{title[:-1]}; {excitation}." if excitation else title, *shown]))
+        )
         stated.update(sentences)
     return charts
+
+
+def _joined(texts: dict[str, str]) -> str:
+    """Join texts on recordings, with their labels unless all are equal."""
+    equal = len(set(texts.values())) == 1
+    return "; ".join(dict.fromkeys(text if equal else f"{label}: {text}" for label, text in texts.items() if text))
 
 
 def _test_text(measurement: Measurement) -> str:
@@ -202,7 +217,7 @@ def response_chart(
         magnitude.append(curve)
         unknown = ~known & np.isfinite(frf.value)
         if unknown.any():
-            strips += value_strips(f, unknown, _UNDETERMINED.color)
+            strips += value_strips(f, unknown, faded(style.color))
             # One point more at either end closes the gap between the gray and the colored curve.
             joined = unknown | np.roll(unknown, 1) | np.roll(unknown, -1)
             stored = joined | np.roll(joined, 1)
@@ -446,17 +461,17 @@ def damper_charts(measurement: Measurement) -> list[Chart]:
             value, low, high = np.clip([percent, percent - bound, percent + bound], 0.0, 100.0)
             shares.append(Curve(label, frequency[order], value, low, high, at, draw))
             shares += [replace(shares[-1], draw="through")] * (draw == "points")
-    # The bodies of a single sweep share a panel; several sweeps have a panel for each body.
-    groups = {"": [curve for curves in impacts.values() for curve in curves]} if is_single else impacts
+    # Each body has a panel: equal numbers of impacts would hide each other.
     panels = [
         Panel(
-            f"impacts per period{f', {place}' * (len(groups) > 1)}",
+            "impacts",
             "",
             curves,
-            150,
+            80,
+            title=place,
             limits=(0.0, 1.1 * max(2.0, *(float(np.nanmax(curve.y, initial=0.0)) for curve in curves))),
         )
-        for place, curves in groups.items()
+        for place, curves in impacts.items()
         if curves
     ]
     if shares:
@@ -468,9 +483,9 @@ def damper_charts(measurement: Measurement) -> list[Chart]:
     band = np.concatenate(frequencies)
     return [
         Chart(
-            f"“{measurement.label}” ({excitation_text(measurement.rec)}): impacts per period on floor and ceiling "
-            "(gaps: no regular pattern; 0: none above the detection limit), and percentage of the supplied energy that "
-            "the dampers dissipate (95 %).",
+            f"“{measurement.label}” ({excitation_text(measurement.rec)}): impacts per period on floor and ceiling, and "
+            "percentage of the supplied energy that the dampers dissipate (95 %). Gaps: no regular pattern. 0: none "
+            "above the detection limit.",
             f"Damper impacts per period against frequency, {band.min():.4g} to {band.max():.4g} Hz.",
             panels,
             logarithmic=needs_logarithmic_axis(band),
@@ -534,11 +549,11 @@ def _damping_chart(
             label, amplitude, style = labeled_decays[index][0], mode.amplitude[order], styles[index]
             differs = np.where(percent > expanded, percent, np.nan)
             curves.append(Curve(label, amplitude, differs, low, high, style))
-            curves.append(Curve(label, amplitude, percent, style=_UNDETERMINED, draw="through"))
-        title = frequency_title(group).removeprefix("mode ")
-        panels.append(Panel(f"ζ {title}", "%", curves, height=130, logarithmic=True, limits=(lowest, highest)))
+            curves.append(Curve(label, amplitude, percent, style=style, draw="through"))
+        limits = lowest, highest
+        panels.append(Panel("ζ", "%", curves, 130, title=frequency_title(group), logarithmic=True, limits=limits))
     return Chart(
-        "Damping ratio ζ of each mode against amplitude of the acceleration, with 95 % intervals. Gray, with a "
+        "Damping ratio ζ of each mode against amplitude of the acceleration, with 95 % intervals. Thin, with a "
         "band down to the axis: includes zero. Frequencies: those of the decay table.",
         "Damping ratio of each mode against the amplitude of the acceleration.",
         panels,

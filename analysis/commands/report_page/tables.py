@@ -61,12 +61,11 @@ def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], n
     """
     rows, full = list(rows), heading
     filled = [k for k in range(len(full)) if any(len(row) > 1 and row[k] for row in rows)]
-    # A unit stays with its quantity.
-    heading = [full[k].replace(" / ", "\u00a0/\u00a0") for k in filled]
+    heading = [full[k].replace(" / ", " /\u00a0") for k in filled]
     numbers = sum(k >= len(full) - numbers for k in filled)
     align = ["" if k < len(heading) - numbers else ' class="number"' for k in range(len(heading))]
     head = "".join(f"<th{a}>{typeset(text)}</th>" for a, text in zip(align, heading, strict=True))
-    # A narrow screen shows a row as a block with a line for each cell; each line begins with the heading of the cell.
+    # Cells name their column, so that programs find them in the page.
     align = [f'{a} data-label="{typeset(text)}"' for a, text in zip(align, heading, strict=True)]
     body = ""
     for row in rows:

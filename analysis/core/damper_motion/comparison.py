@@ -402,7 +402,7 @@ class PeakChange:
     def decibel_decimals(self) -> int:
         """Number of decimals, 1 or 2, that resolve the interval of the change in dB."""
         _, low, high = self.decibel
-        return 2 if 0.0 < 0.5 * (high - low) < 1.0 else 1
+        return 2 if 0.0 < high - low < 1.0 else 1
 
     @property
     def significance(self) -> Literal["yes", "no", "not bounded"]:

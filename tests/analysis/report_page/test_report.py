@@ -250,7 +250,7 @@ def test_levels_of_one_recording_have_own_colors(level_recordings) -> None:
     # One chart for each channel; only the first explains its symbols.
     assert [("95 %" in each.caption) for each in (chart, *others)] == [True, False, False]
     # Each chart names the kind of test, because it is also read alone.
-    assert all("Test: " in each.caption for each in (chart, *others))
+    assert all("; sine, 1 N." in each.caption for each in (chart, *others))
 
 
 def test_curve_that_folds_back_is_drawn_as_points() -> None:

@@ -1,5 +1,5 @@
 // Draws the charts of a report with uPlot. Each <div class="chart"> names a JSON element that describes its panels:
-// {x: {label, log, range}, panels: [{label, unit, log, height, range, curves: [{label, x, y, low, high, color, dash, draw}], image}]}.
+// {x: {label, log, range}, panels: [{label, title, unit, log, height, range, curves: [{label, x, y, low, high, color, dash, marker, draw}], image}]}.
 "use strict";
 (function () {
   const LIGHT = { text: "#1b1f24", grid: "#d8dde3", page: "#ffffff" };
@@ -8,12 +8,13 @@
   const GRAYS = { "#9aa2ab": "#68737f", "#404040": "#f2f4f7" };
   const PRINT_WIDTH = 700; // px: the printable width of A4
   // Printed height of a panel relative to its height on screen: two charts of a tall and three low panels fit on a page.
-  const printHeight = (panel) => panel.height * (panel.height < 220 ? 0.57 : 0.74);
+  const printHeight = (panel) => panel.height * (panel.height < 220 ? 0.57 : 0.64);
   const MIN_CONTRAST = 6; // of curves on a dark page: they are thinner than text, for which WCAG requires 4.5
   const MIN_DECADE = 120; // px: a shorter decade has no grid lines between its ends
   const MIN_LABEL = 14, MIN_LABEL_WIDTH = 34; // px between labels of a vertical and of a horizontal logarithmic axis
-  const MANTISSAS = [[1, 2, 3, 4, 5, 6, 8], [1, 2, 3, 5, 7], [1, 2, 5]];
+  const MANTISSAS = [[1, 1.5, 2, 3, 4, 5, 6, 8], [1, 2, 3, 4, 5, 6, 8], [1, 2, 3, 5, 7], [1, 2, 5]];
   const LABEL_ROW = 14, LABEL_ROWS = 3; // px, and the largest number of rows of labels for which a panel is higher
+  const POINT = () => (window.innerWidth < 700 && !printing ? 3.4 : 5); // px: points of tones must not touch
   const SYMBOLS = ["dots", "crosses", "circles", "diamonds", "arrows", "path"]; // drawn over the series, in any order of the abscissa
   const FONT = "12px system-ui, sans-serif";
   // Anchors of a perceptually uniform color map (viridis), dark to bright.
@@ -108,24 +109,32 @@
     crosses: (context, x, y, r) => { context.moveTo(x - r, y - r); context.lineTo(x + r, y + r); context.moveTo(x - r, y + r); context.lineTo(x + r, y - r); },
     circles: (context, x, y, r) => { context.arc(x, y, 1.2 * r, 0, 7); },
     diamonds: (context, x, y, r) => { context.moveTo(x, y - 1.6 * r); for (const [dx, dy] of [[1, 0], [0, 1], [-1, 0], [0, -1]]) context.lineTo(x + 1.6 * dx * r, y + 1.6 * dy * r); },
+    squares: (context, x, y, r) => { context.rect(x - 0.9 * r, y - 0.9 * r, 1.8 * r, 1.8 * r); },
     arrows: (context, x, y, r) => {
       context.moveTo(x, y - 2 * r); context.lineTo(x, y - 6 * r);
       context.moveTo(x - r, y - 4.5 * r); context.lineTo(x, y - 6 * r); context.lineTo(x + r, y - 4.5 * r);
     },
   };
 
-  // The labels of peaks in view, each with its center and row: the lowest row in which it overlaps no label before it.
+  // The labels of peaks in view, each with its center: a row for each color, in which labels move sideways until they do
+  // not overlap. Labels that exceed the width begin another row.
   function labelsOf(plot, panel, left, right) {
     const { min, max } = plot.scales.x, rows = [];
     measure.font = FONT;
-    return panel.marks.filter(([x]) => x >= min && x <= max).map(([x, y, label, color]) => {
+    for (const [x, y, label, color] of [...panel.marks].filter(([at]) => at >= min && at <= max).sort((a, b) => a[0] - b[0])) {
       const half = measure.measureText(label).width / 2 + 4;
-      const center = Math.min(Math.max(plot.valToPos(x, "x"), half - left), right - half);
-      let row = rows.findIndex((labels) => labels.every((other) => Math.abs(other.center - center) >= other.half + half));
-      if (row < 0) row = rows.push([]) - 1;
-      rows[row].push({ center, half });
-      return { x, y, label, color, center, row };
-    });
+      const ends = (row) => row.reduce((sum, other) => sum + 2 * other.half, 2 * half) <= left + right;
+      let row = rows.find((labels) => labels[0].color === color && ends(labels));
+      if (!row) rows.push(row = []);
+      row.push({ x, y, label, color, half, center: Math.max(plot.valToPos(x, "x"), half - left) });
+    }
+    const order = panel.marks.map(([, , , color]) => color);
+    rows.sort((a, b) => order.indexOf(a[0].color) - order.indexOf(b[0].color));
+    for (const row of rows) {
+      row.forEach((each, k) => { if (k) each.center = Math.max(each.center, row[k - 1].center + row[k - 1].half + each.half); });
+      row.reduceRight((limit, each) => (each.center = Math.min(each.center, limit - each.half)) - each.half, right);
+    }
+    return rows.flatMap((row, k) => row.map((each) => ({ ...each, row: k })));
   }
 
   // Strips at the axis where the values are undetermined, symbols, and labels of peaks above the axes.
@@ -134,10 +143,19 @@
     const inside = (x) => Math.min(Math.max(x, left), left + width);
     const position = (x, y) => [plot.valToPos(x, "x", true), plot.valToPos(y, "y", true)];
     context.save();
+    const owners = [...new Set(panel.strips.map(({ color }) => color))];
     for (const { ends, color } of panel.strips) {
       const [low, high] = ends.map((x) => inside(plot.valToPos(x, "x", true)));
       context.fillStyle = shade(color);
-      context.fillRect(low, top + height - 5 * ratio, high - low, 5 * ratio);
+      context.fillRect(low, top + height - 5 * (owners.indexOf(color) + 1) * ratio, high - low, 5 * ratio);
+    }
+    if (panel.title) {
+      context.font = `600 ${12 * ratio}px system-ui, sans-serif`;
+      context.fillStyle = theme("page");
+      context.fillRect(left + 6 * ratio, top + 3 * ratio, context.measureText(panel.title).width + 6 * ratio, 16 * ratio);
+      context.fillStyle = theme("text");
+      context.textAlign = "left";
+      context.fillText(panel.title, left + 9 * ratio, top + 15 * ratio);
     }
     for (const curve of panel.curves.filter(({ draw }) => SYMBOLS.includes(draw))) {
       if (curve.hidden) continue;
@@ -174,11 +192,12 @@
     const marks = labelsOf(plot, panel, left / ratio, width / ratio).map((mark) => ({ ...mark, base: top - (6 + LABEL_ROW * mark.row) * ratio }));
     context.setLineDash([2 * ratio, 3 * ratio]);
     context.globalAlpha = 0.6;
-    for (const { x, y, color, base } of marks) {
+    for (const { x, y, color, base, center } of marks) {
       const [px, py] = position(x, y);
       context.strokeStyle = color ? shade(color) : theme("text");
       context.beginPath();
-      context.moveTo(px, base);
+      context.moveTo(left + center * ratio, base);
+      context.lineTo(px, top);
       context.lineTo(px, Math.max(py - 8 * ratio, top));
       context.stroke();
     }
@@ -271,6 +290,18 @@
   // Symbols are drawn over the series.
   const inSeries = (panel) => panel.curves.filter(({ draw }) => !SYMBOLS.includes(draw));
 
+  // The points of a curve: squares or circles.
+  function points(plot, index, from, to, { marker }) {
+    const path = new Path2D(), r = (POINT() / 2) * window.devicePixelRatio, [abscissae, values] = [plot.data[0], plot.data[index]];
+    for (let k = from; k <= to; k++) {
+      if (values[k] == null) continue;
+      const [x, y] = [plot.valToPos(abscissae[k], "x", true), plot.valToPos(values[k], "y", true)];
+      path.moveTo(x + r, y);
+      PATHS[marker === "s" ? "squares" : "dots"](path, x, y, r);
+    }
+    return { stroke: null, fill: path, clip: null, flags: 3 };
+  }
+
   function series(panel) {
     const shown = [], bands = [];
     for (const curve of inSeries(panel)) {
@@ -279,7 +310,7 @@
         label: curve.label, stroke: () => shade(curve.color) + (curve.draw === "pale" ? "80" : ""), spanGaps: false,
         ...(curve.draw === "line" ? { dash: curve.dash.map((length) => 1.5 * length), width: 1.5 } : { width: 1 }),
         ...(curve.draw === "points" ? { paths: () => null } : {}),
-        points: { show: curve.draw === "points", size: 5, fill: () => shade(curve.color) },
+        points: { show: curve.draw === "points", paths: (plot, index, from, to) => points(plot, index, from, to, curve), fill: () => shade(curve.color) },
       });
       if (!curve.low) continue;
       for (const edge of ["low", "high"]) {
@@ -310,7 +341,7 @@
 
   // The curves of all panels by name: their values under the cursor are in one row of the readout.
   function curveRows(chart) {
-    const row = (curve) => ({ color: curve.color, places: [], draws: new Set(), dash: [] });
+    const row = (curve) => ({ color: curve.color, marker: curve.marker, places: [], draws: new Set(), dash: [] });
     const rows = new Map(chart.names.map((name) => [name, chart.panels.flatMap(({ curves }) => curves).find(({ label }) => label === name)])
       .filter(([, curve]) => curve).map(([name, curve]) => [name, row(curve)]));
     chart.panels.forEach((panel, k) => {
@@ -345,12 +376,12 @@
   }
 
   // A piece of a curve as it is drawn: line with its dashes, points, or symbols.
-  function swatch(holder, color, draws, dash) {
+  function swatch(holder, color, draws, dash, marker) {
     const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
     svg.setAttribute("viewBox", "0 0 30 10");
     svg.setAttribute("class", "swatch");
     const lines = draws.has("line") || draws.has("through") || draws.has("path");
-    const symbol = draws.has("points") || draws.has("dots") ? '<circle cx="15" cy="5" r="2.6"/>'
+    const symbol = draws.has("points") && marker === "s" ? '<rect x="12.4" y="2.4" width="5.2" height="5.2"/>' : draws.has("points") || draws.has("dots") ? '<circle cx="15" cy="5" r="2.6"/>'
       : draws.has("crosses") && !lines ? '<path fill="none" d="M12 2l6 6m0-6l-6 6"/>'
         : draws.has("circles") && !lines ? '<circle fill="none" cx="15" cy="5" r="3.4"/>' : "";
     svg.innerHTML = (lines ? `<path fill="none" d="M0 5H30" stroke-dasharray="${dash.map((length) => 1.5 * length).join(" ")}"/>` : "") + symbol;
@@ -366,9 +397,9 @@
     const abscissa = element(head, "th");
     const update = [(x) => { abscissa.textContent = `${chart.x.name}: ${x == null ? "–" : `${Number(x.toPrecision(6))} ${chart.x.unit}`}`; }];
     for (const panel of chart.panels) element(head, "td", panel.label);
-    for (const [label, { color, places, draws, dash }] of curveRows(chart)) {
+    for (const [label, { color, places, draws, dash, marker }] of curveRows(chart)) {
       const row = element(table, "tr"), name = element(row, "th", "", "name");
-      swatch(name, color, draws, dash);
+      swatch(name, color, draws, dash, marker);
       name.append(label);
       name.title = "Hide or show this curve";
       name.addEventListener("click", () => {
@@ -418,14 +449,18 @@
     return Array.from({ length: rows }, (_, i) => columns.map((column) => cell(column[i])).join(",")).join("\n");
   }
 
-  function png(drawn) {
+  function png(drawn, title) {
     const sources = drawn.map((plot) => plot.ctx.canvas), canvas = document.createElement("canvas");
     canvas.width = Math.max(...sources.map((source) => source.width));
-    canvas.height = sources.reduce((sum, source) => sum + source.height, 0);
+    const head = 24 * window.devicePixelRatio;
+    canvas.height = sources.reduce((sum, source) => sum + source.height, head);
     const context = canvas.getContext("2d");
     context.fillStyle = getComputedStyle(document.body).backgroundColor;
     context.fillRect(0, 0, canvas.width, canvas.height);
-    let top = 0;
+    context.fillStyle = theme("text");
+    context.font = `600 ${head / 1.7}px system-ui, sans-serif`;
+    context.fillText(title, head / 2, 0.75 * head);
+    let top = head;
     for (const source of sources) {
       context.drawImage(source, 0, top);
       top += source.height;
@@ -434,15 +469,15 @@
   }
 
   function tools(holder, chart, drawn) {
-    const bar = element(holder, "div", "", "tools"), name = holder.dataset.source;
+    const head = holder.previousElementSibling, title = head.textContent, bar = element(head, "span", "", "tools"), name = holder.dataset.source;
     if (chart.panels.some((panel) => panel.curves.length)) {
       element(bar, "button", "CSV").addEventListener("click", () => {
         save(`${name}.csv`, `data:text/csv;charset=utf-8,${encodeURIComponent(csv(chart))}`);
       });
     }
-    element(bar, "button", "PNG").addEventListener("click", () => save(`${name}.png`, png(drawn)));
+    element(bar, "button", "PNG").addEventListener("click", () => save(`${name}.png`, png(drawn, title)));
     // The same for all charts.
-    if (holder === document.querySelector(".chart")) element(bar, "span", "Drag sideways to zoom, double-click or double-tap to reset.");
+    if (holder === document.querySelector(".chart")) element(bar, "span", "Drag sideways: zoom. Double-click or double-tap: reset.");
   }
 
   // uPlot zooms with the mouse; a finger that moves sideways selects a range in the same way.
@@ -529,6 +564,7 @@
       const width = printing ? PRINT_WIDTH : holder.clientWidth;
       if (width && (width !== plot.width || height() !== plot.height)) plot.setSize({ width, height: height() });
     }
+    for (const each of document.querySelectorAll(".wide")) each.classList.toggle("scrolls", each.scrollWidth > each.clientWidth + 1);
   }
 
   document.querySelectorAll(".chart").forEach((holder, number) => {

@@ -132,7 +132,7 @@ def shock_spectrum() -> dict[str, np.ndarray]:
     rate, width, q = 20000.0, 11e-3, 10.0
     time = np.arange(round(width * rate) + 1) / rate
     frequency, pulse = np.geomspace(5.0, 1000.0, 60), 100.0 * np.sin(np.pi * time / width)
-    positive, negative = shock_response(pulse, rate, frequency, q)
+    positive, negative = shock_response([pulse], rate, frequency, q)
     return {
         "shock": pulse, "shock_rate": np.array(rate), "shock_q": np.array(q), "shock_frequency": frequency,
         "shock_positive": positive, "shock_negative": -negative,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -35,9 +36,8 @@ _MAX_FREQUENCY_RATIO = 3.0
 _MIN_BLOCK = 64
 
 
-def time_histories(rec: Recording) -> Chart:
-    """Return a chart of all channels against time: every sample, or the envelope of a long recording."""
-    names = list(rec.channels)
+def time_histories(rec: Recording, names: Sequence[str]) -> Chart:
+    """Return a chart of channels against time: every sample, or the envelope of a long recording."""
     is_complete = rec.samples * len(names) <= _MAX_SAMPLES
     time: Array | EvenlySpaced = EvenlySpaced(0.0, 1.0 / rec.rate, rec.samples)
     if is_complete:
@@ -61,8 +61,9 @@ def time_histories(rec: Recording) -> Chart:
             height = 90 if len(lane) == 1 else 170
             panels.append(Panel(quantity, shown_unit, lane, height, limits=(-largest, largest)))
     resolution = "every sample" if is_complete else f"largest and smallest value of each of {_INTERVALS} intervals"
+    part = f" of {len(names)} of {len(rec.channels)} channels" * (len(names) < len(rec.channels))
     return Chart(
-        f"Time histories, {resolution}.",
+        f"Time histories{part}, {resolution}.",
         f"Time histories of the channels {', '.join(names)} over {rec.duration:.4g} s.",
         panels,
         x_name="time",
@@ -71,7 +72,7 @@ def time_histories(rec: Recording) -> Chart:
     )
 
 
-def _extremes(rec: Recording, names: list[str]) -> tuple[Array, Array]:
+def _extremes(rec: Recording, names: Sequence[str]) -> tuple[Array, Array]:
     """Return the minimum and maximum of each interval, alternating: time in s, (2 n,), and values, (channels, 2 n)."""
     edges = np.linspace(0, rec.samples, _INTERVALS + 1).astype(int)
     smallest = np.full((len(names), _INTERVALS), np.inf)
@@ -88,7 +89,7 @@ def _extremes(rec: Recording, names: list[str]) -> tuple[Array, Array]:
     return time, np.where(np.isfinite(values), values, np.nan)
 
 
-def spectrograms(rec: Recording) -> list[Chart]:
+def spectrograms(rec: Recording, names: Sequence[str]) -> list[Chart]:
     """Return one spectrogram for each channel, from equally spaced Hann windows; empty for a short recording."""
     natural = structural_model(rec.scene).modes.frequency
     highest = min(rec.rate / 2, _MAX_FREQUENCY_RATIO * float(natural.max()))
@@ -101,7 +102,7 @@ def spectrograms(rec: Recording) -> list[Chart]:
     window = np.hanning(block)
     lines = int(block * highest / rec.rate)
     charts = []
-    for name, info in rec.channels.items():
+    for name in names:
         levels = np.empty((lines, starts.size))
         for k, start in enumerate(starts):
             samples = np.nan_to_num(rec.read(name, int(start), int(start) + block))
@@ -111,8 +112,8 @@ def spectrograms(rec: Recording) -> list[Chart]:
         image = level_image(levels[::-1], (0.0, rec.duration), band)
         charts.append(
             Chart(
-                f"Spectrogram of {name} ({info.quantity}); the colors span {IMAGE_SPAN_DB:g} dB below the highest "
-                f"level. {starts.size} Hann windows of {block / rec.rate:.3g} s.",
+                f"Spectrogram of {name} ({rec.channels[name].quantity}); the colors span {IMAGE_SPAN_DB:g} dB below "
+                f"the highest level. {starts.size} Hann windows of {block / rec.rate:.3g} s.",
                 f"Spectrogram of {name} from 0 to {highest:.4g} Hz over {rec.duration:.4g} s.",
                 [Panel("frequency", "Hz", height=150, limits=band, image=image)],
                 x_name="time",

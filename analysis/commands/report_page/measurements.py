@@ -46,6 +46,8 @@ Parameters = ParamSpec("Parameters")
 Returned = TypeVar("Returned")
 
 
+# Largest number of channels in the charts of a recording: more curves are not readable.
+_MAX_DRAWN = 16
 # Analyses of tones that a controller chose.
 _TRACKED: dict[ControlledTones, Callable[[Recording], AmplitudeCurve | Backbone]] = {
     FOLLOWED_CURVE: continuation,
@@ -116,6 +118,15 @@ class Measurement:
     tracked: AmplitudeCurve | Backbone | None = None
     # Shock response spectra of the control channel and of the bodies, each for all shocks.
     spectra: tuple[list[ShockSpectrum], ...] = ()
+
+    @property
+    def drawn(self) -> list[str]:
+        """Channels in charts: of many, the forces, then those with the highest peak of a mode, then the others."""
+        channels = self.rec.channels
+        forces = [name for name, info in channels.items() if info.quantity == "force"]
+        highest = [pair[0].response for sweep in self.sweeps for pair in sweep.peaks if pair is not None]
+        chosen = list(dict.fromkeys([*forces, *highest, *channels]))[:_MAX_DRAWN]
+        return [name for name in channels if name in chosen]
 
 
 @dataclass

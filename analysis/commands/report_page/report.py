@@ -75,7 +75,7 @@ def write_report(
         "charts": template("charts.js"),
     }
     before, after = (Template(part).substitute(texts) for part in template("page.html").split("$body"))
-    # The charts of many channels take tens of megabytes: joining them would take several times as much.
+    # The charts of many recordings take tens of megabytes: joining them would take several times as much.
     with atomic_write(target) as temporary, temporary.open("w", encoding="utf-8") as file:
         file.write(before)
         for part in body:
@@ -188,10 +188,10 @@ def _summary_html(text: str) -> str:
 
 def _recording(measurement: Measurement, charts: ChartWriter, is_drawn: bool) -> list[str]:
     """Write the settings, time histories and spectrograms of a recording; `is_drawn`: also its rig."""
-    pictures = "".join(charts.write(chart) for chart in spectrograms(measurement.rec))
+    pictures = "".join(charts.write(chart) for chart in spectrograms(measurement.rec, measurement.drawn))
     return [
         f"<figure>{rig_drawing(measurement.rec.scene)}</figure>" if is_drawn else "",
-        charts.write(time_histories(measurement.rec)),
+        charts.write(time_histories(measurement.rec, measurement.drawn)),
         settings(measurement),
         f'<details class="spectrograms"><summary>Spectrograms</summary>{pictures}</details>' if pictures else "",
     ]

@@ -74,7 +74,10 @@ def response_charts(measurements: Sequence[Measurement], baseline_name: str) -> 
     recording with which the others are compared.
     """
     with_responses = [measurement for measurement in measurements if measurement.sweeps]
-    frfs = [frf for measurement in with_responses for sweep in measurement.sweeps for frf in sweep.frfs]
+    drawn = {name for measurement in with_responses for name in measurement.drawn}
+    all_frfs = [frf for measurement in with_responses for sweep in measurement.sweeps for frf in sweep.frfs]
+    frfs = [frf for frf in all_frfs if frf.response in drawn]
+    part = f"Drawn: {len(frfs)} of {len(all_frfs)} responses, first those with the highest peak of a mode."
     several = len({frf.label for frf in frfs}) > 1
     charts = list[Chart]()
     stated = set[str]()
@@ -97,7 +100,7 @@ def response_charts(measurements: Sequence[Measurement], baseline_name: str) -> 
         excitation = _joined({each.label: excitation_text(each.rec) for each in with_responses})
         test = _joined({each.label: _test_text(each) for each in with_responses})
         title, *sentences = _SENTENCE_END.split(chart.caption)
-        sentences += [f"Test: {test}."] * bool(test)
+        sentences += [part] * (len(frfs) < len(all_frfs)) + [f"Test: {test}."] * bool(test)
         # Later charts do not repeat the sentences of the first.
         shown = [text for text in sentences if text not in stated]
         charts.append(

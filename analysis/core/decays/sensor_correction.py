@@ -1,14 +1,18 @@
 """Correction of sampled data for the frequency response of sensor, amplifier and converter."""
 
+from collections.abc import Callable, Iterator
+
 import numpy as np
 from scipy import fft
 
 from daq.core.signal_chain.channel import ChannelInfo
-from rig.core.base.arrays import Array
+from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import MOTIONS
 
 # Number of spectral lines that are corrected at a time, to limit the memory.
 _BLOCK_LINES = 1 << 16
+# Memory of a correction, in multiples of the memory of its samples (measured): half of it is inside the transform.
+COPIES = 15.0
 
 
 def correct_motion(info: ChannelInfo, samples: Array, motion: str, low: float, high: float) -> Array:
@@ -22,15 +26,53 @@ def correct_motion(info: ChannelInfo, samples: Array, motion: str, low: float, h
     `samples`, shape (n,): uncorrected samples in the channel's unit, evenly spaced; `low`, `high`: limits of the
     pass band [Hz]. The correction is exact inside the pass band, and fades out over half an octave outside.
     """
-    count, quantity = samples.size, info.quantity
-    # Number of differentiations; negative for integrations.
-    order = MOTIONS.index(motion) - MOTIONS.index(quantity) if quantity in MOTIONS else 0
+    count, order = samples.size, _derivative_order(info, motion)
     size = fft.next_fast_len(3 * count - 2, real=True)
     spectrum = fft.rfft(_extended(samples, size, is_odd=order > 0))
+    return _filtered(info, spectrum, size, order, low, high)[count - 1 : 2 * count - 1].copy()
+
+
+def corrected_pieces(
+    info: ChannelInfo,
+    read: Callable[[int, int], Array],
+    count: int,
+    motion: str,
+    low: float,
+    high: float,
+    margin: int,
+) -> Iterator[Array]:
+    """Yield successive parts of a corrected segment of any length (overlap-save method).
+
+    `read`: returns the samples from one index of the segment to another; `count`: samples of the segment; `margin`:
+    length of a part, and of the samples on either side from which it is computed; for the others see `correct_motion`.
+    """
+    order = _derivative_order(info, motion)
+    if count <= margin:
+        yield correct_motion(info, read(0, count), motion, low, high)
+        return
+    fade_in = np.hanning(2 * (margin // 2) + 1)[: margin // 2]
+    for first in range(0, count, margin):
+        begin, stop = first - margin, min(first + margin, count) + margin
+        samples = read(max(begin, 0), min(stop, count))
+        missing = (max(-begin, 0), max(stop - count, 0))
+        samples = np.pad(samples, missing, mode="reflect", reflect_type="odd" if order > 0 else "even")
+        samples[: fade_in.size] *= fade_in
+        samples[-fade_in.size :] *= fade_in[::-1]
+        size = fft.next_fast_len(samples.size, real=True)
+        yield _filtered(info, fft.rfft(samples, size), size, order, low, high)[margin : stop - begin - margin].copy()
+
+
+def _derivative_order(info: ChannelInfo, motion: str) -> int:
+    """Return the number of differentiations; negative for integrations."""
+    return MOTIONS.index(motion) - MOTIONS.index(info.quantity) if info.quantity in MOTIONS else 0
+
+
+def _filtered(info: ChannelInfo, spectrum: ComplexArray, size: int, order: int, low: float, high: float) -> Array:
+    """Return samples from their spectrum, which is corrected in place; `order`: number of differentiations."""
     step = 1.0 / (size * (1.0 / info.rate))
     for first in range(0, spectrum.size, _BLOCK_LINES):
         block = spectrum[first : first + _BLOCK_LINES]
-        frequency = np.arange(first, first + block.size) * step
+        frequency = np.arange(first, first + block.size, dtype=np.float64) * step
         weights = _band_weights(frequency, low, high)
         is_passed = weights != 0.0
         frequency = frequency[is_passed]
@@ -38,7 +80,7 @@ def correct_motion(info: ChannelInfo, samples: Array, motion: str, low: float, h
         factor = factor if order == 0 else factor * (2j * np.pi * frequency) ** order
         block[is_passed] *= factor
         block[~is_passed] = 0.0
-    return fft.irfft(spectrum, size)[count - 1 : 2 * count - 1].copy()
+    return np.asarray(fft.irfft(spectrum, size))
 
 
 def _extended(samples: Array, size: int, is_odd: bool) -> Array:

@@ -5,14 +5,14 @@ The method is that of ISO 18431-4 for the absolute acceleration (see `daq.core.d
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import ceil, floor, log2
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from analysis.core.decays.sensor_correction import correct_motion
+from analysis.core.decays.sensor_correction import COPIES, corrected_pieces
 from analysis.core.recordings.names import takes_path
 from analysis.core.recordings.slices import Slice, interpolated
 from analysis.core.responses.measurands import find_channel, response_channels
@@ -43,8 +43,12 @@ _BAND_RATIO = 0.4
 _CORRECTED_RATIO = 0.1
 # Lost samples are interpolated if they are at most this fraction; more would change the peak of the spectrum.
 _MAX_LOST_FRACTION = 0.01
-# Memory of the computation, in multiples of the memory of the samples (measured): half of it is inside the transform.
-_COPIES = 15.0
+# Samples on either side of a corrected part, in periods of the lowest corrected frequency: the errors at its ends are
+# below 1e-5 of the largest response.
+_MARGIN_PERIODS = 16.0
+# Number of intervals into which the range of the median is divided at a time, and number of divisions: the median then
+# has an error below 3e-10 of the range.
+_BINS, _BISECTIONS = 1 << 16, 2
 # Maximum number of natural frequencies.
 _MAX_FREQUENCIES = 10_000
 
@@ -174,15 +178,20 @@ def srs(
     if shock is not None and from_s is None and to_s is None:
         from_s, to_s = shock.first_sample / rec.rate, (shock.end + 1) / rec.rate
     segment = Slice.of(rec, [info.name], from_s, to_s)
-    require_memory_with_program(
-        8.0 * _COPIES * (segment.stop - segment.start), "a shock response spectrum of this segment"
-    )
-    samples, warnings = _finite(rec, segment.read_channel(info.name))
+    count, margin = segment.stop - segment.start, ceil(_MARGIN_PERIODS * rec.rate / (_CORRECTED_RATIO * first))
+    require_memory_with_program(8.0 * COPIES * min(count, margin), "a shock response spectrum from this frequency on")
+    warnings = _loss_warnings(segment)
     # The oscillators are at rest before the segment, so an offset would be a step.
-    samples = samples - np.median(samples)
+    offset = _median(segment)
+
+    def read(start: int, stop: int) -> Array:
+        samples = rec.read(info.name, segment.start + start, segment.start + stop) - offset
+        is_valid = np.isfinite(samples)
+        return samples if is_valid.all() else interpolated(samples, is_valid)
+
     responds_to_constant = abs(info.response(0.0)) > 0.5 * abs(info.response(first))
     lower_limit = 0.0 if responds_to_constant and info.derivative in (2, None) else _CORRECTED_RATIO * first
-    acceleration = correct_motion(info, samples, "acceleration", lower_limit, _BAND_RATIO * rec.rate)
+    acceleration = corrected_pieces(info, read, count, "acceleration", lower_limit, _BAND_RATIO * rec.rate, margin)
     if any(
         mark.fields.get("channel") == info.name and mark.first_sample < segment.stop and mark.end >= segment.start
         for mark in rec.overloads
@@ -223,7 +232,7 @@ def prescribed_spectrum(rec: Recording, q: float, frequency: Array) -> tuple[Arr
     pulse = None if test is None else test.pulse(time)
     if pulse is None:
         return None
-    largest, smallest = shock_response(pulse[0], rec.rate, frequency, q)
+    largest, smallest = shock_response([pulse[0]], rec.rate, frequency, q)
     return frequency, np.maximum(largest, -smallest)
 
 
@@ -245,13 +254,31 @@ def _check_options(rec: Recording, q: float, lowest: float, highest: float, per_
         )
 
 
-def _finite(rec: Recording, samples: Array) -> tuple[Array, tuple[str, ...]]:
-    """Return the samples with lost samples interpolated, and a warning if there were any."""
-    lost = ~np.isfinite(samples)
-    if not lost.any():
-        return samples, ()
-    if lost.mean() > _MAX_LOST_FRACTION:
-        message = f"{rec.path}: {format_percent(lost.mean())} of the samples are lost. Choose a segment without gaps."
+def _loss_warnings(segment: Slice) -> tuple[str, ...]:
+    """Return a warning if samples of a channel are lost; raise `RecordingError` if they are too many."""
+    lost = sum(int((~np.isfinite(samples)).sum()) for _, samples in segment.pieces(segment.channels))
+    ratio = lost / (segment.stop - segment.start)
+    if ratio > _MAX_LOST_FRACTION:
+        message = (
+            f"{segment.recording.path}: {format_percent(ratio)} of the samples are lost. Choose a segment without gaps."
+        )
         raise RecordingError(message)
-    warning = f"{int(lost.sum())} lost samples were interpolated; a peak among them is missing."
-    return interpolated(samples, ~lost), (warning,)
+    return (f"{lost} lost samples were interpolated; a peak among them is missing.",) if lost else ()
+
+
+def _median(segment: Slice) -> float:
+    """Return the median of the samples of a channel, by bisection of their range with histograms."""
+
+    def values() -> Iterator[Array]:
+        return (samples[np.isfinite(samples)] for _, samples in segment.pieces(segment.channels))
+
+    sizes, lowest, highest = zip(*((each.size, each.min(), each.max()) for each in values() if each.size), strict=True)
+    rank, low, high = 0.5 * sum(sizes), min(lowest), max(highest)
+    for _ in range(_BISECTIONS):
+        counts = np.zeros(_BINS, dtype=np.int64)
+        for each in values():
+            counts += np.histogram(each, _BINS, (low, high))[0]
+        index = int(np.searchsorted(np.cumsum(counts), rank))
+        rank -= counts[:index].sum()
+        low, high = np.linspace(low, high, _BINS + 1)[index : index + 2]
+    return float(low)

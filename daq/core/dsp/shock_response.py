@@ -5,7 +5,8 @@ filter joins samples by straight lines, which attenuate the frequency f by sinc^
 compensates for the attenuation.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import chain
 from math import ceil
 
 import numpy as np
@@ -26,18 +27,19 @@ _COMPENSATION = np.array([1.0, -11.5, 111.0, -11.5, 1.0]) / 90.0
 _PIECE_SAMPLES = 1 << 16
 
 
-def shock_response(acceleration: Array, rate: float, frequency: Array, q: float) -> tuple[Array, Array]:
+def shock_response(pieces: Iterable[Array], rate: float, frequency: Array, q: float) -> tuple[Array, Array]:
     """Return the largest and the smallest acceleration of oscillators, during and after a motion of their base.
 
-    `acceleration`: shape (samples,), from rest; `rate`: Hz; `frequency`: natural frequencies [Hz], shape (n,); `q`:
-    quality factor, 1 / (2 damping ratio), above 0.5. Results in the unit of the acceleration, shape (n,).
+    `pieces`: successive parts of the acceleration of the base, from rest; `rate`: Hz; `frequency`: natural frequencies
+    [Hz], shape (n,); `q`: quality factor, 1 / (2 damping ratio), above 0.5. Results in the unit of the acceleration,
+    shape (n,).
 
-    >>> largest, smallest = shock_response(np.ones(1000), 1000.0, np.array([10.0]), q=10.0)
+    >>> largest, smallest = shock_response([np.ones(1000)], 1000.0, np.array([10.0]), q=10.0)
     >>> f"{largest[0]:.2f}"  # a step of the base
     '1.86'
     """
     # After the motion, the extremes of an oscillator occur within one period.
-    acceleration = np.append(acceleration, np.zeros(ceil(rate / float(np.min(frequency))) + 4))
+    motion = _equal_pieces(chain(pieces, [np.zeros(ceil(rate / float(np.min(frequency))) + 4)]))
     highest = float(np.max(frequency))
     factor = max(ceil(_SAMPLES_PER_PERIOD * highest / rate), 1)
     damping = 0.5 / q
@@ -49,7 +51,7 @@ def shock_response(acceleration: Array, rate: float, frequency: Array, q: float)
         oscillators.append(([1.0 - s, 2.0 * (s - c), e**2 - s], [1.0, -2.0 * c, e**2]))
     states, last = [np.zeros(2)] * len(oscillators), [np.zeros(0)] * len(oscillators)
     extremes = np.full((len(oscillators), 2, 2), -np.inf)  # largest and smallest: sample, vertex
-    for piece in _compensated(_upsampled(acceleration, factor)):
+    for piece in _compensated(_upsampled(motion, factor)):
         for k, (numerator, denominator) in enumerate(oscillators):
             response, states[k] = signal.lfilter(numerator, denominator, piece, zi=states[k])
             # The last sample of the piece before is compared again, now with both neighbors.
@@ -63,19 +65,33 @@ def shock_response(acceleration: Array, rate: float, frequency: Array, q: float)
     return extremes[:, 0, 1], -extremes[:, 1, 1]
 
 
-def _upsampled(motion: Array, factor: int) -> Iterator[Array]:
+def _equal_pieces(pieces: Iterable[Array]) -> Iterator[Array]:
+    """Yield a motion in pieces of equal length, except for the last."""
+    rest = np.zeros(0)
+    for piece in pieces:
+        rest = np.concatenate([rest, piece])
+        while rest.size >= _PIECE_SAMPLES:
+            yield rest[:_PIECE_SAMPLES]
+            rest = rest[_PIECE_SAMPLES:]
+    if rest.size:
+        yield rest
+
+
+def _upsampled(pieces: Iterator[Array], factor: int) -> Iterator[Array]:
     """Yield pieces of a motion with `factor` times the sample rate."""
     if factor == 1:
-        yield from (motion[first : first + _PIECE_SAMPLES] for first in range(0, motion.size, _PIECE_SAMPLES))
+        yield from pieces
         return
     taps = signal.firwin(2 * _FILTER_SAMPLES * factor + 1, 1.0 / factor, window=("kaiser", _FILTER_SHAPE))
+    motion = next(pieces)
     # A shorter motion is reflected as a whole; zeros before its reflection are outside the range of the filter.
-    count = min(_FILTER_SAMPLES, motion.size - 1)
-    extended = _reflected(motion, count)
-    for first in range(count, extended.size, _PIECE_SAMPLES):
-        begin, stop = max(first - _FILTER_SAMPLES, 0), min(first + _PIECE_SAMPLES, extended.size)
-        samples = signal.resample_poly(extended[begin : stop + _FILTER_SAMPLES], factor, 1, window=taps)
-        yield samples[(first - begin) * factor : (stop - begin) * factor]
+    first = min(_FILTER_SAMPLES, motion.size - 1)
+    motion = _reflected(motion, first)
+    for piece in chain(pieces, [np.zeros(_FILTER_SAMPLES)]):
+        motion = np.concatenate([motion, piece])
+        stop = motion.size - _FILTER_SAMPLES
+        yield signal.resample_poly(motion, factor, 1, window=taps)[first * factor : stop * factor]
+        motion, first = motion[max(stop - _FILTER_SAMPLES, 0) :], min(stop, _FILTER_SAMPLES)
 
 
 def _compensated(pieces: Iterator[Array]) -> Iterator[Array]:

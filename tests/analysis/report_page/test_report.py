@@ -253,6 +253,19 @@ def test_levels_of_one_recording_have_own_colors(level_recordings) -> None:
     assert all("; sine, 1 N." in each.caption for each in (chart, *others))
 
 
+def test_page_of_many_channels_draws_few(recordings: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("analysis.commands.report_page.measurements._MAX_DRAWN", 2)
+    with Measurements(recordings[:1]) as measurements:
+        [measurement] = measurements.results
+        count, drawn = len(measurement.rec.channels), measurement.drawn
+        [chart] = response_charts([measurement], measurement.label)
+        histories = time_histories(measurement.rec, drawn)
+    highest = {pair[0].response for pair in measurement.sweeps[0].peaks if pair is not None}
+    assert len(drawn) == 2 < count and highest & {*drawn}
+    assert {curve.label for curve in chart.panels[0].curves} <= {*drawn} and "Drawn: " in chart.caption
+    assert list(histories.names) == drawn and f"2 of {count} channels" in histories.caption
+
+
 def test_curve_that_folds_back_is_drawn_as_points() -> None:
     frequency, value = np.array([10.0, 11.0, 12.0, 11.5, 11.2, 12.5]), np.linspace(1.0, 2.0, 6) + 0j
     chart = response_chart([Response.curve(frequency, value, "body1")], ["body1"])
@@ -261,7 +274,7 @@ def test_curve_that_folds_back_is_drawn_as_points() -> None:
 
 def test_legend_of_histories_has_the_order_of_channels(recordings: list[Path]) -> None:
     with daq.open(recordings[0]) as rec:
-        assert list(time_histories(rec).names) == list(rec.channels)
+        assert list(time_histories(rec, [*rec.channels]).names) == list(rec.channels)
 
 
 def test_report_of_hammer_test_is_a_single_file(recordings: list[Path], tmp_path: Path) -> None:

@@ -8,8 +8,12 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.core.decays.sensor_correction import correct_motion
+from analysis.core.decays.sensor_correction import correct_motion, corrected_pieces
+from analysis.core.recordings.slices import Slice
+from analysis.core.signals.shock_spectrum import _median
 from daq.core.dsp.shock_response import shock_response
+from daq.core.signal_chain.channel import ChannelInfo
+from rig.core.base.arrays import Array
 from rig.core.base.errors import SceneError
 from tests.peak_memory import peak_memory
 
@@ -43,7 +47,7 @@ def test_spectrum_is_independent_of_sensor(hits: Path, name: str) -> None:
 def test_spectrum_is_that_of_samples(hits: Path) -> None:
     with daq.open(hits) as rec:
         spectrum = analysis.srs(rec, "hammer", lowest=20.0, q=20.0)
-        expected = shock_response(rec.read("hammer"), rec.rate, spectrum.frequency, 20.0)
+        expected = shock_response([rec.read("hammer")], rec.rate, spectrum.frequency, 20.0)
     assert spectrum.unit == "N"
     assert spectrum.positive == pytest.approx(expected[0], rel=0.02)
 
@@ -54,6 +58,37 @@ def test_memory_of_correction_is_seven_copies(monkeypatch: pytest.MonkeyPatch) -
         info, samples = rec.channels["body3"], rec.read("body3")
         peak, _ = peak_memory(correct_motion, info, samples, "acceleration", 1.0, 1000.0)
     assert peak < 7.5 * samples.nbytes
+
+
+@pytest.mark.parametrize("name", ["ideal", "real", "displacement"])
+def test_spectrum_is_independent_of_parts(hits: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    options = {"lowest": 100.0, "highest": 900.0}
+    parts = analysis.srs(hits, name, **options)
+    monkeypatch.setattr("analysis.core.signals.shock_spectrum._MARGIN_PERIODS", 1000.0)
+    whole = analysis.srs(hits, name, **options)
+    assert parts.positive == pytest.approx(whole.positive, rel=1e-4)
+    assert parts.negative == pytest.approx(whole.negative, rel=1e-4)
+
+
+def test_memory_is_independent_of_length() -> None:
+    info, cycle = ChannelInfo("a", "body 1", "acceleration", 0.01, 1000.0), np.random.default_rng(0).normal(size=1000)
+
+    def read(start: int, stop: int) -> Array:
+        return cycle[np.arange(start, stop) % 1000]
+
+    def spectrum(count: int) -> None:
+        pieces = corrected_pieces(info, read, count, "acceleration", 1.0, 400.0, 20_000)
+        shock_response(pieces, 1000.0, np.array([10.0, 200.0]), 10.0)
+
+    spectrum(1000)
+    short, long = (peak_memory(spectrum, count)[0] for count in (400_000, 800_000))
+    assert long < 1.05 * short
+
+
+def test_median_is_that_of_all_samples(hits: Path) -> None:
+    with daq.open(hits) as rec:
+        samples = rec.read("real")
+        assert _median(Slice.of(rec, ["real"])) == pytest.approx(np.median(samples), abs=1e-6 * np.ptp(samples))
 
 
 def test_segment_without_hit_has_small_spectrum(hits: Path) -> None:

@@ -37,7 +37,7 @@ def half_sine_response(frequency: float, q: float, width: float) -> tuple[float,
 def test_half_sine_agrees_with_closed_form(q: float, width: float, rate: float, after: float) -> None:
     frequency = np.geomspace(5.0, 1000.0, 40)
     time = np.arange(int(width * rate) + 1) / rate
-    computed = shock_response(np.sin(np.pi * time / width), rate, frequency, q)
+    computed = shock_response([np.sin(np.pi * time / width)], rate, frequency, q)
     exact = np.array([half_sine_response(f, q, width) for f in frequency]).T
     assert computed[0] == pytest.approx(exact[0], rel=1e-3)
     # The samples do not define where the pulse ends after its last sample, which changes the later motion.
@@ -55,7 +55,7 @@ def test_filtered_half_sine_agrees_with_closed_form(offset: float, highest: floa
     measured = signal.fftconvolve(pulse, taps, "same")[::oversampling]
     frequency = np.geomspace(0.05, highest * samples, 20)
     exact = np.array([half_sine_response(f, 50.0, 1.0) for f in frequency]).T
-    computed = shock_response(measured, samples, frequency, 50.0)
+    computed = shock_response([measured], samples, frequency, 50.0)
     assert computed[0] == pytest.approx(exact[0], rel=3e-3)
     assert computed[1] == pytest.approx(exact[1], abs=5e-3)
 
@@ -64,13 +64,13 @@ def test_filtered_half_sine_agrees_with_closed_form(offset: float, highest: floa
 def test_gap_gives_no_extremes(highest: float) -> None:
     motion = np.ones(3000)
     motion[1500] = np.nan
-    assert np.isnan(shock_response(motion, 1000.0, np.array([10.0, highest]), 10.0)).all()
+    assert np.isnan(shock_response([motion], 1000.0, np.array([10.0, highest]), 10.0)).all()
 
 
 def test_stiff_oscillator_follows_its_base() -> None:
     time = np.arange(4096) / 4096.0
     motion = np.sin(2 * np.pi * 3.0 * time) * np.sin(np.pi * time) ** 2
-    largest, smallest = shock_response(motion, 4096.0, np.array([800.0]), 10.0)
+    largest, smallest = shock_response([motion], 4096.0, np.array([800.0]), 10.0)
     assert largest[0] == pytest.approx(motion.max(), rel=1e-3)
     assert smallest[0] == pytest.approx(motion.min(), rel=1e-3)
 
@@ -85,7 +85,7 @@ def test_impacts_agree_with_finely_sampled_motion() -> None:
         return (np.sinc(0.8 * time) * np.exp(-((time / 10.0) ** 2))) @ size
 
     frequency = np.geomspace(0.01, 0.2, 40)
-    computed, fine = (shock_response(motion(n), float(n), frequency, 10.0) for n in (1, 32))
+    computed, fine = (shock_response([motion(n)], float(n), frequency, 10.0) for n in (1, 32))
     assert computed[0] == pytest.approx(fine[0], rel=2e-3)
     assert computed[1] == pytest.approx(fine[1], rel=2e-3)
 
@@ -93,10 +93,10 @@ def test_impacts_agree_with_finely_sampled_motion() -> None:
 def test_pieces_give_same_spectrum(monkeypatch: pytest.MonkeyPatch) -> None:
     motion, frequency = np.random.default_rng(1).standard_normal(3000), np.geomspace(5.0, 300.0, 10)
     for rate in (1000.0, 20_000.0):
-        whole = shock_response(motion, rate, frequency, 10.0)
+        whole = shock_response([motion], rate, frequency, 10.0)
         with monkeypatch.context() as patch:
             patch.setattr("daq.core.dsp.shock_response._PIECE_SAMPLES", 200)
-            assert np.array_equal(shock_response(motion, rate, frequency, 10.0), whole)
+            assert np.array_equal(shock_response([motion], rate, frequency, 10.0), whole)
 
 
 @pytest.mark.parametrize("samples", [6, 20, 30])
@@ -104,5 +104,5 @@ def test_short_motion_is_complete(samples: int) -> None:
     motion = np.zeros(100)
     motion[:6] = np.sin(np.pi * np.arange(6) / 5.0)
     frequencies = np.array([200.0, 300.0])
-    short, long = (shock_response(values, 1000.0, frequencies, 10.0) for values in (motion[:samples], motion))
+    short, long = (shock_response([values], 1000.0, frequencies, 10.0) for values in (motion[:samples], motion))
     np.testing.assert_allclose(short, long, rtol=1e-9)

@@ -104,7 +104,7 @@ class SpectrumPulse:
 
     def spectrum(self, wave: Array) -> Array:
         """Return the maximax shock response spectrum at the controlled frequencies [m/s²]."""
-        largest, smallest = shock_response(wave, self._rate, self._lines, self._q)
+        largest, smallest = shock_response([wave], self._rate, self._lines, self._q)
         return np.maximum(largest, -smallest)
 
     def deviation(self, wave: Array) -> tuple[float, str]:

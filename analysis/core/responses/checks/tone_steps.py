@@ -7,6 +7,8 @@ fitted by least squares for every instant: x are the readings before the instant
 and P removes the part that the model can represent. The ratio g minimizes ``|P x + P y / g|``. A change of the delay
 changes the phase of the tone: the model has an additional tone from the instant on, whose amplitude and phase are
 fitted. A change of the motion is no step: it is not sudden, and affects other channels as well.
+
+Mean values over groups of samples are searched first, with relaxed limits: few blocks of intact channels remain.
 """
 
 from __future__ import annotations
@@ -14,14 +16,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.core.recordings.slices import read_slices
 from analysis.core.responses.checks.channel_changes import describe_change, describe_delay
-from analysis.core.responses.checks.clean_segments import find_flaws
+from analysis.core.responses.checks.clean_segments import Flaw, find_flaws
 from analysis.core.responses.checks.gain_steps import step_warnings
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
@@ -58,6 +62,11 @@ _MIN_COUNTS = 8.0
 _MIN_RESIDUAL = 0.5 * 0.18 * _MIN_CHANGE
 # Largest rms residual of another channel with the same step in its model, relative to that without the step.
 _MAX_FRACTION_OF_STEP = 0.7
+# A block is searched if a step may explain the mean values of groups of samples, of which a period has this number: the
+# highest harmonic has five. A step within a group, and noise that the mean values do not contain, change the residuals;
+# the limits are therefore relaxed by this factor.
+_GROUPS_PER_PERIOD = 16
+_GROUP_TOLERANCE = 1.5
 
 
 @dataclass(frozen=True)
@@ -74,10 +83,26 @@ class ToneInterval:
         """Return the frequency at a sample after the first, periods per sample."""
         return self.start * math.exp(self.growth * offset) + self.slope * offset
 
-    def phase(self, offsets: NDArray[np.int64]) -> Array:
+    def phase(self, offsets: Array | NDArray[np.int64]) -> Array:
         """Return the phase at samples after the first [rad]."""
         periods = np.expm1(self.growth * offsets) / self.growth if self.growth else offsets
         return np.asarray(2.0 * np.pi * (self.start * periods + 0.5 * self.slope * offsets**2))
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether the frequency is constant."""
+        return self.slope == self.growth == 0.0
+
+    def blocks(self, rate: float) -> Iterator[tuple[int, int]]:
+        """Yield offset and length of each block of samples."""
+        offset = 0
+        while True:
+            samples = int(max(_PERIODS / self.frequency(offset), _MIN_SECONDS * rate, _MIN_SAMPLES))
+            if self.first + offset + samples > self.stop:
+                return
+            yield offset, samples
+            # The searched parts of successive blocks overlap.
+            offset += int((1.0 - 3.0 * _UNSEARCHED_END_FRACTION) * samples)
 
 
 class ToneStep(NamedTuple):
@@ -112,152 +137,179 @@ def find_tone_steps(rec: Recording, intervals: Sequence[ToneInterval], channels:
         return
     infos = [rec.channels[name] for name in channels]
     min_ranges = [0.0 if info.volts_per_count is None else _MIN_COUNTS * info.unit_per_count for info in infos]
+    flaws = find_flaws(rec, channels, 0, rec.samples)
     for interval in intervals:
-        offset = 0
-        while True:
-            frequency = interval.frequency(offset)
-            samples = int(max(_PERIODS / frequency, _MIN_SECONDS * rec.rate, _MIN_SAMPLES))
+        for offset, samples in _blocks_to_search(rec, interval, channels, flaws):
             first = interval.first + offset
-            if first + samples > interval.stop:
-                break
-            if not find_flaws(rec, channels, first, first + samples):
-                block = np.stack([rec.read(name, first, first + samples) for name in channels])
-                phase = interval.phase(offset + np.arange(samples))
-                yield from (
-                    ToneStep(channels[row], first + position, log_ratio, frequency * rec.rate)
-                    for row, (position, log_ratio) in _steps_of_block(block, phase).items()
-                    if np.ptp(block[row]) > min_ranges[row]
-                )
-            # The searched parts of successive blocks overlap.
-            offset += int((1.0 - 3.0 * _UNSEARCHED_END_FRACTION) * samples)
+            block = np.stack([rec.read(name, first, first + samples) for name in channels])
+            model = _Model(interval.phase(offset + np.arange(samples)))
+            yield from (
+                ToneStep(channels[row], first + position, log_ratio, interval.frequency(offset) * rec.rate)
+                for row, (position, log_ratio) in _steps_of_block(block, model).items()
+                if np.ptp(block[row]) > min_ranges[row]
+            )
 
 
-def _steps_of_block(block: Array, phase: Array) -> dict[int, tuple[int, complex]]:
+def _blocks_to_search(
+    rec: Recording, interval: ToneInterval, channels: Sequence[str], flaws: Sequence[Flaw]
+) -> Iterator[tuple[int, int]]:
+    """Yield offset and length of each block without flaws whose mean values over groups of samples may have a step."""
+    blocks = []
+    for offset, samples in interval.blocks(rec.rate):
+        first = interval.first + offset
+        if not any(flaw.first < first + samples and flaw.stop > first for flaw in flaws):
+            blocks.append((offset, samples))
+    # The blocks of a steady tone have the same model.
+    for equal in [blocks] if interval.is_steady and blocks else [[block] for block in blocks]:
+        offset, samples = equal[0]
+        size = max(int(1.0 / (interval.frequency(offset) * _GROUPS_PER_PERIOD)), 1)
+        count = samples // size
+        bounds = [(interval.first + start, interval.first + start + count * size) for start, _ in equal]
+        means = [block.reshape(len(channels), count, size).mean(axis=2) for block in read_slices(rec, channels, bounds)]
+        model = _Model(interval.phase(offset + size * np.arange(count) + 0.5 * (size - 1)))
+        rows = np.concatenate(means)
+        is_suspect = np.zeros(len(rows), dtype=np.bool_)
+        searched = np.flatnonzero(model.residual(rows) > _MIN_RESIDUAL)
+        for fits in model.fits(rows[searched]) if searched.size else ():
+            is_suspect[searched] |= fits.are_steps(_GROUP_TOLERANCE).any(axis=0)
+        yield from (
+            block for block, suspects in zip(equal, is_suspect.reshape(len(equal), -1), strict=True) if suspects.any()
+        )
+
+
+def _steps_of_block(block: Array, model: _Model) -> dict[int, tuple[int, complex]]:
     """Return position and logarithm of the ratio for each row with a step."""
-    terms = _model(phase)
-    model, triangle = np.linalg.qr(terms)
-    margin = int(_UNSEARCHED_END_FRACTION * block.shape[1])
-    positions = np.arange(margin, block.shape[1] - margin)
-    # The offset is removed, because a large offset would hide the tone.
-    rows = [row - row.mean() for row in block]
     steps: dict[int, tuple[int, complex]] = {}
-    residuals = [_residual(row, model) for row in rows]
-    if max(residuals) < _MIN_RESIDUAL:
-        return steps
-    added = _added_tones(model, terms, positions)
-    for fits in (
-        [_Fits.of(row, model, positions, residual) for row, residual in zip(rows, residuals, strict=True)],
-        [
-            _Fits.of_phase(row, model, triangle, added, positions, residual)
-            for row, residual in zip(rows, residuals, strict=True)
-        ],
-    ):
-        for number, fit in enumerate(fits):
-            best = int(np.argmin(fit.remaining))
-            log_ratio = complex(fit.log_ratio[best])
-            is_significant = fit.remaining[best] < min(_MAX_REMAINING_FRACTION * fit.residual, _MAX_REMAINING)
-            if number in steps or not is_significant or abs(log_ratio) < _MIN_CHANGE:
+    for fits in model.fits(block):
+        for row, best in enumerate(np.argmin(fits.remaining, axis=0).tolist()):
+            log_ratio = complex(fits.log_ratio[best, row])
+            if row in steps or not fits.are_steps()[best, row]:
                 continue
-            others = (other.step_at(best) for index, other in enumerate(fits) if index != number)
-            if max(others) < _MAX_COMMON * abs(log_ratio):
-                steps[number] = int(positions[best]), log_ratio
+            if max(np.delete(fits.steps_at(best), row)) < _MAX_COMMON * abs(log_ratio):
+                steps[row] = int(model.positions[best]), log_ratio
     return steps
 
 
-def _residual(readings: Array, model: Array) -> float:
-    """Return the rms residual without a step, relative to the readings without their drift."""
-    coefficients = readings @ model
-    drift = model[:, :_DRIFT_TERMS] @ coefficients[:_DRIFT_TERMS]
-    scale = max(float(np.sum((readings - drift) ** 2)), 1e-300)
-    return float(np.linalg.norm(readings - model @ coefficients)) / math.sqrt(scale)
-
-
-def _added_tones(model: Array, terms: Array, positions: Array) -> tuple[Array, Array, Array]:
-    """Return the tone (cosine, sine), its projections from each position on, and the squares outside the model."""
-    tone = terms[:, _DRIFT_TERMS : _DRIFT_TERMS + 2]
-
-    def sums_from(values: Array) -> Array:
-        total = np.cumsum(values, axis=0)
-        return np.asarray((total[-1] - total)[positions - 1])
-
-    projections = sums_from(model[:, :, None] * tone[:, None, :])
-    squares = sums_from(tone[:, :, None] * tone[:, None, :]) - np.swapaxes(projections, 1, 2) @ projections
-    return tone, projections, squares
-
-
-def _model(phase: Array) -> Array:
-    """Return the terms of the model, shape (samples, terms)."""
-    time = np.linspace(-1.0, 1.0, phase.size)
-    drift = time ** np.arange(_DRIFT_TERMS)[:, None]
-    tone = np.stack([np.cos(phase), np.sin(phase)])
-    harmonics = [part(order * phase) for order in range(2, _HARMONICS + 1) for part in (np.cos, np.sin)]
-    return np.concatenate([drift, tone, time * tone, time**2 * tone, harmonics]).T
-
-
 class _Fits(NamedTuple):
-    """Fits of a step at each position to one channel; residuals are relative to the readings without their drift."""
+    """Fits of a step before each position to each row; residuals are relative to the readings without their drift."""
 
-    residual: float  # residual without a step
-    remaining: Array  # (positions,)
-    log_ratio: ComplexArray  # (positions,)
+    residual: Array  # (rows,), without a step
+    remaining: Array  # (positions, rows)
+    log_ratio: Array | ComplexArray  # (positions, rows)
 
-    def step_at(self, index: int) -> float:
-        """Return the magnitude of the logarithm of the ratio at a position; 0 if this does not reduce the residual."""
+    def are_steps(self, tolerance: float = 1.0) -> NDArray[np.bool_]:
+        """Return whether a step before each position explains each row; `tolerance`: factor that relaxes the limits."""
+        limit = tolerance * np.minimum(_MAX_REMAINING_FRACTION * self.residual, _MAX_REMAINING)
+        return np.asarray((self.remaining < limit) & (abs(self.log_ratio) >= _MIN_CHANGE / tolerance))
+
+    def steps_at(self, index: int) -> Array:
+        """Return the magnitude of the logarithm of each ratio at a position; 0 if this does not reduce the residual."""
         is_step = self.remaining[index] < _MAX_FRACTION_OF_STEP * self.residual
-        return abs(complex(self.log_ratio[index])) if is_step else 0.0
+        return np.asarray(np.where(is_step, abs(self.log_ratio[index]), 0.0))
 
-    @classmethod
-    def of(cls, readings: Array, model: Array, positions: Array, residual: float) -> _Fits:
-        """Fit a step before each position; `model`: orthonormal columns; `residual`: without a step."""
-        projections = np.cumsum(model * readings[:, None], axis=0)
-        powers = np.cumsum(readings**2)
-        before, after = projections[positions - 1], projections[-1] - projections[positions - 1]
-        power_before, power_after = powers[positions - 1], powers[-1] - powers[positions - 1]
-        # Squares and product of the residuals of both parts.
-        square_before = power_before - np.sum(before**2, axis=1)
-        square_after = power_after - np.sum(after**2, axis=1)
-        product = -np.sum(before * after, axis=1)
-        factor = -product / np.maximum(square_after, 1e-12 * max(powers[-1], 1e-300))
-        remaining = np.maximum(square_before + factor * product, 0.0)
+
+class _Model:
+    """Model of the readings in a block, in which the tone has a given phase at each sample [rad]."""
+
+    def __init__(self, phase: Array) -> None:
+        time = np.linspace(-1.0, 1.0, phase.size)[:, None]
+        self._time, self._tone = time, np.stack([np.cos(phase), np.sin(phase)], axis=1)
+        harmonics = [part(order * phase) for order in range(2, _HARMONICS + 1) for part in (np.cos, np.sin)]
+        terms = [
+            time ** np.arange(_DRIFT_TERMS),
+            *(time**order * self._tone for order in range(3)),
+            np.array(harmonics).T,
+        ]
+        self._basis, self._triangle = np.linalg.qr(np.concatenate(terms, axis=1))
+        margin = int(_UNSEARCHED_END_FRACTION * phase.size)
+        self.positions = np.arange(margin, phase.size - margin)
+
+    def residual(self, rows: Array) -> Array:
+        """Return the rms residual of each row without a step, relative to the readings without their drift."""
+        return _Decomposition.of(rows, self._basis).residual
+
+    def fits(self, rows: Array) -> tuple[_Fits, _Fits]:
+        """Fit a step of the gain, and a step of the phase, before each position."""
+        parts = _Decomposition.of(rows, self._basis)
+        return self._gain_steps(parts), self._phase_steps(parts)
+
+    def _sums_before(self, values: Array) -> Array:
+        """Return the sum of the values before each position; the first axis is that of the samples."""
+        return np.asarray(np.cumsum(values, axis=0)[self.positions - 1])
+
+    def _gain_steps(self, parts: _Decomposition) -> _Fits:
+        power = np.sum(parts.readings**2, axis=0)
+        power_before = self._sums_before(parts.readings**2)
+        # Squares and product of the projections of both parts on the model.
+        projected_before = sum(self._sums_before(parts.readings * term[:, None]) ** 2 for term in self._basis.T)
+        product = self._sums_before(parts.readings * parts.fitted) - projected_before
+        projected_after = np.sum(parts.coefficients**2, axis=0) - 2.0 * product - projected_before
+        square_after = power - power_before - projected_after
+        factor = product / np.maximum(square_after, 1e-12 * np.maximum(power, 1e-300))
+        remaining = np.maximum(power_before - projected_before - factor * product, 0.0)
         # Squares of the readings without drift, with the factor applied after the step.
-        tone_powers = np.cumsum((readings - model[:, :_DRIFT_TERMS] @ projections[-1, :_DRIFT_TERMS]) ** 2)
-        tone_before = tone_powers[positions - 1]
-        scale = np.maximum(tone_before + factor**2 * (tone_powers[-1] - tone_before), 1e-300)
+        before = self._sums_before(parts.without_drift**2)
+        scale = np.maximum(before + factor**2 * (parts.scale - before), 1e-300)
         log_ratio = np.where(factor > 0.0, -np.log(np.maximum(factor, 1e-300)), 0.0)
-        return cls(residual, np.sqrt(remaining / scale), log_ratio.astype(complex))
+        return _Fits(parts.residual, np.sqrt(remaining / scale), log_ratio)
 
-    @classmethod
-    def of_phase(
-        cls,
-        readings: Array,
-        model: Array,
-        triangle: Array,
-        added: tuple[Array, Array, Array],
-        positions: Array,
-        residual: float,
-    ) -> _Fits:
-        """Fit a step of the phase from each position on; `triangle`: model times triangle are the terms."""
-        tone, projections, squares = added
-        coefficients = readings @ model
-        misfit = readings - model @ coefficients
-        products = np.cumsum(tone * misfit[:, None], axis=0)
-        right = (products[-1] - products)[positions - 1]
-        change = np.linalg.solve(squares + 1e-9 * readings.size * np.eye(2), right[:, :, None])
-        remaining = np.maximum(float(misfit @ misfit) - np.sum(right * change[:, :, 0], axis=1), 0.0)
-        drift = model[:, :_DRIFT_TERMS] @ coefficients[:_DRIFT_TERMS]
-        scale = max(float(np.sum((readings - drift) ** 2)), 1e-300)
+    def _phase_steps(self, parts: _Decomposition) -> _Fits:
+        """Fit a step of the phase from each position on: a tone is added there."""
+        misfit = parts.readings - parts.fitted
+        projections, inverse, amplitudes = self._added_tone
+        # The sum over all samples is 0, because the tone is part of the model.
+        right = -self._sums_before(self._tone[:, :, None] * misfit[:, None])
+        change = inverse @ right
+        remaining = np.maximum(np.sum(misfit**2, axis=0) - np.sum(right * change, axis=1), 0.0)
         # Amplitudes before the step are those of the terms, quadratic in time, when all terms are fitted together.
-        unknowns = np.linalg.solve(triangle, (coefficients[:, None] - (projections @ change)[:, :, 0].T))
-        time = np.linspace(-1.0, 1.0, readings.size)[positions]
-        cosine, sine = (
-            sum(time**order * unknowns[_DRIFT_TERMS + part + 2 * order] for order in range(3)) for part in range(2)
-        )
-        before = cosine - 1j * sine
-        ratio = 1.0 + (change[:, 0, 0] - 1j * change[:, 1, 0]) / np.where(before == 0.0, 1e-300, before)
+        before = amplitudes @ (parts.coefficients - projections @ change)
+        complex_before, complex_change = (each[:, 0] - 1j * each[:, 1] for each in (before, change))
+        ratio = 1.0 + complex_change / np.where(complex_before == 0.0, 1e-300, complex_before)
         phase = np.angle(ratio)
         # A delay changes the phase, but not the magnitude.
         is_delay = abs(phase) > abs(np.log(np.maximum(abs(ratio), 1e-300)))
-        return cls(residual, np.sqrt(remaining / scale), np.where(is_delay, 1j * phase, 0.0))
+        return _Fits(parts.residual, np.sqrt(remaining / parts.scale), np.where(is_delay, 1j * phase, 0.0))
+
+    @cached_property
+    def _added_tone(self) -> tuple[Array, Array, Array]:
+        """Return for a tone (cosine, sine) from each position on: projections on the model, inverse of the squares.
+
+        The third value multiplied by coefficients is the tone at each position. Shapes: (positions, terms, 2),
+        (positions, 2, 2), (positions, 2, terms).
+        """
+        before = self._sums_before(self._basis[:, :, None] * self._tone[:, None])
+        projections = self._basis.T @ self._tone - before
+        squares = self._sums_before(self._tone[:, :, None] * self._tone[:, None])
+        squares = self._tone.T @ self._tone - squares - projections.mT @ projections
+        terms = np.zeros((self.positions.size, 2, self._basis.shape[1]))
+        for order in range(3):
+            columns = _DRIFT_TERMS + 2 * order + np.arange(2)
+            terms[:, [0, 1], columns] = self._time[self.positions] ** order
+        inverse = np.linalg.inv(squares + 1e-9 * self._time.size * np.eye(2))
+        return projections, inverse, np.asarray(terms @ np.linalg.inv(self._triangle))
+
+
+class _Decomposition(NamedTuple):
+    """Readings of rows, and their fit without a step; shape (samples, rows), coefficients (terms, rows)."""
+
+    readings: Array  # without their mean: a large offset would hide the tone
+    coefficients: Array
+    fitted: Array
+    without_drift: Array
+    scale: Array  # sum of squares of the readings without drift
+
+    @classmethod
+    def of(cls, rows: Array, basis: Array) -> _Decomposition:
+        readings = np.ascontiguousarray((rows - rows.mean(axis=1, keepdims=True)).T)
+        coefficients = basis.T @ readings
+        without_drift = readings - basis[:, :_DRIFT_TERMS] @ coefficients[:_DRIFT_TERMS]
+        scale = np.maximum(np.sum(without_drift**2, axis=0), 1e-300)
+        return cls(readings, coefficients, basis @ coefficients, without_drift, scale)
+
+    @property
+    def residual(self) -> Array:
+        """Rms residual, relative to the readings without drift."""
+        return np.asarray(np.sqrt(np.sum((self.readings - self.fitted) ** 2, axis=0) / self.scale))
 
 
 def sweep_warnings(
@@ -289,6 +341,6 @@ def _is_noisy(rec: Recording, intervals: Sequence[ToneInterval], channel: str) -
         first = interval.first + middle - samples // 2
         readings = rec.read(channel, max(first, 0), min(first + samples, rec.samples))
         if np.isfinite(readings).all():
-            model, _ = np.linalg.qr(_model(interval.phase(np.arange(readings.size) + middle - samples // 2)))
-            residuals.append(_residual(readings - readings.mean(), model))
+            model = _Model(interval.phase(np.arange(readings.size) + middle - samples // 2))
+            residuals.append(float(model.residual(readings[None])[0]))
     return bool(residuals) and float(np.median(residuals)) > _MAX_REMAINING

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import signal, stats
 
 from analysis.core.recordings.names import takes_path
 from analysis.core.recordings.slices import interpolated, read_slices
@@ -305,9 +305,9 @@ def _densities(
     inside = (lines >= low - 1e-9 * high) & (lines <= high * (1.0 + 1e-9))
     segments = max(1, (stop - start) // (size // 2) - 1)
     freedom = 2.0 * max(1.0, _INDEPENDENT_RATIO * segments)
-    quantiles = freedom / stats.chi2.ppf([0.975, 0.025], freedom)
+    quantiles = freedom / scipy.stats.chi2.ppf([0.975, 0.025], freedom)
     for name in dict.fromkeys(name for _, name in test.named_channels):
-        density = signal.welch(_finite(rec, name, start, stop), rec.rate, "hann", size, size // 2)[1][inside]
+        density = scipy.signal.welch(_finite(rec, name, start, stop), rec.rate, "hann", size, size // 2)[1][inside]
         values = density * _power_factor(rec.channels[name], lines[inside])
         rows[name] = values, values * quantiles[0], values * quantiles[1]
     return lines[inside], rows, freedom
@@ -370,5 +370,5 @@ def _power_factor(info: ChannelInfo, frequency: Array) -> Array:
 def _level(rec: Recording, name: str, bound: Array, rows: tuple[Array, Array, Array], start: int, stop: int) -> Level:
     """Return the motion of a channel."""
     samples = _finite(rec, name, start, stop)
-    rms, kurtosis = float(np.std(samples)), float(stats.kurtosis(samples, fisher=False))
+    rms, kurtosis = float(np.std(samples)), float(scipy.stats.kurtosis(samples, fisher=False))
     return Level(name, rec.channels[name].at, *rows, bound, rms, kurtosis)

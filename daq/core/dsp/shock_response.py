@@ -10,7 +10,7 @@ from itertools import chain
 from math import ceil
 
 import numpy as np
-from scipy import signal
+import scipy
 
 from rig.core.base.arrays import Array
 
@@ -53,7 +53,7 @@ def shock_response(pieces: Iterable[Array], rate: float, frequency: Array, q: fl
     extremes = np.full((len(oscillators), 2, 2), -np.inf)  # largest and smallest: sample, vertex
     for piece in _compensated(_upsampled(motion, factor)):
         for k, (numerator, denominator) in enumerate(oscillators):
-            response, states[k] = signal.lfilter(numerator, denominator, piece, zi=states[k])
+            response, states[k] = scipy.signal.lfilter(numerator, denominator, piece, zi=states[k])
             # The last sample of the piece before is compared again, now with both neighbors.
             response = np.concatenate([last[k], response])
             last[k] = response[-2:]
@@ -82,7 +82,7 @@ def _upsampled(pieces: Iterator[Array], factor: int) -> Iterator[Array]:
     if factor == 1:
         yield from pieces
         return
-    taps = signal.firwin(2 * _FILTER_SAMPLES * factor + 1, 1.0 / factor, window=("kaiser", _FILTER_SHAPE))
+    taps = scipy.signal.firwin(2 * _FILTER_SAMPLES * factor + 1, 1.0 / factor, window=("kaiser", _FILTER_SHAPE))
     motion = next(pieces)
     # A shorter motion is reflected as a whole; zeros before its reflection are outside the range of the filter.
     first = min(_FILTER_SAMPLES, motion.size - 1)
@@ -90,7 +90,7 @@ def _upsampled(pieces: Iterator[Array], factor: int) -> Iterator[Array]:
     for piece in chain(pieces, [np.zeros(_FILTER_SAMPLES)]):
         motion = np.concatenate([motion, piece])
         stop = motion.size - _FILTER_SAMPLES
-        yield signal.resample_poly(motion, factor, 1, window=taps)[first * factor : stop * factor]
+        yield scipy.signal.resample_poly(motion, factor, 1, window=taps)[first * factor : stop * factor]
         motion, first = motion[max(stop - _FILTER_SAMPLES, 0) :], min(stop, _FILTER_SAMPLES)
 
 

@@ -166,7 +166,7 @@ def _blocks_to_search(
         count = samples // size
         bounds = [(interval.first + start, interval.first + start + count * size) for start, _ in equal]
         means = [block.reshape(len(channels), count, size).mean(axis=2) for block in read_slices(rec, channels, bounds)]
-        model = _Model(interval.phase(offset + size * np.arange(count) + 0.5 * (size - 1)))
+        model = _Model(interval.phase(offset + size * np.arange(count, dtype=float) + 0.5 * (size - 1)))
         rows = np.concatenate(means)
         is_suspect = np.zeros(len(rows), dtype=np.bool_)
         searched = np.flatnonzero(model.residual(rows) > _MIN_RESIDUAL)

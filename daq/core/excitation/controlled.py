@@ -77,17 +77,13 @@ def spring_force(station: Station) -> Controlled:
 
 def _sum_of_displacements(station: Station, terms: Mapping[str, float], names: tuple[str, str]) -> Controlled:
     """Return a weighted sum of displacements; `terms`: factor of each location; `names`: as `_FORCE`."""
-    rows = tuple(_row(station, place, *names) for place in terms)
-    return Controlled(station, rows, tuple(terms.values()))
-
-
-def _row(station: Station, place: str, name: str, alternative: str) -> int:
-    """Return the row of the first channel that measures motion or force at a location, such as ``body 1``."""
-    for row, info in enumerate(station.channels):
-        if info.at == place and info.quantity != "voltage":
-            return row
-    listed = ", ".join(f"{info.name} ({info.quantity} at {info.at})" for info in station.channels) or "none"
-    raise SceneError(
-        f"channels: controlling {name} requires a motion channel at the {place}; the channels are {listed}. "
-        f"Add {{name: {place.replace(' ', '')}, at: {place}}}, or set {alternative}."
-    )
+    # The first channel at each location counts.
+    rows = {info.at: row for row, info in reversed([*enumerate(station.channels)]) if info.quantity != "voltage"}
+    for place in terms:
+        if place not in rows:
+            listed = ", ".join(f"{info.name} ({info.quantity} at {info.at})" for info in station.channels) or "none"
+            raise SceneError(
+                f"channels: controlling {names[0]} requires a motion channel at the {place}; the channels are {listed}. "
+                f"Add {{name: {place.replace(' ', '')}, at: {place}}}, or set {names[1]}."
+            )
+    return Controlled(station, tuple(rows[place] for place in terms), tuple(terms.values()))

@@ -89,10 +89,6 @@ class _PhaseTone(SteadyTone):
             self.frequency = loop.next_frequency(window.phase, samples / self.rate, dead_time)
         return False, windows[-1].force if windows else 0j
 
-    def measure_phase(self, samples: int) -> Generator[Array, Array, _Window]:
-        """Hold the tone for whole periods, at least `samples` samples, and return the amplitudes."""
-        return (yield from self.window_of(whole_periods(self.frequency, self.rate, samples / self.rate)))
-
 
 def _failure(station: Station, test: PhaseResonance, tone: _PhaseTone, level: float, measured: _Window) -> str:
     """Describe why a level has no lock."""
@@ -134,7 +130,6 @@ class PhaseResonanceProcedure(SteadyTonesProcedure["PhaseResonance"]):
                     break
                 locked, drive = False, tone.control.next_drive(tone.amplitude, abs(force))
                 yield station.drive(tone.transition(station.samples(TRANSITION_S), tone.frequency, drive))
-            measured = None
             fields: dict[str, Any] = {"level": level, "direction": "up"}
             begin = station.now
             station.mark(
@@ -142,13 +137,13 @@ class PhaseResonanceProcedure(SteadyTonesProcedure["PhaseResonance"]):
             )
             for attempt in range(_MAX_LOCKS):
                 begin = station.now
-                measured = yield from tone.measure_phase(round(test.measure.periods * station.rate / tone.frequency))
+                shortest_s = round(test.measure.periods * station.rate / tone.frequency) / tone.rate
+                measured = yield from tone.window_of(whole_periods(tone.frequency, tone.rate, shortest_s))
                 within = abs(tone.loop.error(measured.phase)) <= test.tolerance
                 if not locked or within or attempt == _MAX_LOCKS - 1:
                     locked = locked and within
                     break
                 locked, _ = yield from tone.lock()
-            assert measured is not None
             station.mark(
                 "measure",
                 begin,

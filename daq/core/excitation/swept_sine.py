@@ -99,10 +99,9 @@ class LevelMonitor:
     def __init__(self, station: Station, level: float) -> None:
         self._station, self._level = station, level
         self.lowest = self.highest = 1.0
-        # Current interval: first sample, sample after the last, largest force / level, and its frequency [Hz].
-        self._interval: tuple[int, int, float, float] | None = None
-        self._worst = (1.0, 0.0)  # largest deviation of all intervals as force / level, and its frequency [Hz]
-        self._samples = self._intervals = 0  # total length and number of the marked intervals
+        # Intervals: first sample, sample after the last, largest force / level, and its frequency [Hz].
+        self._interval: tuple[int, int, float, float] | None = None  # the current interval
+        self._marked: list[tuple[int, int, float, float]] = []
 
     def add(self, first: int, stop: int, frequency: float, force: float) -> None:
         """Add the force amplitude in N of the samples first to stop - 1, at a frequency in Hz."""
@@ -121,17 +120,18 @@ class LevelMonitor:
         """Mark an open interval, and warn if the force deviated from its level; `samples`: length of the sweep."""
         if self._interval is not None:
             self._end_interval()
-        if self._intervals:
-            worst, worst_frequency = self._worst
+        if self._marked:
+            _, _, worst, worst_frequency = max(self._marked, key=lambda interval: abs(interval[2] - 1.0))
+            outside, count = sum(stop - first for first, stop, *_ in self._marked), len(self._marked)
             remedy = "Sweep more slowly, or use a stepped sine."
             if self.lowest == 0.0:
                 remedy = f"At times the signals are below one count of the converter. {_SENSITIVITY_HINT}"
             self._station.warn(
                 f"the spring force deviates from its level of {self._level:g} N by more than "
-                f"{format_percent(ALLOWED_DEVIATION)} in {self._intervals} "
-                f"interval{'s' if self._intervals > 1 else ''}, {format_percent(self._samples / samples)} of the "
-                f"sweep, and most at {format_decimals(worst_frequency, 2)} Hz ({worst:.3g} times the level). The "
-                f"intervals are marked 'level' in the recording. {remedy}"
+                f"{format_percent(ALLOWED_DEVIATION)} in {count} interval{'s' if count > 1 else ''}, "
+                f"{format_percent(outside / samples)} of the sweep, and most at "
+                f"{format_decimals(worst_frequency, 2)} Hz ({worst:.3g} times the level). The intervals are marked "
+                f"'level' in the recording. {remedy}"
             )
 
     def _end_interval(self) -> None:
@@ -139,10 +139,7 @@ class LevelMonitor:
         assert self._interval is not None
         first, stop, worst, worst_frequency = self._interval
         self._station.mark("level", first, stop, worst=worst, frequency=worst_frequency, level=self._level)
-        self._samples += stop - first
-        self._intervals += 1
-        if abs(worst - 1.0) > abs(self._worst[0] - 1.0):
-            self._worst = worst, worst_frequency
+        self._marked.append(self._interval)
         self._interval = None
 
 

@@ -216,7 +216,7 @@ class _Assessment:
                 second_level = max(self.level / second_ratio, self.level / limiting.driven_share)
                 largest_level = min(largest_level, second_level)
         duration = self._duration()
-        signals = lowest_signal_to_noise(self.scene, self.bench.channels)
+        signals, sensors = lowest_signal_to_noise(self.scene, self.bench.channels), self._limited_sensors()
         test = test_of(self.scene)
         last_blocks = chain.from_iterable(part.last_blocks for part in self.rehearsed_test.parts)
         return Foresight(
@@ -233,7 +233,7 @@ class _Assessment:
             hidden=(
                 *self._below_resolution(expectations),
                 *self._below_noise(signals),
-                *((impact_remedy,) if impact_remedy and self._impacts_overload() else ()),
+                *([impact_remedy] if impact_remedy and any(peak > limit for _, limit, peak in sensors) else []),
                 *unresolved_force(self.scene, self.system, self.bench.channels),
             ),
             flights=flight_lines(self.scene, self.system, self.level, self.unlimited_test.parts),
@@ -299,10 +299,6 @@ class _Assessment:
             if sensor is not None and sensor.saturation is not None:
                 row = self.system.points.index(channel.at)
                 yield channel, sensor.saturation, impact_acceleration(self.system, row, speeds, sensor.resonance)
-
-    def _impacts_overload(self) -> bool:
-        """Return whether an impact of a damper exceeds the limit of an accelerometer."""
-        return any(peak > saturation for _, saturation, peak in self._limited_sensors())
 
     def _sensors(self) -> Iterable[Expectation]:
         """Yield the largest acceleration, of the motion or of an impact, at each accelerometer with a limit."""

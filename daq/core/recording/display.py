@@ -16,17 +16,8 @@ from numpy.typing import NDArray
 
 from daq.core.mcap_file.protobuf import Schema
 from daq.core.mcap_file.writer import Message, Messages
+from daq.core.recording import layout
 from daq.core.recording.displacement import DisplacementFilter, motion_sources
-from daq.core.recording.layout import (
-    DISPLAY,
-    MAX_DISPLAY_CHANNELS,
-    MAX_DISPLAY_GROUPS,
-    ROBOT,
-    TRANSFORMS,
-    Timebase,
-    block_length,
-    flush_length,
-)
 from daq.core.recording.sample_groups import Group, Grouping
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
@@ -190,7 +181,7 @@ class Display:
         scene: Scene,
         channels: Sequence[ChannelInfo],
         scale: Array,
-        clock: Timebase,
+        clock: layout.Timebase,
         truth: Truth | None,
         register: Register,
     ) -> None:
@@ -198,22 +189,22 @@ class Display:
 
         self._clock, self._truth, self._scale = clock, truth, scale
         # The recorder's groups are converted in longer groups.
-        groups = min(MAX_DISPLAY_GROUPS, max(1, MAX_DISPLAY_CHANNELS // len(channels)))
-        self._groups = Grouping(len(channels), groups * flush_length(clock.rate), np.dtype(float))
+        groups = min(layout.MAX_DISPLAY_GROUPS, max(1, layout.MAX_DISPLAY_CHANNELS // len(channels)))
+        self._groups = Grouping(len(channels), groups * layout.flush_length(clock.rate), np.dtype(float))
         self._decimator = DisplayDecimator(display_step(clock.rate))
         # Numbers of the topics: waveforms, and rms and peak of each channel.
         self._waveforms: list[int] = []
         self._levels: list[int] = []
         for info in channels:
             fields = {"unit": info.unit, "sensor": info.name, "direction": "up"}
-            names = (f"{DISPLAY}{info.name}{suffix}" for suffix in ("", "/rms", "/peak"))
+            names = (f"{layout.DISPLAY}{info.name}{suffix}" for suffix in ("", "/rms", "/peak"))
             waveform, *levels = (register(name, FLOAT_SCHEMA, fields) for name in names)
             self._waveforms.append(waveform)
             self._levels += levels
         self._robot = RobotDescription(scene, with_dampers=truth is not None)
         factor = {"exaggeration": f"{self._robot.exaggeration:g}"}
-        self._description = register(ROBOT, TEXT_SCHEMA, factor)
-        self._transforms = register(TRANSFORMS, TRANSFORMS_SCHEMA, factor)
+        self._description = register(layout.ROBOT, TEXT_SCHEMA, factor)
+        self._transforms = register(layout.TRANSFORMS, TRANSFORMS_SCHEMA, factor)
         self._sources = motion_sources(self._robot.points, channels, truth is not None)
         rows = {info.name: row for row, info in enumerate(channels)}
         rate = clock.rate / self._decimator.step
@@ -276,7 +267,7 @@ class Display:
         """Return rms and peak of each block, with the times of the blocks' ends."""
         ends: list[int] = []
         levels = []
-        for first, samples in group.blocks(block_length(self._clock.rate)):
+        for first, samples in group.blocks(layout.block_length(self._clock.rate)):
             _, count, size = samples.shape
             rms = np.sqrt(np.add.reduce(samples * samples, axis=2) / size)
             peak = np.maximum(np.maximum.reduce(samples, axis=2), -np.minimum.reduce(samples, axis=2))

@@ -25,14 +25,12 @@ class Change:
     def __str__(self) -> str:
         return shorten(self.option or f"{self.key}={self.value}")
 
-    def apply_to(self, content: Any) -> Any:
-        """Return the content with the new value; a list key without a number applies to every item.
+    def apply_to(self, node: Any, steps: KeyPath | None = None) -> Any:
+        """Return content with the new value; a list key without a number applies to every item.
 
-        Raises `SceneError` if the item does not exist.
+        `steps`: path of the key in `node`; None: `self.steps`. Raises `SceneError` if the item does not exist.
         """
-        return self._replace(content, self.steps)
-
-    def _replace(self, node: Any, steps: KeyPath) -> Any:
+        steps = self.steps if steps is None else steps
         # Content is copied, not changed in place, because an alias in the file makes two places share one object.
         if not steps:
             return self.value
@@ -45,17 +43,17 @@ class Change:
                     f"{self}: item {number} does not exist. The list has {len(node)} items, numbered from 1."
                 )
             remaining = steps if isinstance(step, str) else remaining
-            return [self._replace(item, remaining) if k in indices else item for k, item in enumerate(node)]
+            return [self.apply_to(item, remaining) if k in indices else item for k, item in enumerate(node)]
         if isinstance(step, int):
             if step > 0 or node is None:
                 raise SceneError(f"{self}: the value of this key is not a list. Remove [{step + 1}].")
-            return self._replace(node, remaining)
+            return self.apply_to(node, remaining)
         mapping = node if isinstance(node, dict) else {}
         if step == "masses" and remaining and isinstance(mapping.get(step), dict):
             remaining = _use_body_name(remaining, list(mapping[step]))
         if not remaining and self.value is None:
             return {key: value for key, value in mapping.items() if key != step}
-        return {**mapping, step: self._replace(mapping.get(step), remaining)}
+        return {**mapping, step: self.apply_to(mapping.get(step), remaining)}
 
     def covers(self, key_path: KeyPath) -> bool:
         """Return whether the value at a key path is changed.

@@ -11,7 +11,6 @@ from pydantic import AfterValidator, ValidationInfo
 
 from rig.core.base.errors import suggestion
 from rig.core.scene.body_names import GROUND, body_problems
-from rig.core.scene.damper import Damper
 from rig.core.scene.excitation import Test
 from rig.core.scene.joint import Joint
 from rig.core.scene.measurement_chain import Channel, Converter, RecordingSettings
@@ -19,10 +18,6 @@ from rig.core.scene.shaker import KINDS, Shaker, as_tuple, at_shaker
 from rig.core.settings.problems import KeyPath, Problem, combined_error
 
 ValidSections = Mapping[str, Any]
-
-
-def _check_damper(damper: Damper, valid: ValidSections) -> Iterable[Problem]:
-    yield from body_problems(valid, damper.body, ("body",))
 
 
 def _check_joint(joint: Joint, valid: ValidSections) -> Iterable[Problem]:
@@ -43,10 +38,6 @@ def _check_shakers(value: Shaker | tuple[Shaker, ...] | None, valid: ValidSectio
     if carriers and not all(shaker.drive_is_force for shaker in shakers[: carriers[0]] + shakers[carriers[0] + 1 :]):
         message = f"a shaker of kind {shakers[carriers[0]].kind} can be combined with shakers of kind force only."
         yield Problem((carriers[0],), f"{message} Remove the others.")
-
-
-def _check_test(test: Test | None, valid: ValidSections) -> Iterable[Problem]:
-    return () if test is None else test.references(valid)
 
 
 def _check_channel(channel: Channel, valid: ValidSections) -> Iterable[Problem]:
@@ -133,10 +124,10 @@ def _validator(check: Check) -> AfterValidator:
     return AfterValidator(validate)
 
 
-DAMPER = _validator(_check_damper)
+DAMPER = _validator(lambda damper, valid: body_problems(valid, damper.body, ("body",)))
 JOINT = _validator(_check_joint)
 SHAKERS = _validator(_check_shakers)
-TEST = _validator(_check_test)
+TEST = _validator(lambda test, valid: () if test is None else test.references(valid))
 CHANNEL = _validator(_check_channel)
 CHANNELS = _validator(_check_channels)
 CONVERTER = _validator(_check_converter)

@@ -122,11 +122,6 @@ class FirstOrderForm:
         """Return the sample times [s]."""
         return np.arange(self.samples) / (SAMPLES_PER_PERIOD * self.tone.frequency)
 
-    @property
-    def has_only_beds(self) -> bool:
-        """Whether all elements are beds with instantaneous contact: no other mass falls freely."""
-        return bool(self.system.detached.all())
-
     def regime(self, j: int, regimes: Regimes) -> Regime:
         """Return the current regime of an element."""
         return list(self.system.elements[j].law.regimes.values())[regimes[j]]

@@ -212,17 +212,7 @@ def design(
         If a worker process ends unexpectedly.
     """
     scene = scene_of(scene)
-    objective, space = parse_request(
-        scene,
-        budget=budget,
-        bodies=bodies,
-        dampers=dampers,
-        clearance=clearance,
-        levels=levels,
-        band=band,
-        watched=watched,
-        uncertain=uncertain,
-    )
+    objective, space = parse_request(scene, budget, bodies, dampers, clearance, levels, band, watched, uncertain)
     forces = chart_levels(objective.levels)
     with Workers(cluster) as workers:
         job_count = estimate_job_count(objective, space) + CHART_CLEARANCES.size * forces.size

@@ -86,7 +86,6 @@ def total_mass(scene: Scene) -> float:
 
 def parse_request(
     scene: Scene,
-    *,
     budget: float | str | None = None,
     bodies: Sequence[int | str] | None = None,
     dampers: int = 1,

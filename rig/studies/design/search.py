@@ -78,7 +78,8 @@ def search(objective: Objective, space: SearchSpace, evaluator: Evaluator) -> tu
     starts = _best_of_locations(largest_mass, MAX_REFINED_PEAK_RATIO)
     for row in smaller_masses:
         starts += _best_of_locations(row, MAX_LIGHT_PEAK_RATIO)[:MAX_REFINED_LOCATIONS]
-    optimize_common_factor = partial(_optimize_common_factor, step=_clearance_step(space), bounds=space.clearance)
+    step = float(np.log(space.clearance[1] / space.clearance[0])) / (GRID_CLEARANCES - 1)  # of the grid, logarithmic
+    optimize_common_factor = partial(_optimize_common_factor, step=step, bounds=space.clearance)
     trials |= optimize_from(starts, optimize_common_factor)
     if space.max_dampers > 1:
         masses = [row[0].choice.mass for row in (largest_mass, *smaller_masses)]
@@ -118,11 +119,6 @@ def _ranked_at_mass(trials: Mapping[Choice, Trial], mass: float) -> list[Trial]:
 def _with_several_dampers(choices: Iterable[Choice]) -> list[Choice]:
     """Select the choices with more than one damper."""
     return [choice for choice in choices if len(choice.bodies) > 1]
-
-
-def _clearance_step(space: SearchSpace) -> float:
-    """Return the logarithmic spacing of the clearances of the grid."""
-    return float(np.log(space.clearance[1] / space.clearance[0])) / (GRID_CLEARANCES - 1)
 
 
 def _grid_row(space: SearchSpace, location: tuple[int, ...], share: float) -> list[Choice]:

@@ -23,9 +23,8 @@ _LEAST_RATIO = 1e-3
 # Quantities that the headline does not repeat.
 _ONLY_IN_TABLE = ("excitation frequency", "phase deviation")
 _MODE_CAPTION = (
-    "Natural frequency and damping ratio are those of the mode; the "
-    "excitation frequency is that of {}, to which amplitude and energy belong. The two "
-    "differ where other modes contribute to the motion{}."
+    "Natural frequency and damping ratio are those of the mode; the excitation frequency is that of {}, to which "
+    "amplitude and energy belong. The two differ where other modes contribute to the motion{}."
 )
 
 

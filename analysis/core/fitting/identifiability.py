@@ -77,8 +77,7 @@ def describe_coupled_values(
         if k in largest_gaps:
             undetermined.append(
                 f"{problem.parameters[k].key} is at least {1e3 * largest_gaps[k]:.3g} mm. No upper limit is "
-                "determined, because the damper does not hit its ceiling in these recordings. Record at a higher "
-                "level."
+                "determined, because the damper does not hit its ceiling in these recordings. Record at a higher level."
             )
             continue
         never_moves = problem.parameters[k].damper is not None and not moving

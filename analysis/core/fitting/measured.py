@@ -157,9 +157,8 @@ def _curves(rec: Recording, frfs: Sequence[Response], reference: str, label: str
     is_valid = np.isfinite(value).all(axis=0) & is_limited & ~is_unsteady & (frfs[0].frequency > 0.0)
     if is_valid.sum() < _MIN_POINTS:
         raise RecordingError(
-            f"{label}: only {int(is_valid.sum())} points have a value and a finite uncertainty; expected "
-            f"{_MIN_POINTS} or "
-            "more. " + (" ".join(frfs[0].warnings) or "Record again at more frequencies.")
+            f"{label}: only {int(is_valid.sum())} points have a value and a finite uncertainty; expected {_MIN_POINTS} "
+            "or more. " + (" ".join(frfs[0].warnings) or "Record again at more frequencies.")
         )
     sensors = tuple(_sensor(rec, frf.response) for frf in frfs)
     errors = stack(frfs).covariance().at(is_valid)

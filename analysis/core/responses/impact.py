@@ -74,8 +74,7 @@ def averaged_spectra(
     if has_leakage:
         notes.append(
             f"{format_percent(averaged.end_ratio)} of the peak response remains at the end of a block, so the curve "
-            "has leakage. Use longer blocks, or omit `estimator`, `block` and `window` for a response without "
-            "leakage."
+            "has leakage. Use longer blocks, or omit `estimator`, `block` and `window` for a response without leakage."
         )
     segments = [(start, start + block_samples) for start in starts]
     lines = np.rint(averaged.spectra.frequency * block_samples / rec.rate).astype(np.int64)

@@ -242,9 +242,8 @@ def _ratio(where: str, unit: str) -> tuple[str, float]:
         if motion in MOTIONS and force == "force":
             return motion, motion_unit / force_unit
     raise SceneError(
-        f"{where}: unit {unit!r}; expected motion per force, such as m/N, m/s/N, m/s^2/N or g/N. To identify the "
-        f"poles of other responses, such as sound pressures, give `unit` m/s^2/N; the shapes then have the unit of "
-        f"the file."
+        f"{where}: unit {unit!r}; expected motion per force, such as m/N, m/s/N, m/s^2/N or g/N. To identify the poles "
+        "of other responses, such as sound pressures, give `unit` m/s^2/N; the shapes then have the unit of the file."
     )
 
 

@@ -28,8 +28,7 @@ def write_mat(segment: Slice, path: Path) -> None:
     if count > MAX_SAMPLES:
         raise SceneError(
             f"{segment.recording.path}: a MATLAB file can contain at most {MAX_SAMPLES} samples per channel; this "
-            f"segment "
-            f"has {count}. Export a shorter segment (`from_s`, `to_s`), or an .npz file."
+            f"segment has {count}. Export a shorter segment (`from_s`, `to_s`), or an .npz file."
         )
     names = variable_names(segment.channels, {"channels", "units", "fs", "start_s"})
     rate = segment.recording.rate

@@ -109,10 +109,9 @@ def verdict(beds: Columns) -> str:
     deviations = deviation(beds, "compliance")
     count, acceptable = len(deviations), _count_within(deviations, MAX_DEVIATION)
     agreement = (
-        "the compliance of the body with grains agrees with the single-mass model within "
-        f"{100 * GOOD_DEVIATION:g} % at {_count_within(deviations, GOOD_DEVIATION)}, and within "
-        f"{100 * MAX_DEVIATION:g} % at {acceptable} of {count} simulated operating points (frequency, acceleration, "
-        "clearance and depth)"
+        f"the compliance of the body with grains agrees with the single-mass model within {100 * GOOD_DEVIATION:g} % "
+        f"at {_count_within(deviations, GOOD_DEVIATION)}, and within {100 * MAX_DEVIATION:g} % at {acceptable} of "
+        f"{count} simulated operating points (frequency, acceleration, clearance and depth)"
     )
     setting_count = len({point_of(setting) for setting in settings()})
     if count < setting_count:

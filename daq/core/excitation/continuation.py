@@ -448,9 +448,8 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
             if curve.gaps:
                 ends = ", ".join(f"{start:.5g} to {end:.5g}" for start, end in curve.gaps)
                 station.warn(
-                    f"{at_level}: no points from {ends} Hz, where no steady motion was found: "
-                    "the period has doubled, or the impacts in a period change. Folds in this range are not measured. "
-                    "Reduce test.step."
+                    f"{at_level}: no points from {ends} Hz, where no steady motion was found: the period has doubled, "
+                    "or the impacts in a period change. Folds in this range are not measured. Reduce test.step."
                 )
             tone.warn_of_multiples()
             yield tone.end()

@@ -129,9 +129,8 @@ class LevelMonitor:
             self._station.warn(
                 f"the spring force deviates from its level of {self._level:g} N by more than "
                 f"{format_percent(ALLOWED_DEVIATION)} in {count} interval{'s' if count > 1 else ''}, "
-                f"{format_percent(outside / samples)} of the sweep, and most at "
-                f"{format_decimals(worst_frequency, 2)} Hz ({worst:.3g} times the level). The intervals are marked "
-                f"'level' in the recording. {remedy}"
+                f"{format_percent(outside / samples)} of the sweep, and most at {format_decimals(worst_frequency, 2)} "
+                f"Hz ({worst:.3g} times the level). The intervals are marked 'level' in the recording. {remedy}"
             )
 
     def _end_interval(self) -> None:
@@ -197,9 +196,8 @@ class SweptSineProcedure(Procedure["SweptSine"]):
             if force is not None:
                 station.warn(
                     f"the spring force was not controlled at {level:g} N: channel "
-                    f"{station.channels[force.rows[0]].name} at the {station.scene.at_driven('table')} did not "
-                    "change in the pretest, because its signal is below one count of the converter. "
-                    f"{_SENSITIVITY_HINT}"
+                    f"{station.channels[force.rows[0]].name} at the {station.scene.at_driven('table')} did not change "
+                    f"in the pretest, because its signal is below one count of the converter. {_SENSITIVITY_HINT}"
                 )
             total, completed = station.samples(test.duration), 0
             while completed < total:

@@ -210,9 +210,8 @@ def _damper_effects(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
         body = scene.structure.label(scene.dampers[row].body)
         yield Effect(
             "motion", "grains", 9 * spheres.count,
-            f"in {body}: {spheres.count} of {1e3 * spheres.settings.diameter:.4g} mm, "
-            f"{1e3 * spheres.mass:.4g} g; position, velocity, angular velocity; "
-            f"step of {1e6 * spheres.longest_step():.3g} us",
+            f"in {body}: {spheres.count} of {1e3 * spheres.settings.diameter:.4g} mm, {1e3 * spheres.mass:.4g} g; "
+            f"position, velocity, angular velocity; step of {1e6 * spheres.longest_step():.3g} us",
         )  # fmt: skip
     on_springs = structural_model(scene).tuned
     if on_springs:

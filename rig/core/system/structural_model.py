@@ -244,9 +244,8 @@ def driven_bodies(scene: Scene) -> list[int]:
     """
     if len(scene.shakers) > 1 and any(shaker.coil_spring is not None for shaker in scene.shakers):
         raise SceneError(
-            f"scene {scene.name!r} has several shakers, whose coil springs add stiffness to the "
-            "structure. Use one shaker, several of kind force, or rig.frequency_response, which "
-            "includes the coil springs."
+            f"scene {scene.name!r} has several shakers, whose coil springs add stiffness to the structure. Use one "
+            "shaker, several of kind force, or rig.frequency_response, which includes the coil springs."
         )
     if scene.reference == "table":
         raise SceneError(

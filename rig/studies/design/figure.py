@@ -86,10 +86,9 @@ def _verdict(design: Design) -> list[str]:
     )
     lines = [
         f"{heading}: {design.best.choice}",
-        f"largest peak {factor * peak.magnitude:.4g} {unit} (body {peak.body}, "
-        f"{format_decimals(peak.frequency, 2)} Hz, {format_number(peak.level)} {design.question.level.unit}): "
-        f"{abs(reduction):.1f} dB {below_or_above} the bare structure's "
-        f"{factor * design.bare.magnitude:.4g} {unit}",
+        f"largest peak {factor * peak.magnitude:.4g} {unit} (body {peak.body}, {format_decimals(peak.frequency, 2)} "
+        f"Hz, {format_number(peak.level)} {design.question.level.unit}): {abs(reduction):.1f} dB {below_or_above} the "
+        f"bare structure's {factor * design.bare.magnitude:.4g} {unit}",
         *design.shortfall,
     ]
     if design.serves:

@@ -100,9 +100,8 @@ def describe_shortfall(
         acceleration = flight.acceleration_g(level)
         state = "cannot fly" if acceleration <= 1.0 else "are not effective"
         lines.append(
-            f"at {format_number(level)} {unit} the dampers {state} and change the peak by "
-            f"{-reductions_db[level]:+.1f} dB: take-off needs more than 1 g, and "
-            f"body {flight.body} reaches {format_number(acceleration)} g"
+            f"at {format_number(level)} {unit} the dampers {state} and change the peak by {-reductions_db[level]:+.1f} "
+            f"dB: take-off needs more than 1 g, and body {flight.body} reaches {format_number(acceleration)} g"
         )
     largest_reductions_db = {
         level: max((p.reduction_from(bare) for other in trials for p in other.peaks if p.level == level), default=0.0)

@@ -19,8 +19,7 @@ MAX_CONDITION_NUMBER = 1e3
 _MIN_RECIPROCAL_LINES = 0.8
 COHERENT_INPUTS = (
     "The inputs are coherent at {lines} of {all} lines: at these lines the responses to them cannot be separated and "
-    "have no value. Drive the shakers with uncorrelated noise, or with a multisine of orthogonal "
-    "phases."
+    "have no value. Drive the shakers with uncorrelated noise, or with a multisine of orthogonal phases."
 )
 
 

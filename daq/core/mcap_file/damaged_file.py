@@ -20,9 +20,8 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 
 from daq.core.mcap_file.chunk import CHUNK_HEAD, LARGEST_CHUNK, MAGIC, RECORD_HEAD, Damage, unpack_chunk
-from daq.core.mcap_file.reader import LARGEST_RECORD
+from daq.core.mcap_file.reader import LARGEST_RECORD, open_file
 from daq.core.mcap_file.summary import parse_record
-from rig.core.base.errors import RecordingError
 
 # The file is searched in blocks of this size.
 _SEARCH_BYTES = 1 << 20
@@ -74,13 +73,8 @@ class DamagedFile:
     """An MCAP file whose records are read one by one; raises `RecordingError` if the file cannot be opened."""
 
     def __init__(self, path: Path) -> None:
-        if path.exists() and not path.is_file():
-            raise RecordingError(f"{path}: not a file. Give the path of a recording.")
-        try:
-            self._file = path.open("rb", buffering=0)
-            self.size = os.fstat(self._file.fileno()).st_size
-        except OSError as error:
-            raise RecordingError(f"{path} cannot be opened ({error.strerror}). Check the path.") from error
+        self._file = open_file(path)
+        self.size = os.fstat(self._file.fileno()).st_size
         self._unconfirmed_bytes_left = _MAX_UNCONFIRMED_BYTES + _MAX_UNCONFIRMED_RATIO * self.size
 
     def __enter__(self) -> Self:

@@ -8,6 +8,7 @@ import shlex
 import struct
 import weakref
 import zlib
+from io import FileIO
 from pathlib import Path
 from typing import Self
 
@@ -25,6 +26,16 @@ LARGEST_SUMMARY = 1 << 28
 FOOTER_RECORD = struct.Struct("<BQQQI")
 
 
+def open_file(path: Path) -> FileIO:
+    """Open a file for reading without a buffer; raise `RecordingError` if this is not possible."""
+    if path.exists() and not path.is_file():
+        raise RecordingError(f"{path}: not a file. Give the path of a recording.")
+    try:
+        return path.open("rb", buffering=0)
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be opened ({error.strerror}). Check the path.") from error
+
+
 class Container:
     """An MCAP file that was closed properly, open for reading; raises `RecordingError` for any other file."""
 
@@ -32,12 +43,7 @@ class Container:
         self.path = path
         # Whether a record without a checksum counts as damaged; shotrig's writer adds a checksum to every record.
         self.checksums_needed = False
-        if path.exists() and not path.is_file():
-            raise RecordingError(f"{path}: not a file. Give the path of a recording.")
-        try:
-            self._file = path.open("rb", buffering=0)
-        except OSError as error:
-            raise RecordingError(f"{path} cannot be opened ({error.strerror}). Check the path.") from error
+        self._file = open_file(path)
         # Close the file when there is no reference to this object.
         weakref.finalize(self, self._file.close)
         try:

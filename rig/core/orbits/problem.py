@@ -236,6 +236,9 @@ class OrbitProblem:
             hold_offset_derivative = _finite_difference(wide.hold_offset, none.hold_offset)
         period = plan.repetition / setting.frequency
         first_regime, signals = _sliding_signals(system)
+        gaps, is_joint = system.gap_coordinate, np.array([element.is_joint for element in system.elements], dtype=bool)
+        # The gap is a coordinate without a spring.
+        moves_freely = (gaps >= 0) & ~is_joint & ~system.finite_contact & (system.force_state[gaps, gaps] == 0.0)
         return Equations(
             generator=generator,
             norm_bound=np.maximum(matrices.norm_bound, omega),
@@ -252,7 +255,7 @@ class OrbitProblem:
             damping=system.wall_damping,
             first_regime=first_regime,
             signals=signals,
-            moves_freely=_moves_freely(system),
+            moves_freely=moves_freely,
             gravity=float(system.gravity),
             omega=omega,
             period=period,
@@ -430,13 +433,6 @@ def _sliding_signals(system: HybridSystem) -> tuple[NDArray[np.int64], Array]:
                 row[[GAP, SLIDER]] = signal.row.gap / unit, 1.0
             row[[LOW, HIGH]] = signal.low / unit, signal.high / unit
     return first_regime, signals
-
-
-def _moves_freely(system: HybridSystem) -> NDArray[np.bool_]:
-    """Return whether the gap of each element is a coordinate without a spring, shape (elements,)."""
-    gaps = system.gap_coordinate
-    is_joint = np.array([element.is_joint for element in system.elements], dtype=bool)
-    return np.asarray((gaps >= 0) & ~is_joint & ~system.finite_contact & (system.force_state[gaps, gaps] == 0.0))
 
 
 def _finite_contact_forces(system: HybridSystem, configuration: int) -> tuple[Array, Array, Array]:

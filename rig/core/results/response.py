@@ -70,8 +70,9 @@ class Response(ResponseArithmetic, Sequence["Response"]):
     def summary(self) -> str:
         """Return the ratios in words; for a curve also the peak, and the largest contribution to its uncertainty."""
         if not self.is_curve:
+            by_inputs = f" by {self.input}" if len(self.inputs) > 1 else ""
             return (
-                f"{self.label}: {self.name} of {self.response}{self._inputs_if_several()}, "
+                f"{self.label}: {self.name} of {self.response}{by_inputs}, "
                 f"{self.frequency.size} points, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz"
             )
         heading = f"{self.label}, {self.ratio}: {self.name}, {self.frequency.size} points"
@@ -91,9 +92,6 @@ class Response(ResponseArithmetic, Sequence["Response"]):
             f"{heading}, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, highest {height} "
             f"at {self.frequency[peak]:.4g} Hz{amplitude}{contribution}{'; '.join(['', *self.uncertain_peak()])}"
         )
-
-    def _inputs_if_several(self) -> str:
-        return f" by {self.input}" if len(self.inputs) > 1 else ""
 
     def peak_line(self) -> int:
         """Return the index of the largest value of a curve among the values with a small uncertainty.
@@ -207,16 +205,8 @@ class Response(ResponseArithmetic, Sequence["Response"]):
         if not self.is_curve:
             place_colors = location_styles([curve.outputs[0].at for curve in self.curves()])
             for curve, (color, *_) in zip(self.curves(), place_colors, strict=True):
-                curve.draw(
-                    ax,
-                    **complete_style(
-                        style,
-                        color=color,
-                        label=curve.response
-                        if len(self.inputs) == 1
-                        else f"{curve.response} by {curve.inputs[0].name}",
-                    ),
-                )
+                by_input = f" by {curve.inputs[0].name}" if len(self.inputs) > 1 else ""
+                curve.draw(ax, **complete_style(style, color=color, label=f"{curve.response}{by_input}"))
             return
         curve, (unit, factor) = self.with_gaps(), self.shown_in
         magnitude, expanded = factor * abs(curve.value), factor * np.nan_to_num(curve.expanded())

@@ -168,11 +168,7 @@ class ResponseValues(Result):
     def degrees_of_freedom(self) -> Array:
         """Degrees of freedom of `error`; 0 where they are unknown, as in files."""
         scatter = self.uncertainty.scatter
-        return (
-            np.zeros(self.value.shape)
-            if scatter is None or scatter.degrees_of_freedom is None
-            else scatter.degrees_of_freedom
-        )
+        return np.zeros(self.value.shape) if scatter is None else scatter.degrees
 
     @property
     def limits(self) -> dict[str, Array]:

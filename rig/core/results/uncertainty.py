@@ -120,6 +120,11 @@ class Contribution:
     # same source. Empty: the source is unknown.
     sources: tuple[Sources, ...] = ()
 
+    @property
+    def degrees(self) -> Array:
+        """`degrees_of_freedom`; 0 where they are unknown."""
+        return np.zeros(self.deviation.shape) if self.degrees_of_freedom is None else self.degrees_of_freedom
+
     def standard(self) -> Array:
         """Return the standard uncertainty; type B has a rectangular distribution (GUM 4.3.7)."""
         return self.deviation if self.evaluation == "A" else standard_of_limit(np.linalg.norm(self.limits(), axis=0))
@@ -207,11 +212,7 @@ class UncertaintyBudget:
         """Return the expanded uncertainty U of a real quantity, such as the magnitude or a component of the values."""
         limits = [limit for cause in self.contributions if cause.evaluation == "B" for limit in cause.limits()]
         scatter = self.scatter
-        if scatter is None:
-            return expand(0.0, limits)
-        return expand(
-            scatter.deviation, limits, 0.0 if scatter.degrees_of_freedom is None else scatter.degrees_of_freedom
-        )
+        return expand(0.0, limits) if scatter is None else expand(scatter.deviation, limits, scatter.degrees)
 
     def random_bound(self, confidence: float = 0.95) -> Array | float:
         """Return the radius of the circle that contains the errors of type A.
@@ -220,12 +221,7 @@ class UncertaintyBudget:
         F-distributed with 2 and `degrees_of_freedom` degrees of freedom.
         """
         scatter = self.scatter
-        if scatter is None:
-            return 0.0
-        degrees_of_freedom = (
-            np.zeros(scatter.deviation.shape) if scatter.degrees_of_freedom is None else scatter.degrees_of_freedom
-        )
-        return scatter.deviation * circle_factor(confidence, degrees_of_freedom)
+        return 0.0 if scatter is None else scatter.deviation * circle_factor(confidence, scatter.degrees)
 
     def expanded_systematic(self) -> Array | float:
         """Return the expanded uncertainty of the contributions of type B, plus the tolerances of data sheets."""
@@ -377,27 +373,18 @@ def stack_budgets(budgets: Sequence[UncertaintyBudget], shape: tuple[int, ...]) 
     contributions = []
     for name, evaluation in names:
         by_curve = [next((cause for cause in budget.contributions if cause.name == name), None) for budget in budgets]
+        deviation = join([None if cause is None else cause.deviation for cause in by_curve])
+        degrees = join([None if cause is None else cause.degrees_of_freedom for cause in by_curve])
+        sources = tuple(cause.sources[0] if cause is not None and cause.sources else {} for cause in by_curve)
+        known_sources = sources if any(sources) else ()
         contributions.append(
-            Contribution(
-                name,
-                evaluation,
-                join([None if cause is None else cause.deviation for cause in by_curve]),
-                join([None if cause is None else cause.degrees_of_freedom for cause in by_curve])
-                if evaluation == "A"
-                else None,
-                _join_sources(by_curve),
-            )
+            Contribution(name, evaluation, deviation, degrees if evaluation == "A" else None, known_sources)
         )
     first, *others = (budget.errors for budget in budgets)
     other_errors = [errors for errors in others if errors is not None]
     joined = first.joined(other_errors) if first is not None and len(other_errors) == len(others) else None
     shared, clock, scale = (max(getattr(budget, name) for budget in budgets) for name in ("shared", "clock", "scale"))
     return UncertaintyBudget(tuple(contributions), joined, shared, clock, scale)
-
-
-def _join_sources(by_curve: Sequence[Contribution | None]) -> tuple[Sources, ...]:
-    sources = [cause.sources[0] if cause is not None and cause.sources else {} for cause in by_curve]
-    return tuple(sources) if any(sources) else ()
 
 
 @dataclass(frozen=True)
@@ -513,15 +500,11 @@ def circle_factor(confidence: float, degrees_of_freedom: Array) -> Array:
     >>> circle_factor(0.95, np.array([0.0, 1.0, 30.0])).round(2).tolist()
     [2.45, 19.97, 2.58]
     """
-    # Fisher's F with two degrees of freedom of the numerator has a quantile in closed form.
-    _check_confidence(confidence)
-    known = known_degrees(degrees_of_freedom)
-    return np.asarray(np.sqrt(known * np.expm1(-2.0 / known * np.log1p(-confidence))))
-
-
-def _check_confidence(confidence: float) -> None:
     if not (isinstance(confidence, float) and 0.0 < confidence < 1.0):
         raise SceneError(f"confidence: got {confidence}; expected a fraction between 0 and 1, such as 0.95")
+    # Fisher's F with two degrees of freedom of the numerator has a quantile in closed form.
+    known = known_degrees(degrees_of_freedom)
+    return np.asarray(np.sqrt(known * np.expm1(-2.0 / known * np.log1p(-confidence))))
 
 
 def known_degrees(degrees_of_freedom: Array) -> Array:

@@ -59,15 +59,8 @@ def read_yaml(text: str) -> Document:
             raise _Unreadable(1, f"the file has {len(text)} characters; expected a scene of at most {MAX_CHARACTERS}")
         _Reader(text, document).run()
     except UnicodeEncodeError as error:
-        line = text.count("\n", 0, error.start) + 1
-        document.problems.append(
-            (
-                line,
-                Problem(
-                    (), "invalid YAML: an incomplete character, or bytes that are not UTF-8. Save the file as UTF-8."
-                ),
-            )
-        )
+        message = "invalid YAML: an incomplete character, or bytes that are not UTF-8. Save the file as UTF-8."
+        document.problems.append((text.count("\n", 0, error.start) + 1, Problem((), message)))
     except _Unreadable as error:
         document.problems.append((error.line, Problem((), str(error))))
     except yaml.MarkedYAMLError as error:

@@ -72,17 +72,12 @@ def _searched_band(objective: Objective) -> tuple[float, float]:
     """Return the band of the objective [Hz], extended as described above."""
     low, high = objective.band
     natural = structural_model(objective.scenes[0]).modes.frequency
-    inside, below, above = (
-        natural[(natural >= low) & (natural <= high)],
-        natural[natural < low],
-        natural[natural > high],
-    )
+    inside = natural[(natural >= low) & (natural <= high)]
     if not inside.size:
         return low, high
-    return (
-        min(low, sqrt(inside[0] * max(below.max(initial=0.0), 0.25 * inside[0]))),
-        max(high, sqrt(inside[-1] * min(above.min(initial=np.inf), 4.0 * inside[-1]))),
-    )
+    below, above = natural[natural < low].max(initial=0.0), natural[natural > high].min(initial=np.inf)
+    lowest, highest = max(below, 0.25 * inside[0]), min(above, 4.0 * inside[-1])
+    return min(low, sqrt(inside[0] * lowest)), max(high, sqrt(inside[-1] * highest))
 
 
 def best_tuned_mass(objective: Objective, bodies: Iterable[int], mass: float) -> TunedMass | None:

@@ -48,11 +48,6 @@ class Continuation(KindOfTest):
             yield Problem(("to",), f"got {self.to:g} Hz, the same as `from`. Give the other end of the band.")
 
     @property
-    def steady_state(self) -> Settle:
-        """Criterion for the steady state of a point."""
-        return self.settle
-
-    @property
     def tone(self) -> float:
         """First frequency [Hz]."""
         return self.from_

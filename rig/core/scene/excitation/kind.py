@@ -211,13 +211,13 @@ class KindOfTest(Settings):
 
     @property
     def sweep_direction(self) -> Literal["up", "down", "both"]:
-        """Order of the frequencies in the test."""
-        return "up"
+        """Order of the frequencies in the test; default: the key `direction`, or upward."""
+        return getattr(self, "direction", "up")
 
     @property
     def steady_state(self) -> Settle:
-        """Criterion for the steady state of a tone."""
-        return Settle()
+        """Criterion for the steady state of a tone; default: the key `settle`, if the kind has it."""
+        return getattr(self, "settle", None) or Settle()
 
     @property
     def accepted_transient(self) -> float:

@@ -67,11 +67,6 @@ class PhaseResonance(KindOfTest):
         return self.at, self.phase
 
     @property
-    def steady_state(self) -> Settle:
-        """Criterion for the steady state of a level."""
-        return self.settle
-
-    @property
     def tone(self) -> float:
         """First frequency [Hz]."""
         return self.frequency

@@ -95,17 +95,6 @@ class SteppedTest(KindOfTest):
         return self.order
 
     @property
-    def sweep_direction(self) -> Literal["up", "down", "both"]:
-        """Order of the frequencies of one level."""
-        return self.direction
-
-    @property
-    def steady_state(self) -> Settle:
-        """Criterion for the steady state of a dwell."""
-        steady_state: Settle = self.settle
-        return steady_state
-
-    @property
     def shortest(self) -> float:
         """Time of all measurements [s]."""
         return len(self.levels) * self.measure.periods * sum(1.0 / frequency for frequency in self.order)
